@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Installation of the ament_python package; colcon and pip both read this file."""
+
+from glob import glob
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "uav_ident_ros"
+SHARE = f"share/{PACKAGE}"
+
+
+def tree(top: str) -> list[tuple[str, list[str]]]:
+    """Return one `data_files` entry per folder below `top`, keeping its layout in share/.
+
+    Paths stay relative: `colcon build --symlink-install` links them one by one.
+    """
+    folders: dict[str, list[str]] = {}
+    for path in sorted(Path(top).rglob("*")):
+        if path.is_file() and not any(part.startswith(".") for part in path.parts):
+            folders.setdefault(f"{SHARE}/{path.parent.as_posix()}", []).append(path.as_posix())
+    return list(folders.items())
+
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Online identification of the attitude dynamics of unmanned aircraft",
+    license="Apache-2.0",
+    maintainer="uav_ident_ros maintainers",
+    maintainer_email="uav_ident_ros@example.org",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (SHARE, ["package.xml"]),
+        (f"{SHARE}/launch", sorted(glob("launch/*.launch.py"))),
+        *tree("config"),
+        *tree("bags"),
+    ],
+    python_requires=">=3.10",
+    # rclpy and the messages come from ROS (package.xml); naming the ros-jazzy-* wheels
+    # here would break every machine that has them from apt.
+    install_requires=["setuptools", "numpy"],
+    extras_require={
+        "replay": ["pyyaml", "matplotlib", "rosbags"],
+        # colcon decides by this extra whether `colcon test` runs pytest
+        "test": ["pytest", "hypothesis", "scipy", "pyyaml", "matplotlib", "rosbags"],
+    },
+    zip_safe=True,
+    entry_points={
+        "console_scripts": [
+            f"identifier = {PACKAGE}.node:main",
+            f"replay = {PACKAGE}.replay:main",
+            f"simulate = {PACKAGE}.simulation.cli:main",
+        ],
+    },
+)
