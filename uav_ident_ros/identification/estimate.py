@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the identifier returns, and what it can start from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from uav_ident_ros.identification.structure import FloatArray
+
+
+@dataclass(frozen=True)
+class CoefficientSet:
+    """Coefficients of a structure with their uncertainty.
+
+    Parameters
+    ----------
+    structure : str
+        Name of the structure.
+    values : (3, n) array
+        A, SI units, body axes FRD; zero where the structure has no coefficient.
+    sigma : (3, n) array
+        Standard deviations; 0 for what is known or absent, inf for what is unknown.
+    t_ns : int
+        Message time at which they were valid, nanoseconds; 0 if unknown.
+    """
+
+    structure: str
+    values: FloatArray
+    sigma: FloatArray
+    t_ns: int = 0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """State of the identification at a tick.
+
+    Parameters
+    ----------
+    t_ns : int
+        Message time of the tick, nanoseconds.
+    coefficients : (3, n) array
+        A_m, SI units, body axes FRD.
+    sigma : (3, n) array
+        One standard deviation of each coefficient; 0 for the fixed ones.
+    predicted_rates : (3,) array
+        State x_m of the identified model at the tick, rad/s, in the Imu's own axes.
+    prediction_error : (3,) array
+        Newest measured rates at the tick, unfiltered, minus `predicted_rates`; rad/s.
+    fit : (3,) array
+        Running 1-second prediction fit of p, q, r in percent; 0 until there is one.
+    adapting : bool
+        Whether the coefficients moved, or could have moved, at this tick.
+    usable : bool
+        Whether a controller may act on the coefficients.
+    state : str
+        One word: ``waiting``, ``learning``, ``converged``, ``paused`` or ``fault``.
+    reason : str
+        Why it is not adapting, or not usable; empty if neither.
+    """
+
+    t_ns: int
+    coefficients: FloatArray
+    sigma: FloatArray
+    predicted_rates: FloatArray
+    prediction_error: FloatArray
+    fit: FloatArray
+    adapting: bool
+    usable: bool
+    state: str
+    reason: str

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's law Am_dot = e f^T K (eqs. (7), (8) of Salman et al. 2006)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_ident_ros.identification.estimators.information import Information
+from uav_ident_ros.identification.prior import LARGEST_COEFFICIENT, Start
+from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.settings import GradientSettings, SettingsError
+from uav_ident_ros.identification.structure import PRODUCT_COLUMNS, BoolArray, FloatArray
+
+DEFAULT_GAIN = 0.15
+"""Diagonal of K relative to the regressors' variances, 1/s: settles in some tens of seconds."""
+
+EULER_LIMIT = 2.0
+"""``dt f^T K f`` beyond which an explicit Euler step of the law overshoots and grows."""
+
+VARIANCE_TIME = 30.0
+"""Memory of the regressors' running variances, s."""
+
+_ASYMMETRY = 1e-9
+"""Relative asymmetry, or negative eigenvalue, of K that is rounding rather than intent."""
+
+
+def gain_matrix(gains: tuple[float, ...], n: int) -> FloatArray:
+    """K from n diagonal or n*n row-major entries.
+
+    Raises
+    ------
+    SettingsError
+        If K is not symmetric positive semi-definite.
+    """
+    values = np.array(gains) if gains else np.full(n, DEFAULT_GAIN)
+    k = np.diag(values) if len(values) == n else values.reshape(n, n)
+    scale = max(float(np.abs(k).max()), np.finfo(float).tiny)
+    if np.abs(k - k.T).max() > _ASYMMETRY * scale:
+        i, j = np.unravel_index(np.argmax(np.abs(k - k.T)), k.shape)
+        raise SettingsError(
+            "gradient.gains",
+            f"'gradient.gains' is not symmetric: K[{i},{j}] = {k[i, j]:g} but "
+            f"K[{j},{i}] = {k[j, i]:g}; they must be equal",
+        )
+    lowest = float(np.linalg.eigvalsh(k).min())
+    if lowest < -_ASYMMETRY * scale:
+        raise SettingsError(
+            "gradient.gains",
+            f"'gradient.gains' has the eigenvalue {lowest:g}: K must be positive semi-definite",
+        )
+    return np.asarray(k)
+
+
+def gradient_step(
+    coefficients: FloatArray,
+    y: FloatArray,
+    f: FloatArray,
+    gain: FloatArray,
+    free: BoolArray,
+    dt: float,
+    *,
+    guarded: bool,
+) -> tuple[FloatArray, float]:
+    """One step of the law over `dt`, with e and f held.
+
+    Along a row's free columns K acts through its principal submatrix, so that it stays
+    positive semi-definite there. Guarded, the step is the exact solution
+    ``(1 - exp(-s dt)) / s`` with ``s = f^T K f``, which no gain can make overshoot; otherwise
+    it is Euler's ``dt``.
+
+    Parameters
+    ----------
+    coefficients : (3, n) array
+        A_m.
+    y : (3,) array
+        xdot, rad/s^2.
+    f : (n,) array
+        Regressors.
+    gain : (n, n) array
+        K, symmetric positive semi-definite.
+    free : (3, n) bool array
+        Coefficients that move.
+    dt : float
+        Step, s.
+    guarded : bool
+        Whether to take the exact step.
+
+    Returns
+    -------
+    coefficients : (3, n) array
+        A_m after the step.
+    step : float
+        Largest ``dt f^T K f`` of the rows; Euler's step grows beyond `EULER_LIMIT`.
+    """
+    e = y - coefficients @ f
+    row_f = np.where(free, f, 0.0)
+    direction = np.where(free, row_f @ gain, 0.0)
+    s = (direction * row_f).sum(axis=1)
+    length = np.full(3, dt)
+    if guarded:
+        moving = s > 0.0
+        length[moving] = -np.expm1(-s[moving] * dt) / s[moving]
+    return coefficients + (e * length)[:, None] * direction, float(s.max() * dt)
+
+
+class GradientEstimator:
+    """The paper's law at the rate of the ticks.
+
+    Parameters
+    ----------
+    settings : GradientSettings
+        Gains, what they are relative to, and the step.
+    start : Start
+        Initial coefficients and which of them are free.
+    """
+
+    def __init__(self, settings: GradientSettings, start: Start) -> None:
+        self._gain = gain_matrix(settings.gains, start.values.shape[1])
+        self._normalisation = settings.normalisation
+        self._guarded = settings.step == "guarded"
+        self._start = start
+        self._uncertainty = Information(start)
+        self.coefficients: FloatArray = start.values.copy()
+        self.problem = ""
+        self._power: FloatArray = np.zeros(start.values.shape[1])
+        self._power_time = 0.0
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations, shape (3, n): the least-squares ones, widened by the distance."""
+        best = self._uncertainty.solve()
+        spread = self._uncertainty.sigma(best)
+        return np.where(self._start.free, np.hypot(spread, self.coefficients - best), 0.0)
+
+    def update(self, data: Regression) -> None:
+        """Take one step of the law over the time that the samples stand for."""
+        dt = data.dt * len(data.y)
+        self._uncertainty.accumulate(data, data.f, self.coefficients)
+        y, f = data.y[-1], data.f[-1]
+        moved, step = gradient_step(
+            self.coefficients,
+            y,
+            f,
+            self._gain_now(data, dt),
+            self._start.free,
+            dt,
+            guarded=self._guarded,
+        )
+        if not self._guarded and step > EULER_LIMIT:
+            self.problem = (
+                f"the Euler step of the gradient law is unstable: dt f^T K f = {step:.3g} "
+                f"exceeds {EULER_LIMIT:g}; lower 'gradient.gains' or set 'gradient.step' to "
+                "'guarded'"
+            )
+        if (np.abs(moved) < LARGEST_COEFFICIENT).all():  # NaN fails too
+            self.coefficients = self._limit(moved)
+        else:
+            self.problem = (
+                "the gradient law has diverged and its coefficients are held at the last finite "
+                "values: lower 'gradient.gains' or set 'gradient.step' to 'guarded'"
+            )
+
+    def _gain_now(self, data: Regression, dt: float) -> FloatArray:
+        """K in SI units at this tick."""
+        if self._normalisation == "none":
+            return self._gain
+        f = data.f[-1]
+        if self._normalisation == "power":
+            return np.asarray(self._gain / (1.0 + f @ self._gain @ f))
+        self._power_time = min(self._power_time + dt, VARIANCE_TIME)
+        share = dt / self._power_time
+        self._power += share * ((data.f**2).mean(axis=0) - self._power)
+        scale = np.zeros_like(self._power)
+        excited = self._power > 0.0
+        scale[excited] = 1.0 / np.sqrt(self._power[excited])
+        return np.asarray(self._gain * np.outer(scale, scale))
+
+    def _limit(self, coefficients: FloatArray) -> FloatArray:
+        """Keep the rate products physical; in SI units the paper's law is left alone."""
+        if self._normalisation != "none":
+            products = coefficients[:, PRODUCT_COLUMNS]
+            np.clip(products, -1.0, 1.0, out=products)
+        return coefficients

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Linear filters, discretised exactly and applied to a block of samples at once.
+
+A block of m cells of width h is one matrix product instead of m recursions: the outputs are
+``C A^i s + sum_j C A^(i-j) B v_j``, and both factors are computed beforehand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+
+BLOCK = 64
+"""Cells handled in one matrix product; longer blocks are cut. A memory limit, no result
+depends on it beyond rounding."""
+
+
+def expm(matrix: FloatArray) -> FloatArray:
+    """Matrix exponential by scaling, a Taylor series and squaring, for small matrices."""
+    norm = float(np.abs(matrix).sum(axis=1).max())
+    squarings = max(0, int(np.ceil(np.log2(norm))) + 2) if norm > 0.0 else 0
+    scaled = matrix / 2.0**squarings
+    result = np.eye(len(matrix))
+    term = np.eye(len(matrix))
+    # 18 terms of a matrix of norm 1/4 leave a remainder below 1e-26.
+    for k in range(1, 19):
+        term = term @ scaled / k
+        result = result + term
+    for _ in range(squarings):
+        result = result @ result
+    return result
+
+
+@dataclass(frozen=True)
+class DiscreteSystem:
+    """``s+ = A s + B0 left + B1 right`` over a cell in which the input is a straight line.
+
+    Parameters
+    ----------
+    a : (d, d) array
+        State transition over the cell.
+    b_left, b_right : (d,) array
+        Effect of the input's value at the left and at the right end of the cell. An input
+        that is held over the cell has the same value at both.
+    """
+
+    a: FloatArray
+    b_left: FloatArray
+    b_right: FloatArray
+
+    @classmethod
+    def from_continuous(cls, a: FloatArray, b: FloatArray, h: float) -> DiscreteSystem:
+        """Discretise ``s_dot = a s + b v`` for straight-line inputs over cells of `h` s.
+
+        The exponential of the augmented matrix gives the exact solution (Van Loan 1978).
+        """
+        d = len(a)
+        augmented = np.zeros((d + 2, d + 2))
+        augmented[:d, :d] = a * h
+        augmented[:d, d] = b * h
+        augmented[d, d + 1] = 1.0
+        e = expm(augmented)
+        constant, slope = e[:d, d], e[:d, d + 1]
+        return cls(e[:d, :d], constant - slope, slope)
+
+
+def low_pass(cutoff: float, h: float) -> DiscreteSystem:
+    """Second-order Butterworth low-pass as ``s = [z, z_dot]``: its output and derivative.
+
+    Parameters
+    ----------
+    cutoff : float
+        Cut-off, rad/s.
+    h : float
+        Cell width, s.
+    """
+    a = np.array([[0.0, 1.0], [-(cutoff**2), -np.sqrt(2.0) * cutoff]])
+    return DiscreteSystem.from_continuous(a, np.array([0.0, cutoff**2]), h)
+
+
+class BlockFilter:
+    """One discrete system applied to many channels, block by block.
+
+    Parameters
+    ----------
+    system : DiscreteSystem
+        The system, d states.
+    channels : int
+        Number N of channels.
+    """
+
+    def __init__(self, system: DiscreteSystem, channels: int) -> None:
+        d = len(system.a)
+        self.state: FloatArray = np.zeros((d, channels))
+        powers = np.empty((BLOCK + 1, d, d))
+        powers[0] = np.eye(d)
+        for i in range(BLOCK):
+            powers[i + 1] = system.a @ powers[i]
+        # _free[c, i]: state component c after i + 1 cells, from the state at the start.
+        self._free = np.ascontiguousarray(powers[1:].transpose(1, 0, 2))
+        self._forced_left = self._forced(powers, system.b_left)
+        self._forced_right = self._forced(powers, system.b_right)
+
+    @staticmethod
+    def _forced(powers: FloatArray, b: FloatArray) -> FloatArray:
+        """Lower-triangular Toeplitz matrices of the impulse response, shape (d, m, m)."""
+        impulse = powers[:-1] @ b
+        d = len(b)
+        forced = np.zeros((d, BLOCK, BLOCK))
+        for i in range(BLOCK):
+            forced[:, i, : i + 1] = impulse[i::-1].T
+        return forced
+
+    def apply(self, left: FloatArray, right: FloatArray) -> FloatArray:
+        """Advance over m cells.
+
+        Parameters
+        ----------
+        left, right : (m, N) array
+            Inputs at the left and the right end of each cell.
+
+        Returns
+        -------
+        (d, m, N) array
+            The states at the right end of each cell.
+        """
+        parts = []
+        for start in range(0, len(left), BLOCK):
+            a, b = left[start : start + BLOCK], right[start : start + BLOCK]
+            m = len(a)
+            states = (
+                self._free[:, :m] @ self.state
+                + self._forced_left[:, :m, :m] @ a
+                + self._forced_right[:, :m, :m] @ b
+            )
+            self.state = states[:, -1].copy()
+            parts.append(states)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the Imu's axes to the aircraft's body axes, and the lever arm."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_ident_ros.identification.settings import ImuSettings
+from uav_ident_ros.identification.structure import FloatArray
+
+_FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3), angles in rad."""
+    cr, sr = np.cos(roll), np.sin(roll)
+    cp, sp = np.cos(pitch), np.sin(pitch)
+    cy, sy = np.cos(yaw), np.sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+class BodyFrame:
+    """Turns vectors between the Imu's own axes and the body axes FRD.
+
+    Parameters
+    ----------
+    settings : ImuSettings
+        Convention (``flu`` or ``frd``) and the sensor's attitude in the body.
+    """
+
+    def __init__(self, settings: ImuSettings) -> None:
+        convention = _FLU_TO_FRD if settings.convention == "flu" else np.eye(3)
+        self._to_body: FloatArray = rotation(*settings.rpy) @ convention
+
+    def to_body(self, vectors: FloatArray) -> FloatArray:
+        """Vectors of shape (..., 3) from the Imu's axes into FRD."""
+        return np.asarray(vectors @ self._to_body.T)
+
+    def to_imu(self, vectors: FloatArray) -> FloatArray:
+        """Vectors of shape (..., 3) from FRD into the Imu's axes."""
+        return np.asarray(vectors @ self._to_body)
+
+
+def lever_arm_matrix(arm: FloatArray) -> FloatArray:
+    """Matrix L with ``(omega_dot x arm)_{y,z} = L omega_dot``, shape (2, 3), m."""
+    x, y, z = arm
+    return np.array([[-z, 0.0, x], [y, -x, 0.0]])
+
+
+def centripetal(x: FloatArray, arm: FloatArray) -> FloatArray:
+    """Components y and z of ``omega x (omega x arm)``.
+
+    Parameters
+    ----------
+    x : (..., 3) array
+        Rates p, q, r, rad/s, FRD.
+    arm : (3,) array
+        Position of the accelerometer from the centre of gravity, m, FRD.
+
+    Returns
+    -------
+    (..., 2) array
+        Acceleration, m/s^2.
+    """
+    p, q, r = x[..., 0], x[..., 1], x[..., 2]
+    along = p * arm[0] + q * arm[1] + r * arm[2]
+    square = p * p + q * q + r * r
+    return np.stack([q * along - square * arm[1], r * along - square * arm[2]], axis=-1)

@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole pipeline: samples in, estimates out.
+
+It knows no ROS, no file and no clock: time is handed in, as integer nanoseconds. The same
+samples give the same estimates, bit for bit, however they were batched.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Sequence
+from enum import Enum
+from fractions import Fraction
+
+import numpy as np
+
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.estimators import Estimator, make_estimator
+from uav_ident_ros.identification.frames import BodyFrame
+from uav_ident_ros.identification.model import IdentifiedModel
+from uav_ident_ros.identification.paper import BackwardDifference
+from uav_ident_ros.identification.prior import start_from
+from uav_ident_ros.identification.regression import Regression, StateVariableFilter
+from uav_ident_ros.identification.sampling import Block, Sampler
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+
+RATES, ACTUATORS = "rates", "actuators"
+"""The streams, as `OnlineIdentifier.drops` names them."""
+
+SECOND_NS = 1_000_000_000
+
+
+class Drop(str, Enum):
+    """Why a sample was dropped."""
+
+    NOT_FINITE = "not finite"
+    WRONG_LENGTH = "wrong number of values"
+    ZERO_STAMP = "zero or negative stamp"
+    OUTLYING_STAMP = "outlying stamp"
+    LATE = "late"
+    DUPLICATE = "repeated stamp"
+    CLOCK_MISMATCH = "stamp far from the Imu's"
+
+
+class OnlineIdentifier:
+    """Online identification of the attitude dynamics.
+
+    Parameters
+    ----------
+    settings : Settings
+        All settings.
+    initial : CoefficientSet, optional
+        Coefficients to start from; they win over those in the settings.
+
+    Attributes
+    ----------
+    drops : dict
+        For each stream, how many samples were dropped for which reason.
+
+    Raises
+    ------
+    SettingsError
+        If the settings contradict each other or `initial`.
+    """
+
+    def __init__(self, settings: Settings, initial: CoefficientSet | None = None) -> None:
+        self.settings = settings
+        self.structure = STRUCTURES[settings.structure]
+        self.drops: dict[str, Counter[Drop]] = {RATES: Counter(), ACTUATORS: Counter()}
+        self._initial = initial
+        self._frame = BodyFrame(settings.imu)
+        self._rate = Fraction(settings.update_rate).limit_denominator(1_000_000)
+        self._wait_ns = round(settings.input_wait * SECOND_NS)
+        self._jump_ns = round(settings.time_jump * SECOND_NS)
+        self._channels = len(settings.actuators.channels)
+        self._arm = np.array(settings.imu.lever_arm)
+        self._sampler = Sampler(settings)
+        self._guard = StampGuard(self._jump_ns)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start cold: buffers and filters restart, the coefficients return to their start."""
+        self._estimator: Estimator = make_estimator(
+            self.settings, start_from(self.settings, self._initial)
+        )
+        self._model = IdentifiedModel(self.structure, self._arm)
+        self.fault = ""
+        self.restart()
+
+    def restart(self) -> None:
+        """Start on a new time base: buffers and filters restart, the coefficients stay."""
+        self._sampler.restart()
+        self._guard.reset()
+        self._filter: StateVariableFilter | None = None
+        self._paper = BackwardDifference(self.structure)
+        self._outlying: list[tuple[int, Sequence[float], Sequence[float] | None]] = []
+        self._mismatches = 0
+        self._due: deque[int] = deque()
+        self._next_tick: int | None = None
+        self._last_tick_ns = -(2**62)
+        self._newest_rates: FloatArray | None = None
+
+    # -- samples in ------------------------------------------------------------------------
+
+    def add_rates(
+        self, t_ns: int, pqr: Sequence[float], specific_force: Sequence[float] | None = None
+    ) -> Drop | None:
+        """Take one sample of the rates, in the Imu's own axes.
+
+        Parameters
+        ----------
+        t_ns : int
+            Stamp, ns.
+        pqr : sequence of 3 floats
+            Angular velocity, rad/s.
+        specific_force : sequence of 3 floats, optional
+            Specific force, m/s^2; taken as zero if not measured.
+
+        Returns
+        -------
+        Drop or None
+            Why the sample was dropped, None if it was taken.
+        """
+        force = _NO_FORCE if specific_force is None else specific_force
+        problem = self._rates_problem(t_ns, pqr, force)
+        if problem is None:
+            stamp = self._guard.check(t_ns)
+            if stamp is Stamp.GOOD:
+                self._outlying.clear()
+                problem = self._take_rates(t_ns, pqr, force)
+            elif stamp is Stamp.NEW_BASE:
+                self._move_to_new_base(t_ns, pqr, force)
+            else:
+                self._outlying = self._outlying[1 - AGREEING_SAMPLES :]
+                self._outlying.append((t_ns, pqr, force))
+                problem = Drop.OUTLYING_STAMP
+        if problem is not None:
+            self.drops[RATES][problem] += 1
+        return problem
+
+    def _rates_problem(
+        self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
+    ) -> Drop | None:
+        if len(pqr) != 3 or len(force) != 3:
+            return Drop.WRONG_LENGTH
+        if not (math.isfinite(sum(pqr)) and math.isfinite(sum(force))):
+            return Drop.NOT_FINITE
+        if t_ns <= 0:
+            return Drop.ZERO_STAMP
+        return None
+
+    def _take_rates(
+        self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
+    ) -> Drop | None:
+        if t_ns <= self._last_tick_ns:
+            return Drop.LATE
+        self._sampler.rates.append(t_ns, (*pqr, *force))
+        newest = self._guard.newest
+        assert newest is not None
+        if self._next_tick is None:
+            self._next_tick = self._first_tick(t_ns)
+        while self._tick_ns(self._next_tick) + self._wait_ns <= newest:
+            self._last_tick_ns = self._tick_ns(self._next_tick)
+            self._due.append(self._last_tick_ns)
+            self._next_tick += 1
+        return None
+
+    def _move_to_new_base(
+        self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
+    ) -> None:
+        """Start anew with the samples that agreed on the new base."""
+        agreed = self._outlying[1 - AGREEING_SAMPLES :]
+        self.restart()
+        for sample in (*agreed, (t_ns, pqr, force)):
+            self.drops[RATES][Drop.OUTLYING_STAMP] -= sample[0] != t_ns
+            self.add_rates(*sample)
+
+    def add_actuators(self, t_ns: int, values: Sequence[float]) -> Drop | None:
+        """Take one sample of the raw actuator channels.
+
+        Parameters
+        ----------
+        t_ns : int
+            Stamp, ns: the values apply from then on.
+        values : sequence of N floats
+            The channels that ``actuators.channels`` names, in that order.
+
+        Returns
+        -------
+        Drop or None
+            Why the sample was dropped, None if it was taken.
+        """
+        problem = self._actuators_problem(t_ns, values)
+        if problem is None:
+            self._sampler.raw_inputs.append(t_ns, values)
+        else:
+            self.drops[ACTUATORS][problem] += 1
+        return problem
+
+    def _actuators_problem(self, t_ns: int, values: Sequence[float]) -> Drop | None:
+        if len(values) != self._channels:
+            return Drop.WRONG_LENGTH
+        if not math.isfinite(sum(values)):
+            return Drop.NOT_FINITE
+        if t_ns <= 0:
+            return Drop.ZERO_STAMP
+        newest = self._guard.newest
+        if newest is not None and abs(t_ns - newest) > self._jump_ns:
+            return self._mismatch(t_ns, newest)
+        self._mismatches = 0
+        self.fault = ""
+        return Drop.LATE if t_ns <= self._last_tick_ns else None
+
+    def _mismatch(self, t_ns: int, newest: int) -> Drop:
+        self._mismatches += 1
+        if self._mismatches >= AGREEING_SAMPLES:
+            self.fault = (
+                f"the actuators are stamped {(t_ns - newest) / SECOND_NS:+.1f} s from the Imu: "
+                "they run on different clocks. Play a bag with --clock and set use_sim_time, "
+                "or synchronise the autopilot's time"
+            )
+        return Drop.CLOCK_MISMATCH
+
+    # -- ticks -----------------------------------------------------------------------------
+
+    def _tick_ns(self, k: int) -> int:
+        return k * SECOND_NS * self._rate.denominator // self._rate.numerator
+
+    def _first_tick(self, t_ns: int) -> int:
+        """Index of the first tick at or after `t_ns`."""
+        k = t_ns * self._rate.numerator // (SECOND_NS * self._rate.denominator)
+        return k if self._tick_ns(k) >= t_ns else k + 1
+
+    def due(self) -> int | None:
+        """Time of the next tick that may be computed, ns; None if none is due."""
+        return self._due[0] if self._due else None
+
+    def update(self, t_ns: int) -> Estimate | None:
+        """Run every tick up to and including `t_ns`, due or not.
+
+        Parameters
+        ----------
+        t_ns : int
+            Message time, ns.
+
+        Returns
+        -------
+        Estimate or None
+            The estimate of the last tick that was run, None if there was none.
+        """
+        estimate = None
+        while self._due and self._due[0] <= t_ns:
+            estimate = self._tick(self._due.popleft())
+        while self._next_tick is not None and self._tick_ns(self._next_tick) <= t_ns:
+            self._last_tick_ns = self._tick_ns(self._next_tick)
+            self._next_tick += 1
+            estimate = self._tick(self._last_tick_ns)
+        return estimate
+
+    def _tick(self, t_ns: int) -> Estimate:
+        self.drops[RATES][Drop.DUPLICATE] += self._sampler.rates.merge(t_ns)
+        self.drops[ACTUATORS][Drop.DUPLICATE] += self._sampler.raw_inputs.merge(t_ns)
+        if len(self._sampler.rates.t):
+            self._newest_rates = self._frame.to_body(self._sampler.rates.v[-1, :3])
+        adapting = False
+        if self.settings.filter.method == "backward_difference":
+            adapting = self._paper_tick(t_ns)
+        else:
+            for block in self._sampler.blocks():
+                self._learn(block)
+                adapting = True
+        return self._estimate(t_ns, adapting)
+
+    def _learn(self, block: Block) -> None:
+        """Run the model over a block and learn from it."""
+        if block.restarted:
+            self._model.restart(block.x[0])
+        if self._filter is None:
+            self._filter = StateVariableFilter(
+                self.structure, self.settings.filter.cutoff, block.h, self._arm
+            )
+        coefficients = self._estimator.coefficients
+        states = self._model.run(coefficients, block, self.settings.model.leak_time)
+        self._estimator.update(self._filter.apply(block, states))
+
+    def _paper_tick(self, t_ns: int) -> bool:
+        """Learn as the paper does: backward differences of the rates at the ticks."""
+        held = self._sampler.held(t_ns)
+        if held is None:
+            return False
+        x, u, force = held
+        dt = 1.0 / self.settings.update_rate
+        regression: Regression | None = self._paper.step(t_ns, x, u, force, dt)
+        if regression is None:
+            self._model.restart(x)
+            return False
+        self._model.euler(self._estimator.coefficients, x, u, force, dt, self.settings.model.leak_time)
+        self._estimator.update(regression)
+        return True
+
+    def _estimate(self, t_ns: int, adapting: bool) -> Estimate:
+        newest = self._newest_rates if self._newest_rates is not None else np.zeros(3)
+        predicted = self._model.state
+        reason = self.fault or self._estimator.problem
+        if not reason and not adapting:
+            reason = f"waiting for {self._sampler.waiting_for or 'samples'}"
+        state = "fault" if self.fault else "learning" if adapting else "waiting"
+        return Estimate(
+            t_ns=t_ns,
+            coefficients=self._estimator.coefficients.copy(),
+            sigma=self._estimator.sigma,
+            predicted_rates=self._frame.to_imu(predicted),
+            prediction_error=self._frame.to_imu(newest - predicted),
+            fit=np.zeros(3),
+            adapting=adapting,
+            usable=False,
+            state=state,
+            reason=reason,
+        )
+
+
+_NO_FORCE = (0.0, 0.0, 0.0)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From raw actuator channels to the inputs de, dr, da, dth over the cells of the grid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_ident_ros.identification.filters import BlockFilter, DiscreteSystem
+from uav_ident_ros.identification.samples import NS, TimeArray
+from uav_ident_ros.identification.settings import ActuatorSettings
+from uav_ident_ros.identification.structure import FloatArray
+
+
+class InputMap:
+    """The linear map u = M (raw - trim).
+
+    Parameters
+    ----------
+    settings : ActuatorSettings
+        Mixing rows, scale and trim of the N channels.
+    """
+
+    def __init__(self, settings: ActuatorSettings) -> None:
+        n = len(settings.channels)
+        mixing = settings.mixing
+        scale = np.array(settings.scale or (1.0,) * n)
+        self.matrix: FloatArray = (
+            np.array([mixing.de, mixing.dr, mixing.da, mixing.dth]) * scale
+        )
+        self.trim: FloatArray = np.array(settings.trim or (0.0,) * n)
+
+    def apply(self, raw: FloatArray) -> FloatArray:
+        """Inputs of shape (..., 4) from raw channels of shape (..., N)."""
+        return np.asarray((raw - self.trim) @ self.matrix.T)
+
+
+class ServoLag:
+    """First-order lag between the commanded and the actual deflection.
+
+    Parameters
+    ----------
+    time_constant : float
+        Lag, s; 0 for none.
+    h : float
+        Cell width, s.
+    """
+
+    def __init__(self, time_constant: float, h: float) -> None:
+        self._ratio = time_constant / h
+        self._filter: BlockFilter | None = None
+        if time_constant > 0.0:
+            a = np.array([[-1.0 / time_constant]])
+            b = np.array([1.0 / time_constant])
+            self._filter = BlockFilter(DiscreteSystem.from_continuous(a, b, h), 4)
+
+    def restart(self, u: FloatArray) -> None:
+        """Start in equilibrium at the input `u`, shape (4,)."""
+        if self._filter is not None:
+            self._filter.state = u[None, :].copy()
+
+    def apply(self, u: FloatArray) -> FloatArray:
+        """Cell means of the deflection from cell means of the command, shape (m, 4)."""
+        if self._filter is None:
+            return u
+        before = self._filter.state
+        after = self._filter.apply(u, u)[0]
+        start = np.concatenate([before, after[:-1]])
+        # The lag's own equation integrated over the cell: mean = u - T (s1 - s0) / h.
+        return np.asarray(u - self._ratio * (after - start))
+
+
+def cell_means(
+    t_ns: TimeArray, u: FloatArray, edges_ns: TimeArray, interpolation: str
+) -> FloatArray:
+    """Exact means of a sampled input over cells.
+
+    With the input held, its mean over a cell is what a plant driven by the held input sees;
+    sampling it at the cell's end instead is half a sample off.
+
+    Parameters
+    ----------
+    t_ns : (k,) int array
+        Stamps of the input's samples, ns; the first is at or before the first edge.
+    u : (k, 4) array
+        Values; each applies from its stamp on.
+    edges_ns : (m + 1,) int array
+        Edges of the cells, ns, already shifted by the delay.
+    interpolation : str
+        ``hold`` or ``linear``; after the last sample the input is held.
+
+    Returns
+    -------
+    (m, 4) array
+        Mean over each cell.
+    """
+    t = (t_ns - t_ns[0]) * NS
+    edges = (edges_ns - t_ns[0]) * NS
+    width = np.diff(t)[:, None]
+    slope = np.zeros_like(u)
+    if interpolation == "linear":
+        slope[:-1] = np.diff(u, axis=0) / width
+    integral = np.zeros_like(u)
+    np.cumsum((u[:-1] + 0.5 * slope[:-1] * width) * width, axis=0, out=integral[1:])
+    last = np.searchsorted(t_ns, edges_ns, side="right") - 1
+    since = (edges - t[last])[:, None]
+    at_edges = integral[last] + (u[last] + 0.5 * slope[last] * since) * since
+    return np.asarray(np.diff(at_edges, axis=0) / np.diff(edges)[:, None])

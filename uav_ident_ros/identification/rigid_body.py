@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inertias and aerodynamic derivatives to the coefficient matrix A, and back.
+
+The equations after (12) of Salman et al. 2006, derived from the rigid-body
+equations (9) and the moment model (11), (15).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import (
+    PRODUCT_COLUMNS,
+    RATE_COLUMNS,
+    FloatArray,
+    Structure,
+)
+
+FIRST_MOMENT_COLUMN = RATE_COLUMNS.start
+"""Columns from here on multiply moment derivatives; those before it, inertia ratios."""
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Moments of inertia of a body symmetric about its xz plane, kg m^2.
+
+    Raises
+    ------
+    ValueError
+        If the inertia tensor is not positive definite.
+    """
+
+    ix: float
+    iy: float
+    iz: float
+    ixz: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (min(self.ix, self.iy, self.iz) > 0.0 and self.ix * self.iz > self.ixz**2):
+            raise ValueError(
+                f"inertia ({self.ix}, {self.iy}, {self.iz}, {self.ixz}) kg m^2 is not positive "
+                "definite: ix, iy, iz > 0 and ix iz > ixz^2 are required"
+            )
+
+    def tensor(self) -> FloatArray:
+        """Return the inertia tensor, shape (3, 3), kg m^2."""
+        return np.array(
+            [[self.ix, 0.0, -self.ixz], [0.0, self.iy, 0.0], [-self.ixz, 0.0, self.iz]]
+        )
+
+
+def product_coefficients(inertia: Inertia) -> FloatArray:
+    """Coefficients of pq, qr, pr, p^2, r^2, shape (3, 5): A11 ... A32 after (12)."""
+    ix, iy, iz, ixz = inertia.ix, inertia.iy, inertia.iz, inertia.ixz
+    det = ix * iz - ixz**2
+    a = np.zeros((3, 5))
+    a[0, 0] = ixz * (ix - iy + iz) / det
+    a[0, 1] = (iz * (iy - iz) - ixz**2) / det
+    a[1, 2] = (iz - ix) / iy
+    a[1, 3] = -ixz / iy
+    a[1, 4] = ixz / iy
+    a[2, 0] = (ix * (ix - iy) + ixz**2) / det
+    a[2, 1] = -a[0, 0]
+    return a
+
+
+def coefficients_from_physics(inertia: Inertia, moments: FloatArray) -> FloatArray:
+    """Coefficient matrix A from inertias and moment derivatives.
+
+    Parameters
+    ----------
+    inertia : Inertia
+        Moments of inertia, kg m^2.
+    moments : (3, n - 5) array
+        Derivatives of the moments L, M, N (N m) with respect to p, q, r (rad/s), de, dr,
+        da, dth, and, in the augmented structure, 1, ay, az: eqs. (11) and (15).
+
+    Returns
+    -------
+    (3, n) array
+        A, in 1/s^2 per unit of each regressor.
+    """
+    moments = np.asarray(moments, dtype=np.float64)
+    return np.hstack(
+        [product_coefficients(inertia), np.linalg.solve(inertia.tensor(), moments)]
+    )
+
+
+def physics_from_coefficients(coefficients: FloatArray, iy: float) -> tuple[Inertia, FloatArray]:
+    """Inertias and moment derivatives from A: the inverse of `coefficients_from_physics`.
+
+    Angular motion alone determines the inertias up to a common factor, so one of them is
+    needed: `iy`.
+
+    Parameters
+    ----------
+    coefficients : (3, n) array
+        A. Its A12, A23 and A25 determine the inertia ratios.
+    iy : float
+        Pitch moment of inertia, kg m^2.
+
+    Returns
+    -------
+    inertia : Inertia
+        The inertias, kg m^2.
+    moments : (3, n - 5) array
+        Derivatives of L, M, N, as in `coefficients_from_physics`.
+
+    Raises
+    ------
+    ValueError
+        If no positive definite inertia tensor has these rate-product coefficients.
+    """
+    a = np.asarray(coefficients, dtype=np.float64)
+    a12, a23, a25 = a[0, 1], a[1, 2], a[1, 4]
+    # With c = Iz/Iy, Ix/Iy = c - A23 and Ixz/Iy = A25, the equation of A12 is
+    # (A12 + 1) c^2 - (A12 A23 + 1) c + A25^2 (1 - A12) = 0.
+    candidates = [
+        Inertia(iy * (c - a23), iy, iy * c, iy * a25)
+        for c in np.roots([a12 + 1.0, -(a12 * a23 + 1.0), a25**2 * (1.0 - a12)])
+        if np.isreal(c) and c > 0.0 and c > a23 and c * (c - a23) > a25**2
+    ]
+    if not candidates:
+        raise ValueError(
+            f"no rigid body has A12 = {a12:g}, A23 = {a23:g}, A25 = {a25:g}: "
+            "each must lie within -1 ... 1 and together give positive inertias"
+        )
+    inertia = min(
+        candidates,
+        key=lambda body: float(
+            np.abs(product_coefficients(body) - a[:, PRODUCT_COLUMNS]).sum()
+        ),
+    )
+    return inertia, inertia.tensor() @ a[:, FIRST_MOMENT_COLUMN:]
+
+
+def full_moments(structure: Structure, **derivatives: float) -> FloatArray:
+    """Moment derivatives by name, as the (3, n - 5) array of `coefficients_from_physics`.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure whose regressors name the columns.
+    **derivatives : float
+        ``l_p``, ``m_de``, ``n_dr``: the moment (l, m, n), then the regressor; N m per unit.
+
+    Raises
+    ------
+    ValueError
+        If a name is no derivative of the structure.
+    """
+    labels = structure.regressors[FIRST_MOMENT_COLUMN:]
+    moments = np.zeros((3, len(labels)))
+    for name, value in derivatives.items():
+        moment, _, label = name.partition("_")
+        if moment not in ("l", "m", "n") or label not in labels:
+            raise ValueError(
+                f"'{name}' is no moment derivative of structure '{structure.name}': "
+                f"l_, m_ or n_ followed by one of {', '.join(labels)}"
+            )
+        moments["lmn".index(moment), labels.index(label)] = value
+    return moments

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A stream of stamped samples: taken as they come, used in order of their stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_ident_ros.identification.structure import FloatArray
+
+TimeArray = NDArray[np.int64]
+
+NS = 1e-9
+"""Seconds in a nanosecond."""
+
+
+class SampleBuffer:
+    """Samples of one stream, cheap to append to.
+
+    Parameters
+    ----------
+    width : int
+        Values per sample.
+
+    Attributes
+    ----------
+    t : (k,) int array
+        Stamps of the samples in use, ns, strictly rising.
+    v : (k, width) array
+        Their values.
+    """
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self.clear()
+
+    def clear(self) -> None:
+        """Drop everything."""
+        self._waiting_t: list[int] = []
+        self._waiting_v: list[Sequence[float]] = []
+        self.t: TimeArray = np.empty(0, dtype=np.int64)
+        self.v: FloatArray = np.empty((0, self._width))
+
+    def append(self, t_ns: int, values: Sequence[float]) -> None:
+        """Keep a sample until a tick at or after its stamp asks for it."""
+        self._waiting_t.append(t_ns)
+        self._waiting_v.append(values)
+
+    def merge(self, t_ns: int) -> int:
+        """Bring the samples stamped at or before `t_ns` into use.
+
+        Of samples with one stamp the first to arrive counts.
+
+        Returns
+        -------
+        int
+            Number of duplicates dropped.
+        """
+        if not self._waiting_t:
+            return 0
+        t = np.array(self._waiting_t, dtype=np.int64)
+        v = np.array(self._waiting_v, dtype=np.float64)
+        ready = t <= t_ns
+        if ready.all():
+            self._waiting_t, self._waiting_v = [], []
+        else:
+            later = np.flatnonzero(~ready)
+            self._waiting_t = [self._waiting_t[i] for i in later]
+            self._waiting_v = [self._waiting_v[i] for i in later]
+            t, v = t[ready], v[ready]
+        steps = np.diff(t)
+        duplicates = 0
+        if (steps <= 0).any():
+            t, first = np.unique(t, return_index=True)
+            duplicates = len(v) - len(t)
+            v = v[first]
+        self.t = np.concatenate([self.t, t])
+        self.v = np.concatenate([self.v, v])
+        return duplicates
+
+    def trim(self, t_ns: int) -> None:
+        """Drop the samples in use before the last one at or before `t_ns`."""
+        first = int(np.searchsorted(self.t, t_ns, side="right")) - 1
+        if first > 0:
+            self.t, self.v = self.t[first:], self.v[first:]
+
+    def interpolate(self, t_ns: TimeArray) -> FloatArray:
+        """Straight lines through the samples in use, at `t_ns` within their span.
+
+        Returns
+        -------
+        (len(t_ns), width) array
+            The values.
+        """
+        if len(self.t) == len(t_ns) and np.array_equal(self.t, t_ns):
+            return self.v
+        right = np.clip(np.searchsorted(self.t, t_ns), 1, len(self.t) - 1)
+        left = right - 1
+        share = (t_ns - self.t[left]) / (self.t[right] - self.t[left])
+        low = self.v[left]
+        return np.asarray(low + share[:, None] * (self.v[right] - low))

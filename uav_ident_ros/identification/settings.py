@@ -1,0 +1,603 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one declaration of every setting.
+
+The ROS parameters and their descriptors, the validation, the replay's options and the table
+in the documentation are all read from the dataclasses below.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import typing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from uav_ident_ros.identification.structure import STRUCTURES
+
+Value = bool | int | float | str | tuple[float, ...] | tuple[int, ...] | tuple[str, ...]
+
+
+class SettingsError(ValueError):
+    """A setting is unknown, of the wrong type or outside what is allowed.
+
+    Parameters
+    ----------
+    name : str
+        Dotted name of the setting.
+    message : str
+        What is wrong and what would be right.
+    """
+
+    def __init__(self, name: str, message: str) -> None:
+        super().__init__(message)
+        self.name = name
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Declaration of one setting.
+
+    Parameters
+    ----------
+    name : str
+        Dotted name, as in the parameter file.
+    type : str
+        ``bool``, ``int``, ``float``, ``str``, ``float[]``, ``str[]`` or ``int[]|str[]``.
+    default : Value
+        Default value.
+    unit : str
+        Physical unit; empty for a pure number or a word.
+    description : str
+        One or two sentences: what it is and when to change it.
+    low, high : float
+        Inclusive range of a number or of every entry of an array.
+    choices : tuple of str
+        Allowed words; empty if any is.
+    read_only : bool
+        Whether it cannot change while the identifier runs.
+    """
+
+    name: str
+    type: str
+    default: Value
+    unit: str
+    description: str
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    read_only: bool = True
+
+    def check(self, value: object) -> Value:
+        """Return `value` in its canonical type.
+
+        Raises
+        ------
+        SettingsError
+            If it is of the wrong type, not finite, out of range or not among the choices.
+        """
+        if isinstance(value, (list, tuple)) or hasattr(value, "tolist"):
+            value = tuple(value)  # type: ignore[arg-type]
+        problem = _TYPE_CHECKS[self.type](value)
+        if problem:
+            raise SettingsError(self.name, f"'{self.name}' is {value!r}: {problem}")
+        for entry in value if isinstance(value, tuple) else (value,):
+            self._check_entry(entry, value)
+        return typing.cast(Value, value)
+
+    def _check_entry(self, entry: object, value: object) -> None:
+        if isinstance(entry, str):
+            if self.choices and entry not in self.choices:
+                near = difflib.get_close_matches(entry, self.choices, n=1)
+                hint = f"; did you mean '{near[0]}'?" if near else ""
+                raise SettingsError(
+                    self.name,
+                    f"'{self.name}' is '{entry}': allowed are {', '.join(self.choices)}{hint}",
+                )
+        elif not self.low <= float(typing.cast(float, entry)) <= self.high:  # NaN fails too
+            raise SettingsError(
+                self.name, f"'{self.name}' is {value!r}: allowed is {self.allowed()}"
+            )
+
+    def allowed(self) -> str:
+        """Describe the allowed values in words, with the unit."""
+        if self.choices:
+            return ", ".join(self.choices)
+        if "str" in self.type or self.type == "bool":
+            return "any"
+        unit = f" {self.unit}" if self.unit else ""
+        low, high = (f"{bound:g}" for bound in (self.low, self.high))
+        if math.isinf(self.low) and math.isinf(self.high):
+            return f"any finite value{unit}"
+        if math.isinf(self.high):
+            return f"{low}{unit} or more"
+        return f"{low} to {high}{unit}"
+
+
+def _is_float(value: object) -> bool:
+    return isinstance(value, float) and math.isfinite(value)
+
+
+def _expect_bool(value: object) -> str:
+    return "" if isinstance(value, bool) else "write true or false"
+
+
+def _expect_int(value: object) -> str:
+    ok = isinstance(value, int) and not isinstance(value, bool)
+    return "" if ok else "write a whole number, without a decimal point"
+
+
+def _expect_float(value: object) -> str:
+    if _is_float(value):
+        return ""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"that is an integer: write {float(value)}"
+    return "write a finite number with a decimal point, like 0.5"
+
+
+def _expect_str(value: object) -> str:
+    return "" if isinstance(value, str) else "write a word, in quotes if it looks like a number"
+
+
+def _expect_floats(value: object) -> str:
+    if isinstance(value, tuple) and all(_is_float(v) for v in value):
+        return ""
+    return "write a list of finite numbers, each with a decimal point, like [1.0, 0.5]"
+
+
+def _expect_strings(value: object) -> str:
+    ok = isinstance(value, tuple) and all(isinstance(v, str) for v in value)
+    return "" if ok else "write a list of words"
+
+
+def _expect_channels(value: object) -> str:
+    if isinstance(value, tuple) and value:
+        if all(isinstance(v, str) for v in value):
+            return ""
+        if all(isinstance(v, int) and not isinstance(v, bool) and v >= 0 for v in value):
+            return ""
+    return "write a list of indices from 0, or a list of names"
+
+
+_TYPE_CHECKS: dict[str, Callable[[object], str]] = {
+    "bool": _expect_bool,
+    "int": _expect_int,
+    "float": _expect_float,
+    "str": _expect_str,
+    "float[]": _expect_floats,
+    "str[]": _expect_strings,
+    "int[]|str[]": _expect_channels,
+}
+
+_PYTHON_TYPES: dict[object, str] = {
+    bool: "bool",
+    int: "int",
+    float: "float",
+    str: "str",
+    tuple[float, ...]: "float[]",
+    tuple[str, ...]: "str[]",
+    tuple[int, ...] | tuple[str, ...]: "int[]|str[]",
+}
+
+
+def _setting(
+    default: Any,
+    unit: str,
+    description: str,
+    *,
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: Sequence[str] = (),
+    read_only: bool = True,
+) -> Any:
+    """Declare one setting as a dataclass field."""
+    return dataclasses.field(
+        default=default,
+        metadata={
+            "unit": unit,
+            "description": description,
+            "low": low,
+            "high": high,
+            "choices": tuple(choices),
+            "read_only": read_only,
+        },
+    )
+
+
+MAX_DELAY = 0.5
+"""Longest transport delay that is looked back for, s."""
+
+RATE_TYPES = (
+    "sensor_msgs/msg/Imu",
+    "px4_msgs/msg/VehicleAngularVelocity",
+    "px4_msgs/msg/SensorCombined",
+)
+ACTUATOR_TYPES = (
+    "std_msgs/msg/Float64MultiArray",
+    "std_msgs/msg/Float32MultiArray",
+    "sensor_msgs/msg/JointState",
+    "actuator_msgs/msg/Actuators",
+    "mavros_msgs/msg/RCOut",
+    "mavros_msgs/msg/ActuatorControl",
+    "px4_msgs/msg/ActuatorMotors",
+    "px4_msgs/msg/ActuatorServos",
+    "px4_msgs/msg/ActuatorOutputs",
+)
+
+
+@dataclass(frozen=True)
+class ImuSettings:
+    """What the rates are measured in."""
+
+    type: str = _setting(
+        "sensor_msgs/msg/Imu", "", "Message type of the rates topic.", choices=RATE_TYPES
+    )
+    convention: str = _setting(
+        "flu",
+        "",
+        "Axes of the rates: 'flu' (forward-left-up, REP-103) or 'frd' (forward-right-down). "
+        "A frame_id ending in _frd or _ned contradicts 'flu' and is a fault.",
+        choices=("flu", "frd"),
+    )
+    rpy: tuple[float, ...] = _setting(
+        (0.0, 0.0, 0.0),
+        "rad",
+        "Roll, pitch, yaw of the sensor in the body, after the convention is applied (FRD).",
+        low=-math.pi,
+        high=math.pi,
+    )
+    lever_arm: tuple[float, ...] = _setting(
+        (0.0, 0.0, 0.0),
+        "m",
+        "Position of the sensor from the centre of gravity, FRD. With it the rotation's own "
+        "accelerations are removed from ay and az.",
+        low=-100.0,
+        high=100.0,
+    )
+
+
+@dataclass(frozen=True)
+class MixingSettings:
+    """Rows of the mixing matrix M in u = M (raw - trim)."""
+
+    de: tuple[float, ...] = _setting(
+        (1.0, 0.0, 0.0, 0.0), "", "Elevator from the channels: one weight per channel."
+    )
+    dr: tuple[float, ...] = _setting(
+        (0.0, 1.0, 0.0, 0.0), "", "Rudder from the channels: one weight per channel."
+    )
+    da: tuple[float, ...] = _setting(
+        (0.0, 0.0, 1.0, 0.0), "", "Aileron from the channels: one weight per channel."
+    )
+    dth: tuple[float, ...] = _setting(
+        (0.0, 0.0, 0.0, 1.0), "", "Throttle from the channels: one weight per channel."
+    )
+
+
+@dataclass(frozen=True)
+class ActuatorSettings:
+    """What the actuator channels mean and when they act."""
+
+    type: str = _setting(
+        "std_msgs/msg/Float64MultiArray",
+        "",
+        "Message type of the actuator topic.",
+        choices=ACTUATOR_TYPES,
+    )
+    field: str = _setting(
+        "",
+        "",
+        "Array field of the message that holds the channels; empty for the type's usual one.",
+    )
+    channels: tuple[int, ...] | tuple[str, ...] = _setting(
+        (0, 1, 2, 3),
+        "",
+        "Indices (from 0) or, where the message names them, names of the N channels in use.",
+    )
+    mixing: MixingSettings = dataclasses.field(default_factory=MixingSettings)
+    scale: tuple[float, ...] = _setting(
+        (),
+        "",
+        "Factor of each channel before the mixing, N values; negative reverses. Empty: ones.",
+    )
+    trim: tuple[float, ...] = _setting(
+        (), "", "Raw value of each channel in trimmed flight, N values. Empty: zeros."
+    )
+    learn_trim_time: float = _setting(
+        0.0,
+        "s",
+        "Learn the trim from the first steady stretch of flight of this length instead; "
+        "0 uses 'actuators.trim'.",
+        low=0.0,
+        high=60.0,
+    )
+    delay: float = _setting(
+        0.0,
+        "s",
+        "Transport delay from the channel's stamp to the surface. An unmodelled 50 ms costs "
+        "more than any choice of estimator.",
+        low=0.0,
+        high=MAX_DELAY,
+    )
+    estimate_delay: bool = _setting(
+        False, "", "Estimate the delay in flight, starting from 'actuators.delay'."
+    )
+    time_constant: float = _setting(
+        0.0, "s", "First-order lag of the servos; 0 for none.", low=0.0, high=2.0
+    )
+    interpolation: str = _setting(
+        "hold",
+        "",
+        "Between two samples the input is held ('hold', as a servo does) or joined by a "
+        "straight line ('linear', for logged surface positions).",
+        choices=("hold", "linear"),
+    )
+    timeout: float = _setting(
+        0.5,
+        "s",
+        "Age at which the last channel values no longer count; adaptation waits for new ones.",
+        low=0.01,
+        high=60.0,
+    )
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """The state-variable filter of the regressors."""
+
+    method: str = _setting(
+        "state_variable",
+        "",
+        "How the derivative is obtained: 'state_variable' (the same low-pass on both sides of "
+        "the equation, at the gyro's rate) or 'backward_difference' of the rates at the "
+        "ticks, which is the paper's and good for nothing else.",
+        choices=("state_variable", "backward_difference"),
+    )
+    cutoff: float = _setting(
+        15.0,
+        "rad/s",
+        "Cut-off of the low-pass: above the fastest mode of interest, below the gyro's "
+        "noise and the structure's vibrations. 10 to 20 suits most small aircraft.",
+        low=1.0,
+        high=200.0,
+    )
+    max_gap: float = _setting(
+        0.2,
+        "s",
+        "A gap in the rates longer than this restarts the filters.",
+        low=0.01,
+        high=1.0,
+    )
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """The identified model that runs beside the aircraft."""
+
+    leak_time: float = _setting(
+        5.0,
+        "s",
+        "Time constant with which the model's state is pulled towards the measured rates; "
+        "0 for never, as in the paper.",
+        low=0.0,
+        high=1000.0,
+    )
+    inertia: tuple[float, ...] = _setting(
+        (),
+        "kg m^2",
+        "Known inertias Ix, Iy, Iz, Ixz, which fix the rate-product coefficients. Empty: "
+        "estimate them.",
+    )
+
+
+@dataclass(frozen=True)
+class GradientSettings:
+    """The paper's law Am_dot = e f^T K."""
+
+    gains: tuple[float, ...] = _setting(
+        (),
+        "",
+        "K: n diagonal entries, or n*n entries row-major, symmetric positive semi-definite, "
+        "for n regressors. Empty: 0.15 on the diagonal.",
+    )
+    normalisation: str = _setting(
+        "variance",
+        "",
+        "What the gains are relative to: 'none' (SI units, as in the paper), 'power' (divided "
+        "by f^T K f) or 'variance' (each divided by its regressor's running variance, so that "
+        "they are scale-free, in 1/s).",
+        choices=("none", "power", "variance"),
+    )
+    step: str = _setting(
+        "guarded",
+        "",
+        "'guarded': the exact solution over a step, stable for any gain; 'euler': the paper's, "
+        "which blows up once dt f^T K f passes 2, and says so.",
+        choices=("guarded", "euler"),
+    )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Every setting of the identifier, with its default."""
+
+    update_rate: float = _setting(
+        20.0, "Hz", "Rate of the updates and of the published estimates.", low=1.0, high=200.0
+    )
+    input_wait: float = _setting(
+        0.05,
+        "s",
+        "How far the newest Imu stamp must have passed a tick before it is computed: the "
+        "latency allowed to late messages.",
+        low=0.0,
+        high=1.0,
+    )
+    time_jump: float = _setting(
+        1.0,
+        "s",
+        "A stamp further than this from the stream is an outlier; five that agree among "
+        "themselves are a new time base.",
+        low=0.1,
+        high=60.0,
+    )
+    structure: str = _setting(
+        "augmented",
+        "",
+        "Model structure: 'baseline' (Section 3 of the paper, 18 coefficients), "
+        "'throttle_coupled' (eq. 15, 20) or 'augmented' (with a constant, ay and az, 26).",
+        choices=tuple(STRUCTURES),
+    )
+    estimator: str = _setting(
+        "least_squares",
+        "",
+        "How the coefficients move.",
+        choices=("gradient", "least_squares", "instrumental_variable"),
+    )
+    initial_coefficients: tuple[float, ...] = _setting(
+        (), "", "A_m at the start: 3n values, row-major, SI. Empty: zeros."
+    )
+    initial_coefficients_file: str = _setting(
+        "", "", "File of initial coefficients, as replay writes it; wins over the values."
+    )
+    fixed_coefficients: tuple[str, ...] = _setting(
+        (),
+        "",
+        "Names of coefficients that keep their initial value, like 'pdot/ay'.",
+    )
+    forgetting_time: float = _setting(
+        200.0,
+        "s",
+        "Time constant with which old data lose weight; 0 for never. Below 60 s the estimate "
+        "suffers.",
+        low=0.0,
+        high=1e6,
+    )
+    imu: ImuSettings = dataclasses.field(default_factory=ImuSettings)
+    actuators: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
+    filter: FilterSettings = dataclasses.field(default_factory=FilterSettings)
+    model: ModelSettings = dataclasses.field(default_factory=ModelSettings)
+    gradient: GradientSettings = dataclasses.field(default_factory=GradientSettings)
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, object]) -> Settings:
+        """Build settings from dotted names; what is not given keeps its default.
+
+        Parameters
+        ----------
+        values : mapping
+            Dotted setting name to value. An empty list may be given as None.
+
+        Raises
+        ------
+        SettingsError
+            If a name is unknown, a value is not allowed, or settings contradict each other.
+        """
+        known = {setting.name: setting for setting in declarations()}
+        checked: dict[str, Value] = {}
+        for name, value in values.items():
+            if name not in known:
+                raise SettingsError(name, unknown_setting(name))
+            if value is None:
+                value = known[name].default if not known[name].type.endswith("[]") else ()
+            checked[name] = known[name].check(value)
+        settings = _build(cls, "", checked)
+        _check_consistency(settings)
+        return settings
+
+    def values(self) -> dict[str, Value]:
+        """Return every setting by its dotted name."""
+        return dict(_values(self, ""))
+
+
+def unknown_setting(name: str) -> str:
+    """Say that there is no setting of that name, and which was probably meant."""
+    known = [setting.name for setting in declarations()]
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean '{near[0]}'?" if near else "see the parameter table"
+    return f"there is no parameter '{name}': {hint}"
+
+
+def declarations() -> tuple[Setting, ...]:
+    """Return the declaration of every setting, in the order of the documentation."""
+    return tuple(_declarations(Settings, ""))
+
+
+def _declarations(cls: type, prefix: str) -> Iterator[Setting]:
+    hints = typing.get_type_hints(cls)
+    for item in fields(cls):
+        hint = hints[item.name]
+        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+            yield from _declarations(hint, f"{prefix}{item.name}.")
+        else:
+            yield Setting(
+                name=prefix + item.name,
+                type=_PYTHON_TYPES[hint],
+                default=item.default,
+                **item.metadata,
+            )
+
+
+def _values(group: Any, prefix: str) -> Iterator[tuple[str, Value]]:
+    for item in fields(group):
+        value = getattr(group, item.name)
+        if dataclasses.is_dataclass(value):
+            yield from _values(value, f"{prefix}{item.name}.")
+        else:
+            yield prefix + item.name, value
+
+
+def _build(cls: Any, prefix: str, values: Mapping[str, Value]) -> Any:
+    hints = typing.get_type_hints(cls)
+    arguments: dict[str, Any] = {}
+    for item in fields(cls):
+        name = prefix + item.name
+        if dataclasses.is_dataclass(hints[item.name]):
+            arguments[item.name] = _build(hints[item.name], f"{name}.", values)
+        elif name in values:
+            arguments[item.name] = values[name]
+    return cls(**arguments)
+
+
+def _check_consistency(settings: Settings) -> None:
+    """Check what no single setting can: lengths, and combinations that mean nothing."""
+    n = STRUCTURES[settings.structure].size
+    channels = len(settings.actuators.channels)
+    lengths: dict[str, tuple[int, ...]] = {
+        "gradient.gains": (0, n, n * n),
+        "initial_coefficients": (0, 3 * n),
+        "actuators.scale": (0, channels),
+        "actuators.trim": (0, channels),
+        "actuators.mixing.de": (channels,),
+        "actuators.mixing.dr": (channels,),
+        "actuators.mixing.da": (channels,),
+        "actuators.mixing.dth": (channels,),
+        "imu.rpy": (3,),
+        "imu.lever_arm": (3,),
+        "model.inertia": (0, 4),
+    }
+    values = settings.values()
+    for name, allowed in lengths.items():
+        count = len(typing.cast(tuple[float, ...], values[name]))
+        if count not in allowed:
+            wanted = " or ".join(str(k) for k in allowed if k)
+            raise SettingsError(
+                name,
+                f"'{name}' has {count} values: {wanted} are needed (structure "
+                f"'{settings.structure}' has {n} regressors, 'actuators.channels' names "
+                f"{channels} channels)",
+            )
+    for name in settings.fixed_coefficients:
+        try:
+            STRUCTURES[settings.structure].index(name)
+        except ValueError as error:
+            raise SettingsError("fixed_coefficients", f"'fixed_coefficients': {error}") from None
+    if settings.filter.method == "backward_difference" and settings.estimator != "gradient":
+        raise SettingsError(
+            "filter.method",
+            "'filter.method' is 'backward_difference': that is the paper's law only; "
+            f"with 'estimator' {settings.estimator!r} use 'state_variable'",
+        )
+
+
