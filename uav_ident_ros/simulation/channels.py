@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the raw actuator channels of a vehicle mean: ``u = mixing (raw - trim)``.
+
+Signs of the inputs throughout the simulation: elevator trailing edge down is positive
+(nose down), aileron positive rolls right, rudder trailing edge left is positive (yaws left).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelSet:
+    """Raw channels of one kind of vehicle.
+
+    Parameters
+    ----------
+    name : str
+        ``plain``, ``elevon``, ``quadrotor`` or ``pwm``.
+    names : tuple of str
+        Names of the C channels.
+    allocation : (C, 4) array
+        Raw channels from the inputs de, dr, da, dth (their total, trim included).
+    offset : (C,) array
+        Raw values at zero inputs.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    allocation: FloatArray
+    offset: FloatArray
+
+    @property
+    def mixing(self) -> FloatArray:
+        """M of ``u = M (raw - trim)``, shape (4, C): the least-norm inverse."""
+        return np.linalg.pinv(self.allocation)
+
+    def raw(self, inputs: FloatArray, input_trim: FloatArray) -> FloatArray:
+        """Raw channels, shape (M, C), from deviations (M, 4) and the trim (4,) they are from."""
+        return self.offset + (inputs + input_trim) @ self.allocation.T
+
+    def trim(self, input_trim: FloatArray) -> FloatArray:
+        """Raw channels in trimmed flight, shape (C,)."""
+        return np.asarray(self.offset + self.allocation @ input_trim)
+
+    def inputs(self, raw: FloatArray, input_trim: FloatArray) -> FloatArray:
+        """Deviations de, dr, da, dth, shape (M, 4), from raw channels (M, C)."""
+        return (raw - self.trim(input_trim)) @ self.mixing.T
+
+
+PLAIN = ChannelSet(
+    "plain", ("elevator", "rudder", "aileron", "throttle"), np.eye(4), np.zeros(4)
+)
+"""One channel per input, rad and 0..1."""
+
+ELEVON = ChannelSet(
+    "elevon",
+    ("elevon_left", "elevon_right", "rudder", "throttle"),
+    # Trailing edge down is positive on both sides; left down and right up rolls right.
+    np.array(
+        [
+            [1.0, 0.0, 1.0, 0.0],
+            [1.0, 0.0, -1.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    ),
+    np.zeros(4),
+)
+"""Two elevons: de = (left + right) / 2, da = (left - right) / 2."""
+
+QUADROTOR = ChannelSet(
+    "quadrotor",
+    ("motor_front_right", "motor_rear_left", "motor_front_left", "motor_rear_right"),
+    # Motors 0..1, hover near 0.5 (from the throttle trim). More thrust in front pitches up,
+    # on the left rolls right; the first two turn counter-clockwise, their torque yaws right.
+    np.array(
+        [
+            [-0.5, -0.5, -0.5, 1.0],
+            [0.5, -0.5, 0.5, 1.0],
+            [-0.5, 0.5, 0.5, 1.0],
+            [0.5, 0.5, -0.5, 1.0],
+        ]
+    ),
+    np.zeros(4),
+)
+"""Four motors in X: pitch, yaw and roll differences and the collective."""
+
+PWM = ChannelSet(
+    "pwm",
+    ("servo_1", "servo_2", "servo_3", "servo_4"),
+    # 1500 us is centre, +-0.5 rad is +-500 us; the elevator servo is mounted the other way
+    # round; the throttle runs from 1000 to 2000 us.
+    np.diag([-1000.0, 1000.0, 1000.0, 1000.0]),
+    np.array([1500.0, 1500.0, 1500.0, 1000.0]),
+)
+"""Servo pulse widths, microseconds, elevator reversed."""
+
+CHANNEL_SETS = {c.name: c for c in (PLAIN, ELEVON, QUADROTOR, PWM)}
+"""The channel sets by name."""

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`simulate`: fly a plant of the paper's structure, or a JSBSim aircraft, into a bag."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.simulation.channels import CHANNEL_SETS
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.inputs import INPUT_KINDS
+from uav_ident_ros.simulation.noise import FRAME_IDS
+from uav_ident_ros.simulation.vehicles import VEHICLE_NAMES
+
+BASE_RATE = 1000.0
+"""Rate of the simulation, Hz: the same flight for every Imu rate that divides it."""
+
+START = 2.0
+"""Time before the excitation begins, s."""
+
+PLANT_AMPLITUDES = (0.08, 0.12, 0.06, 0.2)
+AIRCRAFT_AMPLITUDES = (0.04, 0.08, 0.06, 0.1)
+"""Default peaks of de, dr, da (rad), dth."""
+
+FORCE_NOISE = {"rms": 0.3, "correlation_time": 0.5}
+"""Variation of a plant's specific force, which its structure does not determine, m/s^2 and s."""
+
+BAD_ARGUMENTS = 2
+
+_DESCRIPTION = """\
+Fly a simulated aircraft and write an MCAP bag with /imu/data (sensor_msgs/Imu) and /actuators
+(sensor_msgs/JointState, or std_msgs/Float64MultiArray with --unstamped). Beside the bag it
+writes identifier.yaml, the parameters that describe these topics, and truth.yaml, the true
+coefficients."""
+
+_EPILOG = """\
+examples:
+  simulate --output flight                         90 s of multisines at 200 Hz, stamped
+  simulate --output pulses --input 3211 --unstamped --noise 0
+  simulate --output quiet --duration 60 --quiet 600 --autopilot --gusts 1.0
+  simulate --output cessna --jsbsim c172p --delay 0.06
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaint is one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_ARGUMENTS, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = _Parser(
+        prog="simulate",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add("--output", required=True, type=Path, metavar="DIR", help="folder of the new bag")
+    add("--compress", action="store_true", help="compress the bag with zstd")
+    _add_flight_options(parser.add_argument_group("flight"))
+    _add_sensor_options(parser.add_argument_group("sensors and messages"))
+    return parser
+
+
+def _add_flight_options(group: argparse._ArgumentGroup) -> None:
+    add = group.add_argument
+    add("--plant", choices=VEHICLE_NAMES, help="plant of the paper's structure (small_uav)")
+    add("--jsbsim", metavar="AIRCRAFT", help="a JSBSim aircraft instead, c172p for one")
+    add("--input", choices=INPUT_KINDS, default="multisine", help="excitation (multisine)")
+    add("--amplitude", nargs=4, type=float, metavar=("DE", "DR", "DA", "DTH"),
+        help="peaks, rad and throttle 0..1 "
+             f"({_words(PLANT_AMPLITUDES)}; aircraft {_words(AIRCRAFT_AMPLITUDES)})")  # fmt: skip
+    add("--duration", type=float, default=90.0, metavar="S",
+        help="length of the excited flight, s (90)")  # fmt: skip
+    add("--quiet", type=float, default=0.0, metavar="S",
+        help="unexcited flight after it, s (0)")  # fmt: skip
+    add("--gusts", type=float, default=0.0, metavar="RMS",
+        help="plant: coloured angular acceleration, rad/s^2 rms (0)")  # fmt: skip
+    add("--turbulence", type=int, default=0, metavar="LEVEL",
+        help="aircraft: MIL-F-8785C severity 0 (calm) to 7 (0)")  # fmt: skip
+    add("--bank", type=float, default=0.0, metavar="DEG",
+        help="aircraft: bank angle of alternating turns, deg (0)")  # fmt: skip
+    add("--autopilot", action="store_true",
+        help="plant: feedback of rates and angles (an aircraft always has one)")  # fmt: skip
+    add("--delay", type=float, default=0.0, metavar="S",
+        help="from recorded command to surface, s (0)")  # fmt: skip
+    add("--servo-lag", type=float, default=0.0, metavar="S",
+        help="plant: first-order time constant of the servos, s (0)")  # fmt: skip
+    add("--actuator-rate", type=float, default=100.0, metavar="HZ",
+        help="rate of the commands, each held until the next, Hz (100)")  # fmt: skip
+    add("--seed", type=int, default=0, help="seed of all randomness (0)")
+
+
+def _add_sensor_options(group: argparse._ArgumentGroup) -> None:
+    add = group.add_argument
+    add("--imu-rate", type=float, default=200.0, metavar="HZ", help="Imu rate, Hz (200)")
+    add("--noise", type=float, default=0.02, metavar="RMS", help="gyro noise, rad/s (0.02)")
+    add("--accelerometer-noise", type=float, default=0.1, metavar="RMS",
+        help="accelerometer noise, m/s^2 (0.1)")  # fmt: skip
+    add("--bias", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("P", "Q", "R"),
+        help="gyro bias, FRD, rad/s (0 0 0)")  # fmt: skip
+    add("--lever-arm", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
+        help="accelerometer from the centre of gravity, FRD, m (0 0 0)")  # fmt: skip
+    add("--convention", choices=tuple(FRAME_IDS), default="flu", help="axes of the Imu (flu)")
+    add("--unstamped", action="store_true", help="actuators as Float64MultiArray, no stamp")
+    add("--channels", choices=tuple(CHANNEL_SETS), default="plain",
+        help="what the raw actuator channels are (plain)")  # fmt: skip
+    add("--jitter", type=float, default=0.0, metavar="S",
+        help="Imu stamps are off by up to this, s (0)")  # fmt: skip
+    add("--drop", type=float, default=0.0, metavar="FRACTION",
+        help="fraction of Imu messages lost at random (0)")  # fmt: skip
+    add("--latency", type=float, default=0.0, metavar="S",
+        help="mean of log time minus sampling time, s (0)")  # fmt: skip
+
+
+def _words(values: Sequence[float]) -> str:
+    return " ".join(f"{v:g}" for v in values)
+
+
+def definition_from(options: argparse.Namespace) -> dict[str, Any]:
+    """Flight definition (see `definition.build_flight`) that the options ask for."""
+    amplitudes = options.amplitude or (AIRCRAFT_AMPLITUDES if options.jsbsim else PLANT_AMPLITUDES)
+    divides = BASE_RATE % options.imu_rate == 0.0
+    definition: dict[str, Any] = {
+        "duration": options.duration + options.quiet,
+        "rate": BASE_RATE if divides else options.imu_rate,
+        "actuator_rate": options.actuator_rate,
+        "delay": options.delay,
+        "seed": options.seed,
+        "inputs": [
+            {
+                "kind": options.input,
+                "start": START,
+                "duration": max(0.0, options.duration - START),
+                "amplitudes": dict(zip(INPUTS, amplitudes, strict=True)),
+            }
+        ],
+        "sensors": {
+            "rate": options.imu_rate,
+            "gyro_noise": options.noise,
+            "gyro_bias": tuple(options.bias),
+            "accelerometer_noise": options.accelerometer_noise,
+            "lever_arm": tuple(options.lever_arm),
+            "stamp_jitter": options.jitter,
+            "drop": options.drop,
+            "convention": options.convention,
+            "latency": options.latency,
+            "stamped": not options.unstamped,
+            "channels": options.channels,
+        },
+    }
+    definition |= _aircraft_part(options) if options.jsbsim else _plant_part(options)
+    return definition
+
+
+def _plant_part(options: argparse.Namespace) -> dict[str, Any]:
+    part: dict[str, Any] = {
+        "plant": options.plant or VEHICLE_NAMES[0],
+        "time_constant": options.servo_lag,
+        "gusts": {"rms": options.gusts},
+        "force": FORCE_NOISE,
+    }
+    if options.autopilot:
+        from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT
+
+        part["autopilot"] = SMALL_UAV_AUTOPILOT
+    return part
+
+
+def _aircraft_part(options: argparse.Namespace) -> dict[str, Any]:
+    return {
+        "aircraft": options.jsbsim,
+        "turbulence": options.turbulence,
+        "bank": options.bank,
+    }
+
+
+def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Refuse what one option alone can tell."""
+    if options.plant and options.jsbsim:
+        parser.error("--plant and --jsbsim exclude each other")
+    plant_only = {"--gusts": options.gusts, "--servo-lag": options.servo_lag,
+                  "--autopilot": options.autopilot}  # fmt: skip
+    aircraft_only = {"--turbulence": options.turbulence, "--bank": options.bank}
+    wrong = plant_only if options.jsbsim else aircraft_only
+    for name, value in wrong.items():
+        if value:
+            parser.error(
+                f"{name} belongs to {'a plant' if options.jsbsim else 'an aircraft (--jsbsim)'}"
+            )
+    if not options.imu_rate > 0.0:
+        parser.error(f"--imu-rate is {options.imu_rate:g}: it must be positive")
+    if not options.quiet >= 0.0:
+        parser.error(f"--quiet is {options.quiet:g}: it must be 0 or more")
+    if not all(math.isfinite(v) for v in options.amplitude or ()):
+        parser.error(f"--amplitude is {options.amplitude}: it must be four finite numbers")
+    if options.seed < 0:
+        parser.error(f"--seed is {options.seed}: it must be 0 or more")
+    if options.output.exists():
+        parser.error(f"--output: '{options.output}' exists already")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status."""
+    parser = make_parser()
+    options = parser.parse_args(arguments)
+    _check(parser, options)
+    try:
+        from uav_ident_ros.bag_writer import BagWriteError
+        from uav_ident_ros.simulation.recording import write_bag
+    except ImportError as error:
+        print(f"simulate: {error.name} is not installed: pip install rosbags", file=sys.stderr)
+        return BAD_ARGUMENTS
+    from uav_ident_ros.simulation.definition import build_measurements
+
+    try:
+        measured = build_measurements(options.output.name, definition_from(options))
+        write_bag(measured, options.output, options.compress)
+    except (SimulationError, BagWriteError, OSError) as error:
+        print(f"simulate: {error}", file=sys.stderr)
+        return BAD_ARGUMENTS
+    print(
+        f"{options.output}: {len(measured.imu_t_ns)} Imu and {len(measured.actuators)} actuator "
+        f"messages, {measured.flight.duration:.1f} s"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

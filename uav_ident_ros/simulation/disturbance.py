@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gusts: coloured noise as angular acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.errors import SimulationError
+
+
+@dataclass(frozen=True)
+class ColouredNoise:
+    """Ornstein-Uhlenbeck process (first-order Gauss-Markov).
+
+    Parameters
+    ----------
+    rms : float
+        Stationary standard deviation, in the unit of the signal.
+    correlation_time : float
+        Time in which the autocorrelation falls to 1 / e, s.
+    """
+
+    rms: float = 0.0
+    correlation_time: float = 0.3
+
+    def __post_init__(self) -> None:
+        if not (self.rms >= 0.0 and self.correlation_time > 0.0):
+            raise SimulationError(
+                f"coloured noise with rms {self.rms} and correlation time "
+                f"{self.correlation_time} s: rms must be 0 or more, the time positive"
+            )
+
+    def sample(
+        self, count: int, channels: int, rate: float, rng: np.random.Generator
+    ) -> FloatArray:
+        """Stationary sample path, shape (count, channels), at `rate` Hz."""
+        if self.rms == 0.0:
+            return np.zeros((count, channels))
+        decay = float(np.exp(-1.0 / (rate * self.correlation_time)))
+        white = rng.standard_normal((count, channels))
+        white[0] /= np.sqrt(1.0 - decay**2)  # starts in the stationary distribution
+        return self.rms * np.sqrt(1.0 - decay**2) * _first_order(white, decay)
+
+
+def _first_order(white: FloatArray, decay: float) -> FloatArray:
+    """Recursion y[k] = decay y[k-1] + white[k] along axis 0."""
+    out = np.empty_like(white)
+    for column in range(white.shape[1]):
+        state = 0.0
+        path = []
+        for value in white[:, column].tolist():
+            state = decay * state + value
+            path.append(state)
+        out[:, column] = path
+    return out

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated flight: what happened, before any sensor saw it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.simulation.channels import PLAIN, ChannelSet
+from uav_ident_ros.simulation.errors import SimulationError
+
+IntArray = NDArray[np.int64]
+
+__all__ = ["EPOCH_NS", "GRAVITY", "CoefficientChange", "Flight", "IntArray", "SimulationError"]
+
+GRAVITY = 9.80665
+"""Standard gravity, m/s^2."""
+
+EPOCH_NS = 1_700_000_000 * 10**9
+"""Stamp of the first sample of every simulated flight, ns (14 November 2023)."""
+
+
+@dataclass(frozen=True)
+class CoefficientChange:
+    """Coefficients that are multiplied from some time on.
+
+    Parameters
+    ----------
+    time : float
+        When, in s after the first sample.
+    factors : mapping
+        Coefficient name, ``pdot/da`` and so on, to factor.
+    """
+
+    time: float
+    factors: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """Noise-free record of a flight, aircraft body axes (FRD), SI units.
+
+    Parameters
+    ----------
+    name : str
+        Name of the flight or vehicle.
+    t_ns : (N,) array of int64
+        Times of the samples below, ns.
+    rates : (N, 3) array
+        p, q, r, rad/s.
+    angular_acceleration : (N, 3) array
+        Their derivatives, rad/s^2, at each sample.
+    specific_force : (N, 3) array
+        Specific force at the centre of gravity, m/s^2.
+    actuator_t_ns : (M,) array of int64
+        Times at which the actuator values below were commanded, ns. Each is held until the
+        next and acts `delay` later.
+    inputs : (M, 4) array
+        Commands as deviations from trim, de, dr, da (rad), dth.
+    trim : (4,) array
+        What is added to `inputs` on the plain channels.
+    delay : float
+        Transport delay from command to surface, s.
+    time_constant : float
+        First-order lag of the servos, s.
+    structure : str
+        Structure of `coefficients`; empty if the aircraft is of none.
+    coefficients : (3, n) array or None
+        True coefficient matrix at the start, or None if there is none.
+    changes : tuple of CoefficientChange
+        How it changes in flight.
+    local_truth : dict
+        Known local derivatives of an aircraft that has no exact structure, by name.
+    excitation : tuple of (start, end)
+        When the inputs were excited, s after the first sample.
+    airspeed : (N,) array or None
+        True airspeed, m/s.
+    extra : dict
+        More true signals of length N, such as ``alpha`` and ``beta`` (rad) and the surfaces.
+    """
+
+    name: str
+    t_ns: IntArray
+    rates: FloatArray
+    angular_acceleration: FloatArray
+    specific_force: FloatArray
+    actuator_t_ns: IntArray
+    inputs: FloatArray
+    trim: FloatArray
+    delay: float = 0.0
+    time_constant: float = 0.0
+    structure: str = ""
+    coefficients: FloatArray | None = None
+    changes: tuple[CoefficientChange, ...] = ()
+    local_truth: dict[str, float] = field(default_factory=dict)
+    excitation: tuple[tuple[float, float], ...] = ()
+    airspeed: FloatArray | None = None
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def rate(self) -> float:
+        """Sample rate, Hz."""
+        return 1e9 * (len(self.t_ns) - 1) / float(self.t_ns[-1] - self.t_ns[0])
+
+    @property
+    def duration(self) -> float:
+        """Time from the first sample to the last, s."""
+        return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9
+
+    @property
+    def time(self) -> FloatArray:
+        """Times of the samples from the first one on, s."""
+        return (self.t_ns - self.t_ns[0]) * 1e-9
+
+    def channels(self, channel_set: ChannelSet = PLAIN) -> FloatArray:
+        """Raw actuator channels, shape (M, C): the inputs through `channel_set`."""
+        return channel_set.raw(self.inputs, self.trim)
+
+    def force_at(self, lever_arm: FloatArray | tuple[float, float, float]) -> FloatArray:
+        """Specific force at a point fixed to the body, shape (N, 3), m/s^2.
+
+        Parameters
+        ----------
+        lever_arm : (3,) array
+            Position of the point from the centre of gravity, FRD, m. The rotation adds
+            ``wdot x r + w x (w x r)``.
+        """
+        arm = np.asarray(lever_arm, dtype=np.float64)
+        swing = np.cross(self.rates, np.cross(self.rates, arm))
+        return self.specific_force + np.cross(self.angular_acceleration, arm) + swing
+
+    def coefficients_at(self, time: float) -> FloatArray:
+        """Return the true coefficients at `time` (s after the first sample), shape (3, n).
+
+        Raises
+        ------
+        SimulationError
+            If the flight has no coefficients.
+        """
+        if self.coefficients is None:
+            raise SimulationError(f"flight '{self.name}' has no true coefficients")
+        return changed_coefficients(self.structure, self.coefficients, self.changes, time)
+
+
+def changed_coefficients(
+    structure: str, coefficients: FloatArray, changes: tuple[CoefficientChange, ...], time: float
+) -> FloatArray:
+    """Coefficients after all changes up to `time` (s), shape (3, n)."""
+    a = np.array(coefficients, dtype=np.float64)
+    for change in changes:
+        if change.time <= time:
+            for name, factor in change.factors.items():
+                a[STRUCTURES[structure].index(name)] *= factor
+    return a

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the sensors make of a flight: noise, bias, jitter, drops, frames and stamps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.channels import CHANNEL_SETS, ChannelSet
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.flight import Flight, IntArray
+
+FRAME_IDS = {"flu": "base_link", "frd": "base_link_frd"}
+"""frame_id of the Imu by convention (REP-103, REP-147)."""
+
+FRD_TO_FLU = np.array([1.0, -1.0, -1.0])
+"""Half a turn about x: its own inverse."""
+
+RATE_TOLERANCE = 1e-6
+"""Largest relative misfit of the Imu rate and a whole fraction of the flight's rate."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Sensors, and how their messages are stamped and delivered.
+
+    Parameters
+    ----------
+    rate : float
+        Rate of the Imu, Hz; a whole fraction of the flight's.
+    gyro_noise : float
+        White noise of each gyro sample, rms, rad/s.
+    gyro_bias : (3,) tuple
+        Constant error of the rates, rad/s, FRD.
+    accelerometer_noise : float
+        White noise of each specific-force sample, rms, m/s^2.
+    lever_arm : (3,) tuple
+        Position of the accelerometer from the centre of gravity, FRD, m.
+    stamp_jitter : float
+        The Imu's stamps are off by a uniform error of at most this, s.
+    drop : float
+        Fraction of Imu samples that are lost, at random.
+    convention : str
+        ``flu`` or ``frd``: axes of the Imu message.
+    latency : float
+        Log time minus true time of sampling, s; mean of a shifted exponential distribution
+        whose least value is half of it.
+    stamped : bool
+        Whether actuator messages carry a stamp (JointState) or not (Float64MultiArray).
+    channels : str
+        Name of the channel set of the raw actuators.
+    """
+
+    rate: float = 200.0
+    gyro_noise: float = 0.0
+    gyro_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    accelerometer_noise: float = 0.0
+    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    stamp_jitter: float = 0.0
+    drop: float = 0.0
+    convention: str = "flu"
+    latency: float = 0.0
+    stamped: bool = True
+    channels: str = "plain"
+
+    def __post_init__(self) -> None:
+        if self.convention not in FRAME_IDS:
+            raise SimulationError(f"convention '{self.convention}' is unknown: use flu or frd")
+        if self.channels not in CHANNEL_SETS:
+            raise SimulationError(
+                f"channel set '{self.channels}' is unknown: use {', '.join(CHANNEL_SETS)}"
+            )
+        for name in ("gyro_noise", "accelerometer_noise", "stamp_jitter", "latency"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise SimulationError(f"{name} is {getattr(self, name)}: it must be 0 or more")
+        if not 0.0 <= self.drop < 1.0:
+            raise SimulationError(f"drop is {self.drop}: it must be 0 or more and below 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Messages of a flight as plain arrays, each topic in the order of its log times.
+
+    Parameters
+    ----------
+    flight : Flight
+        What really happened.
+    sensors : Sensors
+        What measured it.
+    imu_t_ns, imu_log_ns : (N,) arrays of int64
+        Stamps and log times of the Imu messages, ns.
+    true_t_ns : (N,) array of int64
+        When they were really sampled, ns.
+    rates, specific_force : (N, 3) arrays
+        In the axes of `sensors.convention`, rad/s and m/s^2.
+    actuator_t_ns, actuator_log_ns : (M,) arrays of int64
+        Stamps and log times of the actuator messages, ns.
+    actuators : (M, C) array
+        Raw channels.
+    """
+
+    flight: Flight
+    sensors: Sensors
+    imu_t_ns: IntArray
+    imu_log_ns: IntArray
+    true_t_ns: IntArray
+    rates: FloatArray
+    specific_force: FloatArray
+    actuator_t_ns: IntArray
+    actuator_log_ns: IntArray
+    actuators: FloatArray
+
+    @property
+    def channel_set(self) -> ChannelSet:
+        """What the raw channels mean."""
+        return CHANNEL_SETS[self.sensors.channels]
+
+    @property
+    def frame_id(self) -> str:
+        """frame_id of the Imu messages."""
+        return FRAME_IDS[self.sensors.convention]
+
+    @property
+    def rates_frd(self) -> FloatArray:
+        """Measured rates p, q, r in aircraft axes, rad/s."""
+        return self.rates * (FRD_TO_FLU if self.sensors.convention == "flu" else 1.0)
+
+    @property
+    def specific_force_frd(self) -> FloatArray:
+        """Measured specific force in aircraft axes, m/s^2."""
+        return self.specific_force * (FRD_TO_FLU if self.sensors.convention == "flu" else 1.0)
+
+    @property
+    def channel_trim(self) -> FloatArray:
+        """Raw channels in trimmed flight, shape (C,)."""
+        return self.channel_set.trim(self.flight.trim)
+
+    @property
+    def true_rates(self) -> FloatArray:
+        """Noise-free p, q, r (FRD, rad/s) at the true times of the Imu samples."""
+        return self.flight.rates[np.searchsorted(self.flight.t_ns, self.true_t_ns)]
+
+
+def measure(flight: Flight, sensors: Sensors | None = None, seed: int = 0) -> Measurements:
+    """Measure a flight.
+
+    Parameters
+    ----------
+    flight : Flight
+        What really happened.
+    sensors : Sensors, optional
+        The sensors; perfect ones at 200 Hz by default.
+    seed : int
+        Seed of all randomness. Each error has a stream of its own, drawn at the flight's
+        rate, so that switching one on or another Imu rate does not change the others.
+
+    Raises
+    ------
+    SimulationError
+        If the Imu rate is no whole fraction of the flight's rate.
+    """
+    sensors = sensors or Sensors()
+    every = _decimation(flight, sensors)
+    gyro, accelerometer, drops, jitter, delays = (
+        np.random.default_rng([seed, 100 + k]) for k in range(5)
+    )
+    count = len(flight.t_ns)
+    rates = flight.rates + np.asarray(sensors.gyro_bias)
+    rates = rates + sensors.gyro_noise * gyro.standard_normal((count, 3))
+    force = flight.force_at(sensors.lever_arm)
+    force = force + sensors.accelerometer_noise * accelerometer.standard_normal((count, 3))
+
+    keep = np.arange(0, count, every)
+    keep = keep[drops.random(len(keep)) >= sensors.drop]
+    offset = sensors.stamp_jitter * jitter.uniform(-1.0, 1.0, count)
+    true_t_ns = flight.t_ns[keep]
+    axes = FRD_TO_FLU if sensors.convention == "flu" else np.ones(3)
+    return Measurements(
+        flight=flight,
+        sensors=sensors,
+        imu_t_ns=true_t_ns + np.rint(offset[keep] * 1e9).astype(np.int64),
+        imu_log_ns=_log_times(true_t_ns, sensors.latency, delays),
+        true_t_ns=true_t_ns,
+        rates=rates[keep] * axes,
+        specific_force=force[keep] * axes,
+        actuator_t_ns=flight.actuator_t_ns,
+        actuator_log_ns=_log_times(flight.actuator_t_ns, sensors.latency, delays),
+        actuators=flight.channels(CHANNEL_SETS[sensors.channels]),
+    )
+
+
+def _decimation(flight: Flight, sensors: Sensors) -> int:
+    every = flight.rate / sensors.rate
+    if round(every) < 1 or abs(every - round(every)) > RATE_TOLERANCE * every:
+        raise SimulationError(
+            f"Imu rate {sensors.rate:g} Hz is no whole fraction of the {flight.rate:g} Hz of "
+            f"flight '{flight.name}'"
+        )
+    return round(every)
+
+
+def _log_times(t_ns: IntArray, latency: float, rng: np.random.Generator) -> IntArray:
+    """Arrival times: never out of order, as one topic of one publisher arrives."""
+    if latency == 0.0:
+        return t_ns.copy()
+    wait = 0.5 * latency * (1.0 + rng.exponential(1.0, len(t_ns)))
+    return np.maximum.accumulate(t_ns + np.rint(wait * 1e9).astype(np.int64))
