@@ -38,7 +38,7 @@ setup(
         *tree("config"),
         *tree("bags"),
     ],
-    python_requires=">=3.10",
+    python_requires=">=3.11",
     # rclpy and the messages come from ROS (package.xml); naming the ros-jazzy-* wheels
     # here would break every machine that has them from apt.
     install_requires=["setuptools", "numpy"],

@@ -1,0 +1,324 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The package as others install it: metadata, dependencies, entry points, file headers."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.metadata
+import re
+import runpy
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import setuptools
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = "uav_ident_ros"
+SPDX = "SPDX-License-Identifier: Apache-2.0"
+
+# import name -> rosdep key, where the two differ
+ROSDEP_KEYS = {
+    "hypothesis": "python3-hypothesis",
+    "matplotlib": "python3-matplotlib",
+    "numpy": "python3-numpy",
+    "pytest": "python3-pytest",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "yaml": "python3-yaml",
+}
+# Development extras without a rosdep key: allowed only inside a function, so that the module
+# loads without them.
+OPTIONAL = {"jsbsim", "padasip", "pyulog"}
+# What a companion computer need not have: the node must never import these.
+OFFLINE_ONLY = {"matplotlib", "rosbags", "scipy", "yaml"} | OPTIONAL
+
+
+def setup_arguments() -> dict[str, Any]:
+    """Run setup.py with `setuptools.setup` replaced by a recorder; return what it was given."""
+    recorded: dict[str, Any] = {}
+    original = setuptools.setup
+    setuptools.setup = lambda **arguments: recorded.update(arguments)
+    try:
+        runpy.run_path(str(ROOT / "setup.py"))
+    finally:
+        setuptools.setup = original
+    return recorded
+
+
+def console_scripts() -> dict[str, str]:
+    lines = setup_arguments()["entry_points"]["console_scripts"]
+    return dict(re.split(r"\s*=\s*", line, maxsplit=1) for line in lines)
+
+
+def manifest() -> ET.Element:
+    return ET.parse(ROOT / "package.xml").getroot()
+
+
+def dependencies(*tags: str) -> set[str]:
+    return {str(element.text) for tag in tags for element in manifest().iter(tag)}
+
+
+def project_files() -> list[Path]:
+    """Return the files under version control and those about to be; without git, all visible."""
+    listing = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        check=False,
+    )
+    if listing.returncode == 0:
+        paths = [ROOT / name for name in listing.stdout.decode().split("\0") if name]
+    else:
+        skipped = {"build", "install", "log"}
+        paths = [
+            path
+            for path in ROOT.rglob("*")
+            if not any(
+                part.startswith(".") or part in skipped or part.endswith(".egg-info")
+                for part in path.relative_to(ROOT).parts
+            )
+        ]
+    return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]
+
+
+def imports(path: Path, *, lazy: bool) -> Iterator[str]:
+    """Yield the dotted names that a file imports, those inside functions too if `lazy`."""
+    pending: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while pending:
+        node = pending.pop()
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            origin = node.module or ""
+            if node.level:
+                above = path.relative_to(ROOT).parts[: -node.level]
+                origin = ".".join([*above, *filter(None, [node.module])])
+            yield origin
+            # `from package import module` names a module, too
+            yield from (f"{origin}.{alias.name}" for alias in node.names)
+        is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        is_typing = isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+        if lazy or not (is_function or is_typing):
+            pending.extend(ast.iter_child_nodes(node))
+
+
+def third_party(path: Path, *, lazy: bool) -> set[str]:
+    tops = {name.split(".")[0] for name in imports(path, lazy=lazy)}
+    return tops - set(sys.stdlib_module_names) - {PACKAGE, "__future__"}
+
+
+def loaded_with(module: str) -> set[Path]:
+    """Return the package's files that importing `module` loads, by their import statements."""
+    found: set[Path] = set()
+    pending = [module]
+    while pending:
+        name = pending.pop()
+        if name.split(".")[0] != PACKAGE:
+            continue
+        base = ROOT.joinpath(*name.split("."))
+        for path in (base.with_suffix(".py"), base / "__init__.py"):
+            if path.is_file() and path not in found:
+                found.add(path)
+                pending.extend(imports(path, lazy=False))
+        pending.append(name.rpartition(".")[0])
+    return found
+
+
+RUNTIME_FILES = sorted((ROOT / PACKAGE).rglob("*.py")) + sorted((ROOT / "launch").glob("*.py"))
+
+
+def test_versions_agree():
+    version = setup_arguments()["version"]
+
+    assert re.fullmatch(r"\d+\.\d+\.\d+", version)
+    assert manifest().findtext("version") == version
+    assert importlib.import_module(PACKAGE).__version__ == version
+    assert importlib.metadata.version(PACKAGE) == version
+    headings = re.findall(r"^## \[(\d.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert headings[0] == version
+
+
+def test_names_and_licences_agree():
+    arguments = setup_arguments()
+
+    assert manifest().findtext("name") == arguments["name"] == PACKAGE
+    assert manifest().findtext("license") == arguments["license"] == "Apache-2.0"
+    assert manifest().get("format") == "3"
+    assert manifest().findtext("export/build_type") == "ament_python"
+    licence = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert "Version 2.0, January 2004" in licence
+    assert "END OF TERMS AND CONDITIONS" in licence
+
+
+def test_contract_executables_are_declared():
+    assert {"identifier", "replay", "simulate"} <= set(console_scripts())
+
+
+@pytest.mark.parametrize("name", sorted(console_scripts()))
+def test_entry_point_is_callable(name: str):
+    module, _, function = console_scripts()[name].partition(":")
+    assert callable(getattr(importlib.import_module(module), function))
+
+
+@pytest.mark.parametrize("name", sorted(console_scripts()))
+def test_entry_point_shadows_nothing(name: str):
+    # a name that is a keyword cannot be a module, and .venv/bin must not hide a program
+    assert name not in {"import", "watch", "test", "python"}
+
+
+def test_pip_requirements_leave_ros_alone():
+    """The PyPI names of rclpy must stay out: with apt ROS they cannot be satisfied."""
+    arguments = setup_arguments()
+    everything = list(arguments["install_requires"])
+    for extra in arguments["extras_require"].values():
+        everything += extra
+
+    assert not [name for name in everything if name.startswith("ros-")]
+    # colcon runs pytest because of this very name
+    assert "pytest" in arguments["extras_require"]["test"]
+
+
+@pytest.mark.parametrize("path", RUNTIME_FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_manifest_lists_what_is_imported(path: Path):
+    needed = third_party(path, lazy=True) - OPTIONAL
+    keys = {ROSDEP_KEYS.get(name, name) for name in needed}
+    assert keys <= dependencies("depend", "exec_depend")
+
+
+@pytest.mark.parametrize("path", RUNTIME_FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_development_extras_are_imported_lazily(path: Path):
+    assert not third_party(path, lazy=False) & OPTIONAL
+
+
+def test_manifest_lists_what_the_tests_import():
+    helpers = {path.stem for path in (ROOT / "test").rglob("*.py")} | {"test", "setuptools"}
+    needed: set[str] = set()
+    for path in (ROOT / "test").rglob("*.py"):
+        needed |= third_party(path, lazy=True) - OPTIONAL - helpers
+    keys = {ROSDEP_KEYS.get(name, name) for name in needed}
+    assert keys <= dependencies("depend", "exec_depend", "test_depend")
+
+
+def test_core_imports_numpy_alone():
+    files = sorted((ROOT / PACKAGE / "identification").rglob("*.py"))
+    assert files
+    foreign = {path.name: third_party(path, lazy=True) - {"numpy"} for path in files}
+    assert not {name: found for name, found in foreign.items() if found}
+    reached = loaded_with(f"{PACKAGE}.identification") - set(files)
+    assert reached <= {ROOT / PACKAGE / "__init__.py"}
+
+
+def test_node_runs_without_the_offline_packages():
+    files = loaded_with(f"{PACKAGE}.node")
+    assert ROOT / PACKAGE / "node.py" in files
+    offending = {path.name: third_party(path, lazy=True) & OFFLINE_ONLY for path in files}
+    assert not {name: found for name, found in offending.items() if found}
+
+
+def test_shared_files_are_installed():
+    installed = {name for _, names in setup_arguments()["data_files"] for name in names}
+    expected = {
+        path.relative_to(ROOT).as_posix()
+        for top in ("config", "launch", "bags")
+        for path in project_files()
+        if path.relative_to(ROOT).parts[0] == top and not path.name.startswith(".")
+    }
+    assert expected | {"package.xml", f"resource/{PACKAGE}"} <= installed
+
+
+def needs_header(path: Path) -> bool:
+    if path.suffix in {".py", ".sh", ".cfg", ".toml", ".in"}:
+        return True
+    if path.suffix in {".yaml", ".yml"} and path.relative_to(ROOT).parts[0] != "bags":
+        return True
+    with path.open("rb") as stream:
+        return stream.read(2) == b"#!"
+
+
+def test_every_source_file_names_its_licence():
+    paths = [path for path in project_files() if needs_header(path)]
+    assert ROOT / "setup.py" in paths
+    missing = []
+    for path in paths:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        first = lines[1:2] if lines and lines[0].startswith("#!") else lines[:1]
+        if first != [f"# {SPDX}"]:
+            missing.append(str(path.relative_to(ROOT)))
+    assert not missing
+
+
+def test_no_file_holds_a_path_of_this_machine():
+    machine = [str(path) for path in (ROOT, Path.home()) if len(path.parts) > 1]
+    forbidden = re.compile(
+        rb"(?<![\w.])(?:"
+        + b"|".join([rb"/(?:home|Users)/\w+", *(re.escape(name).encode() for name in machine)])
+        + rb")(?![\w-])"
+    )
+    found = {
+        str(path.relative_to(ROOT)): match.group().decode()
+        for path in project_files()
+        if (match := forbidden.search(path.read_bytes()))
+    }
+    assert not found
+
+
+@pytest.mark.parametrize("name", ["dev", "ros"])
+def test_lock_fixes_every_version(name: str):
+    lines = (ROOT / "requirements" / f"{name}.txt").read_text().splitlines()
+    pins = [line for line in lines if line and not line.startswith("#")]
+    assert pins
+    assert not [line for line in pins if not re.match(r"[\w.-]+==[\w.]+( ;|$)", line)]
+
+
+def launch_calls(name: str) -> list[ast.Call]:
+    tree = ast.parse((ROOT / "launch" / "identifier.launch.py").read_text())
+    return [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and getattr(node.func, "id", None) == name
+    ]
+
+
+def test_launch_arguments_are_declared_and_used():
+    """Without launch installed: every declared argument is read, and none that is undeclared."""
+    declared = [ast.literal_eval(call.args[0]) for call in launch_calls("DeclareLaunchArgument")]
+    used = {ast.literal_eval(call.args[0]) for call in launch_calls("LaunchConfiguration")}
+
+    assert len(declared) == len(set(declared))
+    assert set(declared) == used
+    assert {"params_file", "namespace", "use_sim_time", "log_level"} <= used
+
+
+def test_launch_file_starts_what_the_package_installs():
+    (node,) = launch_calls("Node")
+    values = {word.arg: word.value for word in node.keywords}
+    assert ast.literal_eval(values["executable"]) in console_scripts()
+    constants = constants_of(ROOT / "launch" / "identifier.launch.py")
+    assert constants["PACKAGE"] == PACKAGE
+    assert (ROOT / "config" / constants["DEFAULT_PARAMS"]).is_file()
+
+
+def constants_of(path: Path) -> dict[str, Any]:
+    """Return a file's module-level literal assignments, without running it."""
+    return {
+        node.targets[0].id: ast.literal_eval(node.value)
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and isinstance(node.value, ast.Constant)
+    }
+
+
+def test_launch_description_builds():
+    pytest.importorskip("launch_ros", reason="launch comes with apt ROS only")
+    launch = importlib.import_module("launch")
+    namespace = runpy.run_path(str(ROOT / "launch" / "identifier.launch.py"))
+    description = namespace["generate_launch_description"]()
+    assert isinstance(description, launch.LaunchDescription)
+    assert "params_file" in {argument.name for argument in description.get_launch_arguments()}
