@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A against the rigid-body equations (9)-(11) themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification.rigid_body import (
+    Inertia,
+    coefficients_from_physics,
+    full_moments,
+    physics_from_coefficients,
+    product_coefficients,
+)
+from uav_ident_ros.identification.structure import STRUCTURES
+
+
+def random_body(rng: np.random.Generator) -> Inertia:
+    """A body of a few masses: its inertias are possible ones by construction."""
+    masses = rng.uniform(0.1, 2.0, 12)
+    x, y, z = rng.normal(size=(3, 12)) * np.array([[0.5], [0.8], [0.2]])
+    return Inertia(
+        ix=float(masses @ (y**2 + z**2)),
+        iy=float(masses @ (x**2 + z**2)),
+        iz=float(masses @ (x**2 + y**2)),
+        ixz=float(masses @ (x * z)),
+    )
+
+
+@pytest.mark.parametrize("name", ["baseline", "throttle_coupled", "augmented"])
+def test_a_reproduces_the_rigid_body_equations(name: str) -> None:
+    structure = STRUCTURES[name]
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        body = random_body(rng)
+        moments = rng.normal(size=(3, structure.size - 5)) * structure.mask[:, 5:]
+        a = coefficients_from_physics(body, moments)
+        x, u, force = rng.normal(size=3) * 3.0, rng.normal(size=4), rng.normal(size=2) * 5.0
+        f = structure.regressor(x, u, force)
+        p, q, r = x
+        pdot, qdot, rdot = a @ f
+        # Equation (9) of the paper, as printed (with pdot Ix for the misprinted p Ix).
+        left = [
+            pdot * body.ix - rdot * body.ixz + q * r * (body.iz - body.iy) - p * q * body.ixz,
+            qdot * body.iy + p * r * (body.ix - body.iz) + (p**2 - r**2) * body.ixz,
+            rdot * body.iz - pdot * body.ixz + p * q * (body.iy - body.ix) + q * r * body.ixz,
+        ]
+        right = moments @ f[5:]
+        scale = np.abs(moments * f[5:]).sum() + np.abs(left).max()
+        np.testing.assert_allclose(left, right, rtol=0, atol=1e-12 * scale)
+
+
+def test_identities_of_the_physical_matrix() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        a = product_coefficients(random_body(rng))
+        assert a[1, 3] == -a[1, 4]
+        assert a[2, 1] == -a[0, 0]
+
+
+def test_free_coefficients_stay_within_the_mask() -> None:
+    structure = STRUCTURES["throttle_coupled"]
+    moments = full_moments(structure, l_p=-1.0, l_da=2.0, m_q=-3.0, n_r=-1.0, n_dr=-2.0, l_dth=0.1)
+    a = coefficients_from_physics(Inertia(1.0, 1.5, 2.0, 0.1), moments)
+    assert not a[~structure.mask].any()
+
+
+def test_back_to_inertias_and_derivatives() -> None:
+    structure = STRUCTURES["augmented"]
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        body = random_body(rng)
+        moments = rng.normal(size=(3, structure.size - 5))
+        found, derivatives = physics_from_coefficients(
+            coefficients_from_physics(body, moments), iy=body.iy
+        )
+        np.testing.assert_allclose(
+            [found.ix, found.iy, found.iz, found.ixz],
+            [body.ix, body.iy, body.iz, body.ixz],
+            rtol=1e-7,
+        )
+        np.testing.assert_allclose(derivatives, moments, rtol=1e-6, atol=1e-7)
+
+
+def test_impossible_inertias_are_refused() -> None:
+    with pytest.raises(ValueError, match="not positive definite"):
+        Inertia(1.0, 1.0, 1.0, 1.2)
+    a = np.zeros((3, 12))
+    a[0, 1], a[1, 2], a[1, 4] = 0.0, 0.0, 3.0
+    with pytest.raises(ValueError, match="no rigid body has"):
+        physics_from_coefficients(a, iy=1.0)
+
+
+def test_unknown_derivative_is_named() -> None:
+    with pytest.raises(ValueError, match="'l_flap' is no moment derivative"):
+        full_moments(STRUCTURES["baseline"], l_flap=1.0)

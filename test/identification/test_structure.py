@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Structures: regressors, masks, names."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
+
+
+@pytest.mark.parametrize(
+    ("name", "regressors", "coefficients"),
+    [("baseline", 12, 18), ("throttle_coupled", 12, 20), ("augmented", 15, 26)],
+)
+def test_sizes(name: str, regressors: int, coefficients: int) -> None:
+    structure = STRUCTURES[name]
+    assert structure.size == regressors
+    assert structure.mask.sum() == coefficients == len(structure.names)
+
+
+def test_the_papers_sparsity() -> None:
+    # Columns of the matrix after (12), with A311 for the misprinted A111.
+    mask = STRUCTURES["baseline"].mask
+    assert [list(np.flatnonzero(row) + 1) for row in mask] == [
+        [1, 2, 6, 8, 10, 11],
+        [3, 4, 5, 7, 9, 12],
+        [1, 2, 6, 8, 10, 11],
+    ]
+    coupled = STRUCTURES["throttle_coupled"].mask
+    assert [tuple(i) for i in np.argwhere(coupled & ~mask)] == [(0, 11), (2, 11)]
+
+
+def test_regressor_by_name() -> None:
+    structure = STRUCTURES["augmented"]
+    p, q, r = 0.3, -0.7, 1.1
+    u = dict(zip(INPUTS, (0.01, 0.02, 0.03, 0.4), strict=True))
+    values = {"p": p, "q": q, "r": r, "1": 1.0, "ay": -0.5, "az": -9.0, **u}
+    f = structure.regressor(np.array([p, q, r]), np.array(list(u.values())), np.array([-0.5, -9.0]))
+    for label, value in zip(structure.regressors, f, strict=True):
+        expected = values.get(label)
+        if expected is None:  # a product of two rates, like 'pq' or 'rr'
+            expected = values[label[0]] * values[label[1]]
+        assert value == expected
+
+
+def test_names_point_to_their_entries() -> None:
+    structure = STRUCTURES["augmented"]
+    for name, place in zip(structure.names, structure.free, strict=True):
+        assert structure.index(name) == place
+    assert structure.index("pdot/da") == (0, 10)
+    assert structure.index("qdot/1") == (1, 12)
+    with pytest.raises(ValueError, match="no coefficient 'pdot/de'"):
+        structure.index("pdot/de")
