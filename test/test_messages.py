@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Adapters of every supported message type, the CDR reader, and what the outputs hold."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from uav_ident_ros import messages
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.settings import ACTUATOR_TYPES, RATE_TYPES, Settings
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.messages import (
+    ACTUATORS,
+    RATES,
+    ActuatorReader,
+    ChannelError,
+    MessageTypeError,
+    RatesReading,
+    coefficients_layout,
+    decode_imu_cdr,
+    entry_names,
+    frame_fault,
+    import_type,
+    named_entries,
+)
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STAMP_NS = 1_700_000_001_250_000_003
+PX4_US = 1_700_000_001_250_007
+
+
+def stamp() -> SimpleNamespace:
+    return SimpleNamespace(sec=1_700_000_001, nanosec=250_000_003)
+
+
+def header(frame_id: str = "base_link") -> SimpleNamespace:
+    return SimpleNamespace(stamp=stamp(), frame_id=frame_id)
+
+
+def vector(x: float, y: float, z: float) -> SimpleNamespace:
+    return SimpleNamespace(x=x, y=y, z=z)
+
+
+def imu(rate_covariance: float = 0.01, force_covariance: float = 0.1) -> SimpleNamespace:
+    return SimpleNamespace(
+        header=header(),
+        angular_velocity=vector(0.1, -0.2, 0.3),
+        angular_velocity_covariance=[rate_covariance] + [0.0] * 8,
+        linear_acceleration=vector(1.0, 2.0, 9.8),
+        linear_acceleration_covariance=[force_covariance] + [0.0] * 8,
+    )
+
+
+# The same four channels 1.5, -0.5, 0.25, 0.75 in a message of each type. The types outside
+# ROS 2's common interfaces are stand-ins with the fields of their published definitions.
+CHANNELS = [1.5, -0.5, 0.25, 0.75]
+PX4 = {"timestamp": PX4_US + 5, "timestamp_sample": PX4_US}
+ACTUATOR_MESSAGES: dict[str, tuple[Any, int | None]] = {
+    "std_msgs/msg/Float64MultiArray": (SimpleNamespace(data=CHANNELS), None),
+    "std_msgs/msg/Float32MultiArray": (
+        SimpleNamespace(data=np.array(CHANNELS, dtype=np.float32)),
+        None,
+    ),
+    "sensor_msgs/msg/JointState": (
+        SimpleNamespace(
+            header=header(), name=list("abcd"), position=CHANNELS, velocity=[], effort=[]
+        ),
+        STAMP_NS,
+    ),
+    "actuator_msgs/msg/Actuators": (
+        SimpleNamespace(header=header(), position=CHANNELS, velocity=[], normalized=[]),
+        STAMP_NS,
+    ),
+    "mavros_msgs/msg/RCOut": (
+        SimpleNamespace(header=header(), channels=CHANNELS),
+        STAMP_NS,
+    ),
+    "mavros_msgs/msg/ActuatorControl": (
+        SimpleNamespace(header=header(), group_mix=0, controls=np.array([*CHANNELS, 0, 0, 0, 0])),
+        STAMP_NS,
+    ),
+    "px4_msgs/msg/ActuatorMotors": (
+        SimpleNamespace(**PX4, control=np.array([*CHANNELS] + [math.nan] * 8)),
+        PX4_US * 1000,
+    ),
+    "px4_msgs/msg/ActuatorServos": (
+        SimpleNamespace(**PX4, control=np.array([*CHANNELS] + [math.nan] * 4)),
+        PX4_US * 1000,
+    ),
+    "px4_msgs/msg/ActuatorOutputs": (
+        SimpleNamespace(timestamp=PX4_US, noutputs=4, output=np.array([*CHANNELS] + [0.0] * 12)),
+        PX4_US * 1000,
+    ),
+}
+
+
+def reader(**actuators: Any) -> ActuatorReader:
+    values = {f"actuators.{name}": value for name, value in actuators.items()}
+    n = len(values.get("actuators.channels", CHANNELS))
+    values |= {f"actuators.mixing.{row}": [1.0] * n for row in ("de", "dr", "da", "dth")}
+    return ActuatorReader(Settings.from_values(values).actuators)
+
+
+def test_every_declared_type_has_an_adapter() -> None:
+    assert tuple(RATES) == RATE_TYPES
+    assert tuple(ACTUATORS) == ACTUATOR_TYPES
+    assert set(ACTUATOR_MESSAGES) == set(ACTUATOR_TYPES)
+
+
+@pytest.mark.parametrize("msgtype", ACTUATOR_TYPES)
+def test_actuator_type(msgtype: str) -> None:
+    message, stamp_ns = ACTUATOR_MESSAGES[msgtype]
+    read = reader(type=msgtype, channels=[3, 0])
+    assert read(message) == (stamp_ns, (0.75, 1.5))
+    assert ACTUATORS[msgtype].stamped is (stamp_ns is not None)
+
+
+def test_px4_message_without_sample_time_uses_its_own() -> None:
+    message = SimpleNamespace(timestamp=12, timestamp_sample=0, xyz=[1.0, 2.0, 3.0])
+    read = RATES["px4_msgs/msg/VehicleAngularVelocity"].read
+    assert read(message) == RatesReading(12_000, (1.0, 2.0, 3.0), None, "")
+
+
+def test_px4_sensor_combined() -> None:
+    message = SimpleNamespace(
+        timestamp=PX4_US,
+        gyro_rad=np.array([1.0, 2.0, 3.0]),
+        accelerometer_timestamp_relative=0,
+        accelerometer_m_s2=np.array([4.0, 5.0, 6.0]),
+    )
+    read = RATES["px4_msgs/msg/SensorCombined"].read
+    assert read(message) == (PX4_US * 1000, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0), "")
+    message.accelerometer_timestamp_relative = messages.PX4_RELATIVE_TIMESTAMP_INVALID
+    assert read(message).specific_force is None
+
+
+def test_imu() -> None:
+    read = RATES["sensor_msgs/msg/Imu"].read
+    expected = (STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), "base_link")
+    assert read(imu()) == expected
+    assert read(imu(rate_covariance=-1.0)).rates is None
+    assert read(imu(force_covariance=-1.0)).specific_force is None
+
+
+def test_channels_by_name_follow_the_names_of_each_message() -> None:
+    read = reader(type="sensor_msgs/msg/JointState", channels=["rudder", "elevator"])
+    message = SimpleNamespace(
+        header=header(), name=["elevator", "rudder"], position=[1.0, 2.0], effort=[3.0, 4.0]
+    )
+    assert read(message)[1] == (2.0, 1.0)
+    message.name = ["rudder", "elevator"]
+    assert read(message)[1] == (1.0, 2.0)
+    by_effort = reader(type="sensor_msgs/msg/JointState", field="effort", channels=["elevator"])
+    assert by_effort(message)[1] == (4.0,)
+
+
+def test_unknown_channel_name() -> None:
+    read = reader(type="sensor_msgs/msg/JointState", channels=["elevater"])
+    message = SimpleNamespace(header=header(), name=["elevator"], position=[1.0])
+    with pytest.raises(ChannelError, match=r"'elevater' among elevator; did you mean 'elevator'"):
+        read(message)
+
+
+def test_too_few_values() -> None:
+    read = reader(channels=[0, 4])
+    with pytest.raises(ChannelError, match="'data' has 4 values, too few for channels 0, 4"):
+        read(SimpleNamespace(data=CHANNELS))
+    named = reader(type="sensor_msgs/msg/JointState", channels=["b"])
+    with pytest.raises(ChannelError, match="'position' has 1 values"):
+        named(SimpleNamespace(header=header(), name=["a", "b"], position=[1.0]))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_only_channels_in_use_must_be_finite(bad: float) -> None:
+    message = SimpleNamespace(data=[1.0, bad, 2.0])
+    assert reader(channels=[0, 2])(message)[1] == (1.0, 2.0)
+    with pytest.raises(ChannelError, match="not all finite") as caught:
+        reader(channels=[0, 1])(message)
+    assert caught.value.not_finite
+
+
+def test_wrong_field_and_names_without_names() -> None:
+    with pytest.raises(MessageTypeError, match="has position, velocity, normalized"):
+        reader(type="actuator_msgs/msg/Actuators", field="data")
+    with pytest.raises(MessageTypeError, match="names no channels"):
+        reader(type="mavros_msgs/msg/RCOut", channels=["elevator"])
+
+
+@pytest.mark.parametrize("frame_id", ["base_link_frd", "map_ned"])
+def test_frame_that_contradicts_flu(frame_id: str) -> None:
+    assert frame_id in frame_fault("flu", frame_id, "sensor_msgs/msg/Imu")
+    assert not frame_fault("frd", frame_id, "sensor_msgs/msg/Imu")
+
+
+def test_frames_that_agree() -> None:
+    assert not frame_fault("flu", "base_link", "sensor_msgs/msg/Imu")
+    assert not frame_fault("frd", "", "px4_msgs/msg/SensorCombined")
+    assert "'frd'" in frame_fault("flu", "", "px4_msgs/msg/SensorCombined")
+
+
+def real_imu(frame_id: str, rate_covariance: float = 0.0, force_covariance: float = 0.0) -> Any:
+    types = STORE.types
+    xyz = types["geometry_msgs/msg/Vector3"]
+    rng = np.random.default_rng(len(frame_id))
+    return types["sensor_msgs/msg/Imu"](
+        header=types["std_msgs/msg/Header"](
+            stamp=types["builtin_interfaces/msg/Time"](sec=17, nanosec=999_999_999),
+            frame_id=frame_id,
+        ),
+        orientation=types["geometry_msgs/msg/Quaternion"](*rng.normal(size=4).tolist()),
+        orientation_covariance=rng.normal(size=9),
+        angular_velocity=xyz(*rng.normal(size=3).tolist()),
+        angular_velocity_covariance=np.array([rate_covariance, *rng.normal(size=8)]),
+        linear_acceleration=xyz(*rng.normal(size=3).tolist()),
+        linear_acceleration_covariance=np.array([force_covariance, *rng.normal(size=8)]),
+    )
+
+
+@pytest.mark.parametrize("length", range(18))
+@pytest.mark.parametrize("little_endian", [True, False])
+def test_cdr_reader_agrees_with_the_decoder(length: int, little_endian: bool) -> None:
+    message = real_imu("x" * length)
+    data = bytes(
+        STORE.serialize_cdr(message, "sensor_msgs/msg/Imu", little_endian=little_endian)
+    )
+    expected = RATES["sensor_msgs/msg/Imu"].read(message)
+    assert expected.stamp_ns == 17_999_999_999
+    assert decode_imu_cdr(data) == expected
+    assert decode_imu_cdr(memoryview(data)) == expected
+    for cut in (0, 1, 4, 12, 16, 40, len(data) - 1):
+        assert decode_imu_cdr(data[:cut]) is None
+
+
+def test_cdr_reader_of_missing_measurements() -> None:
+    data = bytes(STORE.serialize_cdr(real_imu("a", -1.0, -1.0), "sensor_msgs/msg/Imu"))
+    reading = decode_imu_cdr(data)
+    assert reading is not None
+    assert reading.rates is None
+    assert reading.specific_force is None
+
+
+def test_cdr_reader_leaves_other_encodings_alone() -> None:
+    data = bytes(STORE.serialize_cdr(real_imu("a"), "sensor_msgs/msg/Imu"))
+    assert decode_imu_cdr(b"\x00\x07" + data[2:]) is None
+    assert decode_imu_cdr(data[:16] + b"\xff" + data[17:]) is None  # frame_id is not UTF-8
+    assert decode_imu_cdr(data[:12] + b"\xff\xff\xff\xff" + data[16:]) is None
+
+
+def test_import_type() -> None:
+    for name, words in (
+        ("nothing_here/msg/Imu", "'nothing_here/msg/Imu' is not installed"),
+        ("Imu", "package/msg/Type"),
+        ("uav_ident_ros/messages/Nothing", "has no type"),
+    ):
+        with pytest.raises(MessageTypeError, match=words):
+            import_type(name)
+
+
+def test_import_of_a_real_type() -> None:
+    sensor_msgs = pytest.importorskip("sensor_msgs.msg")
+    assert import_type("sensor_msgs/msg/Imu") is sensor_msgs.Imu
+
+
+def test_messages_import_no_ros() -> None:
+    code = (
+        "import sys, uav_ident_ros.messages; "
+        "sys.exit(any(m.split('.')[0] in ('rclpy', 'sensor_msgs', 'rosbags', 'scipy')"
+        " for m in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_layout_of_the_dense_matrix() -> None:
+    rows, columns = coefficients_layout(STRUCTURES["augmented"])
+    assert rows == ("pdot,qdot,rdot", 3, 45)
+    assert columns == ("pq,qr,pr,pp,rr,p,q,r,de,dr,da,dth,1,ay,az", 15, 15)
+
+
+def test_named_entries() -> None:
+    structure = STRUCTURES["baseline"]
+    values = np.arange(36.0).reshape(3, 12)
+    estimate = Estimate(
+        t_ns=1,
+        coefficients=values,
+        sigma=values / 10.0,
+        predicted_rates=np.zeros(3),
+        prediction_error=np.zeros(3),
+        fit=np.array([90.0, 80.0, -5.0]),
+        usable=True,
+        adapting=False,
+        state="paused",
+        reason="",
+    )
+    names, positions, efforts = named_entries(estimate, structure)
+    assert names == entry_names(structure)
+    assert names[-4:] == ("fit/p", "fit/q", "fit/r", "verdict/usable")
+    entries = dict(zip(names, zip(positions, efforts, strict=True), strict=True))
+    assert entries["pdot/da"] == (10.0, 1.0)
+    assert entries["qdot/pr"] == (14.0, 1.4)
+    assert entries["fit/r"] == (-5.0, 0.0)
+    assert entries["verdict/usable"] == (1.0, 0.0)
+    assert len(names) == 18 + 4
