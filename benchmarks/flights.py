@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The flights of `flights.yaml`, flown when first asked for and kept if that took long.
+
+Run as a program it lists them: ``python benchmarks/flights.py [NAME ...]`` flies the ones
+named and says what came out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import sys
+import tempfile
+import time
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).resolve().parent.parent
+if str(ROOT) not in sys.path:
+    sys.path.insert(0, str(ROOT))
+
+from uav_ident_ros import simulation  # noqa: E402
+from uav_ident_ros.simulation.definition import (  # noqa: E402
+    build_flight,
+    build_sensors,
+    definition_key,
+)
+from uav_ident_ros.simulation.errors import SimulationError  # noqa: E402
+from uav_ident_ros.simulation.flight import Flight  # noqa: E402
+from uav_ident_ros.simulation.noise import Measurements, measure  # noqa: E402
+
+DEFINITIONS = Path(__file__).with_name("flights.yaml")
+CACHE = ROOT / "build" / "flights"
+WORTH_KEEPING = 1.0
+"""Flights that took longer than this to fly, s, are kept on disk."""
+
+
+@cache
+def definitions() -> dict[str, dict[str, Any]]:
+    """Every flight's definition by name."""
+    content = yaml.safe_load(DEFINITIONS.read_text(encoding="utf-8"))
+    return {name: value for name, value in content.items() if not name.startswith(".")}
+
+
+def names(prefix: str = "") -> tuple[str, ...]:
+    """Names of the flights that begin with `prefix`."""
+    return tuple(name for name in definitions() if name.startswith(prefix))
+
+
+def definition(name: str) -> dict[str, Any]:
+    """Return the definition of one flight.
+
+    Raises
+    ------
+    SimulationError
+        If there is none of that name.
+    """
+    try:
+        return definitions()[name]
+    except KeyError:
+        raise SimulationError(
+            f"flight '{name}' is not in {DEFINITIONS.name}: it has {', '.join(definitions())}"
+        ) from None
+
+
+def load_flight(name: str, seed: int | None = None) -> Flight:
+    """Return a flight as it really was.
+
+    Parameters
+    ----------
+    name : str
+        Name in `flights.yaml`.
+    seed : int, optional
+        Seed of gusts or turbulence instead of the definition's.
+    """
+    own = definition(name)
+    path = CACHE / f"{name}-{definition_key(own, seed)}-{_source_key()}.pickle"
+    if path.exists():
+        with path.open("rb") as file:
+            flight: Flight = pickle.load(file)
+        return flight
+    start = time.monotonic()
+    flight = build_flight(name, own, seed)
+    if time.monotonic() - start > WORTH_KEEPING:
+        _keep(flight, path)
+    return flight
+
+
+def load(name: str, seed: int | None = None, **sensor_changes: Any) -> Measurements:
+    """Return a flight as its sensors saw it.
+
+    Parameters
+    ----------
+    name : str
+        Name in `flights.yaml`.
+    seed : int, optional
+        Seed of everything random instead of the definition's.
+    **sensor_changes
+        Fields of `Sensors` that differ: ``rate=50.0``, ``convention="frd"``, ...
+    """
+    own = definition(name)
+    flight = load_flight(name, seed)
+    return measure(
+        flight, build_sensors(own, **sensor_changes), own.get("seed", 0) if seed is None else seed
+    )
+
+
+@cache
+def _source_key() -> str:
+    """Hash of the simulation's source: a kept flight is of the code that would fly it now."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(simulation.__path__[0]).glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:8]
+
+
+def _keep(flight: Flight, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent)
+    with os.fdopen(handle, "wb") as file:
+        pickle.dump(flight, file, protocol=pickle.HIGHEST_PROTOCOL)
+    os.replace(temporary, path)  # whole or not at all, whoever else is writing it
+
+
+def _main(wanted: list[str]) -> int:
+    for name in wanted or names():
+        try:
+            own = definition(name)
+        except SimulationError as error:
+            print(f"flights: {error}", file=sys.stderr)
+            return 2
+        print(f"{name}: {own['description']}")
+        if wanted:
+            flight = load_flight(name)
+            rms = ", ".join(f"{v:.3f}" for v in flight.rates.std(axis=0))
+            print(f"  {flight.duration:g} s at {flight.rate:g} Hz, rates {rms} rad/s rms")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main(sys.argv[1:]))
