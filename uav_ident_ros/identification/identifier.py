@@ -32,6 +32,12 @@ RATES, ACTUATORS = "rates", "actuators"
 
 SECOND_NS = 1_000_000_000
 
+START_TIME = 20.0
+"""Time of learning for which the coefficients count as poor, s."""
+
+START_LEAK_TIME = 0.5
+"""Leak of the model meanwhile, s: with poor coefficients its rate products would diverge."""
+
 
 class Drop(str, Enum):
     """Why a sample was dropped."""
@@ -88,6 +94,7 @@ class OnlineIdentifier:
         )
         self._model = IdentifiedModel(self.structure, self._arm)
         self.fault = ""
+        self._learned_time = 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -152,9 +159,7 @@ class OnlineIdentifier:
             return Drop.ZERO_STAMP
         return None
 
-    def _take_rates(
-        self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
-    ) -> Drop | None:
+    def _take_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
         if t_ns <= self._last_tick_ns:
             return Drop.LATE
         self._sampler.rates.append(t_ns, (*pqr, *force))
@@ -168,9 +173,7 @@ class OnlineIdentifier:
             self._next_tick += 1
         return None
 
-    def _move_to_new_base(
-        self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
-    ) -> None:
+    def _move_to_new_base(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> None:
         """Start anew with the samples that agreed on the new base."""
         agreed = self._outlying[1 - AGREEING_SAMPLES :]
         self.restart()
@@ -283,7 +286,11 @@ class OnlineIdentifier:
                 self.structure, self.settings.filter.cutoff, block.h, self._arm
             )
         coefficients = self._estimator.coefficients
-        states = self._model.run(coefficients, block, self.settings.model.leak_time)
+        self._learned_time += block.h * len(block.u)
+        leak = self.settings.model.leak_time
+        if leak > 0.0 and self._learned_time < START_TIME:
+            leak = min(leak, START_LEAK_TIME)
+        states = self._model.run(coefficients, block, leak)
         self._estimator.update(self._filter.apply(block, states))
 
     def _paper_tick(self, t_ns: int) -> bool:
@@ -297,7 +304,9 @@ class OnlineIdentifier:
         if regression is None:
             self._model.restart(x)
             return False
-        self._model.euler(self._estimator.coefficients, x, u, force, dt, self.settings.model.leak_time)
+        self._model.euler(
+            self._estimator.coefficients, x, u, force, dt, self.settings.model.leak_time
+        )
         self._estimator.update(regression)
         return True
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
     EXOGENOUS_COLUMNS,
     INPUT_COLUMNS,
+    RATE_COLUMNS,
     SPECIFIC_FORCES,
     FloatArray,
     Structure,
@@ -132,10 +134,7 @@ def _integrate(
 
     Plain floats: for three states they are several times faster than arrays.
     """
-    (p_pq, p_qr, p_pr, p_pp, p_rr, p_p, p_q, p_r) = a[0, :8].tolist()
-    (q_pq, q_qr, q_pr, q_pp, q_rr, q_p, q_q, q_r) = a[1, :8].tolist()
-    (r_pq, r_qr, r_pr, r_pp, r_rr, r_p, r_q, r_r) = a[2, :8].tolist()
-    p_p, q_q, r_r = p_p - leak, q_q - leak, r_r - leak
+    xdot = _acceleration(a, leak)
     m = len(drive)
     bounds = [*range(0, m, stride), m]
     if stride > 1:
@@ -148,35 +147,32 @@ def _integrate(
         dt = h * (bounds[k + 1] - bounds[k]) / steps_per_cell
         half = 0.5 * dt
         for _ in range(steps_per_cell):
-            pq, qr, pr, pp, rr = p * q, q * r, p * r, p * p, r * r
-            mp = p + half * (
-                p_pq * pq + p_qr * qr + p_pr * pr + p_pp * pp + p_rr * rr
-                + p_p * p + p_q * q + p_r * r + bp
-            )
-            mq = q + half * (
-                q_pq * pq + q_qr * qr + q_pr * pr + q_pp * pp + q_rr * rr
-                + q_p * p + q_q * q + q_r * r + bq
-            )
-            mr = r + half * (
-                r_pq * pq + r_qr * qr + r_pr * pr + r_pp * pp + r_rr * rr
-                + r_p * p + r_q * q + r_r * r + br
-            )
-            pq, qr, pr, pp, rr = mp * mq, mq * mr, mp * mr, mp * mp, mr * mr
-            p += dt * (
-                p_pq * pq + p_qr * qr + p_pr * pr + p_pp * pp + p_rr * rr
-                + p_p * mp + p_q * mq + p_r * mr + bp
-            )
-            q += dt * (
-                q_pq * pq + q_qr * qr + q_pr * pr + q_pp * pp + q_rr * rr
-                + q_p * mp + q_q * mq + q_r * mr + bq
-            )
-            r += dt * (
-                r_pq * pq + r_qr * qr + r_pr * pr + r_pp * pp + r_rr * rr
-                + r_p * mp + r_q * mq + r_r * mr + br
-            )
+            dp, dq, dr = xdot(p, q, r)
+            mp, mq, mr = xdot(p + half * (dp + bp), q + half * (dq + bq), r + half * (dr + br))
+            p, q, r = p + dt * (mp + bp), q + dt * (mq + bq), r + dt * (mr + br)
         states.append((p, q, r))
     coarse = np.array(states)
     if stride == 1:
         return coarse
     every = np.arange(m + 1)
     return np.stack([np.interp(every, bounds, coarse[:, i]) for i in range(3)], axis=1)
+
+
+def _acceleration(
+    a: FloatArray, leak: float
+) -> Callable[[float, float, float], tuple[float, float, float]]:
+    """Return the part of A f that depends on the state, less the leak, as a function of it."""
+    rows = a[:, : INPUT_COLUMNS.start].copy()
+    rows[:, RATE_COLUMNS] -= leak * np.eye(3)
+    (a1, a2, a3, a4, a5, a6, a7, a8), (b1, b2, b3, b4, b5, b6, b7, b8), third = rows.tolist()
+    c1, c2, c3, c4, c5, c6, c7, c8 = third
+
+    def xdot(p: float, q: float, r: float) -> tuple[float, float, float]:
+        pq, qr, pr, pp, rr = p * q, q * r, p * r, p * p, r * r
+        return (
+            a1 * pq + a2 * qr + a3 * pr + a4 * pp + a5 * rr + a6 * p + a7 * q + a8 * r,
+            b1 * pq + b2 * qr + b3 * pr + b4 * pp + b5 * rr + b6 * p + b7 * q + b8 * r,
+            c1 * pq + c2 * qr + c3 * pr + c4 * pp + c5 * rr + c6 * p + c7 * q + c8 * r,
+        )
+
+    return xdot

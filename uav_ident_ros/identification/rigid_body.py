@@ -46,9 +46,7 @@ class Inertia:
 
     def tensor(self) -> FloatArray:
         """Return the inertia tensor, shape (3, 3), kg m^2."""
-        return np.array(
-            [[self.ix, 0.0, -self.ixz], [0.0, self.iy, 0.0], [-self.ixz, 0.0, self.iz]]
-        )
+        return np.array([[self.ix, 0.0, -self.ixz], [0.0, self.iy, 0.0], [-self.ixz, 0.0, self.iz]])
 
 
 def product_coefficients(inertia: Inertia) -> FloatArray:
@@ -83,9 +81,7 @@ def coefficients_from_physics(inertia: Inertia, moments: FloatArray) -> FloatArr
         A, in 1/s^2 per unit of each regressor.
     """
     moments = np.asarray(moments, dtype=np.float64)
-    return np.hstack(
-        [product_coefficients(inertia), np.linalg.solve(inertia.tensor(), moments)]
-    )
+    return np.hstack([product_coefficients(inertia), np.linalg.solve(inertia.tensor(), moments)])
 
 
 def physics_from_coefficients(coefficients: FloatArray, iy: float) -> tuple[Inertia, FloatArray]:
@@ -129,9 +125,7 @@ def physics_from_coefficients(coefficients: FloatArray, iy: float) -> tuple[Iner
         )
     inertia = min(
         candidates,
-        key=lambda body: float(
-            np.abs(product_coefficients(body) - a[:, PRODUCT_COLUMNS]).sum()
-        ),
+        key=lambda body: float(np.abs(product_coefficients(body) - a[:, PRODUCT_COLUMNS]).sum()),
     )
     return inertia, inertia.tensor() @ a[:, FIRST_MOMENT_COLUMN:]
 

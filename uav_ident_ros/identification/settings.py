@@ -450,9 +450,10 @@ class Settings:
         choices=tuple(STRUCTURES),
     )
     estimator: str = _setting(
-        "least_squares",
+        "instrumental_variable",
         "",
-        "How the coefficients move.",
+        "How the coefficients move: the paper's 'gradient' law, recursive 'least_squares', or the "
+        "guarded 'instrumental_variable', which gyro noise and gusts do not bias.",
         choices=("gradient", "least_squares", "instrumental_variable"),
     )
     initial_coefficients: tuple[float, ...] = _setting(
@@ -502,7 +503,7 @@ class Settings:
             if value is None:
                 value = known[name].default if not known[name].type.endswith("[]") else ()
             checked[name] = known[name].check(value)
-        settings = _build(cls, "", checked)
+        settings: Settings = _build(cls, "", checked)
         _check_consistency(settings)
         return settings
 
@@ -534,7 +535,7 @@ def _declarations(cls: type, prefix: str) -> Iterator[Setting]:
             yield Setting(
                 name=prefix + item.name,
                 type=_PYTHON_TYPES[hint],
-                default=item.default,
+                default=typing.cast(Value, item.default),
                 **item.metadata,
             )
 
@@ -599,5 +600,3 @@ def _check_consistency(settings: Settings) -> None:
             "'filter.method' is 'backward_difference': that is the paper's law only; "
             f"with 'estimator' {settings.estimator!r} use 'state_variable'",
         )
-
-

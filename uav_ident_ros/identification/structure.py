@@ -106,7 +106,9 @@ class Structure:
                 f"it has {', '.join(self.names)}"
             ) from None
 
-    def regressor(self, x: FloatArray, u: FloatArray, force: FloatArray | None = None) -> FloatArray:
+    def regressor(
+        self, x: FloatArray, u: FloatArray, force: FloatArray | None = None
+    ) -> FloatArray:
         """Evaluate f(x, u).
 
         Parameters

@@ -10,6 +10,9 @@ from __future__ import annotations
 from typing import Protocol
 
 from uav_ident_ros.identification.estimators.gradient import GradientEstimator
+from uav_ident_ros.identification.estimators.instrumental_variable import (
+    InstrumentalVariableEstimator,
+)
 from uav_ident_ros.identification.estimators.least_squares import LeastSquaresEstimator
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
@@ -43,4 +46,6 @@ def make_estimator(settings: Settings, start: Start) -> Estimator:
     """Return the estimator that the settings name."""
     if settings.estimator == "gradient":
         return GradientEstimator(settings.gradient, start)
+    if settings.estimator == "instrumental_variable":
+        return InstrumentalVariableEstimator(start, settings.forgetting_time)
     return LeastSquaresEstimator(start, settings.forgetting_time)

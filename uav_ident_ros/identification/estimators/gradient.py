@@ -34,7 +34,7 @@ def gain_matrix(gains: tuple[float, ...], n: int) -> FloatArray:
     """
     values = np.array(gains) if gains else np.full(n, DEFAULT_GAIN)
     k = np.diag(values) if len(values) == n else values.reshape(n, n)
-    scale = max(float(np.abs(k).max()), np.finfo(float).tiny)
+    scale = float(np.abs(k).max()) or 1.0
     if np.abs(k - k.T).max() > _ASYMMETRY * scale:
         i, j = np.unravel_index(np.argmax(np.abs(k - k.T)), k.shape)
         raise SettingsError(
@@ -128,9 +128,8 @@ class GradientEstimator:
     @property
     def sigma(self) -> FloatArray:
         """Standard deviations, shape (3, n): the least-squares ones, widened by the distance."""
-        best = self._uncertainty.solve()
-        spread = self._uncertainty.sigma(best)
-        return np.where(self._start.free, np.hypot(spread, self.coefficients - best), 0.0)
+        distance = self.coefficients - self._uncertainty.solve()
+        return np.where(self._start.free, np.hypot(self._uncertainty.sigma, distance), 0.0)
 
     def update(self, data: Regression) -> None:
         """Take one step of the law over the time that the samples stand for."""

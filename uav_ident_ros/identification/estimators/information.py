@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
 BLOCK_TIME = 1.0
 """Length of the blocks whose scores are taken as independent, s: longer than the correlation
@@ -24,6 +24,41 @@ RESIDUAL_TIME = 30.0
 _RIDGE = 1e-9
 """Relative to a regressor's own information: keeps the solution defined where columns are
 collinear."""
+
+
+class Columns:
+    """The free columns of each row, side by side: k of the n regressors, k the most in a row.
+
+    Parameters
+    ----------
+    free : (3, n) bool array
+        Coefficients that move.
+    """
+
+    def __init__(self, free: BoolArray) -> None:
+        self.free = free
+        self.counts = free.sum(axis=1)
+        self.size = max(int(self.counts.max()), 1)
+        self.index = np.zeros((3, self.size), dtype=np.intp)
+        self.used = np.arange(self.size) < self.counts[:, None]
+        for i, row in enumerate(free):
+            self.index[i, : self.counts[i]] = np.flatnonzero(row)
+        self._everything_used = bool(self.used.all())
+
+    def pick(self, values: FloatArray) -> FloatArray:
+        """Rows of free columns, shape (3, k, m), from regressors of shape (m, n)."""
+        picked = values.T[self.index]
+        return picked if self._everything_used else picked * self.used[:, :, None]
+
+    def gather(self, values: FloatArray) -> FloatArray:
+        """Free entries, shape (3, k), of values of shape (3, n)."""
+        return np.asarray(np.take_along_axis(values, self.index, axis=1) * self.used)
+
+    def scatter(self, values: FloatArray) -> FloatArray:
+        """Values of shape (3, n), zero where not free, from free entries of shape (3, k)."""
+        out = np.zeros(self.free.shape)
+        out[self.free] = values[self.used]
+        return out
 
 
 class Information:
@@ -38,21 +73,29 @@ class Information:
     """
 
     def __init__(self, start: Start, forgetting_time: float = 0.0) -> None:
-        n = start.values.shape[1]
         self._start = start
         self._forgetting_time = forgetting_time
-        self._precision = start.precision
-        self._pairs = start.free[:, :, None] & start.free[:, None, :]
-        self.matrix: FloatArray = np.zeros((3, n, n))
-        self.vector: FloatArray = np.zeros((3, n))
+        self.columns = Columns(start.free)
+        k = self.columns.size
+        self._precision = self.columns.gather(start.precision)
+        self._diagonal = np.arange(k)
+        self.matrix: FloatArray = np.zeros((3, k, k))
+        self.vector: FloatArray = np.zeros((3, k))
         self.residual_variance: FloatArray = np.zeros(3)
-        self.time = 0.0
-        self._scores: FloatArray = np.zeros((3, n, n))
-        self._score: FloatArray = np.zeros((3, n))
-        self._score_time = 0.0
-        self._blocks = 0.0
+        self.time: FloatArray = np.zeros(3)
+        self._scores: FloatArray = np.zeros((3, k, k))
+        self._score: FloatArray = np.zeros((3, k))
+        self._score_time: FloatArray = np.zeros(3)
+        self._blocks: FloatArray = np.zeros(3)
+        self.sigma: FloatArray = np.where(start.free, start.sigma, 0.0)
 
-    def accumulate(self, data: Regression, z: FloatArray, coefficients: FloatArray) -> None:
+    def accumulate(
+        self,
+        data: Regression,
+        z: FloatArray,
+        coefficients: FloatArray,
+        learning: BoolArray = np.ones(3, dtype=bool),  # noqa: B008 - never written to
+    ) -> None:
         """Add the samples of a tick.
 
         Parameters
@@ -63,63 +106,72 @@ class Information:
             Instruments.
         coefficients : (3, n) array
             The estimate before the tick, from which the residuals are taken.
+        learning : (3,) bool array
+            Rows that learn, and forget; the others stay as they are.
         """
         dt = data.dt * len(data.y)
+        spent = np.where(learning, dt, 0.0)
         residual = data.y - data.f @ coefficients.T
-        self.time += dt
-        share = dt / min(self.time, RESIDUAL_TIME)
+        self.time += spent
+        share = spent / np.clip(self.time, dt, RESIDUAL_TIME)
         self.residual_variance += share * ((residual**2).mean(axis=0) - self.residual_variance)
         if self._forgetting_time > 0.0:
-            keep = np.exp(-dt / self._forgetting_time)
-            self.matrix *= keep
-            self.vector *= keep
-            self._scores *= keep**2
-            self._blocks *= keep
-        weighted = z.T * data.dt
-        self.matrix += weighted @ data.f
+            self.discount(np.exp(-spent / self._forgetting_time))
+        weighted = self.columns.pick(z) * np.where(learning, data.dt, 0.0)[:, None, None]
+        self.matrix += weighted @ self.columns.pick(data.f).transpose(0, 2, 1)
         # Deviations from the start, so that what is fixed or unexcited stays where it is.
-        self.vector += (weighted @ (data.y - data.f @ self._start.values.T)).T
-        self._score += (weighted @ residual).T
-        self._score_time += dt
-        if self._score_time >= BLOCK_TIME:
-            self._scores += self._score[:, :, None] * self._score[:, None, :]
-            self._score[:] = 0.0
-            self._score_time = 0.0
-            self._blocks += 1.0
+        deviation = data.y - data.f @ self._start.values.T
+        self.vector += (weighted @ deviation.T[:, :, None])[:, :, 0]
+        self._score += (weighted @ residual.T[:, :, None])[:, :, 0]
+        self._score_time += spent
+        full = self._score_time >= BLOCK_TIME
+        if full.any():
+            self._close_blocks(full)
+
+    def _close_blocks(self, full: BoolArray) -> None:
+        """Count the scores of the rows whose block is full, and renew their sigma."""
+        score = np.where(full[:, None], self._score, 0.0)
+        self._scores += score[:, :, None] * score[:, None, :]
+        self._score[full] = 0.0
+        self._score_time[full] = 0.0
+        self._blocks += full
+        self.sigma = self._compute_sigma()
+
+    def discount(self, weight: float | FloatArray) -> None:
+        """Let all that was accumulated count for `weight` of what it did, per row."""
+        row = np.broadcast_to(weight, 3)
+        self.matrix *= row[:, None, None]
+        self.vector *= row[:, None]
+        self._scores *= row[:, None, None] ** 2
+        self._blocks *= row
 
     def _system(self) -> FloatArray:
-        """Regularised matrix of each row; identity along what is not free, (3, n, n)."""
-        prior = self._precision * self.residual_variance[:, None]
-        matrix = np.where(self._pairs, self.matrix, 0.0)
-        diagonal = np.einsum("ijj->ij", matrix)
-        diagonal += prior + _RIDGE * np.abs(diagonal)
+        """Regularised matrix of each row; identity along what is not used, (3, k, k)."""
+        matrix = self.matrix.copy()
+        diagonal = matrix[:, self._diagonal, self._diagonal]
+        diagonal += self._precision * self.residual_variance[:, None] + _RIDGE * np.abs(diagonal)
         diagonal[diagonal == 0.0] = 1.0
+        matrix[:, self._diagonal, self._diagonal] = diagonal
         return matrix
 
     def solve(self) -> FloatArray:
         """Coefficients that satisfy ``R a = r`` with the prior, shape (3, n)."""
-        vector = np.where(self._start.free, self.vector, 0.0)
-        deviation = np.linalg.solve(self._system(), vector[:, :, None])[:, :, 0]
-        return np.asarray(self._start.values + deviation)
+        deviation = np.linalg.solve(self._system(), self.vector[:, :, None])[:, :, 0]
+        return self._start.values + self.columns.scatter(deviation)
 
-    def sigma(self, coefficients: FloatArray) -> FloatArray:
+    def _compute_sigma(self) -> FloatArray:
         """Standard deviations of the coefficients, shape (3, n).
 
         ``R^-1 S R^-T`` with S the sum of the outer products of the scores of one-second
         blocks: it holds for residuals coloured within a block, where ``s^2 R^-1`` is several
         times too small (block-mean form of Morelli and Klein 1997).
         """
-        free = self._start.free
-        if self._blocks < 1.0:
-            return np.where(free, self._start.sigma, 0.0)
         inverse = np.linalg.inv(self._system())
         # Few blocks: their scatter underestimates; p coefficients cost p degrees of freedom.
-        p = free.sum(axis=1)
-        correction = (self._blocks / np.maximum(self._blocks - p, 1.0))[:, None, None]
-        prior = np.einsum(
-            "ij,jk->ijk", self._precision * self.residual_variance[:, None] ** 2, np.eye(free.shape[1])
-        )
-        middle = np.where(self._pairs, self._scores * correction + prior, 0.0)
+        correction = self._blocks / np.maximum(self._blocks - self.columns.counts, 1.0)
+        middle = self._scores * correction[:, None, None]
+        prior = self._precision * self.residual_variance[:, None] ** 2
+        middle[:, self._diagonal, self._diagonal] += prior
         covariance = inverse @ middle @ inverse.transpose(0, 2, 1)
-        variance = np.maximum(np.einsum("ijj->ij", covariance), 0.0)
-        return np.where(free, np.sqrt(variance), 0.0)
+        variance = np.maximum(covariance[:, self._diagonal, self._diagonal], 0.0)
+        return self.columns.scatter(np.sqrt(variance))

@@ -28,7 +28,7 @@ class LeastSquaresEstimator:
     @property
     def sigma(self) -> FloatArray:
         """Standard deviations, shape (3, n)."""
-        return self._information.sigma(self.coefficients)
+        return self._information.sigma
 
     def update(self, data: Regression) -> None:
         """Add the samples of a tick and solve."""
