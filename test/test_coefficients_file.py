@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Coefficients files: exact round trip, atomic writing, and one clear line for each fault."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uav_ident_ros import coefficients_file
+from uav_ident_ros.coefficients_file import (
+    CoefficientsFileError,
+    format_coefficients,
+    load_coefficients,
+    save_coefficients,
+)
+from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.structure import STRUCTURES
+
+
+def example(structure: str = "baseline", t_ns: int = 1_700_000_000_123_456_789) -> CoefficientSet:
+    rng = np.random.default_rng(1)
+    mask = STRUCTURES[structure].mask
+    values = np.where(mask, rng.normal(size=mask.shape) * 10.0 ** rng.integers(-9, 9, mask.shape), 0)
+    return CoefficientSet(structure, values, np.where(mask, np.abs(values) / 7.0, 0.0), t_ns)
+
+
+def saved(folder: Path) -> tuple[Path, str]:
+    path = folder / "coefficients.yaml"
+    save_coefficients(example(), path)
+    return path, path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_round_trip_to_the_bit(structure: str, tmp_path: Path) -> None:
+    original = example(structure)
+    original.sigma[STRUCTURES[structure].free[0]] = np.inf
+    original.sigma[STRUCTURES[structure].free[1]] = 0.0
+    path = tmp_path / "coefficients.yaml"
+    save_coefficients(original, path)
+    loaded = load_coefficients(path, structure)
+    assert loaded.structure == structure
+    assert loaded.t_ns == original.t_ns
+    assert loaded.values.tobytes() == original.values.tobytes()
+    assert loaded.sigma.tobytes() == original.sigma.tobytes()
+
+
+@given(value=st.floats(allow_nan=False, allow_infinity=False), t_ns=st.integers(0, 2**63 - 1))
+def test_every_float_and_stamp_survives(
+    tmp_path_factory: pytest.TempPathFactory, value: float, t_ns: int
+) -> None:
+    path = tmp_path_factory.mktemp("any", numbered=True) / "c.yaml"
+    original = example(t_ns=t_ns)
+    original.values[0, 0] = value
+    path.write_text(format_coefficients(original), encoding="utf-8")
+    loaded = load_coefficients(path)
+    assert loaded.values.tobytes() == original.values.tobytes()
+    assert loaded.t_ns == t_ns
+
+
+def test_any_yaml_reader_sees_numbers(tmp_path: Path) -> None:
+    original = example()
+    original.values[0, 0] = 1e-5  # Python writes 1e-05, which YAML 1.1 takes for a word
+    content = yaml.safe_load(format_coefficients(original))
+    assert content["coefficients"]["pdot/pq"]["value"] == 1e-5
+    assert list(content["coefficients"]) == list(STRUCTURES["baseline"].names)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("version: 1", "version: 2", "line 3: version 2 is not known, only 1 is"),
+        ("uav_ident_ros/coefficients", "other", "line 2: the format is 'other'"),
+        ("structure: baseline", "structure: base", "line 4: structure 'base' is unknown, known"),
+        ("  pdot/da:", "  pdot/daa:", "unknown entry 'pdot/daa': did you mean 'pdot/da'"),
+        ("  pdot/pq:", "  # pdot/pq:", "coefficients has no pdot/pq"),
+        ("  pdot/qr:", "  pdot/pq:", "'pdot/pq' is there twice"),
+        ("pdot/pq: {value:", "pdot/pq: {val:", "pdot/pq has an unknown entry 'val': did you mean"),
+        ("pdot/pq: {value:", "pdot/pq: {value: .nan, x:", "unknown entry 'x'"),
+        ("stamp: 1", "stamp: x1", "stamp is 'x1700000000.123456789', not a number of seconds"),
+        ("stamp: 1", "stamp: -1", "stamp is negative"),
+        ("stamp: 1", "stamp: nan # ", "stamp is 'nan'"),
+        ("sigma: ", "sigma: -", "the sigma of pdot/pq is negative"),
+        ("value: ", "value: x", "the value of pdot/pq is 'x"),
+        ("coefficients:\n", "coefficients: 3\nmore:\n", "unknown entry 'more'"),
+        ("{value", "{{value", "line [78]: "),
+        ("format:", "form:", "unknown entry 'form': did you mean 'format'"),
+    ],
+)
+def test_each_fault_has_its_line(old: str, new: str, words: str, tmp_path: Path) -> None:
+    path, text = saved(tmp_path)
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(CoefficientsFileError, match=words) as caught:
+        load_coefficients(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_not_finite_value_is_refused_on_loading(tmp_path: Path) -> None:
+    path, text = saved(tmp_path)
+    lines = text.splitlines()
+    for bad in (".nan", ".inf", "1e999", "true"):
+        lines[6] = f"  pdot/pq: {{value: {bad}, sigma: 0.1}}"
+        path.write_text("\n".join(lines), encoding="utf-8")
+        with pytest.raises(CoefficientsFileError, match=r"line 7: .*not a finite number"):
+            load_coefficients(path)
+
+
+def test_wrong_structure_empty_missing_and_binary(tmp_path: Path) -> None:
+    path, _ = saved(tmp_path)
+    with pytest.raises(CoefficientsFileError, match="for structure 'baseline', but 'structure' is"):
+        load_coefficients(path, "augmented")
+    path.write_text("", encoding="utf-8")
+    with pytest.raises(CoefficientsFileError, match="it is empty"):
+        load_coefficients(path)
+    path.write_text("- 1\n", encoding="utf-8")
+    with pytest.raises(CoefficientsFileError, match="must be a mapping"):
+        load_coefficients(path)
+    path.write_bytes(b"\xff\xff")
+    with pytest.raises(CoefficientsFileError, match="UTF-8"):
+        load_coefficients(path)
+    with pytest.raises(CoefficientsFileError, match="no such file"):
+        load_coefficients(tmp_path / "missing.yaml")
+
+
+def test_value_that_is_not_finite_is_not_written(tmp_path: Path) -> None:
+    path, before = saved(tmp_path)
+    spoilt = example()
+    spoilt.values[0, 0] = np.nan
+    with pytest.raises(CoefficientsFileError, match="coefficient pdot/pq is nan"):
+        save_coefficients(spoilt, path)
+    assert path.read_text(encoding="utf-8") == before
+
+
+def test_interrupted_write_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, before = saved(tmp_path)
+
+    def no_space(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(coefficients_file.os, "fsync", no_space)
+    with pytest.raises(CoefficientsFileError, match=r"cannot write .*No space left"):
+        save_coefficients(example(t_ns=1), path)
+    assert path.read_text(encoding="utf-8") == before
+    assert os.listdir(tmp_path) == [path.name]
+
+
+def test_missing_folder_and_link(tmp_path: Path) -> None:
+    with pytest.raises(CoefficientsFileError, match="no such file or folder"):
+        save_coefficients(example(), tmp_path / "missing" / "c.yaml")
+    target, link = tmp_path / "target.yaml", tmp_path / "link.yaml"
+    link.symlink_to(target)
+    save_coefficients(example(), link)
+    assert link.is_symlink()
+    assert load_coefficients(target).t_ns == example().t_ns

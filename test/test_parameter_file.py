@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameter files: the same values as a real rclpy node gets, and clear errors."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.parameter_file import ParameterFile, ParameterFileError, load_parameters, scalar
+
+TRICKY = """\
+# every kind of scalar that YAML readers disagree about
+/**:
+  ros__parameters:
+    small: 1e-3
+    whole: 20
+    point: 20.
+    bare_point: .5
+    signed: [+5, -0, 007]
+    octal: 010
+    not_octal: 09
+    hexadecimal: [0x1F, -0x10]
+    hexadecimal_float: 0x1p3
+    binary: 0b11
+    underscore: 1_000
+    sexagesimal: 1:30
+    date: 2017-01-01
+    huge_integer: 99999999999999999999
+    huge: 1e999
+    tiny: 1e-320
+    smallest: -0x8000000000000000
+    zero: [0.0, 0e5, -0.0]
+    exponents: [1E5, 1e+3, 2.5e-7]
+    not_numbers: [nan, .NaN, .nan, NAN]
+    infinities: [-inf, .inf, +.Inf, -.INF, infinity]
+    words: [TrUe, null_, "yes", '1.5', tRUE]
+    yes: no
+    bools: [y, Yes, on, TRUE, n, No, off, False]
+    nothing: null
+    tilde: ~
+    quoted: '5'
+    empty_word: ''
+    tagged: !!str 5
+    block: |
+      5
+    folded: >-
+      12
+    empty: []
+    filter.cutoff: 12.0
+    actuators:
+      delay: 0.02
+      mixing: {de: [1.0, 0.0], dr: [0.0, 1.0]}
+      mixing.da: [0.0, 0.0]
+      channels: [elevator, rudder]
+    twice: 1
+    twice: 2
+    changed_type: x
+    changed_type: 1.0
+    actuators.delay: 0.03
+identifier:
+  ros__parameters:
+    whole: 21
+    only_bare: 1
+/*/identifier:
+  ros__parameters: {one_level: 1}
+/**/identifier:
+  ros__parameters: {point: 22.0, any_level: true}
+/drone1:
+  identifier:
+    ros__parameters: {nested_namespace: 1.5}
+/drone1/identifier:
+  ros__parameters: {qualified: 2.5, use_sim_time: true}
+/*:
+  ros__parameters: {top_level: a}
+/**:
+  ros__parameters: {only_bare: 3}
+someone_else:
+  ros__parameters: {whole: 99}
+"""
+
+NODE = """
+import json, sys, rclpy
+from rclpy.node import Node
+rclpy.init(args=["--ros-args", "--params-file", sys.argv[1]])
+node = Node("identifier", namespace=sys.argv[2], enable_rosout=False)
+print(json.dumps({name: repr(p.value) for name, p in node._parameter_overrides.items()}))
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "parameters.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def rclpy_node(path: Path, namespace: str, logs: Path) -> subprocess.CompletedProcess[str]:
+    """Start a real node with the file and print what it was given."""
+    environment = os.environ | {
+        "ROS_DOMAIN_ID": "61",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(logs),
+    }
+    command = [sys.executable, "-c", NODE, str(path), namespace]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize("namespace", ["/", "/drone1", "/fleet/drone1"])
+def test_same_values_as_rclpy(namespace: str, tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    path = write(tmp_path, TRICKY)
+    live = rclpy_node(path, namespace, tmp_path)
+    assert live.returncode == 0, live.stderr
+    mine = ParameterFile.read(path).values_for(f"{namespace.rstrip('/')}/identifier")
+    assert {name: repr(value) for name, value in mine.items()} == json.loads(live.stdout)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("/**:\n  ros__parameters:\n    a:\n", "line 3: there is no value"),
+        ("/**:\n  ros__parameters:\n    a: [1, 0.5]\n", "line 3: .*1 is an integer, 0.5 is a fl"),
+        ("/**:\n  ros__parameters:\n    a: [[1.0], [0.5]]\n", "line 3: a list can hold plain"),
+        ("/**:\n  ros__parameters:\n    a: {}\n    b: 1\n", "line 3: 'a' is an empty mapping"),
+        ("/**:\n  ros__parameters:\n", "'ros__parameters' holds a value"),
+        ("/**:\n  ros__parameters: [1]\n", "'ros__parameters' holds a value"),
+        ("a: 1\n", "line 1: 'a' holds a value"),
+        ("/**:\n  ros__parameters:\n    a: 1\n  b: 2\n", "line 4: 'b' holds a value"),
+        ("/**:\n  ros__parameters:\n    a: &q 1\n    b: *q\n", "line 4: ROS .* no.* aliases"),
+        ("/**:\n  ros__parameters:\n    '': 1\n", "line 3: there is no key"),
+        ("bad name:\n  ros__parameters:\n    a: 1\n", "'bad name' is no node name"),
+        ("ros__parameters:\n  a: 1\n", "line 1: there is no node name before"),
+        ("/**:\n  ros__parameters:\n    a: {b: 1\n", r"expected ',' or '\}'"),
+        ("/**:\n  ros__parameters:\n\ta: 1\n", "line 3: .*cannot start"),
+        ("[1, 2]\n", "line 1: the file holds a value"),
+    ],
+)
+def test_what_rcl_refuses_is_refused(text: str, words: str, tmp_path: Path) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ParameterFileError, match=words) as caught:
+        ParameterFile.read(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    pytest.importorskip("rclpy")
+    assert rclpy_node(path, "/", tmp_path).returncode != 0
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "/**:\n  ros__parameters: {}\n"])
+def test_files_without_parameters(text: str, tmp_path: Path) -> None:
+    assert load_parameters(write(tmp_path, text), "identifier") == {}
+
+
+def test_missing_folder_and_binary_file(tmp_path: Path) -> None:
+    with pytest.raises(ParameterFileError, match=r"missing.yaml': does not exist"):
+        ParameterFile.read(tmp_path / "missing.yaml")
+    with pytest.raises(ParameterFileError, match="directory"):
+        ParameterFile.read(tmp_path)
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ParameterFileError, match="UTF-8"):
+        ParameterFile.read(tmp_path / "binary")
+    (tmp_path / "control").write_bytes(b"a: \x01\n")
+    with pytest.raises(ParameterFileError, match="special characters"):
+        ParameterFile.read(tmp_path / "control")
+
+
+def test_no_section_for_the_node(tmp_path: Path) -> None:
+    path = write(tmp_path, "/drone1/identifier:\n  ros__parameters: {structure: baseline}\n")
+    with pytest.raises(ParameterFileError, match="nothing for node '/identifier': .*drone1"):
+        load_parameters(path, "identifier")
+    assert load_parameters(path, "/drone1/identifier") == {"structure": "baseline"}
+
+
+def test_parameters_of_every_node_are_left_out(tmp_path: Path) -> None:
+    text = (
+        "/**:\n  ros__parameters:\n    use_sim_time: true\n    structure: baseline\n"
+        "    qos_overrides./imu/data.subscription.depth: 100\n"
+    )
+    assert load_parameters(write(tmp_path, text), "identifier") == {"structure": "baseline"}
+
+
+def test_values_suit_the_settings(tmp_path: Path) -> None:
+    text = (
+        "/**:\n  ros__parameters:\n    forgetting_time: 1e2\n"
+        "    actuators: {channels: [2, 0, 1, 3], trim: []}\n"
+    )
+    settings = Settings.from_values(load_parameters(write(tmp_path, text), "identifier"))
+    assert settings.forgetting_time == 100.0
+    assert settings.actuators.channels == (2, 0, 1, 3)
+    assert settings.actuators.trim == ()
+
+
+def test_scalars() -> None:
+    assert scalar("1e-3") == 0.001
+    assert isinstance(scalar("20"), int)
+    assert scalar("off") is False
+    assert scalar("off", quoted=True) == "off"
+    assert math.isnan(float(scalar(".nan")))
+    assert scalar("2.2250738585072014e-308") == sys.float_info.min

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Coefficients on disk: replay's result, the identifier's start, and its memory between flights.
+
+One format serves ``coefficients.yaml``, ``initial_coefficients_file`` and the state file:
+
+    format: uav_ident_ros/coefficients
+    version: 1
+    structure: baseline
+    stamp: 1700000000.250000000      # message time, s; 0.0 if unknown
+    coefficients:                    # SI units, body axes forward-right-down
+      pdot/pq: {value: 0.0125, sigma: 0.003}
+      ...
+
+Numbers survive the way to disk and back to the last bit. Everything is checked on loading.
+"""
+
+from __future__ import annotations
+
+import difflib
+import errno
+import math
+import os
+import re
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.structure import STRUCTURES, Structure
+
+FORMAT = "uav_ident_ros/coefficients"
+VERSION = 1
+
+NS_PER_S = 1_000_000_000
+
+_TOP_KEYS = ("format", "version", "structure", "stamp", "coefficients")
+_ENTRY_KEYS = ("value", "sigma")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_INFINITY = frozenset((".inf", ".Inf", ".INF", "+.inf", "inf"))
+
+
+class CoefficientsFileError(Exception):
+    """A coefficients file cannot be used; the message names it and what is wrong."""
+
+
+def save_coefficients(coefficients: CoefficientSet, path: Path | str) -> None:
+    """Write a coefficients file, whole or not at all.
+
+    Parameters
+    ----------
+    coefficients : CoefficientSet
+        What to write; every value finite.
+    path : Path or str
+        The file; one that exists is replaced.
+
+    Raises
+    ------
+    CoefficientsFileError
+        If a value is not finite or the file cannot be written.
+    """
+    path = Path(path)
+    text = format_coefficients(coefficients, path)
+    # A link is followed: the file that it points to is replaced, not the link.
+    target = Path(os.path.realpath(path))
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        try:
+            with temporary.open("w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(target)
+        finally:
+            temporary.unlink(missing_ok=True)
+        _sync_folder(target.parent)
+    except OSError as error:
+        raise CoefficientsFileError(f"cannot write '{path}': {_reason(error)}") from None
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a rename in `folder` survive a loss of power."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def format_coefficients(coefficients: CoefficientSet, path: Path | str = "coefficients") -> str:
+    """Return the text of the file; `path` only names it in errors.
+
+    Raises
+    ------
+    CoefficientsFileError
+        If a value is not finite or the shapes do not fit the structure.
+    """
+    structure = STRUCTURES[coefficients.structure]
+    shape = structure.mask.shape
+    if coefficients.values.shape != shape or coefficients.sigma.shape != shape:
+        raise CoefficientsFileError(
+            f"cannot write '{path}': structure '{structure.name}' needs values and sigma of "
+            f"shape {shape}"
+        )
+    seconds, nanoseconds = divmod(coefficients.t_ns, NS_PER_S)
+    lines = [
+        "# Identified coefficients: SI units, aircraft body axes forward-right-down.",
+        f"format: {FORMAT}",
+        f"version: {VERSION}",
+        f"structure: {structure.name}",
+        f"stamp: {seconds}.{nanoseconds:09d}",
+        "coefficients:",
+    ]
+    for name, index in zip(structure.names, structure.free, strict=True):
+        value, sigma = float(coefficients.values[index]), float(coefficients.sigma[index])
+        if not math.isfinite(value):
+            raise CoefficientsFileError(f"cannot write '{path}': coefficient {name} is {value}")
+        unknown = not 0.0 <= sigma < math.inf  # NaN too
+        shown = ".inf" if unknown else _digits(sigma)
+        lines.append(f"  {name}: {{value: {_digits(value)}, sigma: {shown}}}")
+    return "\n".join(lines) + "\n"
+
+
+def _digits(value: float) -> str:
+    """Shortest text that reads back as `value`, a number to every YAML reader."""
+    mantissa, separator, exponent = repr(value).partition("e")
+    if "." not in mantissa:
+        mantissa += ".0"
+    return f"{mantissa}{separator}{exponent}"
+
+
+def load_coefficients(path: Path | str, structure: str | None = None) -> CoefficientSet:
+    """Read a coefficients file and check all of it.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file.
+    structure : str, optional
+        Structure that it must be for.
+
+    Raises
+    ------
+    CoefficientsFileError
+        If it cannot be read, is of another format, version or structure, or any coefficient is
+        missing, unknown or not a number.
+    """
+    path = Path(path)
+    try:
+        root = yaml.compose(path.read_text(encoding="utf-8"), yaml.SafeLoader)
+        return _Reader(path).coefficients(root, structure)
+    except OSError as error:
+        reason = _reason(error)
+    except UnicodeDecodeError:
+        reason = "it is not text in UTF-8"
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        reason = f"line {mark.line + 1 if mark else 1}: {error.problem or error.context}"
+    except yaml.YAMLError as error:
+        reason = str(error).splitlines()[0]
+    except _Wrong as error:
+        reason = str(error)
+    raise CoefficientsFileError(f"coefficients file '{path}': {reason}")
+
+
+def _reason(error: OSError) -> str:
+    if error.errno == errno.ENOENT:
+        return "there is no such file or folder"
+    return error.strerror or str(error)
+
+
+class _Wrong(Exception):
+    """What is wrong, with the line."""
+
+    def __init__(self, node: Any, reason: str) -> None:
+        line = f"line {node.start_mark.line + 1}: " if node is not None else ""
+        super().__init__(f"{line}{reason}")
+
+
+class _Reader:
+    """Turns the nodes of a YAML document into coefficients: nodes still know their lines."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def coefficients(self, root: Any, wanted: str | None) -> CoefficientSet:
+        """Read the whole document."""
+        if root is None:
+            raise _Wrong(None, "it is empty")
+        top = self._mapping(root, "the file", _TOP_KEYS)
+        if self._text(top["format"], "format") != FORMAT:
+            raise _Wrong(top["format"], f"the format is '{top['format'].value}', not '{FORMAT}'")
+        if self._text(top["version"], "version") != str(VERSION):
+            raise _Wrong(
+                top["version"], f"version {top['version'].value} is not known, only {VERSION} is"
+            )
+        structure = self._structure(top["structure"], wanted)
+        entries = self._mapping(top["coefficients"], "coefficients", structure.names)
+        values, sigma = np.zeros(structure.mask.shape), np.zeros(structure.mask.shape)
+        for name, index in zip(structure.names, structure.free, strict=True):
+            entry = self._mapping(entries[name], name, _ENTRY_KEYS)
+            values[index] = self._number(entry["value"], f"the value of {name}")
+            sigma[index] = self._sigma(entry["sigma"], f"the sigma of {name}")
+        return CoefficientSet(structure.name, values, sigma, self._stamp(top["stamp"]))
+
+    def _mapping(self, node: Any, owner: str, keys: tuple[str, ...]) -> dict[str, Any]:
+        """Read a mapping that has exactly the given keys."""
+        if not isinstance(node, yaml.MappingNode):
+            raise _Wrong(node, f"{owner} must be a mapping with {', '.join(keys)}")
+        found: dict[str, Any] = {}
+        for key, value in node.value:
+            if key.value not in keys:
+                near = difflib.get_close_matches(str(key.value), keys, n=1)
+                hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(keys)}"
+                raise _Wrong(key, f"{owner} has an unknown entry '{key.value}': {hint}")
+            if key.value in found:
+                raise _Wrong(key, f"'{key.value}' is there twice")
+            found[key.value] = value
+        missing = [key for key in keys if key not in found]
+        if missing:
+            raise _Wrong(node, f"{owner} has no {', '.join(missing)}")
+        return found
+
+    def _text(self, node: Any, owner: str) -> str:
+        if not isinstance(node, yaml.ScalarNode):
+            raise _Wrong(node, f"{owner} must be a plain value")
+        return str(node.value)
+
+    def _structure(self, node: Any, wanted: str | None) -> Structure:
+        name = self._text(node, "structure")
+        if name not in STRUCTURES:
+            raise _Wrong(node, f"structure '{name}' is unknown, known are {', '.join(STRUCTURES)}")
+        if wanted is not None and name != wanted:
+            raise _Wrong(node, f"it is for structure '{name}', but 'structure' is '{wanted}'")
+        return STRUCTURES[name]
+
+    def _number(self, node: Any, owner: str) -> float:
+        text = self._text(node, owner)
+        number = float(text) if _NUMBER.fullmatch(text) else math.nan
+        if not math.isfinite(number):
+            raise _Wrong(node, f"{owner} is '{text}', not a finite number")
+        return number
+
+    def _sigma(self, node: Any, owner: str) -> float:
+        if self._text(node, owner) in _INFINITY:
+            return math.inf
+        sigma = self._number(node, owner)
+        if sigma < 0.0:
+            raise _Wrong(node, f"{owner} is negative")
+        return sigma
+
+    def _stamp(self, node: Any) -> int:
+        text = self._text(node, "stamp")
+        try:
+            # Decimal, as seconds since 1970 do not keep their nanoseconds in a float.
+            t_ns = int(Decimal(text) * NS_PER_S)
+        except (InvalidOperation, ValueError, OverflowError):
+            raise _Wrong(node, f"stamp is '{text}', not a number of seconds") from None
+        if t_ns < 0:
+            raise _Wrong(node, "stamp is negative")
+        return t_ns
