@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading bags: order, foreign types, and one clear line for everything that is wrong."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from uav_ident_ros.bag_writer import BagWriter, message_class
+from uav_ident_ros.bags import Bag, BagError
+
+ARRAY = "std_msgs/msg/Float64MultiArray"
+FOREIGN = "px4_msgs/msg/ActuatorServos"
+FOREIGN_TEXT = "uint64 timestamp\nuint64 timestamp_sample\nfloat32[8] control\n"
+
+
+def array(value: float) -> Any:
+    layout = message_class("std_msgs/msg/MultiArrayLayout")(dim=[], data_offset=0)
+    return message_class(ARRAY)(layout=layout, data=np.array([float(value)]))
+
+
+def write(path: Path, *, compress: bool = False) -> Path:
+    """Write two topics whose messages were recorded out of order."""
+    with BagWriter(path, compress) as bag:
+        bag.topic("/a", ARRAY)
+        bag.topic("/b", ARRAY)
+        for log_ns in (30, 10, 20, 50, 40):
+            bag.write("/a" if log_ns % 20 else "/b", log_ns, array(log_ns))
+    return path
+
+
+def mcap(path: Path) -> Path:
+    return path / f"{path.name}.mcap"
+
+
+@pytest.mark.parametrize("compress", [False, True])
+@pytest.mark.parametrize("form", ["folder", "file", "no metadata", "metadata file"])
+def test_log_time_order_in_every_form(form: str, compress: bool, tmp_path: Path) -> None:
+    path = write(tmp_path / "bag", compress=compress)
+    if form == "no metadata":
+        (path / "metadata.yaml").unlink()
+    opened = {"file": mcap(path), "metadata file": path / "metadata.yaml"}.get(form, path)
+    with Bag(opened) as bag:
+        assert bag.types == {"/a": ARRAY, "/b": ARRAY}
+        assert bag.counts == {"/a": 3, "/b": 2}
+        assert (bag.start_ns, bag.end_ns) == (10, 50)
+        decode = bag.decoder("/a")
+        read = [(m.topic, m.log_ns, decode(m.data).data[0]) for m in bag.messages(["/a", "/b"])]
+        only_b = [m.log_ns for m in bag.messages(["/b"])]
+    assert read == [("/a", 10, 10), ("/b", 20, 20), ("/a", 30, 30), ("/b", 40, 40), ("/a", 50, 50)]
+    assert only_b == [20, 40]
+
+
+def test_several_files_without_metadata_follow_their_times(tmp_path: Path) -> None:
+    folder = tmp_path / "split"
+    folder.mkdir()
+    for name, log_ns in (("z", 1), ("a", 2)):
+        with BagWriter(tmp_path / name) as bag:
+            bag.topic("/a", ARRAY)
+            bag.write("/a", log_ns, array(0.0))
+        mcap(tmp_path / name).rename(folder / f"{name}.mcap")
+    with Bag(folder) as bag:
+        assert [m.log_ns for m in bag.messages(["/a"])] == [1, 2]
+        assert bag.counts == {"/a": 2}
+
+
+def test_foreign_type_is_read_by_its_definition_in_the_bag(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(FOREIGN_TEXT, FOREIGN))
+    control = np.arange(8, dtype=np.float32)
+    message = store.types[FOREIGN](timestamp=5, timestamp_sample=4, control=control)
+    with BagWriter(tmp_path / "bag", typestore=store) as writer:
+        writer.topic("/servos", FOREIGN)
+        writer.write("/servos", 1, message)
+    with Bag(tmp_path / "bag") as bag:
+        decode = bag.decoder("/servos")
+        (read,) = [decode(m.data) for m in bag.messages(["/servos"])]
+    assert read.timestamp_sample == 4
+    assert np.array_equal(read.control, control)
+
+
+def test_foreign_type_without_definition(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(FOREIGN_TEXT, FOREIGN))
+    message = store.types[FOREIGN](1, 1, np.zeros(8, dtype=np.float32))
+    path = tmp_path / "bag"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/servos", FOREIGN, typestore=store)
+        writer.write(connection, 1, store.serialize_cdr(message, FOREIGN))
+    with closing(sqlite3.connect(path / "bag.db3")) as database, database:
+        database.execute("DELETE FROM message_definitions")
+    with Bag(path) as bag, pytest.raises(BagError, match=f"unknown type {FOREIGN}"):
+        bag.decoder("/servos")
+
+
+def test_foreign_type_with_a_broken_definition(tmp_path: Path) -> None:
+    path = write(tmp_path / "bag")
+    content = mcap(path).read_bytes().replace(b"std_msgs/msg/Float64MultiArray", b"x/msg/" + b"Y" * 24)
+    mcap(path).write_bytes(content.replace(b"float64[]", b"float64[["))
+    with Bag(mcap(path)) as bag, pytest.raises(BagError, match="definition of x/msg/Y* of .*'/a'"):
+        bag.decoder("/a")
+
+
+def test_unknown_topic_lists_those_present(tmp_path: Path) -> None:
+    with Bag(write(tmp_path / "bag")) as bag:
+        for ask in (lambda: bag.decoder("/c"), lambda: next(bag.messages(["/c"]))):
+            with pytest.raises(BagError, match=rf"no topic '/c'; it has /a \({ARRAY}\), /b"):
+                ask()
+
+
+def test_missing_and_foreign_files(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "notes.txt").write_text("hello")
+    (tmp_path / "text.mcap").write_text("hello")
+    (tmp_path / "nothing.mcap").write_bytes(b"")
+    for name, words in (
+        ("nowhere", "'.*nowhere' does not exist"),
+        ("empty", "has neither metadata.yaml nor an .mcap file"),
+        ("notes.txt", "is no bag: an .mcap file or a rosbag2 folder is needed"),
+        ("text.mcap", "'text.mcap' is no MCAP file"),
+        ("nothing.mcap", "'nothing.mcap' is empty"),
+    ):
+        with pytest.raises(BagError, match=words):
+            Bag(tmp_path / name)
+
+
+@pytest.mark.parametrize("form", ["folder", "file"])
+def test_cut_off_bag(form: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "bag")
+    content = mcap(path).read_bytes()
+    mcap(path).write_bytes(content[: len(content) // 2])
+    with pytest.raises(BagError, match="'bag.mcap' is cut off at its end"):
+        Bag(path if form == "folder" else mcap(path))
+
+
+def test_metadata_that_is_wrong(tmp_path: Path) -> None:
+    path = write(tmp_path / "bag")
+    (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    with pytest.raises(BagError, match=r"bag' cannot be read: A metadata key is missing"):
+        Bag(path)
+    (path / "metadata.yaml").write_text("[")
+    with pytest.raises(BagError, match="cannot be read: Could not load YAML") as caught:
+        Bag(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_file_named_in_the_metadata_is_missing(tmp_path: Path) -> None:
+    path = write(tmp_path / "bag")
+    mcap(path).unlink()
+    with pytest.raises(BagError, match="files are missing"):
+        Bag(path)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_random_damage_never_escapes_as_another_error(seed: int, tmp_path: Path) -> None:
+    path = write(tmp_path / "bag", compress=seed % 2 == 1)
+    content = bytearray(mcap(path).read_bytes())
+    rng = np.random.default_rng(seed)
+    for position in rng.integers(8, len(content) - 8, 12):
+        content[position] = rng.integers(256)
+    mcap(path).write_bytes(content)
+    try:
+        with Bag(mcap(path)) as bag:
+            for topic in bag.types:
+                decode = bag.decoder(topic)
+                for message in bag.messages([topic]):
+                    decode(message.data)
+    except BagError as error:
+        assert str(path) in str(error)
+        assert "\n" not in str(error)
+
+
+def test_damage_in_a_chunk_names_the_bag(tmp_path: Path) -> None:
+    path = write(tmp_path / "bag", compress=True)
+    content = mcap(path).read_bytes()
+    frame = content.index(b"\x28\xb5\x2f\xfd")  # start of the zstd frame
+    mcap(path).write_bytes(content[: frame + 4] + b"\xff" * 40 + content[frame + 44 :])
+    with Bag(path) as bag, pytest.raises(BagError, match=r"bag' is damaged: "):
+        list(bag.messages(["/a"]))
+
+
+def test_bytes_that_are_no_such_message(tmp_path: Path) -> None:
+    with Bag(write(tmp_path / "bag")) as bag:
+        decode = bag.decoder("/a")
+        with pytest.raises(BagError, match=f"a message on '/a' is no {ARRAY}"):
+            decode(b"\x00\x01\x00\x00\xff\xff\xff\xff")
+
+
+def test_error_of_the_caller_stays_the_callers(tmp_path: Path) -> None:
+    with Bag(write(tmp_path / "bag")) as bag, pytest.raises(ZeroDivisionError):
+        for _ in bag.messages(["/a"]):
+            raise ZeroDivisionError
