@@ -53,9 +53,7 @@ class ChannelSet:
         return (raw - self.trim(input_trim)) @ self.mixing.T
 
 
-PLAIN = ChannelSet(
-    "plain", ("elevator", "rudder", "aileron", "throttle"), np.eye(4), np.zeros(4)
-)
+PLAIN = ChannelSet("plain", ("elevator", "rudder", "aileron", "throttle"), np.eye(4), np.zeros(4))
 """One channel per input, rad and 0..1."""
 
 ELEVON = ChannelSet(

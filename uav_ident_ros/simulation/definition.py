@@ -58,7 +58,9 @@ def build_flight(name: str, definition: Mapping[str, Any], seed: int | None = No
 
 def build_sensors(definition: Mapping[str, Any], **changes: Any) -> Sensors:
     """Sensors of a definition, with changes by keyword."""
-    return build(Sensors, {**definition.get("sensors", {}), **changes}, "sensors")
+    values = {**definition.get("sensors", {}), **changes}
+    sensors: Sensors = build(Sensors, values, "sensors")
+    return sensors
 
 
 def build_measurements(
@@ -97,9 +99,7 @@ def build(cls: Any, values: Mapping[str, Any], where: str) -> Any:
 def _common(values: Mapping[str, Any]) -> dict[str, Any]:
     out = {k: v for k, v in values.items() if k not in ("inputs", "changes")}
     out["segments"] = tuple(build(Segment, s, "input") for s in values.get("inputs", ()))
-    out["changes"] = tuple(
-        build(CoefficientChange, c, "change") for c in values.get("changes", ())
-    )
+    out["changes"] = tuple(build(CoefficientChange, c, "change") for c in values.get("changes", ()))
     return out
 
 

@@ -42,7 +42,11 @@ class ColouredNoise:
         decay = float(np.exp(-1.0 / (rate * self.correlation_time)))
         white = rng.standard_normal((count, channels))
         white[0] /= np.sqrt(1.0 - decay**2)  # starts in the stationary distribution
-        return self.rms * np.sqrt(1.0 - decay**2) * _first_order(white, decay)
+        return np.asarray(self.rms * np.sqrt(1.0 - decay**2) * _first_order(white, decay))
+
+
+CALM = ColouredNoise()
+"""No disturbance."""
 
 
 def _first_order(white: FloatArray, decay: float) -> FloatArray:

@@ -53,7 +53,7 @@ class Flight:
     rates : (N, 3) array
         p, q, r, rad/s.
     angular_acceleration : (N, 3) array
-        Their derivatives, rad/s^2, at each sample.
+        Their derivatives, rad/s^2; where an input switches, just after (the last, just before).
     specific_force : (N, 3) array
         Specific force at the centre of gravity, m/s^2.
     actuator_t_ns : (M,) array of int64
@@ -114,7 +114,7 @@ class Flight:
     @property
     def time(self) -> FloatArray:
         """Times of the samples from the first one on, s."""
-        return (self.t_ns - self.t_ns[0]) * 1e-9
+        return np.asarray((self.t_ns - self.t_ns[0]) * 1e-9)
 
     def channels(self, channel_set: ChannelSet = PLAIN) -> FloatArray:
         """Raw actuator channels, shape (M, C): the inputs through `channel_set`."""
@@ -131,7 +131,8 @@ class Flight:
         """
         arm = np.asarray(lever_arm, dtype=np.float64)
         swing = np.cross(self.rates, np.cross(self.rates, arm))
-        return self.specific_force + np.cross(self.angular_acceleration, arm) + swing
+        turn = np.cross(self.angular_acceleration, arm)
+        return np.asarray(self.specific_force + turn + swing, dtype=np.float64)
 
     def coefficients_at(self, time: float) -> FloatArray:
         """Return the true coefficients at `time` (s after the first sample), shape (3, n).

@@ -58,7 +58,8 @@ class Multisine:
     def sample(self, t: FloatArray) -> FloatArray:
         """Evaluate at times t, s; peak about one, zero at t = 0."""
         omega = 2.0 * np.pi / self.period * np.asarray(self.harmonics)
-        return np.cos(np.multiply.outer(t, omega) + self.phases).sum(axis=-1) / self.peak
+        waves = np.cos(np.multiply.outer(t, omega) + self.phases)
+        return np.asarray(waves.sum(axis=-1) / self.peak)
 
     @property
     def relative_peak_factor(self) -> float:
@@ -119,9 +120,9 @@ def multisine(period: float, harmonics: tuple[int, ...], seed: int = 0) -> Multi
     return Multisine(period, tuple(harmonics), phases, float(np.abs(signal).max()))
 
 
-def disjoint_harmonics(count: int, period: float, band: tuple[float, float]) -> tuple[
-    tuple[int, ...], ...
-]:
+def disjoint_harmonics(
+    count: int, period: float, band: tuple[float, float]
+) -> tuple[tuple[int, ...], ...]:
     """Deal the harmonics of a band out to `count` inputs in turn.
 
     Parameters
@@ -196,16 +197,16 @@ class Segment:
             )
 
     def sample(self, t: FloatArray) -> FloatArray:
-        """Inputs de, dr, da, dth at times t (s), shape (len(t), 4)."""
+        """Return the inputs de, dr, da, dth at times t (s), shape (len(t), 4)."""
         u = np.zeros((len(t), len(INPUTS)))
         # A hair of tolerance, so that 0.1 + 0.2 is not left out of a segment from 0.3.
         inside = (t >= self.start - 1e-9) & (t < self.start + self.duration - 1e-9)
         active = [(INPUTS.index(name), a) for name, a in self.amplitudes.items() if a]
         if active and np.any(inside):
             active.sort()
-            columns = [i for i, _ in active]
-            scale = np.array([a for _, a in active])
-            u[np.ix_(inside, columns)] = scale * _SHAPES[self.kind](self, t[inside], len(active))
+            shapes = _SHAPES[self.kind](self, t[inside], len(active))
+            for (column, amplitude), shape in zip(active, shapes.T, strict=True):
+                u[inside, column] = amplitude * shape
         return u
 
 

@@ -47,6 +47,12 @@ BANK_TIME = 20.0
 ROLL_TIME = 4.0
 """Time in which the reference of the bank angle changes, s."""
 
+MAX_BANK = 60.0
+"""Largest bank angle that the autopilot is asked for, deg."""
+
+TIME_TOLERANCE = 1e-9
+"""A change this close to a step happens at it, s."""
+
 LARGEST_UPSET = math.radians(80.0)
 """Roll or pitch angle at which a flight counts as lost, rad."""
 
@@ -240,10 +246,6 @@ class AircraftFlight:
                     )
 
 
-MAX_BANK = 60.0
-"""Largest bank angle that the autopilot is asked for, deg."""
-
-
 def _load(name: str, rate: float) -> Any:
     """Return a quiet JSBSim executive with the aircraft loaded.
 
@@ -303,7 +305,7 @@ class _Aircraft:
         self._throttle = [nodes.get_node(f"fcs/throttle-cmd-norm{s}") for s in suffixes]
         damper = airframe.yaw_damper
         self._damper = nodes.get_node(damper) if damper else None
-        self._norm = (0.0, 0.0, 0.0)
+        self._norm = [0.0, 0.0, 0.0]
         self.surfaces = np.array([self.fdm[s] for s in _SURFACES])
         self.mass = self.fdm["inertia/mass-slugs"]
 
@@ -329,9 +331,9 @@ class _Aircraft:
     def set_surfaces(self, surfaces: FloatArray) -> None:
         """Command elevator, rudder, aileron (rad) and throttle from now on."""
         self.surfaces = surfaces
-        self._norm = tuple(
+        self._norm = [
             float(np.interp(surfaces[i], self.ranges[i], (-1.0, 0.0, 1.0))) for i in range(3)
-        )
+        ]
         for node, value in zip(self._command, self._norm, strict=True):
             node.set_double_value(value)
         for node in self._throttle:
@@ -368,12 +370,10 @@ class _Autopilot:
         a = self.airframe
         altitude = signals[_COLUMN["altitude"]] * FOOT
         speed = signals[_COLUMN["airspeed"]] * FOOT
-        reference = (
-            self.pitch + a.altitude_gain * (a.altitude - altitude) - a.climb_gain * climb
-        )
+        reference = self.pitch + a.altitude_gain * (a.altitude - altitude) - a.climb_gain * climb
         pitch_error = signals[_COLUMN["pitch"]] - reference
         roll_error = signals[_COLUMN["roll"]] - bank
-        return self.trim + np.array(
+        correction = np.array(
             [
                 a.pitch_gain * pitch_error + a.pitch_damping * signals[_COLUMN["q"]],
                 0.0,
@@ -381,6 +381,7 @@ class _Autopilot:
                 a.speed_gain * (a.speed - speed),
             ]
         )
+        return np.asarray(self.trim + correction)
 
 
 def _bank_reference(spec: AircraftFlight, t: float) -> float:
@@ -398,7 +399,7 @@ def _effect(spec: AircraftFlight, t: float) -> FloatArray:
     """Effect of each input about trim at time t, shape (4,)."""
     effect = np.ones(len(INPUTS))
     for change in spec.changes:
-        if change.time <= t:
+        if change.time <= t + TIME_TOLERANCE:
             for name, factor in change.factors.items():
                 effect[INPUTS.index(name)] *= factor
     return effect
@@ -439,7 +440,7 @@ def fly(spec: AircraftFlight, name: str = "") -> Flight:
     autopilot = _Autopilot(airframe, aircraft.surfaces, signals[_COLUMN["pitch"]])
     commands = np.tile(aircraft.surfaces, (len(command_steps), 1))
     trim, record, altitude = aircraft.surfaces, [], signals[_COLUMN["altitude"]] * FOOT
-    acting = -1
+    acting, last_effect = -1, _effect(spec, -math.inf)
     for k, step in enumerate(steps.tolist()):
         t = step / spec.rate
         if step == 0:
@@ -452,9 +453,10 @@ def fly(spec: AircraftFlight, name: str = "") -> Flight:
             commands[k // every] = aircraft.clip(wanted + excitation[k // every])
             _check_attitude(spec, signals, t)
         due = max(0, k - delay) // every
-        if due != acting or any(change.time == t for change in spec.changes):
-            acting = due
-            aircraft.set_surfaces(trim + _effect(spec, t) * (commands[due] - trim))
+        effect = _effect(spec, t)
+        if due != acting or np.any(effect != last_effect):
+            acting, last_effect = due, effect
+            aircraft.set_surfaces(trim + effect * (commands[due] - trim))
         signals = aircraft.step()
         if step >= 0:
             record.append(signals)
@@ -493,10 +495,7 @@ def _make_flight(
     def nanoseconds(steps: Any) -> Any:
         return EPOCH_NS + np.rint(steps * (1e9 / spec.rate)).astype(np.int64)
 
-    extra = {
-        key: record[:, _COLUMN[key]]
-        for key in ("alpha", "beta", "roll", "pitch", "altitude")
-    }
+    extra = {key: record[:, _COLUMN[key]] for key in ("alpha", "beta", "roll", "pitch", "altitude")}
     surfaces = [_COLUMN[key] for key in ("elevator", "rudder", "aileron", "throttle")]
     return Flight(
         name=name or spec.aircraft,

@@ -8,6 +8,7 @@ of the rates for modes up to 20 rad/s at the default step.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ from uav_ident_ros.identification.structure import (
     STRUCTURES,
     FloatArray,
 )
-from uav_ident_ros.simulation.disturbance import ColouredNoise
+from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import (
     EPOCH_NS,
@@ -134,8 +135,8 @@ class PlantFlight:
     actuator_rate: float = 100.0
     delay: float = 0.0
     time_constant: float = 0.0
-    gusts: ColouredNoise = ColouredNoise()
-    force: ColouredNoise = ColouredNoise()
+    gusts: ColouredNoise = CALM
+    force: ColouredNoise = CALM
     moment: Sequence[float] = (0.0, 0.0, 0.0)
     autopilot: Autopilot | None = None
     changes: tuple[CoefficientChange, ...] = ()
@@ -170,7 +171,7 @@ class _Grid:
 
 
 def _make_grid(spec: PlantFlight) -> _Grid:
-    samples = int(math.floor(spec.duration * spec.rate + GRID_TOLERANCE)) + 1
+    samples = math.floor(spec.duration * spec.rate + GRID_TOLERANCE) + 1
     if samples < 2:
         raise SimulationError(
             f"a duration of {spec.duration} s holds no two samples at {spec.rate} Hz"
@@ -235,7 +236,7 @@ def fly(spec: PlantFlight, name: str = "") -> Flight:
 
 
 def _nanoseconds(seconds: FloatArray) -> NDArray[np.int64]:
-    return np.rint(seconds * 1e9).astype(np.int64)
+    return np.asarray(np.rint(seconds * 1e9), dtype=np.int64)
 
 
 def excited_intervals(
@@ -288,14 +289,14 @@ class _Run:
     def fly(self) -> None:
         """Integrate from the first sample to the last."""
         edges = self._edges()
-        for first, last in zip(edges[:-1], edges[1:], strict=True):
+        for first, last in itertools.pairwise(edges):
             if self.spec.autopilot is not None:
                 self._feed_back(first)
             self._integrate(first, last)
         self._accelerate_last()
 
     def _edges(self) -> list[int]:
-        """Steps at which blocks begin: every command in closed loop, else every few seconds."""
+        """List where blocks begin: at each command in closed loop, else every few seconds."""
         grid = self.grid
         if self.spec.autopilot is not None:
             starts = set(grid.command_steps.tolist())
@@ -345,9 +346,7 @@ class _Run:
         self.last_forcing, self.last_a = forcing[-1, 2], a
 
     def _accelerate_last(self) -> None:
-        self.acceleration[-1] = (
-            _free_response(self.last_a, self.rates[-1:])[0] + self.last_forcing
-        )
+        self.acceleration[-1] = _free_response(self.last_a, self.rates[-1:])[0] + self.last_forcing
 
     def _surfaces(self, first: int, last: int) -> FloatArray:
         """Surface deviations at start, middle and end of each step, shape (n, 3, 4)."""
@@ -380,11 +379,11 @@ class _Run:
             exogenous = exogenous + constant_and_force @ beyond.T
         low = np.minimum(stage.astype(np.int64), grid.samples - 2)
         weight = (stage - low)[..., None]
-        return exogenous[low] * (1.0 - weight) + exogenous[low + 1] * weight
+        return np.asarray(exogenous[low] * (1.0 - weight) + exogenous[low + 1] * weight)
 
 
 def _free_response(a: FloatArray, x: FloatArray) -> FloatArray:
-    """A f(x, 0), shape (n, 3)."""
+    """Return A f(x, 0), shape (n, 3)."""
     f = STRUCTURES["baseline"].regressor(x, np.zeros((len(x), len(INPUTS))))
     return np.asarray(f @ a[:, : f.shape[1]].T)
 

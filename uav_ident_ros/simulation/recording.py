@@ -47,14 +47,18 @@ def imu_messages(measurements: Measurements) -> Iterator[tuple[int, str, Any]]:
         measurements.specific_force.tolist(),
     )
     for log, t, rates, force in zip(*columns, strict=True):
-        yield log, IMU_TOPIC, imu(
-            header=header(t, measurements.frame_id),
-            orientation=quaternion,
-            orientation_covariance=NO_ORIENTATION,
-            angular_velocity=vector(*rates),
-            angular_velocity_covariance=rate_covariance,
-            linear_acceleration=vector(*force),
-            linear_acceleration_covariance=force_covariance,
+        yield (
+            log,
+            IMU_TOPIC,
+            imu(
+                header=header(t, measurements.frame_id),
+                orientation=quaternion,
+                orientation_covariance=NO_ORIENTATION,
+                angular_velocity=vector(*rates),
+                angular_velocity_covariance=rate_covariance,
+                linear_acceleration=vector(*force),
+                linear_acceleration_covariance=force_covariance,
+            ),
         )
 
 

@@ -48,7 +48,9 @@ def _small_uav() -> Vehicle:
         m_q=-6.8, m_de=-45.0, m_dth=-1.0,
         n_p=0.3, n_r=-3.7, n_dr=-21.3, n_da=-9.9, n_dth=-1.0,
     )  # fmt: skip
-    return Vehicle("small_uav", structure.name, coefficients_from_physics(inertia, moments), inertia)
+    return Vehicle(
+        "small_uav", structure.name, coefficients_from_physics(inertia, moments), inertia
+    )
 
 
 # A of Section 4, as printed; columns pq qr pr p^2 r^2 p q r de dr da dth.

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.simulation.definition import (
+    _aircraft_flight,
+    _plant_flight,
+    build_flight,
+    build_sensors,
+    definition_key,
+)
+from uav_ident_ros.simulation.errors import SimulationError
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+if not (BENCHMARKS / "flights.yaml").exists():
+    pytest.skip("the benchmarks are not installed with the package", allow_module_level=True)
+sys.path.insert(0, str(BENCHMARKS))
+
+import flights  # noqa: E402
+
+
+@pytest.mark.parametrize("name", flights.names())
+def test_every_definition_can_be_flown(name: str) -> None:
+    own = flights.definition(name)
+    values = {k: v for k, v in own.items() if k not in ("sensors", "description")}
+    spec = _plant_flight(values) if "plant" in own else _aircraft_flight(values)
+    assert spec.duration > 0.0 and own["description"] and "seed" in own
+    assert spec.rate % build_sensors(own).rate == 0.0
+
+
+def test_a_loaded_flight_is_kept_and_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flights, "CACHE", tmp_path)
+    monkeypatch.setattr(flights, "WORTH_KEEPING", 0.0)
+    first = flights.load("exact_convergence")
+    (kept,) = tmp_path.iterdir()
+    modified = kept.stat().st_mtime_ns
+    second = flights.load("exact_convergence")
+    assert kept.stat().st_mtime_ns == modified
+    np.testing.assert_array_equal(first.rates, second.rates)
+    other = flights.load("exact_convergence", seed=2)
+    assert len(list(tmp_path.iterdir())) == 2
+    assert np.any(other.rates != first.rates)
+
+
+def test_sensor_changes_apply() -> None:
+    measured = flights.load("exact_convergence", rate=50.0, channels="elevon", convention="frd")
+    assert measured.channel_set.name == "elevon"
+    assert np.diff(measured.imu_t_ns)[0] == 20_000_000
+    assert measured.frame_id == "base_link_frd"
+
+
+def test_the_key_follows_what_is_flown_and_not_what_measures_it() -> None:
+    own = flights.definition("exact_gusts_10")
+    assert definition_key(own) == definition_key({**own, "sensors": {}, "description": "x"})
+    assert definition_key(own) != definition_key({**own, "delay": 0.01})
+    assert definition_key(own) != definition_key(own, 7)
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ({}, "either 'plant' or 'aircraft'"),
+        ({"plant": "small_uav", "duration": 1.0, "inptus": []}, "inptus"),
+        ({"plant": "small_uav", "duration": 1.0, "inputs": [{"kind": "quiet", "amp": 1}]}, "amp"),
+        ({"plant": "small_uav"}, "duration"),
+    ],
+)
+def test_wrong_definitions_name_the_flight_and_the_field(values: dict, named: str) -> None:
+    with pytest.raises(SimulationError, match=f"(?s)flight 'odd'.*{named}"):
+        build_flight("odd", values)
+
+
+def test_an_unknown_name_lists_the_known() -> None:
+    with pytest.raises(SimulationError, match="exact_calm"):
+        flights.load("no_such_flight")

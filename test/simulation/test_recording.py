@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosReliability
+from rosbags.typesys import Stores, get_typestore
+
+from uav_ident_ros.bag_writer import BagWriteError, BagWriter, header, message_class, qos
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.simulation.definition import build_measurements
+from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.recording import parameters, write_bag
+
+FLIGHT = {
+    "plant": "small_uav",
+    "duration": 2.0,
+    "inputs": [{"kind": "multisine", "amplitudes": {"de": 0.1, "dr": 0.1, "da": 0.1, "dth": 0.2}}],
+    "seed": 5,
+    "sensors": {"gyro_noise": 0.02, "latency": 0.003},
+}
+
+
+def recorded(folder: Path, **changes: object) -> tuple[Path, Measurements]:
+    measured = build_measurements("short", FLIGHT, **changes)
+    write_bag(measured, folder, compress=True)
+    return folder, measured
+
+
+def seconds(stamp: object) -> int:
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+@pytest.mark.parametrize("convention", ["flu", "frd"])
+def test_rosbags_reads_back_what_was_measured(tmp_path: Path, convention: str) -> None:
+    path, measured = recorded(tmp_path / "bag", convention=convention)
+    with AnyReader([path]) as reader:
+        rows = [(c.topic, t, reader.deserialize(raw, c.msgtype)) for c, t, raw in reader.messages()]
+        offered = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
+    imu = [(t, m) for topic, t, m in rows if topic == "/imu/data"]
+    assert [t for t, _ in imu] == measured.imu_log_ns.tolist()
+    assert [seconds(m.header.stamp) for _, m in imu] == measured.imu_t_ns.tolist()
+    assert {m.header.frame_id for _, m in imu} == {measured.frame_id}
+    rates = [[m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z] for _, m in imu]
+    np.testing.assert_array_equal(rates, measured.rates)
+    force = [[getattr(m.linear_acceleration, k) for k in "xyz"] for _, m in imu]
+    np.testing.assert_array_equal(force, measured.specific_force)
+    assert imu[0][1].orientation_covariance[0] == -1.0  # there is no orientation
+    np.testing.assert_allclose(imu[0][1].angular_velocity_covariance[[0, 4, 8]], 0.02**2)
+    actuators = [(t, m) for topic, t, m in rows if topic == "/actuators"]
+    assert [seconds(m.header.stamp) for _, m in actuators] == measured.actuator_t_ns.tolist()
+    assert list(actuators[0][1].name) == ["elevator", "rudder", "aileron", "throttle"]
+    np.testing.assert_array_equal([m.position for _, m in actuators], measured.actuators)
+    assert offered["/imu/data"].reliability is QosReliability.BEST_EFFORT
+    assert offered["/imu/data"].depth == 500
+    assert offered["/actuators"].reliability is QosReliability.RELIABLE
+
+
+def test_mcap_reads_it_in_order_with_schemas(tmp_path: Path) -> None:
+    path, measured = recorded(tmp_path / "bag", stamped=False)
+    types = get_typestore(Stores.ROS2_JAZZY)
+    with (path / "bag.mcap").open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        entries = list(reader.iter_messages(log_time_order=False))
+    assert {s.name: s.encoding for s in summary.schemas.values()} == {
+        "sensor_msgs/msg/Imu": "ros2msg",
+        "std_msgs/msg/Float64MultiArray": "ros2msg",
+    }
+    log_times = [message.log_time for _, _, message in entries]
+    assert log_times == sorted(log_times)
+    values = [
+        types.deserialize_cdr(message.data, schema.name).data
+        for schema, channel, message in entries
+        if channel.topic == "/actuators"
+    ]
+    np.testing.assert_array_equal(values, measured.actuators)
+
+
+def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:
+    first, _ = recorded(tmp_path / "one" / "bag")
+    second, _ = recorded(tmp_path / "two" / "bag")
+    names = sorted(p.name for p in first.iterdir())
+    assert names == ["bag.mcap", "identifier.yaml", "metadata.yaml", "truth.yaml"]
+    for name in names:
+        assert (first / name).read_bytes() == (second / name).read_bytes()
+
+
+@pytest.mark.parametrize("channels", ["plain", "elevon", "quadrotor", "pwm"])
+@pytest.mark.parametrize("stamped", [True, False])
+def test_the_parameters_beside_the_bag_are_the_identifiers(
+    tmp_path: Path, channels: str, stamped: bool
+) -> None:
+    path, measured = recorded(tmp_path / "bag", channels=channels, stamped=stamped)
+    content = yaml.safe_load((path / "identifier.yaml").read_text())["/**"]["ros__parameters"]
+    settings = Settings.from_values(content)
+    mixing = np.array([getattr(settings.actuators.mixing, k) for k in ("de", "dr", "da", "dth")])
+    raw = measured.actuators - np.array(settings.actuators.trim)
+    np.testing.assert_allclose(raw @ mixing.T, measured.flight.inputs, atol=1e-6)
+    assert content.keys() == parameters(measured).keys()
+
+
+def test_the_truth_beside_the_bag(tmp_path: Path) -> None:
+    path, measured = recorded(tmp_path / "bag")
+    truth = yaml.safe_load((path / "truth.yaml").read_text())
+    assert truth["structure"] == "throttle_coupled"
+    assert truth["coefficients"]["pdot/da"] == pytest.approx(
+        measured.flight.coefficients[0, 10], rel=1e-8
+    )
+    assert truth["excitation"] == [[0.0, 2.0]]
+
+
+def test_a_bag_is_never_overwritten(tmp_path: Path) -> None:
+    path, measured = recorded(tmp_path / "bag")
+    with pytest.raises(BagWriteError, match="exists"):
+        write_bag(measured, path)
+
+
+def test_the_writer_names_the_topic_that_is_wrong(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.topic("/a", "geometry_msgs/msg/Vector3Stamped", qos(10, transient_local=True))
+        with pytest.raises(BagWriteError, match=r"'/a'.*twice"):
+            bag.topic("/a", "geometry_msgs/msg/Vector3Stamped")
+        with pytest.raises(BagWriteError, match="no_msgs/msg/Such"):
+            bag.topic("/b", "no_msgs/msg/Such")
+        vector = message_class("geometry_msgs/msg/Vector3")(x=1.0, y=2.0, z=3.0)
+        stamped = message_class("geometry_msgs/msg/Vector3Stamped")
+        bag.write("/a", 7, stamped(header=header(1_500_000_000, "base_link"), vector=vector))
+        with pytest.raises(BagWriteError, match="'/b'"):
+            bag.write("/b", 8, b"")
+    with AnyReader([tmp_path / "bag"]) as reader:
+        ((connection, t, raw),) = reader.messages()
+        message = reader.deserialize(raw, connection.msgtype)
+    assert (t, message.header.stamp.sec, message.header.stamp.nanosec) == (7, 1, 500_000_000)
+    assert message.vector.z == 3.0
+
+
+def test_an_exception_leaves_no_finished_bag(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError), BagWriter(tmp_path / "bag") as bag:
+        bag.topic("/a", "std_msgs/msg/Float64MultiArray")
+        raise RuntimeError
+    assert not (tmp_path / "bag" / "metadata.yaml").exists()
