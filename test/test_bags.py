@@ -18,6 +18,7 @@ from uav_ident_ros.bags import Bag, BagError
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 FOREIGN = "px4_msgs/msg/ActuatorServos"
+SUBSTITUTE = b"x/msg/" + b"Y" * 24
 FOREIGN_TEXT = "uint64 timestamp\nuint64 timestamp_sample\nfloat32[8] control\n"
 
 
@@ -102,9 +103,9 @@ def test_foreign_type_without_definition(tmp_path: Path) -> None:
 
 def test_foreign_type_with_a_broken_definition(tmp_path: Path) -> None:
     path = write(tmp_path / "bag")
-    content = mcap(path).read_bytes().replace(b"std_msgs/msg/Float64MultiArray", b"x/msg/" + b"Y" * 24)
+    content = mcap(path).read_bytes().replace(b"std_msgs/msg/Float64MultiArray", SUBSTITUTE)
     mcap(path).write_bytes(content.replace(b"float64[]", b"float64[["))
-    with Bag(mcap(path)) as bag, pytest.raises(BagError, match="definition of x/msg/Y* of .*'/a'"):
+    with Bag(mcap(path)) as bag, pytest.raises(BagError, match=r"definition of x/msg/Y+ of .*'/a'"):
         bag.decoder("/a")
 
 
@@ -136,7 +137,7 @@ def test_cut_off_bag(form: str, tmp_path: Path) -> None:
     path = write(tmp_path / "bag")
     content = mcap(path).read_bytes()
     mcap(path).write_bytes(content[: len(content) // 2])
-    with pytest.raises(BagError, match="'bag.mcap' is cut off at its end"):
+    with pytest.raises(BagError, match=r"'bag\.mcap' is cut off at its end"):
         Bag(path if form == "folder" else mcap(path))
 
 

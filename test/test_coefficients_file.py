@@ -26,7 +26,9 @@ from uav_ident_ros.identification.structure import STRUCTURES
 def example(structure: str = "baseline", t_ns: int = 1_700_000_000_123_456_789) -> CoefficientSet:
     rng = np.random.default_rng(1)
     mask = STRUCTURES[structure].mask
-    values = np.where(mask, rng.normal(size=mask.shape) * 10.0 ** rng.integers(-9, 9, mask.shape), 0)
+    values = np.where(
+        mask, rng.normal(size=mask.shape) * 10.0 ** rng.integers(-9, 9, mask.shape), 0
+    )
     return CoefficientSet(structure, values, np.where(mask, np.abs(values) / 7.0, 0.0), t_ns)
 
 

@@ -228,9 +228,7 @@ def real_imu(frame_id: str, rate_covariance: float = 0.0, force_covariance: floa
 @pytest.mark.parametrize("little_endian", [True, False])
 def test_cdr_reader_agrees_with_the_decoder(length: int, little_endian: bool) -> None:
     message = real_imu("x" * length)
-    data = bytes(
-        STORE.serialize_cdr(message, "sensor_msgs/msg/Imu", little_endian=little_endian)
-    )
+    data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/Imu", little_endian=little_endian))
     expected = RATES["sensor_msgs/msg/Imu"].read(message)
     assert expected.stamp_ns == 17_999_999_999
     assert decode_imu_cdr(data) == expected

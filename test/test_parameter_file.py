@@ -173,7 +173,7 @@ def test_missing_folder_and_binary_file(tmp_path: Path) -> None:
 
 def test_no_section_for_the_node(tmp_path: Path) -> None:
     path = write(tmp_path, "/drone1/identifier:\n  ros__parameters: {structure: baseline}\n")
-    with pytest.raises(ParameterFileError, match="nothing for node '/identifier': .*drone1"):
+    with pytest.raises(ParameterFileError, match=r"nothing for node '/identifier': .*drone1"):
         load_parameters(path, "identifier")
     assert load_parameters(path, "/drone1/identifier") == {"structure": "baseline"}
 

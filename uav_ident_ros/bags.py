@@ -229,9 +229,7 @@ def _storages(path: Path) -> list[Path]:
         if path.name == METADATA_FILE:
             return [path.parent]
         if path.suffix not in STORAGE_SUFFIXES:
-            raise BagError(
-                f"bag '{path}' is no bag: an .mcap file or a rosbag2 folder is needed"
-            )
+            raise BagError(f"bag '{path}' is no bag: an .mcap file or a rosbag2 folder is needed")
         return [path]
     if (path / METADATA_FILE).exists():
         return [path]

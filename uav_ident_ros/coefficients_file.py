@@ -160,7 +160,7 @@ def load_coefficients(path: Path | str, structure: str | None = None) -> Coeffic
         reason = f"line {mark.line + 1 if mark else 1}: {error.problem or error.context}"
     except yaml.YAMLError as error:
         reason = str(error).splitlines()[0]
-    except _Wrong as error:
+    except _WrongError as error:
         reason = str(error)
     raise CoefficientsFileError(f"coefficients file '{path}': {reason}")
 
@@ -171,7 +171,7 @@ def _reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-class _Wrong(Exception):
+class _WrongError(Exception):
     """What is wrong, with the line."""
 
     def __init__(self, node: Any, reason: str) -> None:
@@ -188,12 +188,14 @@ class _Reader:
     def coefficients(self, root: Any, wanted: str | None) -> CoefficientSet:
         """Read the whole document."""
         if root is None:
-            raise _Wrong(None, "it is empty")
+            raise _WrongError(None, "it is empty")
         top = self._mapping(root, "the file", _TOP_KEYS)
         if self._text(top["format"], "format") != FORMAT:
-            raise _Wrong(top["format"], f"the format is '{top['format'].value}', not '{FORMAT}'")
+            raise _WrongError(
+                top["format"], f"the format is '{top['format'].value}', not '{FORMAT}'"
+            )
         if self._text(top["version"], "version") != str(VERSION):
-            raise _Wrong(
+            raise _WrongError(
                 top["version"], f"version {top['version'].value} is not known, only {VERSION} is"
             )
         structure = self._structure(top["structure"], wanted)
@@ -208,39 +210,41 @@ class _Reader:
     def _mapping(self, node: Any, owner: str, keys: tuple[str, ...]) -> dict[str, Any]:
         """Read a mapping that has exactly the given keys."""
         if not isinstance(node, yaml.MappingNode):
-            raise _Wrong(node, f"{owner} must be a mapping with {', '.join(keys)}")
+            raise _WrongError(node, f"{owner} must be a mapping with {', '.join(keys)}")
         found: dict[str, Any] = {}
         for key, value in node.value:
             if key.value not in keys:
                 near = difflib.get_close_matches(str(key.value), keys, n=1)
                 hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(keys)}"
-                raise _Wrong(key, f"{owner} has an unknown entry '{key.value}': {hint}")
+                raise _WrongError(key, f"{owner} has an unknown entry '{key.value}': {hint}")
             if key.value in found:
-                raise _Wrong(key, f"'{key.value}' is there twice")
+                raise _WrongError(key, f"'{key.value}' is there twice")
             found[key.value] = value
         missing = [key for key in keys if key not in found]
         if missing:
-            raise _Wrong(node, f"{owner} has no {', '.join(missing)}")
+            raise _WrongError(node, f"{owner} has no {', '.join(missing)}")
         return found
 
     def _text(self, node: Any, owner: str) -> str:
         if not isinstance(node, yaml.ScalarNode):
-            raise _Wrong(node, f"{owner} must be a plain value")
+            raise _WrongError(node, f"{owner} must be a plain value")
         return str(node.value)
 
     def _structure(self, node: Any, wanted: str | None) -> Structure:
         name = self._text(node, "structure")
         if name not in STRUCTURES:
-            raise _Wrong(node, f"structure '{name}' is unknown, known are {', '.join(STRUCTURES)}")
+            raise _WrongError(
+                node, f"structure '{name}' is unknown, known are {', '.join(STRUCTURES)}"
+            )
         if wanted is not None and name != wanted:
-            raise _Wrong(node, f"it is for structure '{name}', but 'structure' is '{wanted}'")
+            raise _WrongError(node, f"it is for structure '{name}', but 'structure' is '{wanted}'")
         return STRUCTURES[name]
 
     def _number(self, node: Any, owner: str) -> float:
         text = self._text(node, owner)
         number = float(text) if _NUMBER.fullmatch(text) else math.nan
         if not math.isfinite(number):
-            raise _Wrong(node, f"{owner} is '{text}', not a finite number")
+            raise _WrongError(node, f"{owner} is '{text}', not a finite number")
         return number
 
     def _sigma(self, node: Any, owner: str) -> float:
@@ -248,7 +252,7 @@ class _Reader:
             return math.inf
         sigma = self._number(node, owner)
         if sigma < 0.0:
-            raise _Wrong(node, f"{owner} is negative")
+            raise _WrongError(node, f"{owner} is negative")
         return sigma
 
     def _stamp(self, node: Any) -> int:
@@ -257,7 +261,7 @@ class _Reader:
             # Decimal, as seconds since 1970 do not keep their nanoseconds in a float.
             t_ns = int(Decimal(text) * NS_PER_S)
         except (InvalidOperation, ValueError, OverflowError):
-            raise _Wrong(node, f"stamp is '{text}', not a number of seconds") from None
+            raise _WrongError(node, f"stamp is '{text}', not a number of seconds") from None
         if t_ns < 0:
-            raise _Wrong(node, "stamp is negative")
+            raise _WrongError(node, "stamp is negative")
         return t_ns

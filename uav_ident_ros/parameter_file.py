@@ -35,8 +35,8 @@ _HEXADECIMAL = re.compile(r"[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]
 _INFINITE = re.compile(r"([+-]?)(inf|infinity)", re.IGNORECASE)
 _NOT_A_NUMBER = re.compile(r"[+-]?nan(\(\w*\))?", re.IGNORECASE)
 _DOTTED = frozenset(
-    (".nan", ".NaN", ".NAN")
-    + tuple(sign + word for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF"))
+    [".nan", ".NaN", ".NAN"]
+    + [sign + word for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")]
 )
 
 _INT64_LOW, _INT64_HIGH = -(2**63), 2**63 - 1
@@ -88,7 +88,7 @@ class ParameterFile:
             raise ParameterFileError(f"parameter file '{path}' is not text in UTF-8") from None
         try:
             return cls(path, _Parser(text).sections())
-        except _Malformed as error:
+        except _MalformedError as error:
             raise ParameterFileError(f"parameter file '{path}', {error}") from None
 
     def values_for(self, node: str) -> dict[str, ParameterValue]:
@@ -140,11 +140,12 @@ def _matches(section: str, node: str) -> bool:
     return re.fullmatch(pattern, _absolute(node)) is not None
 
 
-class _Malformed(Exception):
+class _MalformedError(Exception):
     """Line and reason."""
 
     def __init__(self, mark: Any, reason: str) -> None:
-        super().__init__(f"line {mark.line + 1}: {reason}")
+        line = f"line {mark.line + 1}: " if mark is not None else ""
+        super().__init__(f"{line}{reason}")
 
 
 def scalar(text: str, *, quoted: bool = False) -> bool | int | float | str:
@@ -213,10 +214,10 @@ class _Parser:
             )
         except yaml.MarkedYAMLError as error:
             problem = error.problem or "it is not YAML"
-            raise _Malformed(error.problem_mark or error.context_mark, problem) from None
+            raise _MalformedError(error.problem_mark or error.context_mark, problem) from None
         except yaml.YAMLError as error:
             reason = str(error).splitlines()[0]
-            raise _Malformed(yaml.Mark("", 0, 0, 0, None, None), reason) from None
+            raise _MalformedError(None, reason) from None
         for event in self._events:
             if isinstance(event, yaml.ScalarEvent):
                 continue  # a document without content
@@ -229,9 +230,9 @@ class _Parser:
 
     def _expect_mapping(self, event: Any, owner: str) -> None:
         if isinstance(event, yaml.AliasEvent):
-            raise _Malformed(event.start_mark, "ROS does not support aliases")
+            raise _MalformedError(event.start_mark, "ROS does not support aliases")
         if not isinstance(event, yaml.MappingStartEvent):
-            raise _Malformed(
+            raise _MalformedError(
                 event.start_mark,
                 f"{owner} holds a value: node names, then '{PARAMETERS_KEY}:', then the parameters "
                 "are needed",
@@ -243,9 +244,9 @@ class _Parser:
             if isinstance(key, yaml.MappingEndEvent):
                 return
             if not isinstance(key, yaml.ScalarEvent):
-                raise _Malformed(key.start_mark, "a key must be a plain name")
+                raise _MalformedError(key.start_mark, "a key must be a plain name")
             if not key.value:
-                raise _Malformed(key.start_mark, "there is no key")
+                raise _MalformedError(key.start_mark, "there is no key")
             yield key.value, key, next(self._events)
 
     def _section(self, name: str) -> None:
@@ -257,7 +258,9 @@ class _Parser:
                 self._section(f"{name}{separator}{key}")
                 continue
             if not name:
-                raise _Malformed(event.start_mark, f"there is no node name before {PARAMETERS_KEY}")
+                raise _MalformedError(
+                    event.start_mark, f"there is no node name before {PARAMETERS_KEY}"
+                )
             _check_name(name, event.start_mark)
             self._expect_mapping(value, f"'{PARAMETERS_KEY}'")
             self._parameters("", self._sections.setdefault(name, {}), value)
@@ -277,26 +280,26 @@ class _Parser:
             kind, read = self._value(value)
             typed[kind] = read
         if empty:
-            raise _Malformed(start.start_mark, f"'{prefix[:-1]}' is an empty mapping")
+            raise _MalformedError(start.start_mark, f"'{prefix[:-1]}' is an empty mapping")
 
     def _value(self, event: Any) -> tuple[str, ParameterValue]:
         """Type and value of a parameter."""
         if isinstance(event, yaml.AliasEvent):
-            raise _Malformed(event.start_mark, "ROS does not support aliases")
+            raise _MalformedError(event.start_mark, "ROS does not support aliases")
         if isinstance(event, yaml.ScalarEvent):
             single = _scalar(event)
             return _type_name(single), single
-        values = []
+        values: list[Any] = []
         for item in self._events:
             if isinstance(item, yaml.SequenceEndEvent):
                 break
             if isinstance(item, yaml.AliasEvent):
-                raise _Malformed(item.start_mark, "ROS does not support aliases")
+                raise _MalformedError(item.start_mark, "ROS does not support aliases")
             if not isinstance(item, yaml.ScalarEvent):
-                raise _Malformed(item.start_mark, "a list can hold plain values only")
+                raise _MalformedError(item.start_mark, "a list can hold plain values only")
             values.append(_scalar(item))
             if type(values[-1]) is not type(values[0]):
-                raise _Malformed(
+                raise _MalformedError(
                     item.start_mark,
                     f"the values of a list must be of one type: {values[0]!r} is "
                     f"{_WORDS[type(values[0])]}, {values[-1]!r} is {_WORDS[type(values[-1])]}",
@@ -322,7 +325,7 @@ def _is_frame(event: Any) -> bool:
 def _scalar(event: yaml.ScalarEvent) -> bool | int | float | str:
     quoted = event.style in ("'", '"') or event.tag == _STRING_TAG
     if not quoted and not event.value:
-        raise _Malformed(event.start_mark, "there is no value")
+        raise _MalformedError(event.start_mark, "there is no value")
     return scalar(event.value, quoted=quoted)
 
 
@@ -332,9 +335,10 @@ def _check_name(name: str, mark: Any) -> None:
         return
     for token in name.removeprefix("/").split("/"):
         if token not in ("*", "**") and not _TOKEN.fullmatch(token):
-            raise _Malformed(
+            raise _MalformedError(
                 mark,
-                f"'{name}' is no node name: letters, digits and '_' make one, '*' and '**' a pattern",
+                f"'{name}' is no node name: letters, digits and '_' make one, '*' and '**' a "
+                "pattern",
             )
 
 
