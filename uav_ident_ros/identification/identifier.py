@@ -23,7 +23,7 @@ from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, StateVariableFilter
 from uav_ident_ros.identification.sampling import Block, Sampler
-from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.settings import MAX_DELAY, Settings
 from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 
@@ -81,6 +81,8 @@ class OnlineIdentifier:
         self._rate = Fraction(settings.update_rate).limit_denominator(1_000_000)
         self._wait_ns = round(settings.input_wait * SECOND_NS)
         self._jump_ns = round(settings.time_jump * SECOND_NS)
+        self._lookback_ns = round((MAX_DELAY + settings.actuators.timeout) * SECOND_NS)
+        self._lookback_ns += 2 * self._jump_ns
         self._channels = len(settings.actuators.channels)
         self._arm = np.array(settings.imu.lever_arm)
         self._sampler = Sampler(settings)
@@ -107,7 +109,7 @@ class OnlineIdentifier:
         self._mismatches = 0
         self._due: deque[int] = deque()
         self._next_tick: int | None = None
-        self._last_tick_ns = -(2**62)
+        self._last_tick_ns = _NO_TICK
         self._newest_rates: FloatArray | None = None
 
     # -- samples in ------------------------------------------------------------------------
@@ -165,8 +167,11 @@ class OnlineIdentifier:
         self._sampler.rates.append(t_ns, (*pqr, *force))
         newest = self._guard.newest
         assert newest is not None
-        if self._next_tick is None:
-            self._next_tick = self._first_tick(t_ns)
+        if self._last_tick_ns == _NO_TICK:
+            # The first samples may come in any order too.
+            first = self._first_tick(t_ns)
+            self._next_tick = first if self._next_tick is None else min(first, self._next_tick)
+        assert self._next_tick is not None
         while self._tick_ns(self._next_tick) + self._wait_ns <= newest:
             self._last_tick_ns = self._tick_ns(self._next_tick)
             self._due.append(self._last_tick_ns)
@@ -199,6 +204,8 @@ class OnlineIdentifier:
         problem = self._actuators_problem(t_ns, values)
         if problem is None:
             self._sampler.raw_inputs.append(t_ns, values)
+            if self._next_tick is None:
+                self._sampler.raw_inputs.forget_waiting(t_ns, self._lookback_ns)
         else:
             self.drops[ACTUATORS][problem] += 1
         return problem
@@ -332,3 +339,4 @@ class OnlineIdentifier:
 
 
 _NO_FORCE = (0.0, 0.0, 0.0)
+_NO_TICK = -(2**62)

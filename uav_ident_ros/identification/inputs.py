@@ -81,7 +81,7 @@ def cell_means(
     ----------
     t_ns : (k,) int array
         Stamps of the input's samples, ns; the first is at or before the first edge.
-    u : (k, 4) array
+    u : (k, N) array
         Values; each applies from its stamp on.
     edges_ns : (m + 1,) int array
         Edges of the cells, ns, already shifted by the delay.
@@ -90,7 +90,7 @@ def cell_means(
 
     Returns
     -------
-    (m, 4) array
+    (m, N) array
         Mean over each cell.
     """
     t = (t_ns - t_ns[0]) * NS

@@ -48,6 +48,16 @@ class SampleBuffer:
         self._waiting_t.append(t_ns)
         self._waiting_v.append(values)
 
+    def forget_waiting(self, newest_ns: int, span_ns: int) -> None:
+        """Keep only the last `span_ns` of what waits, where nothing asks for it yet.
+
+        The span may be exceeded twofold, so that the work is not done at every sample.
+        """
+        if self._waiting_t and self._waiting_t[0] < newest_ns - 2 * span_ns:
+            kept = [i for i, t in enumerate(self._waiting_t) if t >= newest_ns - span_ns]
+            self._waiting_t = [self._waiting_t[i] for i in kept]
+            self._waiting_v = [self._waiting_v[i] for i in kept]
+
     def merge(self, t_ns: int) -> int:
         """Bring the samples stamped at or before `t_ns` into use.
 

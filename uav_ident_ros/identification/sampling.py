@@ -14,7 +14,7 @@ import numpy as np
 
 from uav_ident_ros.identification.frames import BodyFrame, centripetal
 from uav_ident_ros.identification.inputs import InputMap, ServoLag, cell_means
-from uav_ident_ros.identification.samples import SampleBuffer, TimeArray
+from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
@@ -41,7 +41,9 @@ class Block:
     x : (m + 1, 3) array
         Rates p, q, r at the edges, rad/s.
     u : (m, 4) array
-        Means of de, dr, da, dth over the cells.
+        Means of de, dr, da, dth over the cells, delayed and lagged.
+    u_undelayed : (m, 4) array or None
+        The same without the delay, for estimating it; None if it is not estimated.
     force : (m + 1, 2) array
         Specific forces ay, az at the edges, m/s^2, less their centripetal part.
     restarted : bool
@@ -52,6 +54,7 @@ class Block:
     h: float
     x: FloatArray
     u: FloatArray
+    u_undelayed: FloatArray | None
     force: FloatArray
     restarted: bool
 
@@ -77,6 +80,7 @@ class Sampler:
         self.raw_inputs = SampleBuffer(len(settings.actuators.channels))
         self.delay = settings.actuators.delay
         self._memory_ns = round(MAX_DELAY * 1e9)
+        self._linear = settings.actuators.interpolation == "linear"
         self.restart()
 
     def restart(self) -> None:
@@ -85,6 +89,7 @@ class Sampler:
         self.raw_inputs.clear()
         self.h_ns: int | None = None
         self._lag: ServoLag | None = None
+        self._undelayed_lag: ServoLag | None = None
         self._edge_ns: int | None = None
         self._continues = False
         self.waiting_for = "rates"
@@ -97,7 +102,9 @@ class Sampler:
         tuple of arrays or None
             x (3,), u (4,) and ay, az (2,); None while there are none or they are stale.
         """
-        at = t_ns - round(self.delay * 1e9)
+        at = t_ns - self._delay_ns
+        self.rates.trim(t_ns)
+        self.raw_inputs.trim(t_ns - self._memory_ns)
         last = int(np.searchsorted(self.raw_inputs.t, at, side="right")) - 1
         self.waiting_for = "rates" if not len(self.rates.t) else "actuators" if last < 0 else ""
         if self.waiting_for:
@@ -108,8 +115,6 @@ class Sampler:
             return None
         signals = self.rates.v[-1]
         u = self.input_map.apply(self.raw_inputs.v[last])
-        self.rates.trim(t_ns)
-        self.raw_inputs.trim(t_ns - self._memory_ns)
         x = self._frame.to_body(signals[:3])
         return x, u, self._frame.to_body(signals[3:])[1:] - centripetal(x, self._arm)
 
@@ -117,11 +122,17 @@ class Sampler:
         """Yield the blocks that the samples in use complete."""
         if not self._ready():
             return
+        first_ns = 0
         for first_ns, last_ns in self._runs():
             yield from self._cut(first_ns, last_ns)
-        if self._edge_ns is not None:
-            self.rates.trim(self._edge_ns)
-            self.raw_inputs.trim(self._edge_ns - self._memory_ns)
+        # What is before the next cell has served; a run of one sample has no cell yet.
+        needed = first_ns if self._edge_ns is None else max(first_ns, self._edge_ns)
+        self.rates.trim(needed)
+        self.raw_inputs.trim(needed - self._memory_ns)
+
+    @property
+    def _delay_ns(self) -> int:
+        return round(self.delay * 1e9)
 
     def _ready(self) -> bool:
         """Whether rate, inputs and trim are known; `waiting_for` says what is not."""
@@ -131,7 +142,8 @@ class Sampler:
                 return False
             interval = int(np.median(np.diff(self.rates.t)))
             self.h_ns = max(interval, FASTEST_CELL_NS)
-            self._lag = ServoLag(self._actuators.time_constant, self.h_ns * 1e-9)
+            self._lag = ServoLag(self._actuators.time_constant, self.h_ns * NS)
+            self._undelayed_lag = ServoLag(self._actuators.time_constant, self.h_ns * NS)
         if not len(self.raw_inputs.t):
             self.waiting_for = "actuators"
             self.rates.trim(int(self.rates.t[-1]))
@@ -152,9 +164,14 @@ class Sampler:
         self.raw_inputs.trim(newest - span_ns)
         x = self.rates.v[:, :3]
         spread = np.maximum(np.abs(x.mean(axis=0)), x.std(axis=0))
-        if spread.max() > STEADY_RATE:
+        window = np.array([newest - span_ns, newest], dtype=np.int64)
+        if spread.max() > STEADY_RATE or not self._inputs_known(window, 0).all():
             return False
-        self.input_map.trim = self.raw_inputs.v.mean(axis=0)
+        # By time, not by sample: some publish only what changes.
+        mean = cell_means(
+            self.raw_inputs.t, self.raw_inputs.v, window, self._actuators.interpolation
+        )
+        self.input_map.trim = mean[0]
         self._trim_known = True
         return True
 
@@ -173,10 +190,10 @@ class Sampler:
         start = self._edge_ns
         if start is None or start < first_ns:
             start, self._continues = first_ns, False
-        edges = np.arange(start, last_ns + 1, self.h_ns, dtype=np.int64)
+        edges = np.arange(start, self._usable(last_ns) + 1, self.h_ns, dtype=np.int64)
         if len(edges) < 2:
             return
-        known = self._inputs_known(edges)
+        known = self._inputs_known(edges, self._delay_ns)
         for begin, end in _stretches(known):
             if end - begin > 1:
                 yield self._block(edges[begin:end], begin > 0 or not self._continues)
@@ -184,28 +201,52 @@ class Sampler:
         self._continues = bool(known[-2:].all())
         self._edge_ns = int(edges[-1])
 
-    def _inputs_known(self, edges: TimeArray) -> BoolArray:
-        at = edges - round(self.delay * 1e9)
-        last = np.searchsorted(self.raw_inputs.t, at, side="right") - 1
-        age = at - self.raw_inputs.t[np.maximum(last, 0)]
-        return np.asarray((last >= 0) & (age <= self._timeout_ns))
+    def _usable(self, last_ns: int) -> int:
+        """Last time up to which cells may be cut, given rates up to `last_ns`.
+
+        A straight line needs the sample at its end: cells wait for it, but not for ever.
+        """
+        if not self._linear:
+            return last_ns
+        delay_ns = 0 if self._actuators.estimate_delay else self._delay_ns
+        newest = int(self.raw_inputs.t[-1]) + delay_ns
+        return min(last_ns, newest) if last_ns - newest <= self._timeout_ns else last_ns
+
+    def _inputs_known(self, edges: TimeArray, delay_ns: int) -> BoolArray:
+        """Whether a fresh enough input acts at each of the edges."""
+        at = edges - delay_ns
+        t = self.raw_inputs.t
+        last = np.searchsorted(t, at, side="right") - 1
+        begin = t[np.maximum(last, 0)]
+        if not self._linear:
+            return np.asarray((last >= 0) & (at - begin <= self._timeout_ns))
+        end = t[np.minimum(np.searchsorted(t, at), len(t) - 1)]
+        return np.asarray((last >= 0) & (at <= end) & (end - begin <= self._timeout_ns))
 
     def _block(self, edges: TimeArray, restarted: bool) -> Block:
-        assert self.h_ns is not None and self._lag is not None
+        assert self.h_ns is not None
         signals = self.rates.interpolate(edges)
         x = self._frame.to_body(signals[:, :3])
         force = self._frame.to_body(signals[:, 3:])[:, 1:]
         if self._arm.any():
             force = force - centripetal(x, self._arm)
-        commanded = cell_means(
-            self.raw_inputs.t,
-            self.input_map.apply(self.raw_inputs.v),
-            edges - round(self.delay * 1e9),
-            self._actuators.interpolation,
-        )
+        u = self._input_means(edges - self._delay_ns, self._lag, restarted)
+        undelayed = None
+        if self._actuators.estimate_delay:
+            undelayed = self._input_means(edges, self._undelayed_lag, restarted)
+        return Block(edges, self.h_ns * NS, x, u, undelayed, force, restarted)
+
+    def _input_means(
+        self, edges: TimeArray, lag: ServoLag | None, restarted: bool
+    ) -> FloatArray:
+        """Cell means of the inputs after the servo lag, shape (m, 4)."""
+        assert lag is not None
+        raw = self.raw_inputs
+        u = self.input_map.apply(raw.v)
+        commanded = cell_means(raw.t, u, edges, self._actuators.interpolation)
         if restarted:
-            self._lag.restart(commanded[0])
-        return Block(edges, self.h_ns * 1e-9, x, self._lag.apply(commanded), force, restarted)
+            lag.restart(commanded[0])
+        return lag.apply(commanded)
 
 
 def _stretches(flags: BoolArray) -> list[tuple[int, int]]:
