@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run `identifier` as a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+class NodeProcess:
+    """`identifier` as a process of its own."""
+
+    def __init__(self, arguments: list[str]) -> None:
+        self._errors = tempfile.TemporaryFile(mode="w+")  # noqa: SIM115  (closed in `kill`)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "uav_ident_ros.node", *arguments],
+            cwd=ROOT,
+            stdout=self._errors,
+            stderr=subprocess.STDOUT,
+        )
+
+    @property
+    def log(self) -> str:
+        """Everything it has printed."""
+        self._errors.seek(0)
+        return self._errors.read()
+
+    def end(self, signal_number: int, timeout: float = 10.0) -> int:
+        """Send a signal and return the exit status."""
+        self.process.send_signal(signal_number)
+        return self.process.wait(timeout)
+
+    def exit_status(self, timeout: float = 20.0) -> int:
+        """Wait for it to end by itself."""
+        return self.process.wait(timeout)
+
+    def kill(self) -> None:
+        """Make sure that nothing is left."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+        self._errors.close()
+
+
+StartNode = Callable[..., NodeProcess]
+
+
+def wait_for(condition: Callable[[], bool], timeout: float = 10.0) -> bool:
+    """Wait until `condition` holds; return whether it does."""
+    end = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+    return True

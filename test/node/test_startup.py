@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starting and stopping: wrong parameters are refused in one line, signals end it cleanly."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from node_process import ROOT, StartNode, wait_for
+
+FILE = "/**:\n  ros__parameters:\n"
+
+WRONG_PARAMETERS = [
+    ("updat_rate:=20.0", "there is no parameter 'updat_rate': did you mean 'update_rate'?"),
+    ("update_rate:=20", "'update_rate' is 20: that is an integer: write 20.0"),
+    ("filter.cutoff:=0.1", "'filter.cutoff' is 0.1: allowed is 1 to 200 rad/s"),
+    ("structure:=basline", "did you mean 'baseline'?"),
+    ("actuators.trim:=[1.0,2.0]", "'actuators.trim' has 2 values: 4 are needed"),
+    ("actuators.trim:=[1,0.5]", "write every number of a list with a decimal point"),
+    ("use_sim_time:=1", "'use_sim_time' is 1: write true or false"),
+    (
+        "qos_overrides./imu/dat.subscription.depth:=9",
+        "did you mean 'qos_overrides./imu/data.subscription.depth'?",
+    ),
+    ("qos_overrides./imu/data.subscription.reliability:=best", "reliable, best_effort"),
+    ("initial_coefficients_file:=none.yaml", "'none.yaml': there is no such file"),
+]
+
+
+def refused(*arguments: str) -> str:
+    """Run the node; check that it refuses in one line with status 2, and return the line."""
+    run = subprocess.run(
+        [sys.executable, "-m", "uav_ident_ros.node", *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=30.0,
+        check=False,
+    )
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.startswith("identifier: ")
+    assert run.stderr.count("\n") == 1
+    assert run.stdout == ""
+    return run.stderr
+
+
+@pytest.mark.parametrize(("given", "said"), WRONG_PARAMETERS)
+def test_wrong_parameter_is_refused_with_the_fix(given: str, said: str) -> None:
+    assert said in refused("--ros-args", "-p", given)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (FILE + "    actuators: {trim: [1, 0.5]}\n", "line 3: the values of a list"),
+        (FILE + "    update_rate: 20\n", "that is an integer: write 20.0"),
+        (FILE + "    imu: {typ: sensor_msgs/msg/Imu}\n", "did you mean 'imu.type'?"),
+        ("{", "line 1"),
+    ],
+)
+def test_wrong_parameter_file_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.yaml"
+    path.write_text(text, encoding="utf-8")
+    assert said in refused("--ros-args", "--params-file", str(path))
+
+
+def test_missing_parameter_file_and_stray_argument_are_refused() -> None:
+    assert "'none.yaml': does not exist" in refused("--ros-args", "--params-file", "none.yaml")
+    assert "--ros-args --params-file FILE" in refused("flight.yaml")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_it_cleanly(start_node: StartNode, number: int) -> None:
+    node = start_node()
+    assert wait_for(lambda: "no message on '/imu/data' yet" in node.log), node.log
+    assert node.end(number) == 0
+    assert "Traceback" not in node.log
+
+
+def test_it_needs_rclpy_and_numpy_only() -> None:
+    """A companion computer installs it with apt alone: nothing of the replay is imported."""
+    code = (
+        "import sys, uav_ident_ros.node\n"
+        "print([m for m in ('rosbags', 'mcap', 'scipy', 'matplotlib', 'jsbsim', 'rich')"
+        " if m in sys.modules])"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert run.stdout.strip() == "[]"

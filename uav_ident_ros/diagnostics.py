@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node tells about itself on ``/diagnostics``."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.identifier import Drop
+
+TICKS_KEPT = 1200
+"""Tick times kept for the percentiles: a minute at 20 Hz."""
+
+_LEVELS = {
+    "learning": DiagnosticStatus.OK,
+    "converged": DiagnosticStatus.OK,
+    "waiting": DiagnosticStatus.WARN,
+    "paused": DiagnosticStatus.WARN,
+    "fault": DiagnosticStatus.ERROR,
+}
+
+
+class InputMonitor:
+    """Counts the messages of one input.
+
+    Parameters
+    ----------
+    topic : str
+        Resolved name of the topic.
+    type_name : str
+        Message type, as in the parameter.
+    """
+
+    def __init__(self, topic: str, type_name: str) -> None:
+        self.topic = topic
+        self.type_name = type_name
+        self.received = 0
+        self.refused: Counter[str] = Counter()
+        """Messages that never reached the identifier, by reason."""
+        self.last_arrival: float | None = None
+        self._rate_from = (time.monotonic(), 0)
+
+    def arrived(self) -> None:
+        """Count a message, good or bad."""
+        self.received += 1
+        self.last_arrival = time.monotonic()
+
+    def rate(self) -> float:
+        """Messages per second since the last call, Hz."""
+        since, count = self._rate_from
+        now = time.monotonic()
+        self._rate_from = (now, self.received)
+        return (self.received - count) / max(now - since, 1e-3)
+
+    def age(self) -> float | None:
+        """Seconds since the last message arrived; None before the first."""
+        return None if self.last_arrival is None else time.monotonic() - self.last_arrival
+
+    def values(self, dropped: Mapping[Drop, int]) -> Iterator[tuple[str, str]]:
+        """Yield what is to be shown, each with its label.
+
+        Parameters
+        ----------
+        dropped : mapping
+            Samples that the identifier dropped, by reason; added to those refused here.
+        """
+        drops = self.refused + Counter({drop.value: n for drop, n in dropped.items()})
+        age = self.age()
+        yield "topic", self.topic
+        yield "type", self.type_name
+        yield "messages", str(self.received)
+        yield "rate [Hz]", f"{self.rate():.1f}"
+        yield "age [s]", "no message yet" if age is None else f"{age:.2f}"
+        yield "dropped", str(sum(drops.values()))
+        for reason, count in sorted(drops.items()):
+            yield f"dropped: {reason}", str(count)
+
+
+class TickMeter:
+    """Durations of the last ticks and how regularly the timer asked for them."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._durations: deque[float] = deque(maxlen=TICKS_KEPT)
+        self._intervals: deque[float] = deque(maxlen=TICKS_KEPT)
+        self._last_call: float | None = None
+
+    def called(self) -> None:
+        """Note that the timer fired."""
+        now = time.perf_counter()
+        if self._last_call is not None:
+            self._intervals.append(now - self._last_call)
+        self._last_call = now
+
+    def ticked(self, seconds: float) -> None:
+        """Note a tick that took `seconds` to compute."""
+        self.count += 1
+        self._durations.append(seconds)
+
+    def values(self) -> Iterator[tuple[str, str]]:
+        """Yield what is to be shown, each with its label."""
+        yield "count", str(self.count)
+        if self._durations:
+            p50, p99, most = np.percentile(self._durations, (50, 99, 100)) * 1e3
+            yield "update time p50 [ms]", f"{p50:.3f}"
+            yield "update time p99 [ms]", f"{p99:.3f}"
+            yield "update time max [ms]", f"{most:.3f}"
+        if self._intervals:
+            p50, p99 = np.percentile(self._intervals, (50, 99)) * 1e3
+            yield "timer interval p50 [ms]", f"{p50:.2f}"
+            yield "timer interval p99 [ms]", f"{p99:.2f}"
+
+
+def level_of(state: str) -> bytes:
+    """Return the diagnostic level of a state word."""
+    return _LEVELS.get(state, DiagnosticStatus.WARN)
+
+
+def status(
+    name: str,
+    state: str,
+    reason: str,
+    groups: Mapping[str, Iterable[tuple[str, str]]],
+) -> DiagnosticStatus:
+    """Build the node's diagnostic status.
+
+    Parameters
+    ----------
+    name : str
+        Full name of the node.
+    state : str
+        The state word.
+    reason : str
+        Why it is in it; may be empty.
+    groups : mapping
+        Label of a group, or '' for none, to its labelled values.
+    """
+    values = [
+        KeyValue(key=f"{group}: {key}" if group else key, value=value)
+        for group, entries in groups.items()
+        for key, value in entries
+    ]
+    return DiagnosticStatus(
+        level=level_of(state),
+        name=name,
+        message=f"{state}: {reason}" if reason else state,
+        hardware_id="",
+        values=values,
+    )
+
+
+def estimate_values(estimate: Estimate) -> Iterator[tuple[str, str]]:
+    """Yield what the last estimate says about itself."""
+    yield "adapting", str(estimate.adapting).lower()
+    yield "usable", str(estimate.usable).lower()
+    yield "tick [s]", f"{estimate.t_ns * 1e-9:.3f}"
+    for axis, fit in zip("pqr", estimate.fit, strict=True):
+        yield f"fit {axis} [%]", f"{fit:.1f}"

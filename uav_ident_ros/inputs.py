@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node's subscriptions: messages to samples of the identifier, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
+
+from uav_ident_ros.diagnostics import InputMonitor
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.messages import (
+    RATES,
+    ActuatorReader,
+    ChannelError,
+    RatesReading,
+    decode_imu_cdr,
+    frame_fault,
+    import_type,
+)
+from uav_ident_ros.notices import Throttle
+
+RATES_TOPIC = "imu/data"
+ACTUATORS_TOPIC = "actuators"
+
+IMU_TYPE = "sensor_msgs/msg/Imu"
+
+QUEUE_DEPTH = 500
+"""Messages kept while the node is busy: half a second at 1 kHz. A depth of 5 loses some."""
+
+_OVERRIDABLE = (
+    QoSPolicyKind.HISTORY,
+    QoSPolicyKind.DEPTH,
+    QoSPolicyKind.RELIABILITY,
+    QoSPolicyKind.DURABILITY,
+)
+
+
+class _Input:
+    """What both inputs share: a subscription to bytes, counts, and what is said about a drop.
+
+    Messages come as bytes, so that one that cannot be decoded is refused like any other bad
+    message; decoded by rclpy, it would end the node.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        type_name: str,
+        topic: str,
+        callback: Callable[[bytes], None],
+        warnings: Throttle,
+    ) -> None:
+        self._class = import_type(type_name)
+        self._warnings = warnings
+        subscription = node.create_subscription(
+            self._class,
+            topic,
+            callback,
+            QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
+            qos_overriding_options=QoSOverridingOptions(_OVERRIDABLE),
+            raw=True,
+        )
+        self.monitor = InputMonitor(subscription.topic_name, type_name)
+
+    def decode(self, data: bytes) -> Any | None:
+        """Return the message, or None, and say so, if the bytes are not one."""
+        try:
+            return deserialize_message(data, self._class)
+        except (RuntimeError, UnicodeDecodeError) as error:
+            self.refuse("not decodable", f"it cannot be decoded ({error})")
+            return None
+
+    def refuse(self, reason: str, detail: str) -> None:
+        """Count a message that never reaches the identifier, and say why."""
+        self.monitor.refused[reason] += 1
+        self.warn(reason, detail)
+
+    def warn(self, reason: str, detail: str) -> None:
+        """Say why a message was dropped, unless that was said just now."""
+        topic = self.monitor.topic
+        self._warnings.notice((topic, reason), lambda: f"'{topic}': message dropped: {detail}")
+
+
+class RatesInput:
+    """Subscription to the rates.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the subscription.
+    identifier : OnlineIdentifier
+        Takes the samples.
+    warnings : Throttle
+        Takes what was refused, and why.
+
+    Attributes
+    ----------
+    fault : str
+        How the messages contradict the parameters; empty if they do not.
+    frame_id : str
+        Frame of the newest message.
+    """
+
+    def __init__(self, node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> None:
+        self._identifier = identifier
+        self._settings = identifier.settings.imu
+        self._read = RATES[self._settings.type].read
+        self._fast = self._settings.type == IMU_TYPE
+        self.fault = frame_fault(self._settings.convention, "", self._settings.type)
+        self.frame_id = ""
+        self._input = _Input(node, self._settings.type, RATES_TOPIC, self._take, warnings)
+        self.monitor = self._input.monitor
+
+    def _take(self, data: bytes) -> None:
+        self.monitor.arrived()
+        # Decoding an Imu here costs a fraction of making a message object of it.
+        reading = decode_imu_cdr(data) if self._fast else None
+        if reading is None:
+            message = self._input.decode(data)
+            if message is None:
+                return
+            reading = self._read(message)
+        self._take_reading(reading)
+
+    def _take_reading(self, reading: RatesReading) -> None:
+        if reading.frame_id != self.frame_id:
+            self.frame_id = reading.frame_id
+            self.fault = frame_fault(
+                self._settings.convention, reading.frame_id, self._settings.type
+            )
+        if self.fault:
+            self._input.refuse("wrong frame", self.fault)
+        elif reading.rates is None:
+            self._input.refuse("no rates", "angular_velocity_covariance[0] is -1: no rates in it")
+        else:
+            drop = self._identifier.add_rates(
+                reading.stamp_ns, reading.rates, reading.specific_force
+            )
+            if drop is not None:
+                self._input.warn(drop.value, drop.value)
+
+
+class ActuatorInput:
+    """Subscription to the actuator channels.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the subscription; its clock stamps messages that carry no time.
+    identifier : OnlineIdentifier
+        Takes the samples.
+    warnings : Throttle
+        Takes what was refused, and why.
+    """
+
+    def __init__(self, node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> None:
+        settings = identifier.settings.actuators
+        self._identifier = identifier
+        self._clock = node.get_clock()
+        self._read = ActuatorReader(settings)
+        self._input = _Input(node, settings.type, ACTUATORS_TOPIC, self._take, warnings)
+        self.monitor = self._input.monitor
+
+    def _take(self, data: bytes) -> None:
+        arrival_ns = self._clock.now().nanoseconds
+        self.monitor.arrived()
+        message = self._input.decode(data)
+        if message is None:
+            return
+        try:
+            stamp_ns, values = self._read(message)
+        except ChannelError as error:
+            reason = "not finite" if error.not_finite else "wrong channels"
+            self._input.refuse(reason, str(error))
+            return
+        drop = self._identifier.add_actuators(arrival_ns if stamp_ns is None else stamp_ns, values)
+        if drop is not None:
+            self._input.warn(drop.value, drop.value)

@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node `identifier`: the identification pipeline behind ROS topics and services.
+
+There is no estimation logic here: messages go in, due ticks are asked for, estimates go out.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from uav_ident_ros import diagnostics
+from uav_ident_ros.coefficients_file import load_coefficients
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.identifier import ACTUATORS, RATES, OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.inputs import ACTUATORS_TOPIC, RATES_TOPIC, ActuatorInput, RatesInput
+from uav_ident_ros.notices import OnChange, Throttle
+from uav_ident_ros.outputs import RELIABLE, Outputs
+from uav_ident_ros.parameters import declare, settings_of
+from uav_ident_ros.saving import Saver, default_path
+from uav_ident_ros.startup import REFUSALS, USAGE_ERROR, explain, start
+
+DIAGNOSTICS_PERIOD = 1.0
+"""Interval of /diagnostics, s, on a steady clock."""
+
+SILENT_AFTER = 2.0
+"""Seconds without a message, or without progress of /clock, that are worth a word."""
+
+
+class IdentifierNode(Node):
+    """The node: inputs, ticks, outputs, services, diagnostics.
+
+    Raises
+    ------
+    SettingsError, MessageTypeError, CoefficientsFileError
+        If the parameters cannot be used.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("identifier")
+        settings = settings_of(self, (RATES_TOPIC, ACTUATORS_TOPIC))
+        self.identifier = OnlineIdentifier(settings, initial_coefficients(settings))
+        declare(self, settings)
+        warnings = Throttle(self.get_logger().warning)
+        self._rates = RatesInput(self, self.identifier, warnings)
+        self._actuators = ActuatorInput(self, self.identifier, warnings)
+        self._outputs = Outputs(self, self.identifier.structure)
+        self._estimate: Estimate | None = None
+        self._meter = diagnostics.TickMeter()
+        self._saver = Saver(default_path(self.get_fully_qualified_name()))
+        self._clock_seen = (0, time.monotonic())
+        self._offer_services()
+        self._watch_time(settings)
+
+    # -- wiring ----------------------------------------------------------------------------
+
+    def _offer_services(self) -> None:
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/save", self._on_save)
+
+    def _watch_time(self, settings: Settings) -> None:
+        """Ticks on the node's clock; diagnostics on one that never stops; jumps of /clock."""
+        self.create_timer(1.0 / settings.update_rate, self._on_timer)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
+        self._state_log = OnChange(self.get_logger().warning)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD, self._on_diagnostics, clock=self._steady)
+        jump = Duration(seconds=settings.time_jump)
+        # Keep the handle: the callback goes with it.
+        self._jump_handle = self.get_clock().create_jump_callback(
+            JumpThreshold(
+                min_forward=jump,
+                min_backward=Duration(nanoseconds=-jump.nanoseconds),
+                on_clock_change=True,
+            ),
+            post_callback=self._on_jump,
+        )
+
+    # -- ticks -----------------------------------------------------------------------------
+
+    def _on_timer(self) -> None:
+        self._meter.called()
+        while (t_ns := self.identifier.due()) is not None:
+            start = time.perf_counter()
+            estimate = self.identifier.update(t_ns)
+            self._meter.ticked(time.perf_counter() - start)
+            if estimate is not None:
+                self._estimate = estimate
+                self._outputs.frame_id = self._rates.frame_id
+                self._outputs.publish(estimate)
+
+    def _on_jump(self, jump: TimeJump) -> None:
+        """Start again after a jump of /clock; cold if it went back under use_sim_time."""
+        now_ns = self.get_clock().now().nanoseconds
+        if jump.clock_change == ClockChange.ROS_TIME_NO_CHANGE:
+            if now_ns == jump.delta.nanoseconds:
+                return  # the first /clock: before it, there was no time to jump from
+            seconds = jump.delta.nanoseconds * 1e-9
+            cold = seconds < 0.0
+            what = f"/clock jumped by {seconds:+.3f} s"
+        else:
+            cold, what = False, "the node's clock changed"
+        if cold:
+            self.identifier.reset()
+            self._estimate = None
+        else:
+            self.identifier.restart()
+        kept = "starting cold" if cold else "filters restart, the coefficients stay"
+        self.get_logger().warning(f"{what}: {kept}")
+
+    # -- services --------------------------------------------------------------------------
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.identifier.reset()
+        self._estimate = None
+        response.success = True
+        response.message = "started cold"
+        self.get_logger().info("reset: started cold")
+        return response
+
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        estimate = self._estimate
+        if estimate is None:
+            response.success = False
+            response.message = "there is no estimate to save yet"
+            return response
+        coefficients = CoefficientSet(
+            structure=self.identifier.structure.name,
+            values=estimate.coefficients,
+            sigma=estimate.sigma,
+            t_ns=estimate.t_ns,
+        )
+        response.success, response.message = self._saver.save(coefficients)
+        log = self.get_logger()
+        (log.info if response.success else log.error)(response.message)
+        return response
+
+    # -- diagnostics -----------------------------------------------------------------------
+
+    def _on_diagnostics(self) -> None:
+        self._check_clock()
+        state, reason = self._state()
+        self._state_log.notice(
+            f"{state}: {reason}" if reason else "" if state == "waiting" else state
+        )
+        message = DiagnosticArray(header=Header(stamp=self.get_clock().now().to_msg()))
+        message.status.append(
+            diagnostics.status(self.get_fully_qualified_name(), state, reason, self._groups())
+        )
+        self._diagnostics.publish(message)
+
+    def _state(self) -> tuple[str, str]:
+        """State word and reason: what the inputs say first, then what the estimate says."""
+        fault = self._rates.fault or self.identifier.fault
+        if fault:
+            return "fault", fault
+        silence = self._silence()
+        if silence:
+            return "waiting", silence
+        if self._estimate is None:
+            return "waiting", "the first tick is not due yet"
+        return self._estimate.state, self._estimate.reason
+
+    def _silence(self) -> str:
+        """Say what does not arrive; empty if nothing is missed."""
+        now = time.monotonic()
+        if self.get_clock().ros_time_is_active and now - self._clock_seen[1] > SILENT_AFTER:
+            if self._clock_seen[0] == 0:
+                return (
+                    "use_sim_time is true, but nothing arrives on /clock: play the bag with "
+                    "--clock, or set use_sim_time to false"
+                )
+            return "/clock stands still"
+        for monitor in (self._rates.monitor, self._actuators.monitor):
+            age = monitor.age()
+            if age is None:
+                return f"no message on '{monitor.topic}' yet"
+            if age > SILENT_AFTER:
+                return f"no message on '{monitor.topic}' for more than {SILENT_AFTER:g} s"
+        return ""
+
+    def _check_clock(self) -> None:
+        """Remember when the node's clock last moved."""
+        now_ns = self.get_clock().now().nanoseconds
+        if now_ns != self._clock_seen[0]:
+            self._clock_seen = (now_ns, time.monotonic())
+
+    def _groups(self) -> dict[str, list[tuple[str, str]]]:
+        """Return everything worth showing, by group."""
+        settings = self.identifier.settings
+        groups = {
+            "": [
+                ("structure", settings.structure),
+                ("estimator", settings.estimator),
+                ("use_sim_time", str(self.get_clock().ros_time_is_active).lower()),
+            ],
+            "ticks": list(self._meter.values()),
+        }
+        if self._estimate is not None:
+            groups[""] += diagnostics.estimate_values(self._estimate)
+        for stream, monitor in ((RATES, self._rates.monitor), (ACTUATORS, self._actuators.monitor)):
+            groups[stream] = list(monitor.values(self.identifier.drops[stream]))
+        return groups
+
+
+def initial_coefficients(settings: Settings) -> CoefficientSet | None:
+    """Read the file of initial coefficients, if the settings name one.
+
+    Raises
+    ------
+    CoefficientsFileError
+        If it cannot be read.
+    """
+    if not settings.initial_coefficients_file:
+        return None
+    return load_coefficients(settings.initial_coefficients_file, settings.structure)
+
+
+def make_executor(simulated_time: bool) -> Executor:
+    """Return the events executor, at half the cost of the other, where it can be used.
+
+    It came with rclpy 7.1.4. When /clock moves on while a callback runs, it calls a timer once
+    for every step of /clock and then pauses as many periods: under simulated time the other
+    one is right.
+    """
+    if not simulated_time:
+        try:
+            from rclpy.experimental import EventsExecutor
+        except ImportError:
+            pass
+        else:
+            return EventsExecutor()
+    return SingleThreadedExecutor()
+
+
+def spin(node: Node) -> None:
+    """Run `node` until the context shuts down."""
+    executor = make_executor(node.get_clock().ros_time_is_active)
+    executor.add_node(node)
+    try:
+        # The events executor's spin() never returns, not even on SIGTERM; with a timeout it does.
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=1.0)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except rclpy_implementation.RCLError:
+        if rclpy.ok():
+            raise
+        # A signal ended the context in the middle of a publish: that is a clean end too.
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node; the return value is the exit status: 2 if it was started wrongly."""
+    argv = sys.argv if args is None else args
+    try:
+        start(argv)
+        node = IdentifierNode()
+    except REFUSALS as error:
+        print(f"identifier: {explain(error, argv)}", file=sys.stderr)
+        rclpy.try_shutdown()
+        return USAGE_ERROR
+    try:
+        spin(node)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

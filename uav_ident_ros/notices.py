@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node says in its log: often enough to be seen, never a flood."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+
+REPEAT_AFTER = 5.0
+"""Seconds until the same notice may be given again."""
+
+
+class Throttle:
+    """Passes a repeated notice on at once, then at most every few seconds, with its count.
+
+    Parameters
+    ----------
+    say : callable
+        Takes the line, ``logger.warning`` for example.
+    repeat_after : float
+        Seconds until the same notice may be given again.
+    clock : callable
+        Monotonic seconds; not the node's clock, which may stand still.
+    """
+
+    def __init__(
+        self,
+        say: Callable[[str], object],
+        repeat_after: float = REPEAT_AFTER,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._say = say
+        self._repeat_after = repeat_after
+        self._clock = clock
+        self._said: dict[tuple[str, ...], float] = {}
+        self._kept: Counter[tuple[str, ...]] = Counter()
+
+    def notice(self, key: tuple[str, ...], line: Callable[[], str]) -> None:
+        """Give the notice `key`, or count it.
+
+        Parameters
+        ----------
+        key : tuple of str
+            What counts as the same notice, such as (topic, reason).
+        line : callable
+            Makes the line; called only if it is said.
+        """
+        now = self._clock()
+        last = self._said.get(key)
+        if last is not None and now - last < self._repeat_after:
+            self._kept[key] += 1
+            return
+        self._said[key] = now
+        kept = self._kept.pop(key, 0)
+        self._say(f"{line()} ({kept} more like it before)" if kept else line())
+
+
+class OnChange:
+    """Passes on what differs from the last time.
+
+    Parameters
+    ----------
+    say : callable
+        Takes the line.
+    """
+
+    def __init__(self, say: Callable[[str], object]) -> None:
+        self._say = say
+        self._last = ""
+
+    def notice(self, line: str) -> None:
+        """Say `line` unless it is what was said last; an empty line is remembered, not said."""
+        if line != self._last:
+            self._last = line
+            if line:
+                self._say(line)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The settings as ROS parameters: declared with full descriptors, checked before anything runs.
+
+What rcl and rclpy let pass in silence is caught here: misspelt names, integers where a double
+belongs, arrays of the wrong length, ranges of array entries.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from uav_ident_ros.identification.settings import (
+    Setting,
+    Settings,
+    SettingsError,
+    declarations,
+    unknown_setting,
+)
+
+_TYPES = {
+    "bool": Parameter.Type.BOOL,
+    "int": Parameter.Type.INTEGER,
+    "float": Parameter.Type.DOUBLE,
+    "str": Parameter.Type.STRING,
+    "float[]": Parameter.Type.DOUBLE_ARRAY,
+    "str[]": Parameter.Type.STRING_ARRAY,
+}
+"""Setting type to parameter type; what is not listed may be of either of two types."""
+
+_OTHERS = ("use_sim_time", "start_type_description_service")
+"""Parameters that rclpy declares by itself."""
+
+
+_QOS_PREFIX = "qos_overrides."
+
+_QOS_POLICIES: dict[str, tuple[str, ...]] = {
+    "history": ("keep_last", "keep_all"),
+    "depth": (),
+    "reliability": ("reliable", "best_effort", "system_default"),
+    "durability": ("volatile", "transient_local", "system_default"),
+}
+"""QoS policies of the subscriptions that may be overridden, with the words allowed."""
+
+MAX_DEPTH = 100_000
+"""Longest queue that makes sense, messages."""
+
+
+def settings_of(node: Node, topics: Sequence[str]) -> Settings:
+    """Build the settings from what the command line and the parameter files give to `node`.
+
+    Parameters
+    ----------
+    node : Node
+        A node whose settings are not declared yet.
+    topics : sequence of str
+        Names of the topics that it subscribes to, as in the code: their QoS may be overridden.
+
+    Raises
+    ------
+    SettingsError
+        If a name is unknown or a value is not allowed.
+    """
+    known = {setting.name for setting in declarations()}
+    values: dict[str, object] = {}
+    for name, value in given_values(node).items():
+        if name in known:
+            values[name] = value
+        elif name == "use_sim_time":
+            _check_use_sim_time(value)
+        elif name.startswith(_QOS_PREFIX):
+            _check_qos(name, value, [node.resolve_topic_name(topic) for topic in topics])
+        elif name not in _OTHERS:
+            raise SettingsError(name, unknown_setting(name))
+    return Settings.from_values(values)
+
+
+def given_values(node: Node) -> dict[str, object]:
+    """Return the parameter values that were given to `node` from outside, by name."""
+    # rclpy has no public accessor (rclcpp has get_parameter_overrides), and declaring them all
+    # automatically fails on an empty list.
+    overrides: dict[str, Parameter] = node._parameter_overrides
+    return {name: parameter.value for name, parameter in overrides.items()}
+
+
+def _check_use_sim_time(value: object) -> None:
+    if not isinstance(value, bool):
+        raise SettingsError(
+            "use_sim_time", f"'use_sim_time' is {value!r}: write true or false, without quotes"
+        )
+
+
+def _check_qos(name: str, value: object, topics: Sequence[str]) -> None:
+    """Check a QoS override, which rclpy ignores if misspelt and fails on if wrong."""
+    known = [
+        f"{_QOS_PREFIX}{topic}.subscription.{policy}"
+        for topic in topics
+        for policy in _QOS_POLICIES
+    ]
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"
+        raise SettingsError(name, f"there is no parameter '{name}': {hint}")
+    allowed = _QOS_POLICIES[name.rsplit(".", 1)[1]]
+    if allowed and value not in allowed:
+        raise SettingsError(name, f"'{name}' is {value!r}: allowed are {', '.join(allowed)}")
+    if not allowed and (type(value) is not int or not 0 < value <= MAX_DEPTH):
+        raise SettingsError(
+            name, f"'{name}' is {value!r}: allowed is a whole number from 1 to {MAX_DEPTH}"
+        )
+
+
+def declare(node: Node, settings: Settings) -> None:
+    """Declare every setting as a parameter of `node`, with its present value.
+
+    Every later change is checked against the same declaration.
+    """
+    values = settings.values()
+    for setting in declarations():
+        _declare_one(node, setting, values[setting.name])
+    node.add_on_set_parameters_callback(check_change)
+
+
+def _declare_one(node: Node, setting: Setting, value: Any) -> None:
+    """Declare, set, then seal: an empty list has no type that rclpy could infer."""
+    plain = value
+    if isinstance(value, tuple):
+        plain = list(value)
+    parameter_type = _TYPES.get(setting.type)
+    final = descriptor(setting)
+    if parameter_type is None:
+        node.declare_parameter(setting.name, plain, final, ignore_override=True)
+        return
+    node.declare_parameter(
+        setting.name,
+        parameter_type,
+        ParameterDescriptor(description=final.description),
+        ignore_override=True,
+    )
+    node.set_parameters([Parameter(setting.name, parameter_type, plain)])
+    node.set_descriptor(setting.name, final)
+
+
+def descriptor(setting: Setting) -> ParameterDescriptor:
+    """Describe a setting to ``ros2 param describe`` and rqt_reconfigure."""
+    result = ParameterDescriptor(
+        name=setting.name,
+        description=_described(setting),
+        additional_constraints=_constraints(setting),
+        read_only=setting.read_only,
+        dynamic_typing=setting.type not in _TYPES,
+    )
+    if setting.type in _TYPES:
+        result.type = _TYPES[setting.type].value
+    bounded = math.isfinite(setting.low) or math.isfinite(setting.high)
+    if setting.type == "float" and bounded:
+        result.floating_point_range = [
+            FloatingPointRange(from_value=setting.low, to_value=setting.high, step=0.0)
+        ]
+    elif setting.type == "int" and math.isfinite(setting.low) and math.isfinite(setting.high):
+        result.integer_range = [
+            IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)
+        ]
+    return result
+
+
+def _described(setting: Setting) -> str:
+    return f"{setting.description} [{setting.unit}]" if setting.unit else setting.description
+
+
+def _constraints(setting: Setting) -> str:
+    """Say what a descriptor's range cannot: words, and the entries of arrays."""
+    if setting.choices:
+        return f"one of: {setting.allowed()}"
+    if setting.type.endswith("[]") and (setting.low > -math.inf or setting.high < math.inf):
+        return f"each: {setting.allowed()}"
+    return ""
+
+
+def check_change(parameters: list[Parameter]) -> SetParametersResult:
+    """Judge a change at run time: refused with the reason unless the declaration allows it."""
+    known = {setting.name: setting for setting in declarations()}
+    for parameter in parameters:
+        setting = known.get(parameter.name)
+        if setting is None:
+            continue
+        try:
+            setting.check(parameter.value)
+        except SettingsError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+    return SetParametersResult(successful=True)

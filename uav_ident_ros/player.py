@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Play recorded messages to a running node over DDS, and collect what it publishes.
+
+`ros2 bag play` does the same for a pilot; this one is for the demonstration and the tests. It
+can hold the recording back until the node has answered, so that nothing is ever lost and the
+speed is whatever the machine gives.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Vector3Stamped
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from uav_ident_ros.bags import Message
+
+SECOND_NS = 1_000_000_000
+
+CLOCK_PERIOD_NS = 10_000_000
+"""Interval of /clock, ns: 100 Hz, so that stamps on arrival are good to 10 ms."""
+
+ANSWER_WITHIN_NS = 200_000_000
+"""In step with the node: after t is played, the output of t less this is waited for, ns."""
+
+NUDGE_AFTER = 0.02
+"""Seconds without an answer after which /clock goes on a step by itself."""
+
+CLOCK_AHEAD_NS = 100_000_000
+"""How far /clock may get ahead of the messages that way, ns: two periods of the node's timer."""
+
+START_UP_NS = 500_000_000
+"""Recording time in which the node's first outputs are not waited for yet, ns."""
+
+DEPTH = 1000
+"""Depth of every queue of the player: more than it ever sends ahead."""
+
+
+class PlayerError(Exception):
+    """The node did not appear, or did not answer; the message says what was waited for."""
+
+
+@dataclass
+class Outputs:
+    """What a node published, in the order of arrival."""
+
+    named: list[JointState] = field(default_factory=list)
+    coefficients: list[Float64MultiArray] = field(default_factory=list)
+    predicted_rates: list[Vector3Stamped] = field(default_factory=list)
+    prediction_error: list[Vector3Stamped] = field(default_factory=list)
+    status: list[DiagnosticStatus] = field(default_factory=list)
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest tick, ns; 0 before the first."""
+        return stamp_ns(self.named[-1].header.stamp) if self.named else 0
+
+    def clear(self) -> None:
+        """Forget everything."""
+        for received in (
+            self.named,
+            self.coefficients,
+            self.predicted_rates,
+            self.prediction_error,
+            self.status,
+        ):
+            received.clear()
+
+
+def stamp_ns(stamp: Time) -> int:
+    """Return a stamp in ns."""
+    return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
+
+
+def to_stamp(t_ns: int) -> Time:
+    """Return a time in ns as a stamp."""
+    return Time(sec=t_ns // SECOND_NS, nanosec=t_ns % SECOND_NS)
+
+
+class Player:
+    """Publishes recorded messages and /clock, and listens to the node.
+
+    Parameters
+    ----------
+    topics : mapping of str to type
+        Topics to publish and their message classes.
+    node_name : str
+        Full name of the node that listens.
+    domain_id : int, optional
+        ROS domain; the environment's if left out.
+    clock : bool
+        Whether to publish /clock.
+    """
+
+    def __init__(
+        self,
+        topics: dict[str, type],
+        node_name: str = "/identifier",
+        domain_id: int | None = None,
+        clock: bool = True,
+    ) -> None:
+        self.outputs = Outputs()
+        self._node_name = node_name
+        self._clock_ns = 0
+        self._context = Context()
+        self._context.init(args=[], domain_id=domain_id)
+        self.node = Node(
+            "player", context=self._context, use_global_arguments=False, enable_rosout=False
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._publishers = {
+            topic: self.node.create_publisher(kind, topic, DEPTH) for topic, kind in topics.items()
+        }
+        self._clock = self.node.create_publisher(Clock, "/clock", 10) if clock else None
+        self._listen()
+
+    def _listen(self) -> None:
+        latched = QoSProfile(
+            depth=DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        )
+        out, name = self.outputs, self._node_name
+        subscribe = self.node.create_subscription
+        subscribe(JointState, f"{name}/coefficients_named", out.named.append, latched)
+        subscribe(Float64MultiArray, f"{name}/coefficients", out.coefficients.append, latched)
+        subscribe(Vector3Stamped, f"{name}/predicted_rates", out.predicted_rates.append, DEPTH)
+        subscribe(Vector3Stamped, f"{name}/prediction_error", out.prediction_error.append, DEPTH)
+        subscribe(DiagnosticArray, "/diagnostics", self._keep_status, DEPTH)
+
+    def _keep_status(self, message: DiagnosticArray) -> None:
+        self.outputs.status += [s for s in message.status if s.name == self._node_name]
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def spin_for(self, seconds: float) -> None:
+        """Listen for a while."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def wait_until(self, condition: Callable[[], bool], what: str, timeout: float = 20.0) -> None:
+        """Listen until `condition` holds.
+
+        Raises
+        ------
+        PlayerError
+            If it does not within `timeout` seconds; the message says `what` was waited for.
+        """
+        end = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > end:
+                raise PlayerError(f"waited {timeout:g} s in vain for {what}")
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def wait_for_node(self, timeout: float = 20.0) -> None:
+        """Listen until the node has subscribed to everything and its outputs are matched."""
+        publishers = [*self._publishers.values()]
+        if self._clock is not None:
+            publishers.append(self._clock)
+        output = f"{self._node_name}/coefficients_named"
+        self.wait_until(
+            lambda: (
+                all(p.get_subscription_count() > 0 for p in publishers)
+                and self.node.count_publishers(output) > 0
+            ),
+            f"node '{self._node_name}' to subscribe to {', '.join(self._publishers)}"
+            + (" and /clock" if self._clock else ""),
+            timeout,
+        )
+        self.spin_for(0.2)  # matching in the other direction, which nothing reports
+
+    def send(self, topic: str, data: Any) -> None:
+        """Publish one message, or its CDR bytes."""
+        self._publishers[topic].publish(data)
+
+    def send_clock(self, t_ns: int) -> None:
+        """Publish a time on /clock, even one before the last."""
+        self._clock_ns = t_ns
+        if self._clock is not None:
+            self._clock.publish(Clock(clock=to_stamp(t_ns)))
+
+    def _advance_clock(self, t_ns: int) -> None:
+        """Publish a time on /clock unless it is there already."""
+        if t_ns > self._clock_ns:
+            self.send_clock(t_ns)
+
+    def play(
+        self,
+        messages: Sequence[Message],
+        *,
+        speed: float = 1.0,
+        on_time: Callable[[int], None] | None = None,
+    ) -> None:
+        """Play at `speed` times real time, in log-time order.
+
+        Parameters
+        ----------
+        messages : sequence of Message
+            In log-time order.
+        speed : float
+            1 for real time.
+        on_time : callable, optional
+            Called with the log time (ns) about every 10 ms of it.
+        """
+        start_ns, start = messages[0].log_ns, time.monotonic()
+
+        def hold(t_ns: int) -> None:
+            ahead = (t_ns - start_ns) / SECOND_NS / speed - (time.monotonic() - start)
+            if ahead > 0.0:
+                self.spin_for(ahead)
+            if on_time is not None:
+                on_time(t_ns)
+
+        self._play(messages, hold)
+
+    def play_in_step(self, messages: Sequence[Message], timeout: float = 20.0) -> None:
+        """Play as fast as the node answers, so that no message can be lost.
+
+        Raises
+        ------
+        PlayerError
+            If the node stops answering.
+        """
+        start_ns = messages[0].log_ns
+        self.outputs.clear()
+
+        def hold(t_ns: int) -> None:
+            self._executor.spin_once(timeout_sec=0.0)
+            wanted = t_ns - ANSWER_WITHIN_NS
+            if wanted >= start_ns + START_UP_NS:
+                self._wait_for_answer(wanted, start_ns, timeout)
+
+        self._play(messages, hold)
+
+    def _wait_for_answer(self, wanted_ns: int, start_ns: int, timeout: float) -> None:
+        """Listen until the tick of `wanted_ns` is there.
+
+        The node may have seen /clock pass before the messages that came with it, and then its
+        timer waits for the next step of /clock: after a while it gets one.
+        """
+        end = time.monotonic() + timeout
+        while self.outputs.newest_ns < wanted_ns:
+            if time.monotonic() > end:
+                raise PlayerError(
+                    f"waited {timeout:g} s in vain for the output of "
+                    f"{(wanted_ns - start_ns) / SECOND_NS:.2f} s into the recording"
+                )
+            pause = time.monotonic() + NUDGE_AFTER
+            while self.outputs.newest_ns < wanted_ns and time.monotonic() < pause:
+                self._executor.spin_once(timeout_sec=NUDGE_AFTER)
+            if self.outputs.newest_ns < wanted_ns:
+                furthest = wanted_ns + ANSWER_WITHIN_NS + CLOCK_AHEAD_NS
+                self._advance_clock(min(self._clock_ns + CLOCK_PERIOD_NS, furthest))
+
+    def _play(self, messages: Iterable[Message], hold: Callable[[int], None]) -> None:
+        """Publish everything; `hold` is called with the time before it passes.
+
+        Between messages /clock goes on in its own steps, so that it never jumps.
+        """
+        clock_ns: int | None = None
+        for message in messages:
+            if clock_ns is None:
+                clock_ns = message.log_ns
+                self.send_clock(clock_ns)
+            while clock_ns + CLOCK_PERIOD_NS <= message.log_ns:
+                clock_ns += CLOCK_PERIOD_NS
+                hold(clock_ns)
+                self._advance_clock(clock_ns)
+            self._publishers[message.topic].publish(message.data)

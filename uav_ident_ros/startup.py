@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starting ROS, and one line for whatever is wrong with the command line or the parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import rclpy
+import rclpy.logging
+from rclpy.exceptions import (
+    InvalidParameterException,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    NameValidationException,
+)
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.logging import LoggingSeverity
+from rclpy.qos_overriding_options import InvalidQosOverridesError
+from rclpy.utilities import remove_ros_args
+
+from uav_ident_ros.coefficients_file import CoefficientsFileError
+from uav_ident_ros.identification.settings import SettingsError
+from uav_ident_ros.messages import MessageTypeError
+from uav_ident_ros.parameter_file import ParameterFile, ParameterFileError
+
+USAGE_ERROR = 2
+"""Exit status for a wrong command line or wrong parameters."""
+
+
+class UsageError(Exception):
+    """The command line holds something that is not for this program."""
+
+
+REFUSALS = (
+    UsageError,
+    SettingsError,
+    MessageTypeError,
+    CoefficientsFileError,
+    InvalidParameterException,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    InvalidQosOverridesError,
+    NameValidationException,
+    rclpy_implementation.RCLError,
+    rclpy_implementation.UnknownROSArgsError,
+)
+"""What a wrong command line, parameter or file raises before the node runs."""
+
+
+def start(argv: Sequence[str]) -> None:
+    """Initialise ROS with the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        Program name and arguments.
+
+    Raises
+    ------
+    UsageError
+        If there is an argument that is not for ROS.
+    RCLError
+        If ROS refuses its arguments or a parameter file.
+    """
+    stray = remove_ros_args(list(argv))[1:]
+    if stray:
+        raise UsageError(
+            f"unknown argument '{stray[0]}': parameters are given as "
+            "--ros-args --params-file FILE, or --ros-args -p NAME:=VALUE"
+        )
+    # rcl logs that it failed, without saying why: `explain` says it, once.
+    rclpy.logging.set_logger_level("rcl", LoggingSeverity.FATAL)
+    rclpy.init(args=list(argv))
+    rclpy.logging.set_logger_level("rcl", LoggingSeverity.UNSET)
+
+
+def explain(error: Exception, argv: Sequence[str]) -> str:
+    """Say in one line what is wrong and what would be right.
+
+    Parameters
+    ----------
+    error : Exception
+        One of `REFUSALS`.
+    argv : sequence of str
+        The command line: it names the parameter files.
+    """
+    if isinstance(error, rclpy_implementation.UnknownROSArgsError):
+        return f"unknown ROS arguments {error}"
+    if isinstance(error, rclpy_implementation.RCLError):
+        return _explain_rcl(str(error), argv)
+    if isinstance(error, InvalidParameterTypeException):
+        return _explain_type(str(error))
+    return " ".join(str(error).split())
+
+
+def _explain_type(message: str) -> str:
+    """Turn what rclpy says about a parameter that it declares itself into a fix."""
+    parts = re.search(r"'(.*?)' to '(.*)' of type '\w+', expecting type '(\w+)'", message)
+    if parts is None:
+        return message
+    name, value, wanted = parts.groups()
+    return f"'{name}' is {value}: {_FIXES.get(wanted, f'a {wanted} is needed')}"
+
+
+_FIXES = {"BOOL": "write true or false, without quotes", "INTEGER": "write a whole number"}
+
+
+def _explain_rcl(message: str, argv: Sequence[str]) -> str:
+    """Turn what rcl says into what the user can mend."""
+    quoted = re.search(r"'(-p|--param|--params-file) (.*?)'\. Error: (.*)", message)
+    if quoted is None:
+        return _without_sources(message)
+    option, text, reason = quoted.groups()
+    if option == "--params-file":
+        try:
+            ParameterFile.read(text)
+        except ParameterFileError as found:  # says what is wrong better than rcl does
+            return str(found)
+    reason = _without_sources(reason)
+    if "same type" in reason:
+        reason += ": write every number of a list with a decimal point, like [1.0, 0.5]"
+    what = "parameter file" if option == "--params-file" else "parameter"
+    return f"{what} '{text}': {reason}"
+
+
+def _without_sources(message: str) -> str:
+    """Remove where in rcl's sources the error arose."""
+    return " ".join(re.sub(r", at \S+:\d+", "", message).split())
