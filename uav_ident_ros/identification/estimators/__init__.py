@@ -10,14 +10,11 @@ from __future__ import annotations
 from typing import Protocol
 
 from uav_ident_ros.identification.estimators.gradient import GradientEstimator
-from uav_ident_ros.identification.estimators.instrumental_variable import (
-    InstrumentalVariableEstimator,
-)
-from uav_ident_ros.identification.estimators.least_squares import LeastSquaresEstimator
+from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
 
 class Estimator(Protocol):
@@ -29,10 +26,16 @@ class Estimator(Protocol):
         A_m, SI.
     problem : str
         What went wrong, in a sentence; empty if nothing did.
+    learning : (3,) bool array
+        Rows that learned at the last tick; the others saw no excitation.
+    changes : list of (row, column)
+        Coefficients that were found changed, and released, at the last tick.
     """
 
     coefficients: FloatArray
     problem: str
+    learning: BoolArray
+    changes: list[tuple[int, int]]
 
     @property
     def sigma(self) -> FloatArray:
@@ -46,6 +49,5 @@ def make_estimator(settings: Settings, start: Start) -> Estimator:
     """Return the estimator that the settings name."""
     if settings.estimator == "gradient":
         return GradientEstimator(settings.gradient, start)
-    if settings.estimator == "instrumental_variable":
-        return InstrumentalVariableEstimator(start, settings.forgetting_time)
-    return LeastSquaresEstimator(start, settings.forgetting_time)
+    instrumental = settings.estimator == "instrumental_variable"
+    return RecursiveRegression(start, settings.forgetting_time, instrumental=instrumental)

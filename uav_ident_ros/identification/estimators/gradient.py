@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.information import Information
+from uav_ident_ros.identification.estimators.recursive import InstrumentalVariable
 from uav_ident_ros.identification.prior import LARGEST_COEFFICIENT, Start
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.settings import GradientSettings, SettingsError
@@ -119,7 +119,9 @@ class GradientEstimator:
         self._normalisation = settings.normalisation
         self._guarded = settings.step == "guarded"
         self._start = start
-        self._uncertainty = Information(start)
+        self.learning: BoolArray = np.ones(3, dtype=bool)
+        self.changes: list[tuple[int, int]] = []
+        self._reference = InstrumentalVariable(start, forgetting_time=0.0)
         self.coefficients: FloatArray = start.values.copy()
         self.problem = ""
         self._power: FloatArray = np.zeros(start.values.shape[1])
@@ -127,14 +129,19 @@ class GradientEstimator:
 
     @property
     def sigma(self) -> FloatArray:
-        """Standard deviations, shape (3, n): the least-squares ones, widened by the distance."""
-        distance = self.coefficients - self._uncertainty.solve()
-        return np.where(self._start.free, np.hypot(self._uncertainty.sigma, distance), 0.0)
+        """Standard deviations, shape (3, n).
+
+        The law has none: they are those of the instrumental variable, widened by the
+        distance from it.
+        """
+        information = self._reference.information
+        distance = self.coefficients - information.solve()
+        return np.where(self._start.free, np.hypot(information.sigma, distance), 0.0)
 
     def update(self, data: Regression) -> None:
         """Take one step of the law over the time that the samples stand for."""
         dt = data.dt * len(data.y)
-        self._uncertainty.accumulate(data, data.f, self.coefficients)
+        self._reference.accumulate(data, self.coefficients, self.learning)
         y, f = data.y[-1], data.f[-1]
         moved, step = gradient_step(
             self.coefficients,

@@ -8,11 +8,18 @@ the gain ``K = R^-1``: computed, not chosen.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.identification.structure import (
+    AUGMENTED_REGRESSORS,
+    CONSTANT,
+    BoolArray,
+    FloatArray,
+)
 
 BLOCK_TIME = 1.0
 """Length of the blocks whose scores are taken as independent, s: longer than the correlation
@@ -24,6 +31,22 @@ RESIDUAL_TIME = 30.0
 _RIDGE = 1e-9
 """Relative to a regressor's own information: keeps the solution defined where columns are
 collinear."""
+
+
+RELEASED_SHARE = 0.98
+"""Share of a coefficient's information that a release takes out: what is left keeps the
+solution from jumping on the first noisy sample."""
+
+CONSTANT_COLUMN = AUGMENTED_REGRESSORS.index(CONSTANT)
+"""Column of the constant, which takes up part of any change about a trim."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Copy of the accumulated ``R``, shape (3, k, k), and ``r``, shape (3, k)."""
+
+    matrix: FloatArray
+    vector: FloatArray
 
 
 class Columns:
@@ -128,6 +151,38 @@ class Information:
         if full.any():
             self._close_blocks(full)
 
+    def add_sample(self, row: int, y: FloatArray, f: FloatArray, z: FloatArray, dt: float) -> None:
+        """Add one sample, y (3,), f and z (n,), that stands for `dt` s to one row alone."""
+        index, used = self.columns.index[row], self.columns.used[row]
+        weighted = np.where(used, z[index] * dt, 0.0)
+        self.matrix[row] += np.outer(weighted, np.where(used, f[index], 0.0))
+        self.vector[row] += weighted * (y[row] - f @ self._start.values[row])
+
+    def snapshot(self) -> Snapshot:
+        """Return a copy of what was accumulated."""
+        return Snapshot(self.matrix.copy(), self.vector.copy())
+
+    def restore(self, row: int, snapshot: Snapshot) -> None:
+        """Set one row back to what it was."""
+        self.matrix[row] = snapshot.matrix[row]
+        self.vector[row] = snapshot.vector[row]
+
+    def release(self, row: int, column: int, shift: float) -> None:
+        """Take out what is known of one coefficient, and of the constant, in one row.
+
+        A Schur step removes the column's information and leaves that of the others as it is
+        with this one unknown; the vector is rebuilt for the coefficient moved by `shift`.
+        """
+        believed = self.columns.gather(self.solve() - self._start.values)[row]
+        matrix = self.matrix[row]
+        for j in np.flatnonzero(self.columns.used[row]):
+            regressor = self.columns.index[row, j]
+            if regressor == column:
+                believed[j] += shift
+            if regressor in (column, CONSTANT_COLUMN) and matrix[j, j] > 0.0:
+                matrix -= RELEASED_SHARE * np.outer(matrix[:, j], matrix[j]) / matrix[j, j]
+        self.vector[row] = matrix @ believed
+
     def _close_blocks(self, full: BoolArray) -> None:
         """Count the scores of the rows whose block is full, and renew their sigma."""
         score = np.where(full[:, None], self._score, 0.0)
@@ -160,7 +215,7 @@ class Information:
         return self._start.values + self.columns.scatter(deviation)
 
     def _compute_sigma(self) -> FloatArray:
-        """Standard deviations of the coefficients, shape (3, n).
+        """Return the standard deviations of the coefficients, shape (3, n).
 
         ``R^-1 S R^-T`` with S the sum of the outer products of the scores of one-second
         blocks: it holds for residuals coloured within a block, where ``s^2 R^-1`` is several

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Noticing that a control derivative has changed, from the residuals alone.
+
+Forgetting cannot follow a surface that loses half its effect: fast enough for that, it lets
+everything else wander. So the residuals of the last seconds are searched for a slope along
+each input, and only the coefficient that changed is released.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.identification.estimators.excitation import QUIET_SHARE
+from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
+
+WINDOW_TIME = 5.0
+"""Time over which the slope is taken, s."""
+
+CHECK_TIME = 0.25
+"""Time between two looks, s."""
+
+CONFIRMATIONS = 3
+"""Looks in a row that must agree."""
+
+MIN_T = 5.0
+"""Slope in standard deviations below which nothing has changed."""
+
+MIN_CHANGE = 0.2
+"""Slope relative to the coefficient below which a change does not matter."""
+
+MIN_HISTORY_RATIO = 3.0
+"""Slope relative to its own usual size: model errors give slopes that come and go."""
+
+HISTORY_TIME = 30.0
+"""Memory of a slope's usual size, s."""
+
+CORRELATION_TIME = 1.0
+"""Time after which residuals count as independent, s."""
+
+
+@dataclass(frozen=True)
+class TickMean:
+    """Means of the regression problem over one tick."""
+
+    y: FloatArray
+    f: FloatArray
+    z: FloatArray
+    dt: float
+
+
+class ChangeDetector:
+    """Watches the residuals for a changed control derivative.
+
+    Parameters
+    ----------
+    free : (3, n) bool array
+        Coefficients that move.
+
+    Attributes
+    ----------
+    recent : deque of TickMean
+        The ticks of the window.
+    slope : (3, 4) array
+        Slope found at the last look: how much each control derivative seems to have changed.
+    """
+
+    def __init__(self, free: BoolArray) -> None:
+        self._watched: BoolArray = free[:, INPUT_COLUMNS]
+        self.recent: deque[TickMean] = deque()
+        self.slope: FloatArray = np.zeros((3, 4))
+        self._recent_time = 0.0
+        self._since_look = 0.0
+        self._usual: FloatArray = np.zeros((3, 4))
+        self._usual_time = 0.0
+        self._agreeing = np.zeros((3, 4), dtype=np.int64)
+        self._hold_off: FloatArray = np.full(3, WINDOW_TIME)
+
+    def update(
+        self, data: Regression, coefficients: FloatArray, share: FloatArray
+    ) -> list[tuple[int, int]]:
+        """Return (row, input) of each control derivative that has changed.
+
+        Parameters
+        ----------
+        data : Regression
+            Samples of this tick.
+        coefficients : (3, n) array
+            The estimate.
+        share : (4,) array
+            Liveliness of the inputs, of the excitation gate.
+        """
+        dt = data.dt * len(data.y)
+        mean = TickMean(data.y.mean(axis=0), data.f.mean(axis=0), data.z.mean(axis=0), dt)
+        self.recent.append(mean)
+        self._recent_time += dt
+        while self._recent_time > WINDOW_TIME:
+            self._recent_time -= self.recent.popleft().dt
+        self._hold_off = np.maximum(self._hold_off - dt, 0.0)
+        self._since_look += dt
+        if self._since_look < CHECK_TIME or self._recent_time < WINDOW_TIME - 2.0 * dt:
+            return []
+        elapsed, self._since_look = self._since_look, 0.0
+        return self._look(coefficients, share, elapsed)
+
+    def _look(
+        self, coefficients: FloatArray, share: FloatArray, elapsed: float
+    ) -> list[tuple[int, int]]:
+        t = self._slopes(coefficients)
+        size = np.abs(self.slope)
+        usual = np.sqrt(self._usual)
+        alarm = (
+            self._watched
+            & (t > MIN_T)
+            & (size > MIN_CHANGE * np.abs(coefficients[:, INPUT_COLUMNS]))
+            & (size > MIN_HISTORY_RATIO * usual)
+            & (share >= QUIET_SHARE)
+            & (self._hold_off == 0.0)[:, None]
+            & (self._usual_time >= HISTORY_TIME)
+        )
+        self._agreeing = np.where(alarm, self._agreeing + 1, 0)
+        self._usual_time = min(self._usual_time + elapsed, HISTORY_TIME)
+        weight = np.where(alarm, 0.0, elapsed / self._usual_time)
+        self._usual += weight * (self.slope**2 - self._usual)
+        changed = []
+        for i in range(3):
+            # One release at a time in a row: the strongest, the others may only mirror it.
+            strongest = int(np.argmax(np.where(self._agreeing[i] >= CONFIRMATIONS, t[i], 0.0)))
+            if self._agreeing[i, strongest] >= CONFIRMATIONS:
+                changed.append((i, strongest))
+                self._hold_off[i] = WINDOW_TIME
+                self._agreeing[i] = 0
+        return changed
+
+    def _slopes(self, coefficients: FloatArray) -> FloatArray:
+        """Update `slope`; return its t-ratios by the long-run variance, shape (3, 4)."""
+        y = np.array([tick.y for tick in self.recent])
+        f = np.array([tick.f for tick in self.recent])
+        residual = y - f @ coefficients.T
+        residual -= residual.mean(axis=0)
+        u = f[:, INPUT_COLUMNS] - f[:, INPUT_COLUMNS].mean(axis=0)
+        power = (u * u).sum(axis=0)
+        power[power == 0.0] = np.inf
+        self.slope = residual.T @ u / power
+        # Scores of the slope, (ticks, 3, 4); sums over sliding blocks of the correlation
+        # time give the Bartlett estimate of their long-run variance.
+        scores = u[:, None, :] * (residual[:, :, None] - self.slope * u[:, None, :])
+        sums = np.concatenate([np.zeros((1, 3, 4)), np.cumsum(scores, axis=0)])
+        length = max(1, round(CORRELATION_TIME / self.recent[-1].dt))
+        blocks = sums[length:] - sums[:-length]
+        variance = (blocks**2).mean(axis=0) / length * len(scores)
+        deviation = np.sqrt(variance) / power
+        return np.divide(np.abs(self.slope), deviation, out=np.zeros((3, 4)), where=deviation > 0.0)

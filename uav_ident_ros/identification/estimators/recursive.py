@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recursive regression: least squares, or the instrumental variable, with its guards.
+
+Gyro noise and gusts are in the regressors and bias least squares. The regressors of the
+model's own state are not correlated with them, which makes them instruments (Young 2011,
+SRIVC; here in information form, for a nonlinear model, and with guards since the model runs
+while its coefficients are still poor).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from uav_ident_ros.identification.estimators.change import WINDOW_TIME, ChangeDetector
+from uav_ident_ros.identification.estimators.excitation import ExcitationGate
+from uav_ident_ros.identification.estimators.information import Information, Snapshot
+from uav_ident_ros.identification.prior import Start
+from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
+
+WARM_UP_TIME = 10.0
+"""Time for which least squares builds the first model, s."""
+
+TAKE_OVER_WEIGHT = 0.1
+"""Weight that the least-squares start keeps when the instruments take over: it is biased,
+and at full weight the bias would stay for as long again."""
+
+SNAPSHOT_TIME = 0.5
+"""Time between the copies of the information that a change goes back to, s."""
+
+READD_TIME = 1.5
+"""Newest stretch that surely lies after a noticed change, s."""
+
+
+class InstrumentalVariable:
+    """Information with instruments, after a least-squares start.
+
+    Parameters
+    ----------
+    start : Start
+        Initial coefficients, their uncertainty, and which are free.
+    forgetting_time : float
+        Time constant of forgetting, s; 0 for never.
+    """
+
+    def __init__(self, start: Start, forgetting_time: float) -> None:
+        self.information = Information(start, forgetting_time)
+        self.warming_up = True
+
+    def accumulate(self, data: Regression, coefficients: FloatArray, learning: BoolArray) -> None:
+        """Add the samples of a tick; parameters as in `Information.accumulate`."""
+        if self.warming_up and self.information.time.max() >= WARM_UP_TIME:
+            self.warming_up = False
+            self.information.discount(TAKE_OVER_WEIGHT)
+        z = data.f if self.warming_up else data.z
+        self.information.accumulate(data, z, coefficients, learning)
+
+
+class RecursiveRegression:
+    """Least squares or instrumental variable, in one pass.
+
+    Rows pause in quiet flight, and a control derivative that changes is released alone.
+
+    Parameters
+    ----------
+    start : Start
+        Initial coefficients, their uncertainty, and which are free.
+    forgetting_time : float
+        Time constant of forgetting, s; 0 for never.
+    instrumental : bool
+        Whether the instrumental variable gives the coefficients. If not, it only tells how
+        far least squares is biased.
+
+    Attributes
+    ----------
+    learning : (3,) bool array
+        Rows that learned at the last tick.
+    changes : list of (row, column)
+        Coefficients released at the last tick.
+    """
+
+    def __init__(self, start: Start, forgetting_time: float, *, instrumental: bool) -> None:
+        self.coefficients: FloatArray = start.values.copy()
+        self.problem = ""
+        self.learning: BoolArray = np.ones(3, dtype=bool)
+        self.changes: list[tuple[int, int]] = []
+        self._start = start
+        self._instrumental = instrumental
+        self._reference = InstrumentalVariable(start, forgetting_time)
+        self._information = (
+            self._reference.information if instrumental else Information(start, forgetting_time)
+        )
+        self._gate = ExcitationGate(start.free)
+        self._detector = ChangeDetector(start.free)
+        self._snapshots: deque[tuple[float, Snapshot]] = deque()
+        self._since_snapshot = 0.0
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations, shape (3, n); 0 where a coefficient is not free.
+
+        Those of least squares are widened by its distance from the instrumental variable:
+        its bias in gusts is many times what its own residuals tell.
+        """
+        sigma = self._information.sigma
+        if self._instrumental:
+            return sigma
+        distance = self.coefficients - self._reference.information.solve()
+        return np.where(self._start.free, np.hypot(sigma, distance), 0.0)
+
+    def update(self, data: Regression) -> None:
+        """Add the samples of a tick and solve."""
+        self.learning = self._gate.update(data)
+        self._reference.accumulate(data, self.coefficients, self.learning)
+        if not self._instrumental:
+            self._information.accumulate(data, data.f, self.coefficients, self.learning)
+        self._follow_changes(data)
+        self.coefficients = self._information.solve()
+
+    def _follow_changes(self, data: Regression) -> None:
+        changed = self._detector.update(data, self.coefficients, self._gate.share)
+        self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
+        for i, j in changed:
+            self._release(i, INPUT_COLUMNS.start + j, float(self._detector.slope[i, j]))
+        self._since_snapshot += data.dt * len(data.y)
+        if self._since_snapshot >= SNAPSHOT_TIME:
+            self._snapshots.append((0.0, self._information.snapshot()))
+            self._snapshots = deque((age + self._since_snapshot, s) for age, s in self._snapshots)
+            self._since_snapshot = 0.0
+            while len(self._snapshots) > 1 and self._snapshots[1][0] >= WINDOW_TIME:
+                self._snapshots.popleft()
+
+    def _release(self, row: int, column: int, shift: float) -> None:
+        """Forget one coefficient of one row, back to before the change, and learn it anew."""
+        self._information.restore(row, self._snapshots[0][1])
+        self._information.release(row, column, shift)
+        time = 0.0
+        for tick in reversed(self._detector.recent):
+            time += tick.dt
+            if time > READD_TIME:
+                break
+            z = tick.z if self._instrumental and not self._reference.warming_up else tick.f
+            self._information.add_sample(row, tick.y, tick.f, z, tick.dt)
