@@ -40,6 +40,9 @@ NUDGE_AFTER = 0.02
 CLOCK_AHEAD_NS = 100_000_000
 """How far /clock may get ahead of the messages that way, ns: two periods of the node's timer."""
 
+SETTLE = 0.3
+"""Seconds for what takes no longer on any machine, and cannot be asked for."""
+
 START_UP_NS = 500_000_000
 """Recording time in which the node's first outputs are not waited for yet, ns."""
 
@@ -184,7 +187,7 @@ class Player:
             + (" and /clock" if self._clock else ""),
             timeout,
         )
-        self.spin_for(0.2)  # matching in the other direction, which nothing reports
+        self.spin_for(SETTLE)  # matching in the other direction, which nothing reports
 
     def send(self, topic: str, data: Any) -> None:
         """Publish one message, or its CDR bytes."""
@@ -195,6 +198,13 @@ class Player:
         self._clock_ns = t_ns
         if self._clock is not None:
             self._clock.publish(Clock(clock=to_stamp(t_ns)))
+
+    def _begin_clock(self, t_ns: int) -> None:
+        """Publish the first time of a recording; a jump back must arrive before the messages."""
+        back = t_ns < self._clock_ns
+        self.send_clock(t_ns)
+        if back:
+            self.spin_for(SETTLE)
 
     def _advance_clock(self, t_ns: int) -> None:
         """Publish a time on /clock unless it is there already."""
@@ -248,6 +258,14 @@ class Player:
                 self._wait_for_answer(wanted, start_ns, timeout)
 
         self._play(messages, hold)
+        self._flush()
+
+    def _flush(self) -> None:
+        """Let the node's timer fire once more, and its last outputs arrive."""
+        for _ in range(CLOCK_AHEAD_NS // CLOCK_PERIOD_NS):
+            self._advance_clock(self._clock_ns + CLOCK_PERIOD_NS)
+            self.spin_for(NUDGE_AFTER)
+        self.spin_for(SETTLE)
 
     def _wait_for_answer(self, wanted_ns: int, start_ns: int, timeout: float) -> None:
         """Listen until the tick of `wanted_ns` is there.
@@ -278,7 +296,7 @@ class Player:
         for message in messages:
             if clock_ns is None:
                 clock_ns = message.log_ns
-                self.send_clock(clock_ns)
+                self._begin_clock(clock_ns)
             while clock_ns + CLOCK_PERIOD_NS <= message.log_ns:
                 clock_ns += CLOCK_PERIOD_NS
                 hold(clock_ns)

@@ -1,42 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node tests play: the committed bags, and what replay makes of the same messages."""
+"""What the node tests play, and what the offline replay makes of the same messages."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from node_process import ROOT
 
+from uav_ident_ros.bag_writer import BagWriter
 from uav_ident_ros.bags import Bag, Message
-from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages import import_type
-from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.player import Outputs, stamp_ns
 
-BAGS = Path(__file__).parents[2] / "bags"
+BAGS = ROOT / "bags"
 RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
+TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC)
+NODE = "/identifier"
+
+TickValues = dict[int, tuple[float, ...]]
+"""Everything published for a tick, by its stamp in ns."""
 
 
 @dataclass(frozen=True)
 class Recording:
     """The first part of a bag."""
 
-    name: str
     messages: list[Message]
     types: dict[str, str]
     parameter_file: Path
 
     @property
-    def settings(self) -> Settings:
-        return Settings.from_values(load_parameters(self.parameter_file, "identifier"))
-
-    @property
     def classes(self) -> dict[str, type]:
         return {topic: import_type(name) for topic, name in self.types.items()}
-
-    @property
-    def start_ns(self) -> int:
-        return self.messages[0].log_ns
 
 
 def recording(name: str, seconds: float) -> Recording:
@@ -44,13 +44,49 @@ def recording(name: str, seconds: float) -> Recording:
     folder = BAGS / name
     if not folder.exists():
         pytest.skip(f"the example bag '{name}' is not here")
-    topics = (RATES_TOPIC, ACTUATORS_TOPIC)
     with Bag(folder) as bag:
-        types = {topic: bag.type_of(topic) for topic in topics}
+        types = {topic: bag.type_of(topic) for topic in TOPICS}
         end_ns = bag.start_ns + int(seconds * 1e9)
-        messages = []
-        for message in bag.messages(topics):
-            if message.log_ns > end_ns:
-                break
-            messages.append(message)
-    return Recording(name, messages, types, folder / "identifier.yaml")
+        messages = [m for m in bag.messages(TOPICS) if m.log_ns <= end_ns]
+    return Recording(messages, types, folder / "identifier.yaml")
+
+
+def write_bag(flight: Recording, folder: Path) -> Path:
+    """Write a recording as a bag of its own."""
+    with BagWriter(folder) as bag:
+        for topic, name in flight.types.items():
+            bag.topic(topic, name)
+        for message in flight.messages:
+            bag.write(message.topic, message.log_ns, message.data)
+    return folder
+
+
+def replayed(flight: Recording, folder: Path) -> TickValues:
+    """Run `replay` on a recording and return what its estimates bag holds."""
+    bag = write_bag(flight, folder / "flight")
+    command = [sys.executable, "-m", "uav_ident_ros.replay", str(bag)]
+    command += ["--params-file", str(flight.parameter_file), "--output", str(folder / "out")]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    names = ("coefficients_named", "predicted_rates", "prediction_error")
+    topics = [f"{NODE}/{name}" for name in names]
+    with Bag(folder / "out" / "estimates") as estimates:
+        decoders = {topic: estimates.decoder(topic) for topic in topics}
+        decoded = [(m.topic, decoders[m.topic](m.data)) for m in estimates.messages(topics)]
+    return joined(*([m for t, m in decoded if t == topic] for topic in topics))
+
+
+def published(outputs: Outputs) -> TickValues:
+    """What a node published, tick by tick."""
+    return joined(outputs.named, outputs.predicted_rates, outputs.prediction_error)
+
+
+def joined(named: Iterable, predicted: Iterable, error: Iterable) -> TickValues:
+    """Values and deviations of the coefficients, predicted rates and their error, by tick."""
+    ticks = {stamp_ns(m.header.stamp): (*m.position, *m.effort) for m in named}
+    for messages in (predicted, error):
+        vectors = {stamp_ns(m.header.stamp): m.vector for m in messages}
+        assert vectors.keys() == ticks.keys()
+        for tick, v in vectors.items():
+            ticks[tick] += (v.x, v.y, v.z)
+    return ticks
