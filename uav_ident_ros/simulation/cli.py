@@ -24,7 +24,7 @@ START = 2.0
 """Time before the excitation begins, s."""
 
 PLANT_AMPLITUDES = (0.08, 0.12, 0.06, 0.2)
-AIRCRAFT_AMPLITUDES = (0.04, 0.08, 0.06, 0.1)
+AIRCRAFT_AMPLITUDES = (0.08, 0.18, 0.1, 0.1)
 """Default peaks of de, dr, da (rad), dth."""
 
 FORCE_NOISE = {"rms": 0.3, "correlation_time": 0.5}
