@@ -15,6 +15,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayTracker, start_again
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.frames import BodyFrame
@@ -91,9 +92,12 @@ class OnlineIdentifier:
 
     def reset(self) -> None:
         """Start cold: buffers and filters restart, the coefficients return to their start."""
-        self._estimator: Estimator = make_estimator(
-            self.settings, start_from(self.settings, self._initial)
-        )
+        self._start = start_from(self.settings, self._initial)
+        self._estimator: Estimator = make_estimator(self.settings, self._start)
+        self._delay: DelayTracker | None = None
+        self._sampler.delay = self.settings.actuators.delay
+        if self.settings.actuators.estimate_delay:
+            self._delay = DelayTracker(self._sampler.delay, self._arm)
         self._model = IdentifiedModel(self.structure, self._arm)
         self.fault = ""
         self._learned_time = 0.0
@@ -111,6 +115,30 @@ class OnlineIdentifier:
         self._next_tick: int | None = None
         self._last_tick_ns = _NO_TICK
         self._newest_rates: FloatArray | None = None
+
+    # -- the delay of the inputs -----------------------------------------------------------
+
+    @property
+    def delay(self) -> float:
+        """Transport delay in use, s: the setting, or what the flight has shown it to be."""
+        return self._sampler.delay
+
+    @property
+    def delay_sigma(self) -> float:
+        """Standard deviation of the estimated delay, s; inf where none is estimated."""
+        return (NO_ESTIMATE if self._delay is None else self._delay.estimate).sigma
+
+    @property
+    def delay_confidence(self) -> str:
+        """Whether the flight shows the delay: ``none``, ``low`` or ``sure``."""
+        return (NO_ESTIMATE if self._delay is None else self._delay.estimate).confidence
+
+    def _use_delay(self, delay: float) -> None:
+        """Pair rates and inputs anew; what was learned with another delay is biased."""
+        self._sampler.delay = delay
+        start = start_again(self._start, self._estimator.coefficients, self._estimator.sigma)
+        self._estimator = make_estimator(self.settings, start)
+        self._learned_time = 0.0
 
     # -- samples in ------------------------------------------------------------------------
 
@@ -279,9 +307,13 @@ class OnlineIdentifier:
         if self.settings.filter.method == "backward_difference":
             adapting = self._paper_tick(t_ns)
         else:
+            moved = False
             for block in self._sampler.blocks():
                 self._learn(block)
+                moved = (self._delay is not None and self._delay.add(block)) or moved
                 adapting = True
+            if moved and self._delay is not None:
+                self._use_delay(self._delay.delay)
         return self._estimate(t_ns, adapting)
 
     def _learn(self, block: Block) -> None:
