@@ -159,6 +159,12 @@ class WindowErrors:
     measured_square: FloatArray
 
     @staticmethod
+    def none() -> WindowErrors:
+        """Return the sums of no window at all."""
+        no_time, nothing = np.empty(0, dtype=np.int64), np.empty((0, 3))
+        return WindowErrors(no_time, no_time, nothing, nothing, nothing, nothing, nothing)
+
+    @staticmethod
     def join(parts: Sequence[WindowErrors]) -> WindowErrors:
         """Join the windows of several stretches of a flight."""
         columns = {f.name: [getattr(part, f.name) for part in parts] for f in fields(WindowErrors)}
@@ -291,7 +297,8 @@ def window_errors(
     ticks_ns : (K,) int array
         Ticks, ns, strictly rising.
     coefficients : (K, 3, n) array
-        Coefficients published at each tick, SI, FRD.
+        Coefficients published at each tick, SI, FRD. One that is not finite makes its window's
+        prediction a divergent one.
     structure : Structure
         Their structure.
     lever_arm : (3,) array, optional
@@ -300,7 +307,7 @@ def window_errors(
     Raises
     ------
     ValueError
-        If stamps do not rise, shapes do not match or a coefficient is not finite.
+        If stamps do not rise or shapes do not match.
     """
     _check(t_ns, rates, inputs, ticks_ns, coefficients, structure)
     arm = np.zeros(3) if lever_arm is None else np.asarray(lever_arm, dtype=np.float64)
@@ -308,6 +315,8 @@ def window_errors(
     if arm.any():
         force = force - centripetal(rates, arm)
     usable = _covered(ticks_ns, t_ns, inputs)
+    if not usable.any():
+        return WindowErrors.none()
     ticks = ticks_ns[usable]
     grid = _Grid.build(t_ns, rates, inputs, force, ticks)
     model = _effective(coefficients[usable], structure, arm)
@@ -348,8 +357,6 @@ def _check(
             f"coefficients have shape {coefficients.shape}: ({len(ticks_ns)}, 3, "
             f"{structure.size}) is needed for the ticks and structure '{structure.name}'"
         )
-    if not np.isfinite(coefficients).all():
-        raise ValueError("the coefficients are not all finite")
 
 
 def _covered(ticks_ns: TimeArray, t_ns: TimeArray, inputs: InputSignal) -> BoolArray:

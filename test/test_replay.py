@@ -1,0 +1,434 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`replay`: the same as the core fed by hand, files as the contract says, and clear refusals."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+
+from uav_ident_ros.bag_writer import BagWriter, jazzy_types
+from uav_ident_ros.bags import Bag, BagError
+from uav_ident_ros.coefficients_file import load_coefficients, save_coefficients
+from uav_ident_ros.estimates_bag import write_estimates
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.messages import entry_names
+from uav_ident_ros.offline import OfflineRun, choose_inputs
+from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.replay import main
+
+ROOT = Path(__file__).parent.parent
+BAGS = ROOT / "bags"
+REAL_FLIGHT = ROOT.parent / "shared" / "bags" / "thor75_auto"
+SECOND_NS = 1_000_000_000
+IMU, ACTUATORS = "/imu/data", "/actuators"
+Change = Callable[[str, int, Any], list[tuple[str, int, Any]]]
+
+
+def parameters(name: str) -> list[str]:
+    return ["--params-file", str(BAGS / name / "identifier.yaml")]
+
+
+def excerpt(source: str, target: Path, seconds: float, change: Change | None = None) -> Path:
+    """Copy the start of a bag, with every message changed on the way."""
+    with Bag(BAGS / source) as bag, BagWriter(target) as writer:
+        decoders = {topic: bag.decoder(topic) for topic in (IMU, ACTUATORS)}
+        announced: dict[str, str] = {}
+        end_ns = bag.start_ns + round(seconds * SECOND_NS)
+        for topic, log_ns, data in bag.messages([IMU, ACTUATORS]):
+            if log_ns > end_ns:
+                break
+            entries = [(topic, log_ns, decoders[topic](data))]
+            for name, at, message in change(*entries[0]) if change else entries:
+                if name not in announced:
+                    announced[name] = message.__msgtype__
+                    writer.topic(name, message.__msgtype__)
+                writer.write(name, at, message)
+    return target
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "summary.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def replayed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of one replay of a committed bag."""
+    folder = tmp_path_factory.mktemp("replayed") / "results"
+    arguments = [str(BAGS / "multisine"), *parameters("multisine"), "--output", str(folder)]
+    assert main([*arguments, "--plot"]) == 0
+    return folder
+
+
+def fed_by_hand(name: str) -> list[Estimate]:
+    """Estimates of the core over a bag, by the tick rule, with another bag reader."""
+    values = load_parameters(BAGS / name / "identifier.yaml", "identifier")
+    settings = Settings.from_values(values)
+    identifier = OnlineIdentifier(settings)
+    estimates = []
+    with AnyReader([BAGS / name]) as reader:
+        for connection, log_ns, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            stamp_ns = log_ns
+            if hasattr(message, "header"):
+                stamp = message.header.stamp
+                stamp_ns = stamp.sec * SECOND_NS + stamp.nanosec
+            if connection.topic == IMU:
+                w, a = message.angular_velocity, message.linear_acceleration
+                identifier.add_rates(stamp_ns, (w.x, w.y, w.z), (a.x, a.y, a.z))
+            elif hasattr(message, "position"):
+                identifier.add_actuators(stamp_ns, tuple(message.position))
+            else:
+                identifier.add_actuators(stamp_ns, tuple(message.data))
+            while (t_ns := identifier.due()) is not None:
+                estimates.append(identifier.update(t_ns))
+    return estimates
+
+
+def test_estimates_are_those_of_the_core_to_the_bit(replayed: Path) -> None:
+    estimates = fed_by_hand("multisine")
+    structure = STRUCTURES["augmented"]
+    types = jazzy_types()
+    found: dict[str, list[Any]] = {}
+    with Bag(replayed / "estimates") as bag:
+        assert bag.types == {
+            "/identifier/coefficients": "std_msgs/msg/Float64MultiArray",
+            "/identifier/coefficients_named": "sensor_msgs/msg/JointState",
+            "/identifier/predicted_rates": "geometry_msgs/msg/Vector3Stamped",
+            "/identifier/prediction_error": "geometry_msgs/msg/Vector3Stamped",
+        }
+        for topic, log_ns, data in bag.messages(bag.types):
+            message = types.deserialize_cdr(data, bag.types[topic])
+            found.setdefault(topic.removeprefix("/identifier/"), []).append((log_ns, message))
+    assert {len(messages) for messages in found.values()} == {len(estimates)}
+    for k, estimate in enumerate(estimates):
+        for topic, messages in found.items():
+            log_ns, message = messages[k]
+            assert log_ns == estimate.t_ns
+            if topic != "coefficients":
+                stamp = message.header.stamp
+                assert stamp.sec * SECOND_NS + stamp.nanosec == estimate.t_ns
+        dense = found["coefficients"][k][1]
+        assert dense.data.tobytes() == estimate.coefficients.tobytes()
+        named = found["coefficients_named"][k][1]
+        assert named.position[:26].tobytes() == estimate.coefficients[structure.mask].tobytes()
+        assert named.effort[:26].tobytes() == estimate.sigma[structure.mask].tobytes()
+        assert named.position[-1] == float(estimate.usable)
+        predicted = found["predicted_rates"][k][1]
+        vector = predicted.vector
+        assert [vector.x, vector.y, vector.z] == estimate.predicted_rates.tolist()
+        error = found["prediction_error"][k][1].vector
+        assert [error.x, error.y, error.z] == estimate.prediction_error.tolist()
+    assert named.name == list(entry_names(structure))
+    assert [d.label for d in dense.layout.dim] == ["pdot,qdot,rdot", ",".join(structure.regressors)]
+    assert predicted.header.frame_id == summary(replayed)["frame_id"]
+
+
+def test_quality_of_service_in_the_bag(replayed: Path) -> None:
+    with AnyReader([replayed / "estimates"]) as reader:
+        profiles = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
+    for topic, profile in profiles.items():
+        latched = "coefficients" in topic
+        assert profile.reliability == QosReliability.RELIABLE
+        durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
+        assert profile.durability == durability
+        assert profile.depth == (1 if latched else 10)
+
+
+def test_mcap_reader_finds_schemas(replayed: Path) -> None:
+    mcap_reader = pytest.importorskip("mcap.reader")
+    with (replayed / "estimates" / "estimates.mcap").open("rb") as file:
+        schemas = mcap_reader.make_reader(file).get_summary().schemas.values()
+    assert {s.encoding for s in schemas} == {"ros2msg"}
+    assert all(s.data for s in schemas)
+
+
+def test_summary_and_coefficients(replayed: Path) -> None:
+    content = summary(replayed)
+    truth = yaml.safe_load((BAGS / "multisine" / "truth.yaml").read_text())["coefficients"]
+    for name in ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr"):
+        assert content["coefficients"][name]["value"] == pytest.approx(truth[name], rel=0.05)
+    for windows in ("last_40_percent", "after_30_s"):
+        fit = content["prediction_fit"][windows]
+        assert fit["windows"] * 200 == fit["samples"]
+        for axis in "pqr":
+            assert fit["model"][axis] > 85.0
+            assert fit["hold"][axis] < 0.0
+    assert content["inputs"]["rates"]["received"] == 15001
+    assert content["inputs"]["actuators"]["dropped"] == {}
+    saved = load_coefficients(replayed / "coefficients.yaml", "augmented")
+    assert saved.t_ns == content["last_tick_ns"]
+    index = STRUCTURES["augmented"].index("pdot/da")
+    assert saved.values[index] == content["coefficients"]["pdot/da"]["value"]
+
+
+def test_picture(replayed: Path) -> None:
+    picture = (replayed / "replay.png").read_bytes()
+    assert picture.startswith(b"\x89PNG")
+    assert len(picture) > 20_000
+
+
+def test_same_bag_same_bytes(replayed: Path, tmp_path: Path) -> None:
+    file = BAGS / "multisine" / "multisine.mcap"
+    assert main([str(file), *parameters("multisine"), "--output", str(tmp_path / "again")]) == 0
+    for name in ("summary.json", "coefficients.yaml", "estimates/estimates.mcap"):
+        assert (tmp_path / "again" / name).read_bytes() == (replayed / name).read_bytes()
+
+
+def test_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([str(excerpt("pulses", tmp_path / "short", 10.0)), *parameters("pulses")]) == 0
+    printed = capsys.readouterr().out
+    assert "coefficient        value       sigma" in printed
+    assert "pdot/da " in printed
+    assert "holding the rates" in printed
+    assert "after 30 s [%]: no window to score" in printed
+    assert sorted(os.listdir("replay_short")) == ["coefficients.yaml", "estimates", "summary.json"]
+
+
+def test_unstamped_actuators_count_from_their_log_time(tmp_path: Path) -> None:
+    with Bag(BAGS / "pulses") as bag:
+        values = load_parameters(BAGS / "pulses" / "identifier.yaml", "identifier")
+        run = OfflineRun(choose_inputs(bag, values))
+        log_ns = [m.log_ns for m in bag.messages([ACTUATORS])]
+        run.run(bag, lambda messages, total: (m for m in messages if m.log_ns < log_ns[100]))
+    assert run.input_signal().t_ns.tolist() == log_ns[:100]
+
+
+def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
+    def renamed(topic: str, log_ns: int, message: Any) -> list[tuple[str, int, Any]]:
+        if topic == ACTUATORS:
+            return [("/plane/servos", log_ns, message)]
+        return [("/plane/imu", log_ns, message)]
+
+    def doubled(topic: str, log_ns: int, message: Any) -> list[tuple[str, int, Any]]:
+        if topic == ACTUATORS:
+            return [(topic, log_ns, message)]
+        return [("/imu_a", log_ns, message), ("/imu_b", log_ns, message)]
+
+    with Bag(excerpt("pulses", tmp_path / "renamed", 1.0, renamed)) as bag:
+        inputs = choose_inputs(bag, {})
+        assert (inputs.rates_topic, inputs.actuators_topic) == ("/plane/imu", "/plane/servos")
+        assert inputs.settings.actuators.type == "std_msgs/msg/Float64MultiArray"
+        with pytest.raises(BagError, match="no topic '/imu/data'; it has /plane/imu"):
+            choose_inputs(bag, {}, "/imu/data")
+    with Bag(excerpt("pulses", tmp_path / "doubled", 1.0, doubled)) as bag:
+        with pytest.raises(BagError, match=r"but /imu_a, /imu_b: choose one with --imu-topic"):
+            choose_inputs(bag, {})
+        assert choose_inputs(bag, {}, "/imu_b").rates_topic == "/imu_b"
+        with pytest.raises(BagError, match="Float64MultiArray, but known are sensor_msgs/msg/Imu"):
+            choose_inputs(bag, {}, ACTUATORS)
+    other = {"actuators.type": "mavros_msgs/msg/RCOut"}
+    words = r"but 'actuators\.type' is 'mavros_msgs/msg/RCOut'"
+    with Bag(BAGS / "pulses") as bag, pytest.raises(BagError, match=words):
+        choose_inputs(bag, other)
+
+
+@pytest.mark.parametrize("frame_id", ["imu_frd", "map_ned"])
+def test_contradicting_frame_is_a_fault(
+    frame_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def reframed(topic: str, log_ns: int, message: Any) -> list[tuple[str, int, Any]]:
+        if topic == IMU:
+            message.header.frame_id = frame_id
+        return [(topic, log_ns, message)]
+
+    bag = excerpt("pulses", tmp_path / "bag", 1.0, reframed)
+    assert main([str(bag), "--output", str(tmp_path / "out")]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith(f"replay: fault: the Imu's frame_id '{frame_id}' contradicts")
+    assert "no tick came due: of 201 messages on '/imu/data' were dropped: 201 wrong" in lines[1]
+    assert len(lines) == 2
+
+
+def test_bad_messages_are_counted_and_the_rest_is_used(tmp_path: Path) -> None:
+    count = {IMU: 0, ACTUATORS: 0}
+
+    def spoilt(topic: str, log_ns: int, message: Any) -> list[tuple[str, int, Any]]:
+        count[topic] += 1
+        if topic == ACTUATORS:
+            if count[topic] % 10 == 3:
+                message.data = np.full(4, np.nan)
+            elif count[topic] % 10 == 6:
+                message.data = message.data[:2]
+        elif count[topic] % 100 == 50:
+            message.angular_velocity_covariance = np.full(9, -1.0)
+        elif count[topic] % 100 == 60:
+            message.angular_velocity.x = float("inf")
+        elif count[topic] % 100 == 70:
+            message.header.stamp.sec = message.header.stamp.nanosec = 0
+        elif count[topic] % 100 == 80:
+            message.header.stamp.sec += 1000
+        return [(topic, log_ns, message)]
+
+    bag = excerpt("pulses", tmp_path / "bag", 8.0, spoilt)
+    assert main([str(bag), *parameters("pulses"), "--output", str(tmp_path / "out")]) == 0
+    inputs = summary(tmp_path / "out")["inputs"]
+    assert inputs["rates"]["dropped"] == {
+        "no rates": 16, "not finite": 16, "outlying stamp": 16, "zero or negative stamp": 16
+    }  # fmt: skip
+    assert inputs["actuators"]["dropped"] == {"not finite": 40, "wrong channels": 40}
+    assert all(c["value"] is not None for c in summary(tmp_path / "out")["coefficients"].values())
+
+
+def test_jump_of_the_time_base_is_not_scored_across(tmp_path: Path) -> None:
+    with Bag(BAGS / "multisine") as bag:
+        half_ns = bag.start_ns + 20 * SECOND_NS
+
+    def jumping(topic: str, log_ns: int, message: Any) -> list[tuple[str, int, Any]]:
+        if log_ns > half_ns:
+            message.header.stamp.sec += 500
+            log_ns += 500 * SECOND_NS
+        return [(topic, log_ns, message)]
+
+    path = excerpt("multisine", tmp_path / "bag", 40.0, jumping)
+    with Bag(path) as bag:
+        values = load_parameters(BAGS / "multisine" / "identifier.yaml", "identifier")
+        run = OfflineRun(choose_inputs(bag, values))
+        run.run(bag, lambda messages, total: messages)
+    fit = run.score()["after_30_s"]
+    # everything after the jump is late enough: 20 s of ticks less the last window
+    assert 18 * 20 <= fit.windows <= 19 * 20
+    assert (fit.model > 80.0).all()
+
+
+def test_initial_coefficients_file_is_the_start(tmp_path: Path) -> None:
+    structure = STRUCTURES["baseline"]
+    values = np.where(structure.mask, 0.5, 0.0)
+    start = CoefficientSet("baseline", values, np.where(structure.mask, 0.1, 0.0))
+    save_coefficients(start, tmp_path / "start.yaml")
+    settings = {
+        "structure": "baseline",
+        "estimator": "gradient",
+        "gradient.gains": [0.0] * structure.size,
+        "initial_coefficients_file": str(tmp_path / "start.yaml"),
+    }
+    path = tmp_path / "parameters.yaml"
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": settings}}))
+    bag = excerpt("pulses", tmp_path / "bag", 3.0)
+    output = tmp_path / "out"
+    assert main([str(bag), "--params-file", str(path), "--output", str(output)]) == 0
+    assert load_coefficients(output / "coefficients.yaml").values.tobytes() == values.tobytes()
+
+
+BAD_INPUT = {
+    "missing bag": (["nowhere"], "bag 'nowhere' does not exist"),
+    "no bag": (["text.txt"], "bag 'text.txt' is no bag"),
+    "cut off": (["cut.mcap"], "'cut.mcap' is cut off at its end"),
+    "unknown topic": (["BAG", "--imu-topic", "gyro"], "has no topic '/gyro'; it has /actuators"),
+    "unknown actuators": (["BAG", "--actuators-topic", "/x"], "has no topic '/x'"),
+    "missing parameters": (["BAG", "--params-file", "p.yaml"], "'p.yaml': does not exist"),
+    "malformed": (["BAG", "--params-file", "@a: [1"], "parameter file 'params.yaml', line"),
+    "misspelt": (["BAG", "--params-file", "@update_rat: 20.0"], "did you mean 'update_rate'"),
+    "integer": (["BAG", "--params-file", "@update_rate: 20"], "'update_rate' is 20: .*20.0"),
+    "initial file": (
+        ["BAG", "--params-file", "@initial_coefficients_file: none.yaml"],
+        "coefficients file 'none.yaml': there is no such file",
+    ),
+    "field": (["BAG", "--params-file", "@actuators.field: x"], "'actuators.field' is 'x'"),
+    "other node": (
+        ["BAG", "--params-file", "@update_rate: 20.0", "--node", "/a b"],
+        "nothing for node '/a b'",
+    ),
+    "output": (["BAG", "--output", "text.txt"], "cannot write to 'text.txt'"),
+    "option": (["BAG", "--nonsense"], "unrecognized arguments: --nonsense"),
+    "no bag named": ([], "required: BAG"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_is_one_line_and_status_2(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments, words = BAD_INPUT[case]
+    bag = excerpt("pulses", tmp_path / "bag", 1.0)
+    Path("cut.mcap").write_bytes((bag / "bag.mcap").read_bytes()[:-100])
+    Path("text.txt").write_text("hello")
+    given = []
+    for argument in arguments:
+        if argument.startswith("@"):
+            section = "/other" if case == "other node" else "/**"
+            text = f"{section}:\n  ros__parameters:\n    {argument[1:]}\n"
+            Path("params.yaml").write_text(text)
+            argument = "params.yaml"
+        given.append(str(bag) if argument == "BAG" else argument)
+    try:
+        status = main(given)
+    except SystemExit as error:  # argparse
+        status = error.code
+    captured = capsys.readouterr()
+    assert status == 2
+    assert captured.err.count("\n") == 1
+    assert captured.err.startswith("replay: ")
+    assert re.search(words, captured.err), captured.err
+
+
+def test_no_traceback_from_the_command(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "uav_ident_ros.replay", str(tmp_path / "nowhere")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_only_a_bag_is_replaced(tmp_path: Path) -> None:
+    structure = STRUCTURES["baseline"]
+    path = tmp_path / "estimates"
+    write_estimates(path, [], structure, "/identifier", "")
+    write_estimates(path, [], structure, "/identifier", "")
+    (path / "notes.txt").write_text("mine")
+    with pytest.raises(Exception, match="is no bag: it is left alone"):
+        write_estimates(path, [], structure, "/identifier", "")
+    assert (path / "notes.txt").read_text() == "mine"
+    assert os.listdir(tmp_path) == ["estimates"]
+
+
+@pytest.mark.skipif(not REAL_FLIGHT.exists(), reason="recorded flights are not here")
+def test_real_flight_start_to_end(tmp_path: Path) -> None:
+    assert main([str(REAL_FLIGHT), "--output", str(tmp_path)]) == 0
+    content = summary(tmp_path)
+    assert content["ticks"] > 5900
+    assert all(c["value"] is not None for c in content["coefficients"].values())
+    fit = content["prediction_fit"]["last_40_percent"]
+    assert all(fit["model"][axis] > fit["hold"][axis] for axis in "pqr")
+
+
+def test_without_actuators_there_is_a_table_but_no_score(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def late(topic: str, log_ns: int, message: Any) -> list[tuple[str, int, Any]]:
+        # Actuators stamped by another clock are a fault, and never used.
+        return [(topic, log_ns + (100 * SECOND_NS if topic == ACTUATORS else 0), message)]
+
+    def other_clock(topic: str, log_ns: int, message: Any) -> list[tuple[str, int, Any]]:
+        if topic == ACTUATORS:
+            message.header.stamp.sec -= 1000
+        return [(topic, log_ns, message)]
+
+    for name, change in (("pulses", late), ("multisine", other_clock)):
+        bag = excerpt(name, tmp_path / name, 5.0, change)
+        output = tmp_path / f"{name}_out"
+        assert main([str(bag), *parameters(name), "--output", str(output)]) == 0
+        fit = summary(output)["prediction_fit"]["last_40_percent"]
+        assert fit["windows"] == 0
+        assert fit["model"] == {"p": None, "q": None, "r": None}
+        assert "no window to score" in capsys.readouterr().out
+    assert summary(output)["inputs"]["actuators"]["dropped"].keys() == {"stamp far from the Imu's"}
+    assert "different clocks" in summary(output)["fault"]

@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pipeline over a bag: what the node would have published in flight, and how good it was.
+
+There is no estimation logic here: messages go in by log time, due ticks are asked for.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.bags import Bag, BagError, Message
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.frames import BodyFrame
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.prediction import (
+    InputSignal,
+    PredictionFit,
+    WindowErrors,
+    score_windows,
+    window_errors,
+)
+from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.settings import ACTUATOR_TYPES, RATE_TYPES, Settings
+from uav_ident_ros.identification.structure import FloatArray, Structure
+from uav_ident_ros.messages import (
+    RATES,
+    ActuatorReader,
+    ChannelError,
+    RatesReading,
+    decode_imu_cdr,
+    frame_fault,
+)
+
+IMU_TYPE = "sensor_msgs/msg/Imu"
+RATES_TOPIC = "/imu/data"
+ACTUATORS_TOPIC = "/actuators"
+
+# Why the shells refuse a message before the identifier sees it.
+WRONG_FRAME, NO_RATES = "wrong frame", "no rates"
+NOT_FINITE, WRONG_CHANNELS = "not finite", "wrong channels"
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Which topics of a bag to read, and the settings that fit their types.
+
+    Parameters
+    ----------
+    rates_topic, actuators_topic : str
+        Topics of the bag.
+    settings : Settings
+        Settings whose message types are those of the topics.
+    """
+
+    rates_topic: str
+    actuators_topic: str
+    settings: Settings
+
+
+def choose_inputs(
+    bag: Bag,
+    parameters: Mapping[str, object],
+    rates_topic: str | None = None,
+    actuators_topic: str | None = None,
+) -> Inputs:
+    """Find the input topics of a bag.
+
+    Parameters
+    ----------
+    bag : Bag
+        The bag.
+    parameters : mapping
+        Parameters by dotted name; a message type that is not among them is the topic's.
+    rates_topic, actuators_topic : str, optional
+        Topics to take. Left out: ``/imu/data`` and ``/actuators`` if the bag has them, else
+        the only topic of a known type.
+
+    Raises
+    ------
+    BagError
+        If a topic is missing, not of a usable type, or there are several to choose from.
+    SettingsError
+        If a parameter is wrong.
+    """
+    values = dict(parameters)
+    Settings.from_values(values)  # what is wrong with the parameters comes before the bag
+    topics = []
+    for setting, asked, default, known in (
+        ("imu.type", rates_topic, RATES_TOPIC, RATE_TYPES),
+        ("actuators.type", actuators_topic, ACTUATORS_TOPIC, ACTUATOR_TYPES),
+    ):
+        wanted = values.get(setting)
+        types = known if wanted is None else (str(wanted),)
+        topic = asked or _find_topic(bag, default, types, setting)
+        msgtype = bag.type_of(topic)
+        if msgtype not in types:
+            reason = f"'{setting}' is '{wanted}'" if wanted else f"known are {', '.join(known)}"
+            raise BagError(f"bag '{bag.path}': topic '{topic}' is of type {msgtype}, but {reason}")
+        values[setting] = msgtype
+        topics.append(topic)
+    return Inputs(topics[0], topics[1], Settings.from_values(values))
+
+
+def _find_topic(bag: Bag, default: str, types: tuple[str, ...], setting: str) -> str:
+    """Return the default topic, or the only one of the given types."""
+    if default in bag.types:
+        return default
+    candidates = [topic for topic, msgtype in bag.types.items() if msgtype in types]
+    option = "--imu-topic" if setting == "imu.type" else "--actuators-topic"
+    if not candidates:
+        raise BagError(
+            f"bag '{bag.path}' has neither a topic '{default}' nor one of type "
+            f"{' or '.join(types)}; it has {bag.contents()}"
+        )
+    if len(candidates) > 1:
+        raise BagError(
+            f"bag '{bag.path}' has no topic '{default}', but {', '.join(candidates)}: choose one "
+            f"with {option}"
+        )
+    return candidates[0]
+
+
+class Record:
+    """Samples of one stream as the identifier took them.
+
+    Parameters
+    ----------
+    width : int
+        Values per sample.
+    """
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._t = array("q")
+        self._values = array("d")
+        self._era = array("q")
+
+    def __len__(self) -> int:
+        return len(self._t)
+
+    def append(self, t_ns: int, values: Iterable[float], era: int) -> None:
+        """Keep a sample; `era` counts the restarts of the time base before it."""
+        self._t.append(t_ns)
+        self._values.extend(values)
+        self._era.append(era)
+
+    def of_era(self, era: int) -> tuple[TimeArray, FloatArray]:
+        """Return stamps (k,), strictly rising, and values (k, width) of one time base."""
+        chosen = np.array(self._era) == era
+        values = np.array(self._values).reshape(-1, self._width)[chosen]
+        t_ns, first = np.unique(np.array(self._t, dtype=np.int64)[chosen], return_index=True)
+        return t_ns, values[first]
+
+
+@dataclass(frozen=True)
+class Refusals:
+    """Messages of one stream and what became of them.
+
+    Parameters
+    ----------
+    received : int
+        Messages read.
+    dropped : dict
+        How many of them were not used, for each reason.
+    """
+
+    received: int
+    dropped: dict[str, int]
+
+
+class OfflineRun:
+    """One pass of the identifier over the messages of a bag.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        Topics and settings.
+    initial : CoefficientSet, optional
+        Coefficients to start from.
+
+    Attributes
+    ----------
+    estimates : list of Estimate
+        One per tick, in order.
+    frame_id : str
+        Frame of the rates.
+    fault : str
+        How the messages contradict the settings; empty if they do not.
+    """
+
+    def __init__(self, inputs: Inputs, initial: CoefficientSet | None = None) -> None:
+        self.inputs = inputs
+        self.identifier = OnlineIdentifier(inputs.settings, initial)
+        self.estimates: list[Estimate] = []
+        self.frame_id: str | None = None
+        self._frame_fault = ""
+        self._read_channels = ActuatorReader(inputs.settings.actuators)
+        self._rates = Record(6)
+        self._actuators = Record(len(inputs.settings.actuators.channels))
+        self._received: Counter[str] = Counter()
+        self._refused: dict[str, Counter[str]] = {"rates": Counter(), "actuators": Counter()}
+        self._era = 0
+        self._eras: list[int] = []
+        self._newest_ns: int | None = None
+        self._jump_ns = round(inputs.settings.time_jump * 1e9)
+
+    @property
+    def structure(self) -> Structure:
+        """Structure of the estimates."""
+        return self.identifier.structure
+
+    @property
+    def fault(self) -> str:
+        """How the messages contradict the settings; empty if they do not."""
+        return self._frame_fault or self.identifier.fault
+
+    # -- messages in -----------------------------------------------------------------------
+
+    def run(self, bag: Bag, wrap: Callable[[Iterable[Message], int], Iterable[Message]]) -> None:
+        """Feed every message of the two topics, in log-time order.
+
+        Parameters
+        ----------
+        bag : Bag
+            The bag.
+        wrap : callable
+            Wraps the messages and their number, for a progress bar.
+
+        Raises
+        ------
+        BagError
+            If the bag turns out to be damaged.
+        """
+        rates_topic, actuators_topic = self.inputs.rates_topic, self.inputs.actuators_topic
+        topics = (rates_topic, actuators_topic)
+        take_rates = self._rates_taker(bag)
+        decode_actuators = bag.decoder(actuators_topic)
+        identifier = self.identifier
+        total = sum(bag.counts[topic] for topic in topics)
+        for topic, log_ns, data in wrap(bag.messages(topics), total):
+            if topic == rates_topic:
+                take_rates(data)
+            else:
+                self._take_actuators(decode_actuators(data), log_ns)
+            while (t_ns := identifier.due()) is not None:
+                estimate = identifier.update(t_ns)
+                if estimate is not None:
+                    self.estimates.append(estimate)
+                    self._eras.append(self._era)
+
+    def _rates_taker(self, bag: Bag) -> Callable[[bytes], None]:
+        """Return what takes the bytes of a message on the rates topic."""
+        decode = bag.decoder(self.inputs.rates_topic)
+        msgtype = self.inputs.settings.imu.type
+        read = RATES[msgtype].read
+        if msgtype != IMU_TYPE:
+            return lambda data: self._take_rates(read(decode(data)))
+        return lambda data: self._take_rates(decode_imu_cdr(data) or read(decode(data)))
+
+    def _take_rates(self, reading: RatesReading) -> None:
+        self._received["rates"] += 1
+        t_ns, rates, force, frame_id = reading
+        if frame_id != self.frame_id:
+            self.frame_id = frame_id
+            imu = self.inputs.settings.imu
+            self._frame_fault = frame_fault(imu.convention, frame_id, imu.type)
+        if self._frame_fault:
+            self._refused["rates"][WRONG_FRAME] += 1
+        elif rates is None:
+            self._refused["rates"][NO_RATES] += 1
+        elif self.identifier.add_rates(t_ns, rates, force) is None:
+            if self._newest_ns is not None and abs(t_ns - self._newest_ns) > self._jump_ns:
+                self._era += 1
+                self._newest_ns = t_ns
+            self._newest_ns = max(t_ns, self._newest_ns or t_ns)
+            self._rates.append(t_ns, (*rates, *(force or _NO_FORCE)), self._era)
+
+    def _take_actuators(self, message: object, log_ns: int) -> None:
+        self._received["actuators"] += 1
+        try:
+            stamp_ns, values = self._read_channels(message)
+        except ChannelError as error:
+            reason = NOT_FINITE if error.not_finite else WRONG_CHANNELS
+            self._refused["actuators"][reason] += 1
+            return
+        t_ns = log_ns if stamp_ns is None else stamp_ns
+        if self.identifier.add_actuators(t_ns, values) is None:
+            self._actuators.append(t_ns, values, self._era)
+
+    def refusals(self, stream: str) -> Refusals:
+        """Count what became of the messages of ``rates`` or ``actuators``."""
+        dropped = Counter(self._refused[stream])
+        for drop, count in self.identifier.drops[stream].items():
+            dropped[drop.value] += count
+        kept = {reason: count for reason, count in sorted(dropped.items()) if count > 0}
+        return Refusals(self._received[stream], kept)
+
+    # -- results ---------------------------------------------------------------------------
+
+    def result(self) -> CoefficientSet:
+        """Return the last estimate's coefficients."""
+        last = self.estimates[-1]
+        return CoefficientSet(self.structure.name, last.coefficients, last.sigma, last.t_ns)
+
+    def measured(self, era: int = 0) -> tuple[TimeArray, FloatArray, FloatArray]:
+        """Return the rates of one time base: stamps (k,), p q r (k, 3), ay az (k, 2), FRD."""
+        t_ns, values = self._rates.of_era(era)
+        frame = BodyFrame(self.inputs.settings.imu)
+        return t_ns, frame.to_body(values[:, :3]), frame.to_body(values[:, 3:])[:, 1:]
+
+    def input_signal(self, era: int = 0) -> InputSignal:
+        """Return the inputs on one time base, delayed and lagged as the settings say."""
+        t_ns, raw = self._actuators.of_era(era)
+        actuators = self.inputs.settings.actuators
+        # The identifier's own map: it may have learned the trim in flight.
+        u = self.identifier._sampler.input_map.apply(raw)
+        return InputSignal(t_ns, u, actuators.delay, actuators.time_constant)
+
+    def score(self) -> dict[str, PredictionFit]:
+        """Return the score of record of the estimates."""
+        parts = list(self._window_errors())
+        first_ns = min(int(t[0]) for t, _ in parts)
+        last_ns = max(int(t[-1]) for t, _ in parts)
+        return score_windows(WindowErrors.join([e for _, e in parts]), first_ns, last_ns)
+
+    def _window_errors(self) -> Iterator[tuple[TimeArray, WindowErrors]]:
+        """Stamps and windows of every time base of the flight."""
+        eras = np.array(self._eras)
+        for era in sorted(set(self._eras)):
+            t_ns, rates, force = self.measured(era)
+            ticks = [self.estimates[int(i)] for i in np.flatnonzero(eras == era)]
+            yield (
+                t_ns,
+                window_errors(
+                    t_ns,
+                    rates,
+                    self.input_signal(era),
+                    force,
+                    np.array([estimate.t_ns for estimate in ticks], dtype=np.int64),
+                    np.array([estimate.coefficients for estimate in ticks]),
+                    self.structure,
+                    lever_arm=np.array(self.inputs.settings.imu.lever_arm),
+                ),
+            )
+
+
+_NO_FORCE = (0.0, 0.0, 0.0)
