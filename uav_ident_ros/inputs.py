@@ -22,7 +22,7 @@ from uav_ident_ros.messages import (
     frame_fault,
     import_type,
 )
-from uav_ident_ros.notices import Throttle
+from uav_ident_ros.notices import Throttle, without_sources
 
 RATES_TOPIC = "imu/data"
 ACTUATORS_TOPIC = "actuators"
@@ -72,7 +72,7 @@ class _Input:
         try:
             return deserialize_message(data, self._class)
         except (RuntimeError, UnicodeDecodeError) as error:
-            self.refuse("not decodable", f"it cannot be decoded ({error})")
+            self.refuse("not decodable", f"it cannot be decoded ({without_sources(str(error))})")
             return None
 
     def refuse(self, reason: str, detail: str) -> None:

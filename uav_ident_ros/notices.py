@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -75,3 +76,8 @@ class OnChange:
             self._last = line
             if line:
                 self._say(line)
+
+
+def without_sources(message: str) -> str:
+    """Return what ROS says in one line, without where in its own sources it arose."""
+    return " ".join(re.sub(r", at \S+:\d+", "", message).split())

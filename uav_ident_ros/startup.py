@@ -22,6 +22,7 @@ from rclpy.utilities import remove_ros_args
 from uav_ident_ros.coefficients_file import CoefficientsFileError
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages import MessageTypeError
+from uav_ident_ros.notices import without_sources
 from uav_ident_ros.parameter_file import ParameterFile, ParameterFileError
 
 USAGE_ERROR = 2
@@ -110,20 +111,15 @@ def _explain_rcl(message: str, argv: Sequence[str]) -> str:
     """Turn what rcl says into what the user can mend."""
     quoted = re.search(r"'(-p|--param|--params-file) (.*?)'\. Error: (.*)", message)
     if quoted is None:
-        return _without_sources(message)
+        return without_sources(message)
     option, text, reason = quoted.groups()
     if option == "--params-file":
         try:
             ParameterFile.read(text)
         except ParameterFileError as found:  # says what is wrong better than rcl does
             return str(found)
-    reason = _without_sources(reason)
+    reason = without_sources(reason)
     if "same type" in reason:
         reason += ": write every number of a list with a decimal point, like [1.0, 0.5]"
     what = "parameter file" if option == "--params-file" else "parameter"
     return f"{what} '{text}': {reason}"
-
-
-def _without_sources(message: str) -> str:
-    """Remove where in rcl's sources the error arose."""
-    return " ".join(re.sub(r", at \S+:\d+", "", message).split())

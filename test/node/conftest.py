@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 from node_process import NodeProcess, StartNode
+from recordings import MakePlayer, Recording
+
+from uav_ident_ros.player import Player
 
 HIGHEST_DOMAIN = 101
 """Highest ROS domain whose ports are free of the system's ephemeral ones."""
@@ -56,3 +59,17 @@ def start_node() -> Iterator[StartNode]:
     yield start
     for node in started:
         node.kill()
+
+
+@pytest.fixture
+def make_player() -> Iterator[MakePlayer]:
+    """Make a player for a recording; it leaves the graph after the test."""
+    made: list[Player] = []
+
+    def make(flight: Recording, **options: object) -> Player:
+        made.append(Player(flight.classes, **options))
+        return made[-1]
+
+    yield make
+    for player in made:
+        player.close()

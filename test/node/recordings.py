@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +15,14 @@ from node_process import ROOT
 from uav_ident_ros.bag_writer import BagWriter
 from uav_ident_ros.bags import Bag, Message
 from uav_ident_ros.messages import import_type
-from uav_ident_ros.player import Outputs, stamp_ns
+from uav_ident_ros.player import Outputs, Player, stamp_ns
 
 BAGS = ROOT / "bags"
 RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
 TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC)
 NODE = "/identifier"
+
+MakePlayer = Callable[..., Player]
 
 TickValues = dict[int, tuple[float, ...]]
 """Everything published for a tick, by its stamp in ns."""

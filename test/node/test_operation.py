@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Services, names and QoS, as the public contract has them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from node_process import StartNode
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from recordings import NODE, MakePlayer, Recording, published, recording
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from uav_ident_ros.bags import Message
+from uav_ident_ros.coefficients_file import load_coefficients
+from uav_ident_ros.player import Player
+
+
+@pytest.fixture
+def flight() -> Recording:
+    return recording("multisine", 5.0)
+
+
+def call(player: Player, kind: Any, service: str, request: Any) -> Any:
+    """Call a service of the node."""
+    client = player.node.create_client(kind, service)
+    player.wait_until(client.service_is_ready, f"service '{service}'")
+    future = client.call_async(request)
+    player.wait_until(future.done, f"an answer of '{service}'")
+    return future.result()
+
+
+def test_reset_starts_cold(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer
+) -> None:
+    start_node(parameter_file=flight.parameter_file)
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    player.play_in_step(flight.messages)
+    first = published(player.outputs)
+    assert call(player, Trigger, f"{NODE}/reset", Trigger.Request()).success
+    player.play_in_step(flight.messages)
+    assert len(first) > 80
+    assert published(player.outputs) == first
+
+
+def test_save_writes_what_is_published(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer
+) -> None:
+    start_node(parameter_file=flight.parameter_file)
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    nothing = call(player, Trigger, f"{NODE}/save", Trigger.Request())
+    assert not nothing.success
+    assert "no estimate" in nothing.message
+    player.play_in_step(flight.messages)
+    answer = call(player, Trigger, f"{NODE}/save", Trigger.Request())
+    assert answer.success, answer.message
+    path = Path(os.environ["ROS_HOME"]) / "uav_ident_ros" / "identifier.yaml"
+    assert str(path) in answer.message
+    player.wait_until(path.exists, "the file")
+    saved = load_coefficients(path)
+    dense = np.array(player.outputs.coefficients[-1].data).reshape(saved.values.shape)
+    assert np.array_equal(saved.values, dense)
+    assert saved.t_ns == player.outputs.newest_ns
+
+
+def test_it_starts_from_a_file_that_it_saved(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer, tmp_path: Path
+) -> None:
+    start_node(parameter_file=flight.parameter_file)
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    player.play_in_step(flight.messages)
+    call(player, Trigger, f"{NODE}/save", Trigger.Request())
+    saved = Path(os.environ["ROS_HOME"]) / "uav_ident_ros" / "identifier.yaml"
+    player.wait_until(saved.exists, "the file")
+    learned = player.outputs.coefficients[-1].data
+    start_node(
+        "-r",
+        "__ns:=/second",
+        parameter_file=flight.parameter_file,
+        parameters={"initial_coefficients_file": str(saved)},
+    )
+    second = in_namespace(flight, "/second")
+    other = make_player(second, node_name="/second/identifier", clock=False)
+    other.wait_for_node()
+    other.play_in_step(second.messages)
+    assert other.outputs.coefficients[0].data == learned
+
+
+def in_namespace(flight: Recording, namespace: str) -> Recording:
+    """Move the topics of a recording into a namespace."""
+    return replace(
+        flight,
+        messages=[Message(f"{namespace}{m.topic}", m.log_ns, m.data) for m in flight.messages],
+        types={f"{namespace}{topic}": name for topic, name in flight.types.items()},
+    )
+
+
+def test_quality_of_service_is_the_contracts(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer
+) -> None:
+    start_node(parameter_file=flight.parameter_file)
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    for name in ("coefficients_named", "coefficients"):
+        (out,) = player.node.get_publishers_info_by_topic(f"{NODE}/{name}")
+        assert out.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+        assert out.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    for name in ("predicted_rates", "prediction_error"):
+        (out,) = player.node.get_publishers_info_by_topic(f"{NODE}/{name}")
+        assert out.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+        assert out.qos_profile.durability == DurabilityPolicy.VOLATILE
+    for topic in flight.types:
+        (used,) = player.node.get_subscriptions_info_by_topic(topic)
+        assert used.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+
+
+def test_late_subscriber_gets_the_last_coefficients(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer
+) -> None:
+    start_node(parameter_file=flight.parameter_file)
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    player.play_in_step(flight.messages[:1000])
+    late: list[JointState] = []
+    latched = QoSProfile(
+        depth=1,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+    player.node.create_subscription(JointState, f"{NODE}/coefficients_named", late.append, latched)
+    player.wait_until(lambda: bool(late), "the last coefficients")
+    assert late[0] == player.outputs.named[-1]
