@@ -432,3 +432,21 @@ def test_without_actuators_there_is_a_table_but_no_score(
         assert "no window to score" in capsys.readouterr().out
     assert summary(output)["inputs"]["actuators"]["dropped"].keys() == {"stamp far from the Imu's"}
     assert "different clocks" in summary(output)["fault"]
+
+
+def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
+    def delayed(topic: str, log_ns: int, message: Any) -> list[tuple[str, int, Any]]:
+        if topic == ACTUATORS:  # commands stamped 60 ms before they act
+            early = message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec - 60_000_000
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(early, SECOND_NS)
+        return [(topic, log_ns, message)]
+
+    values = load_parameters(BAGS / "multisine" / "identifier.yaml", "identifier")
+    with Bag(excerpt("multisine", tmp_path / "bag", 60.0, delayed)) as bag:
+        run = OfflineRun(choose_inputs(bag, values | {"actuators.estimate_delay": True}))
+        run.run(bag, lambda messages, total: messages)
+    assert run.identifier.delay == pytest.approx(0.06, abs=0.015)
+    fit = run.score()["last_40_percent"]
+    assert (fit.model > 80.0).all()
+    first_ns, last_ns = run.estimates[0].t_ns, run.estimates[-1].t_ns
+    assert fit.windows == pytest.approx(20 * (0.4e-9 * (last_ns - first_ns) - 1.0), abs=2)

@@ -205,7 +205,7 @@ class OfflineRun:
         self._received: Counter[str] = Counter()
         self._refused: dict[str, Counter[str]] = {"rates": Counter(), "actuators": Counter()}
         self._era = 0
-        self._eras: list[int] = []
+        self._contexts: list[tuple[int, float]] = []  # time base and delay of each estimate
         self._newest_ns: int | None = None
         self._jump_ns = round(inputs.settings.time_jump * 1e9)
 
@@ -251,7 +251,7 @@ class OfflineRun:
                 estimate = identifier.update(t_ns)
                 if estimate is not None:
                     self.estimates.append(estimate)
-                    self._eras.append(self._era)
+                    self._contexts.append((self._era, identifier.delay))
 
     def _rates_taker(self, bag: Bag) -> Callable[[bytes], None]:
         """Return what takes the bytes of a message on the rates topic."""
@@ -313,13 +313,14 @@ class OfflineRun:
         frame = BodyFrame(self.inputs.settings.imu)
         return t_ns, frame.to_body(values[:, :3]), frame.to_body(values[:, 3:])[:, 1:]
 
-    def input_signal(self, era: int = 0) -> InputSignal:
-        """Return the inputs on one time base, delayed and lagged as the settings say."""
+    def input_signal(self, era: int = 0, delay: float | None = None) -> InputSignal:
+        """Return the inputs on one time base, with the delay (s; None: the setting) and lag."""
         t_ns, raw = self._actuators.of_era(era)
         actuators = self.inputs.settings.actuators
+        delay = actuators.delay if delay is None else delay
         # The identifier's own map: it may have learned the trim in flight.
         u = self.identifier._sampler.input_map.apply(raw)
-        return InputSignal(t_ns, u, actuators.delay, actuators.time_constant)
+        return InputSignal(t_ns, u, delay, actuators.time_constant)
 
     def score(self) -> dict[str, PredictionFit]:
         """Return the score of record of the estimates."""
@@ -329,17 +330,18 @@ class OfflineRun:
         return score_windows(WindowErrors.join([e for _, e in parts]), first_ns, last_ns)
 
     def _window_errors(self) -> Iterator[tuple[TimeArray, WindowErrors]]:
-        """Stamps and windows of every time base of the flight."""
-        eras = np.array(self._eras)
-        for era in sorted(set(self._eras)):
+        """Stamps and windows of every time base of the flight, and of every delay in use."""
+        for context in sorted(set(self._contexts)):
+            era, delay = context
             t_ns, rates, force = self.measured(era)
-            ticks = [self.estimates[int(i)] for i in np.flatnonzero(eras == era)]
+            pairs = zip(self.estimates, self._contexts, strict=True)
+            ticks = [estimate for estimate, other in pairs if other == context]
             yield (
                 t_ns,
                 window_errors(
                     t_ns,
                     rates,
-                    self.input_signal(era),
+                    self.input_signal(era, delay),
                     force,
                     np.array([estimate.t_ns for estimate in ticks], dtype=np.int64),
                     np.array([estimate.coefficients for estimate in ticks]),

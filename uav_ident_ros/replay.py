@@ -202,6 +202,8 @@ def summary(name: str, run: OfflineRun, fits: dict[str, PredictionFit]) -> dict[
         "reason": last.reason,
         "fault": run.fault,
         "usable": last.usable,
+        "delay": run.identifier.delay,
+        "delay_sigma": _json(run.identifier.delay_sigma),
         "structure": run.structure.name,
         "coefficients": {
             coefficient: {
@@ -284,6 +286,9 @@ def _table(name: str, run: OfflineRun, fits: dict[str, PredictionFit]) -> str:
         refusals = run.refusals(stream)
         dropped = "".join(f", {count} {reason}" for reason, count in refusals.dropped.items())
         lines.append(f"{stream}: {topic} ({msgtype}), {refusals.received} messages{dropped}")
+    if settings.actuators.estimate_delay:
+        sigma = _sigma(run.identifier.delay_sigma)
+        lines.append(f"estimated delay of the inputs: {run.identifier.delay:.3f} s, sigma {sigma}")
     lines += ["", f"{'coefficient':<12}{'value':>12}{'sigma':>12}"]
     for coefficient, index in zip(run.structure.names, run.structure.free, strict=True):
         value, sigma = result.values[index], result.sigma[index]
