@@ -15,7 +15,7 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators.excitation import QUIET_SHARE
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, BoolArray, FloatArray
 
 WINDOW_TIME = 5.0
 """Time over which the slope is taken, s."""
@@ -40,6 +40,9 @@ HISTORY_TIME = 30.0
 
 CORRELATION_TIME = 1.0
 """Time after which residuals count as independent, s."""
+
+SURFACES = np.array([label != "dth" for label in INPUTS])
+"""Which of the inputs are control surfaces."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,8 @@ class ChangeDetector:
     """
 
     def __init__(self, free: BoolArray) -> None:
-        self._watched: BoolArray = free[:, INPUT_COLUMNS]
+        # Throttle acts through the propeller's speed: its column has no single true value.
+        self._watched: BoolArray = free[:, INPUT_COLUMNS] & SURFACES
         self.recent: deque[TickMean] = deque()
         self.slope: FloatArray = np.zeros((3, 4))
         self._recent_time = 0.0
@@ -114,10 +118,10 @@ class ChangeDetector:
         usual = np.sqrt(self._usual)
         alarm = (
             self._watched
+            & (share >= QUIET_SHARE)
             & (t > MIN_T)
             & (size > MIN_CHANGE * np.abs(coefficients[:, INPUT_COLUMNS]))
             & (size > MIN_HISTORY_RATIO * usual)
-            & (share >= QUIET_SHARE)
             & (self._hold_off == 0.0)[:, None]
             & (self._usual_time >= HISTORY_TIME)
         )
@@ -143,7 +147,7 @@ class ChangeDetector:
         residual -= residual.mean(axis=0)
         u = f[:, INPUT_COLUMNS] - f[:, INPUT_COLUMNS].mean(axis=0)
         power = (u * u).sum(axis=0)
-        power[power == 0.0] = np.inf
+        power[power < np.finfo(float).tiny ** 0.5] = np.inf  # a constant input has no slope
         self.slope = residual.T @ u / power
         # Scores of the slope, (ticks, 3, 4); sums over sliding blocks of the correlation
         # time give the Bartlett estimate of their long-run variance.
