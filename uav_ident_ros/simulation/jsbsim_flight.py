@@ -65,6 +65,9 @@ _SURFACES = (
 _COMMANDS = ("fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm", "fcs/aileron-cmd-norm")
 _TRIMS = ("fcs/pitch-trim-cmd-norm", "fcs/yaw-trim-cmd-norm", "fcs/roll-trim-cmd-norm")
 
+COMMAND_POINTS = (-1.0, 0.0, 1.0)
+"""Commands between which a surface's travel is linear."""
+
 # What is read after every step, and the factor that makes it SI.
 _SIGNALS = {
     "p": ("velocities/p-rad_sec", 1.0),
@@ -109,9 +112,6 @@ class Airframe:
         Pitch reference per m of altitude error and per m/s of climb, rad.
     speed_gain : float
         Throttle per m/s of speed error.
-    yaw_damper : str
-        Property of the aircraft's own yaw damper, which is cancelled so that the rudder is
-        what the command says; empty if it has none.
     local_truth : mapping
         Local derivatives in this flight condition, 1/s or 1/s^2 per rad.
     """
@@ -124,7 +124,6 @@ class Airframe:
     altitude_gain: float = 1e-3
     climb_gain: float = 5e-3
     speed_gain: float = 0.02
-    yaw_damper: str = ""
     local_truth: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -158,23 +157,19 @@ AIRFRAMES: dict[str, Airframe] = {
             "rdot/beta": 9.12,
         },
     ),
-    # Jet transport with two engines, 49 t.
-    "737": Airframe(
-        speed=540.0 * FOOT,
-        altitude=10000.0 * FOOT,
-        roll_gain=0.2,
-        pitch_gain=0.3,
-        pitch_damping=0.2,
-        altitude_gain=5e-4,
-        climb_gain=4e-3,
-        yaw_damper="fcs/yaw-damper-final",
+    # Turboprop with two engines, 6.7 t.
+    "OV10": Airframe(
+        speed=290.0 * FOOT,
+        altitude=5000.0 * FOOT,
+        roll_gain=0.1,
+        pitch_gain=0.2,
         # by regression, as above
         local_truth={
-            "pdot/p": -1.665, "pdot/r": 0.389, "pdot/dr": 0.553, "pdot/da": 3.90,
-            "pdot/beta": -6.86,
-            "qdot/q": -1.16, "qdot/de": -2.37, "qdot/alpha": -2.41,
-            "rdot/p": 0.0175, "rdot/r": -0.432, "rdot/dr": -2.78, "rdot/da": -0.044,
-            "rdot/beta": 3.87,
+            "pdot/p": -1.307, "pdot/r": 0.485, "pdot/dr": 0.439, "pdot/da": 7.18,
+            "pdot/beta": -5.74,
+            "qdot/q": -1.764, "qdot/de": -4.17, "qdot/alpha": -1.164,
+            "rdot/p": -0.008, "rdot/r": -0.465, "rdot/dr": -1.646, "rdot/da": -0.042,
+            "rdot/beta": 4.01,
         },
     ),
 }  # fmt: skip
@@ -269,6 +264,7 @@ def _load(name: str, rate: float) -> Any:
         else:
             os.environ["JSBSIM_DEBUG"] = before
     fdm.set_debug_level(0)
+    fdm.disable_output()  # some aircraft write files of their own
     fdm.set_dt(1.0 / rate)
     if not fdm.load_model(name):
         raise SimulationError(f"JSBSim has no aircraft '{name}'")
@@ -280,7 +276,7 @@ def _surface_ranges(name: str, rate: float) -> FloatArray:
     fdm = _load(name, rate)
     fdm.run_ic()
     out = np.empty((3, 3))
-    for i, command in enumerate((-1.0, 0.0, 1.0)):
+    for i, command in enumerate(COMMAND_POINTS):
         for target in _COMMANDS:
             fdm[target] = command
         fdm.run()
@@ -303,9 +299,6 @@ class _Aircraft:
         engines = int(self.fdm["propulsion/engine-count"]) if self._counts_engines() else 1
         suffixes = [""] + [f"[{i}]" for i in range(1, engines)]
         self._throttle = [nodes.get_node(f"fcs/throttle-cmd-norm{s}") for s in suffixes]
-        damper = airframe.yaw_damper
-        self._damper = nodes.get_node(damper) if damper else None
-        self._norm = [0.0, 0.0, 0.0]
         self.surfaces = np.array([self.fdm[s] for s in _SURFACES])
         self.mass = self.fdm["inertia/mass-slugs"]
 
@@ -331,11 +324,8 @@ class _Aircraft:
     def set_surfaces(self, surfaces: FloatArray) -> None:
         """Command elevator, rudder, aileron (rad) and throttle from now on."""
         self.surfaces = surfaces
-        self._norm = [
-            float(np.interp(surfaces[i], self.ranges[i], (-1.0, 0.0, 1.0))) for i in range(3)
-        ]
-        for node, value in zip(self._command, self._norm, strict=True):
-            node.set_double_value(value)
+        for i, node in enumerate(self._command):
+            node.set_double_value(float(np.interp(surfaces[i], self.ranges[i], COMMAND_POINTS)))
         for node in self._throttle:
             node.set_double_value(float(surfaces[3]))
 
@@ -346,9 +336,6 @@ class _Aircraft:
 
     def step(self) -> list[float]:
         """Move on by one step; the signals in the order of `_SIGNALS`, in JSBSim's units."""
-        if self._damper is not None:
-            own = self._damper.get_double_value()
-            self._command[1].set_double_value(self._norm[1] - own)
         self.fdm.run()
         return [node.get_double_value() for node in self._read]
 
