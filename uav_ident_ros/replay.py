@@ -136,11 +136,11 @@ def replay(options: argparse.Namespace) -> None:
     fits = run.score()
     name = options.bag.resolve().stem
     folder = options.output or Path(f"replay_{name}")
-    print(_table(name, run, fits))
     _write(folder, name, run, fits)
     if options.plot:
         _plot(folder / "replay.png", name, run, fits)
-    print(f"\nwritten to {folder}{os.sep}")
+    print(_table(name, run, fits))
+    print(f"\nwritten to {folder}{os.sep}", flush=True)
 
 
 def _initial(settings: Settings) -> CoefficientSet | None:
