@@ -26,17 +26,21 @@ SPDX = "SPDX-License-Identifier: Apache-2.0"
 ROSDEP_KEYS = {
     "hypothesis": "python3-hypothesis",
     "matplotlib": "python3-matplotlib",
+    "mcap": "mcap-ros2-support",
     "numpy": "python3-numpy",
     "pytest": "python3-pytest",
+    "rich": "python3-rich",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
+    "tqdm": "python3-tqdm",
     "yaml": "python3-yaml",
 }
 # Development extras without a rosdep key: allowed only inside a function, so that the module
 # loads without them.
 OPTIONAL = {"jsbsim", "padasip", "pyulog"}
-# What a companion computer need not have: the node must never import these.
-OFFLINE_ONLY = {"matplotlib", "rosbags", "scipy", "yaml"} | OPTIONAL
+# What a companion computer need not have: the node must never import these. PyYAML is not
+# among them: rclpy itself imports it.
+OFFLINE_ONLY = {"matplotlib", "rich", "rosbags", "scipy", "tqdm"} | OPTIONAL
 
 
 def setup_arguments() -> dict[str, Any]:
@@ -197,7 +201,9 @@ def test_development_extras_are_imported_lazily(path: Path):
 
 
 def test_manifest_lists_what_the_tests_import():
-    helpers = {path.stem for path in (ROOT / "test").rglob("*.py")} | {"test", "setuptools"}
+    folders = (ROOT / "test", ROOT / "benchmarks")
+    helpers = {path.stem for folder in folders for path in folder.rglob("*.py")}
+    helpers |= {"test", "setuptools"}
     needed: set[str] = set()
     for path in (ROOT / "test").rglob("*.py"):
         needed |= third_party(path, lazy=True) - OPTIONAL - helpers
