@@ -172,17 +172,20 @@ class Player:
                 raise PlayerError(f"waited {timeout:g} s in vain for {what}")
             self._executor.spin_once(timeout_sec=0.02)
 
-    def wait_for_node(self, timeout: float = 20.0) -> None:
-        """Listen until the node has subscribed to everything and its outputs are matched."""
+    def node_is_there(self) -> bool:
+        """Whether the node listens to everything and offers its outputs."""
         publishers = [*self._publishers.values()]
         if self._clock is not None:
             publishers.append(self._clock)
         output = f"{self._node_name}/coefficients_named"
+        return self.node.count_publishers(output) > 0 and all(
+            publisher.get_subscription_count() > 0 for publisher in publishers
+        )
+
+    def wait_for_node(self, timeout: float = 20.0) -> None:
+        """Listen until the node has subscribed to everything and its outputs are matched."""
         self.wait_until(
-            lambda: (
-                all(p.get_subscription_count() > 0 for p in publishers)
-                and self.node.count_publishers(output) > 0
-            ),
+            self.node_is_there,
             f"node '{self._node_name}' to subscribe to {', '.join(self._publishers)}"
             + (" and /clock" if self._clock else ""),
             timeout,
