@@ -24,6 +24,19 @@ RATE_SAMPLES = 20
 FASTEST_CELL_NS = 1_000_000
 """Shortest cell, ns: 1 kHz, the highest Imu rate worth following."""
 
+LOST_INTERVALS = 5
+"""Inputs that come at a steady rate are lost when so many intervals pass without one: to hold
+the last value for longer would teach a response to an input that was not there."""
+
+SHORTEST_LOSS_NS = 100_000_000
+"""But not sooner than this, ns: two or three messages lost on a radio link do no harm."""
+
+STEADY_INTERVALS = 10
+"""Intervals from which a steady rate is told from one that depends on the values."""
+
+STEADY_SPREAD = 1.5
+"""Ratio of the upper quartile of the intervals to their median up to which a rate is steady."""
+
 STEADY_RATE = 0.1
 """Mean and standard deviation of the rates below which flight is steady, rad/s."""
 
@@ -90,6 +103,7 @@ class Sampler:
         self.h_ns: int | None = None
         self._lag: ServoLag | None = None
         self._undelayed_lag: ServoLag | None = None
+        self._stale_ns = self._timeout_ns
         self._edge_ns: int | None = None
         self._continues = False
         self.waiting_for = "rates"
@@ -122,6 +136,7 @@ class Sampler:
         """Yield the blocks that the samples in use complete."""
         if not self._ready():
             return
+        self._stale_ns = self._find_stale_age()
         first_ns = 0
         for first_ns, last_ns in self._runs():
             yield from self._cut(first_ns, last_ns)
@@ -153,6 +168,16 @@ class Sampler:
             return False
         self.waiting_for = ""
         return True
+
+    def _find_stale_age(self) -> int:
+        """Age, ns, at which an input no longer counts."""
+        steps = np.sort(np.diff(self.raw_inputs.t))
+        if len(steps) < STEADY_INTERVALS:
+            return self._stale_ns
+        typical = int(steps[len(steps) // 2])
+        if steps[3 * len(steps) // 4] > STEADY_SPREAD * typical:
+            return self._timeout_ns
+        return min(self._timeout_ns, max(LOST_INTERVALS * typical, SHORTEST_LOSS_NS))
 
     def _learn_trim(self) -> bool:
         """Take the mean raw channels over the first steady stretch of flight as trim."""
@@ -210,7 +235,7 @@ class Sampler:
             return last_ns
         delay_ns = 0 if self._actuators.estimate_delay else self._delay_ns
         newest = int(self.raw_inputs.t[-1]) + delay_ns
-        return min(last_ns, newest) if last_ns - newest <= self._timeout_ns else last_ns
+        return min(last_ns, newest) if last_ns - newest <= self._stale_ns else last_ns
 
     def _inputs_known(self, edges: TimeArray, delay_ns: int) -> BoolArray:
         """Whether a fresh enough input acts at each of the edges."""
@@ -219,9 +244,9 @@ class Sampler:
         last = np.searchsorted(t, at, side="right") - 1
         begin = t[np.maximum(last, 0)]
         if not self._linear:
-            return np.asarray((last >= 0) & (at - begin <= self._timeout_ns))
+            return np.asarray((last >= 0) & (at - begin <= self._stale_ns))
         end = t[np.minimum(np.searchsorted(t, at), len(t) - 1)]
-        return np.asarray((last >= 0) & (at <= end) & (end - begin <= self._timeout_ns))
+        return np.asarray((last >= 0) & (at <= end) & (end - begin <= self._stale_ns))
 
     def _block(self, edges: TimeArray, restarted: bool) -> Block:
         assert self.h_ns is not None

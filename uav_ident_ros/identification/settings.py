@@ -337,7 +337,8 @@ class ActuatorSettings:
     timeout: float = _setting(
         0.5,
         "s",
-        "Age at which the last channel values no longer count; adaptation waits for new ones.",
+        "Age at which the last channel values no longer count; adaptation waits for new ones. "
+        "Values that come at a steady rate are missed sooner, after five intervals or 0.1 s.",
         low=0.01,
         high=60.0,
     )

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured flights fed to the identifier, as tests need them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.simulation.flight import Flight
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.plant import PlantFlight, fly
+from uav_ident_ros.simulation.recording import parameters
+from uav_ident_ros.simulation.vehicles import vehicle
+
+AMPLITUDES = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
+DOMINANT = ("pdot/p", "qdot/q", "rdot/r", "pdot/da", "qdot/de", "rdot/dr")
+
+
+class Message(NamedTuple):
+    """A sample and when it arrives, ns."""
+
+    arrival: int
+    stream: str
+    t_ns: int
+    values: tuple[float, ...]
+
+
+def plant_flight(duration: float, **changes: Any) -> Flight:
+    """Multisines on the small aircraft of known coefficients."""
+    values: dict[str, Any] = {
+        "vehicle": vehicle("small_uav"),
+        "segments": (Segment("multisine", amplitudes=AMPLITUDES, seed=1),),
+        "duration": duration,
+        "rate": 200.0,
+        "max_step": 2.5e-3,
+        "seed": 1,
+    }
+    return fly(PlantFlight(**{**values, **changes}))
+
+
+def settings(measurements: Measurements, **changes: Any) -> Settings:
+    """Settings that fit the flight; keywords with ``__`` for the dots."""
+    values = dict(parameters(measurements))
+    values.update({name.replace("__", "."): value for name, value in changes.items()})
+    return Settings.from_values(values)
+
+
+def messages(measurements: Measurements) -> list[Message]:
+    """All messages in the order of arrival; unstamped ones carry their arrival."""
+    m = measurements
+    force = m.specific_force.tolist()
+    out = [
+        Message(arrival, "rates", t, (*x, *f))
+        for arrival, t, x, f in zip(
+            m.imu_log_ns.tolist(), m.imu_t_ns.tolist(), m.rates.tolist(), force, strict=True
+        )
+    ]
+    stamps = m.actuator_t_ns if m.sensors.stamped else m.actuator_log_ns
+    out += [
+        Message(arrival, "actuators", t, tuple(v))
+        for arrival, t, v in zip(
+            m.actuator_log_ns.tolist(), stamps.tolist(), m.actuators.tolist(), strict=True
+        )
+    ]
+    return sorted(out, key=lambda message: (message.arrival, message.stream))
+
+
+def give(identifier: OnlineIdentifier, message: Message) -> None:
+    if message.stream == "rates":
+        identifier.add_rates(message.t_ns, message.values[:3], message.values[3:])
+    else:
+        identifier.add_actuators(message.t_ns, message.values)
+
+
+def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimate]:
+    """Feed messages and compute every tick as soon as it is due."""
+    estimates = []
+    for message in stream:
+        give(identifier, message)
+        while (due := identifier.due()) is not None:
+            estimate = identifier.update(due)
+            assert estimate is not None
+            estimates.append(estimate)
+    return estimates
+
+
+def identify(measurements: Measurements, **changes: Any) -> tuple[OnlineIdentifier, FloatArray]:
+    """Identifier after the flight, and its last coefficients."""
+    identifier = OnlineIdentifier(settings(measurements, **changes))
+    return identifier, run(identifier, messages(measurements))[-1].coefficients
+
+
+def errors(
+    coefficients: FloatArray, structure: str, flight: Flight, names: Iterable[str]
+) -> Mapping[str, float]:
+    """Relative errors of the named coefficients."""
+    assert flight.coefficients is not None
+    found, truth = STRUCTURES[structure], STRUCTURES[flight.structure]
+    return {
+        name: float(coefficients[found.index(name)] / flight.coefficients[truth.index(name)] - 1.0)
+        for name in names
+    }
+
+
+def linear_names(flight: Flight) -> list[str]:
+    """Names of the coefficients of rates and inputs."""
+    structure = STRUCTURES[flight.structure]
+    return [n for n, (_, j) in zip(structure.names, structure.free, strict=True) if j >= 5]
+
+
+def worst(values: Mapping[str, float]) -> float:
+    return float(np.max(np.abs(list(values.values()))))

@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rates and inputs on one grid: exact pairing, gaps, stale inputs, trim, bounded memory."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from flying import AMPLITUDES, messages, plant_flight, settings
+
+from uav_ident_ros.identification.regression import StateVariableFilter
+from uav_ident_ros.identification.sampling import RATE_SAMPLES, Block, Sampler
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+
+MS = 1_000_000
+TICK_NS = 50 * MS
+
+
+def sampler(**values: Any) -> Sampler:
+    return Sampler(Settings.from_values({k.replace("__", "."): v for k, v in values.items()}))
+
+
+def add_rates(target: Sampler, stamps: Any, values: FloatArray | None = None) -> None:
+    for k, t in enumerate(stamps):
+        x = (0.0, 0.0, 0.0) if values is None else tuple(values[k])
+        target.rates.append(int(t), (*x, 0.0, 0.0, 0.0))
+
+
+def add_inputs(target: Sampler, stamps: Any, value: float = 0.0) -> None:
+    for t in stamps:
+        target.raw_inputs.append(int(t), (value,) * 4)
+
+
+def blocks(target: Sampler, until_ns: int, start_ns: int = 0) -> Iterator[Block]:
+    """All blocks up to a time, tick by tick."""
+    for tick in range(start_ns, until_ns + 1, TICK_NS):
+        target.rates.merge(tick)
+        target.raw_inputs.merge(tick)
+        yield from target.blocks()
+
+
+def blocks_of(measurements: Measurements, **changes: Any) -> list[Block]:
+    target = Sampler(settings(measurements, **changes))
+    for message in messages(measurements):
+        stream = target.rates if message.stream == "rates" else target.raw_inputs
+        stream.append(message.t_ns, message.values)
+    first, last = int(measurements.imu_t_ns[0]), int(measurements.imu_t_ns[-1])
+    return list(blocks(target, last + TICK_NS, first))
+
+
+def misfit(measurements: Measurements, cutoff: float = 15.0, **changes: Any) -> FloatArray:
+    """Largest ``|y - A f|`` of the filtered equation, relative to the largest |y|; per row."""
+    flight = measurements.flight
+    assert flight.coefficients is not None
+    structure = STRUCTURES[flight.structure]
+    residuals, accelerations = [], []
+    svf = None
+    for block in blocks_of(measurements, **changes):
+        if svf is None:
+            svf = StateVariableFilter(structure, cutoff, block.h, np.zeros(3))
+        data = svf.apply(block, block.x)
+        residuals.append(data.y - data.f @ flight.coefficients.T)
+        accelerations.append(data.y)
+    e, y = np.concatenate(residuals), np.concatenate(accelerations)
+    return np.abs(e).max(axis=0) / np.abs(y).max(axis=0)
+
+
+# -- the filtered equation holds ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("rate", "limit"), [(1000.0, 2e-5), (200.0, 5e-4), (50.0, 1e-2)])
+def test_the_filtered_equation_holds_without_noise(rate: float, limit: float) -> None:
+    """Limited by straight lines between samples: an error of second order in the interval."""
+    flight = plant_flight(6.0, rate=1000.0, max_step=1e-3)
+    assert misfit(measure(flight, Sensors(rate=rate))).max() < limit
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0.06, 0.0), (0.0, 0.05), (0.04, 0.05)])
+def test_delay_and_lag_leave_the_equation_as_it_was(delay: float, lag: float) -> None:
+    flight = plant_flight(6.0, delay=delay, time_constant=lag)
+    assert misfit(measure(flight)).max() < 1e-3
+    wrong = misfit(measure(flight), actuators__delay=0.0, actuators__time_constant=0.0)
+    assert wrong.max() > 0.1
+
+
+def test_half_a_sample_is_seen() -> None:
+    """Commands at 50 Hz, taken 10 ms too late, break the equation by percents."""
+    flight = plant_flight(6.0, actuator_rate=50.0)
+    assert misfit(measure(flight)).max() < 1e-3
+    assert misfit(measure(flight), actuators__delay=0.01).max() > 0.02
+
+
+def test_an_integrator_driven_by_held_inputs_is_exact() -> None:
+    """Rates that are straight lines between samples: nothing is left but rounding."""
+    target = sampler(structure="throttle_coupled")
+    rng = np.random.default_rng(5)
+    u = np.repeat(rng.normal(size=(100, 4)), 4, axis=0)
+    a = np.zeros((3, 12))
+    a[:, 8:] = rng.normal(size=(3, 4)) * 5.0
+    x = np.vstack([np.zeros(3), np.cumsum(u @ a[:, 8:].T, axis=0) * 0.005])
+    add_rates(target, np.arange(401) * 5 * MS, x * [1.0, -1.0, -1.0])
+    for k in range(100):
+        target.raw_inputs.append(k * 20 * MS, tuple(u[4 * k]))
+    svf = StateVariableFilter(STRUCTURES["throttle_coupled"], 15.0, 0.005, np.zeros(3))
+    count = 0
+    for block in blocks(target, 2000 * MS):
+        data = svf.apply(block, block.x)
+        np.testing.assert_allclose(data.y, data.f @ a.T, atol=1e-11)
+        count += len(data.y)
+    assert count == 400
+
+
+# -- the grid ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate", [20, 50, 200, 333, 1000])
+def test_the_rate_is_found_and_every_sample_lies_on_the_grid(rate: int) -> None:
+    target = sampler()
+    stamps = 7 * MS + np.rint(np.arange(int(2 * rate)) * 1e9 / rate).astype(np.int64)
+    rates = np.random.default_rng(6).normal(size=(len(stamps), 3))
+    add_rates(target, stamps, rates)
+    add_inputs(target, range(0, 2000 * MS, 20 * MS))
+    got = list(blocks(target, 2000 * MS))
+    assert got[0].restarted and not any(block.restarted for block in got[1:])
+    assert got[0].h == pytest.approx(1.0 / rate, rel=1e-6)
+    edges = np.concatenate([block.t_ns[:-1] for block in got])
+    assert np.all(np.diff(edges) == edges[1] - edges[0])
+    assert len(edges) > (len(stamps) - 2 * RATE_SAMPLES if rate < 100 else len(stamps) - 60)
+    on_grid = np.concatenate([block.x[:-1] for block in got])[:, 0]
+    first = int(np.searchsorted(stamps, edges[0]))
+    np.testing.assert_allclose(on_grid, rates[first : first + len(on_grid), 0], atol=1e-4)
+
+
+def test_dropped_samples_do_not_slow_the_grid_down() -> None:
+    rng = np.random.default_rng(7)
+    stamps = np.arange(0, 2000, 5)[rng.random(400) >= 0.2] * MS
+    target = sampler()
+    add_rates(target, stamps)
+    add_inputs(target, range(0, 2000 * MS, 20 * MS))
+    assert next(blocks(target, 2000 * MS)).h == pytest.approx(0.005)
+
+
+def test_consecutive_blocks_share_an_edge() -> None:
+    target = sampler()
+    add_rates(target, range(0, 3000 * MS, 5 * MS))
+    add_inputs(target, range(0, 3000 * MS, 20 * MS))
+    got = list(blocks(target, 3000 * MS))
+    for before, after in itertools.pairwise(got):
+        assert before.t_ns[-1] == after.t_ns[0]
+        assert np.array_equal(before.x[-1], after.x[0])
+
+
+# -- gaps and stale inputs ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("gap_ms", "restarts"), [(150, 0), (250, 1)])
+def test_only_a_long_gap_in_the_rates_restarts(gap_ms: int, restarts: int) -> None:
+    stamps = [*range(0, 1000, 5), *range(1000 + gap_ms, 2500, 5)]
+    target = sampler()
+    add_rates(target, np.array(stamps) * MS)
+    add_inputs(target, range(0, 2500 * MS, 20 * MS))
+    got = list(blocks(target, 2500 * MS))
+    assert sum(block.restarted for block in got) == 1 + restarts
+    covered = sum(int(block.t_ns[-1] - block.t_ns[0]) for block in got)
+    assert covered == (2495 - restarts * (gap_ms + 5)) * MS
+
+
+def test_inputs_at_no_steady_rate_are_held_until_the_timeout() -> None:
+    """Sent on change only: no message means no change."""
+    target = sampler(actuators__timeout=0.4)
+    add_rates(target, range(0, 6000 * MS, 5 * MS))
+    stamps = np.cumsum(np.tile([10, 10, 250, 30, 300, 10, 380], 8))
+    add_inputs(target, [0, *stamps[stamps < 4000] * MS])
+    got = list(blocks(target, 6000 * MS))
+    assert [block.restarted for block in got] == [True] + [False] * (len(got) - 1)
+    assert got[-1].t_ns[-1] == (int(stamps[stamps < 4000][-1]) + 400) * MS
+
+
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+def test_stale_inputs_pause_and_fresh_ones_restart(interpolation: str) -> None:
+    target = sampler(actuators__interpolation=interpolation)
+    add_rates(target, range(0, 4000 * MS, 5 * MS))
+    add_inputs(target, range(0, 1000 * MS, 20 * MS))
+    add_inputs(target, range(2500 * MS, 4000 * MS, 20 * MS))
+    got = list(blocks(target, 4000 * MS))
+    assert [int(b.t_ns[0]) // MS for b in got if b.restarted] == [0, 2500]
+    last = 980 + (100 if interpolation == "hold" else 0)  # five intervals of 20 ms
+    paused = [b for b in got if b.t_ns[0] < 2500 * MS]
+    assert int(paused[-1].t_ns[-1]) == last * MS
+
+
+def test_a_straight_input_line_waits_for_its_end() -> None:
+    """Cells are cut only where the line is known: ticks between samples must not show."""
+    stamps = np.arange(0, 2000, 70) * MS
+    ramp = stamps * 1e-9
+    target = sampler(actuators__interpolation="linear")
+    add_rates(target, range(0, 2000 * MS, 5 * MS))
+    for t, value in zip(stamps, ramp, strict=True):
+        target.raw_inputs.append(int(t), (float(value),) * 4)
+    for block in blocks(target, 2000 * MS):
+        middle = (block.t_ns[:-1] + block.t_ns[1:]) * 0.5e-9
+        np.testing.assert_allclose(block.u[:, 0], middle, atol=1e-12)
+
+
+def test_without_inputs_it_says_so() -> None:
+    target = sampler()
+    add_rates(target, range(0, 1000 * MS, 5 * MS))
+    assert list(blocks(target, 1000 * MS)) == []
+    assert target.waiting_for == "actuators"
+
+
+# -- trim --------------------------------------------------------------------------------------
+
+
+def test_trim_is_learned_in_steady_flight_only() -> None:
+    quiet, level = 3.0, np.array([0.02, -0.05, 0.1, 0.6])
+    segment = Segment("multisine", amplitudes=AMPLITUDES, duration=quiet, seed=2)
+    flight = plant_flight(8.0, segments=(segment,), trim=level)
+    measurements = measure(flight, Sensors(gyro_noise=0.02))
+    target = Sampler(settings(measurements, actuators__learn_trim_time=2.0))
+    for message in messages(measurements):
+        stream = target.rates if message.stream == "rates" else target.raw_inputs
+        stream.append(message.t_ns, message.values)
+    first = int(measurements.imu_t_ns[0])
+    got = list(blocks(target, first + 8_000 * MS, first))
+    assert (got[0].t_ns[0] - first) * 1e-9 > quiet - 0.5
+    np.testing.assert_allclose(target.input_map.trim, level, atol=0.025)  # of 0.08 ... 0.2
+
+
+def test_a_learned_trim_is_an_average_over_time() -> None:
+    """One channel value that stood for most of the window counts for most of it."""
+    target = sampler(actuators__learn_trim_time=1.0, actuators__timeout=2.0)
+    add_rates(target, range(0, 1100 * MS, 5 * MS))
+    add_inputs(target, [0], 1.0)
+    add_inputs(target, range(900 * MS, 1000 * MS, 5 * MS), 0.0)
+    list(blocks(target, 1000 * MS))
+    assert target.input_map.trim[0] == pytest.approx(0.9, abs=0.01)
+
+
+def test_no_trim_is_learned_from_stale_inputs() -> None:
+    target = sampler(actuators__learn_trim_time=1.0)
+    add_rates(target, range(0, 3000 * MS, 5 * MS))
+    add_inputs(target, [0])
+    assert list(blocks(target, 3000 * MS)) == []
+    assert "trim" in target.waiting_for
+
+
+# -- memory ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("imu_ms", "inputs", "values"),
+    [
+        (5, True, {}),
+        (5, False, {}),
+        (5, True, {"actuators__interpolation": "linear"}),
+        (5, True, {"actuators__learn_trim_time": 1.0}),
+        (400, True, {}),  # every interval is a gap
+    ],
+)
+def test_buffers_stay_bounded(imu_ms: int, inputs: bool, values: dict[str, Any]) -> None:
+    target = sampler(**values)
+    largest = 0
+    for second in range(120):
+        start = second * 1000 * MS
+        stamps = range(start - start % (imu_ms * MS), start + 1000 * MS, imu_ms * MS)
+        moving = np.full((len(stamps), 3), 0.5)
+        add_rates(target, stamps, moving)
+        if inputs:
+            add_inputs(target, range(start, start + 1000 * MS, 20 * MS))
+        list(blocks(target, start + 1000 * MS, start))
+        if second > 20:
+            largest = max(largest, len(target.rates.t), len(target.raw_inputs.t))
+    assert largest < 300

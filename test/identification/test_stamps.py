@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One outlying stamp is dropped; five that agree are a new time base."""
+
+from __future__ import annotations
+
+import pytest
+
+from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
+
+S = 1_000_000_000
+
+
+def guard_at(t_ns: int) -> StampGuard:
+    guard = StampGuard(S)
+    assert guard.check(t_ns) is Stamp.GOOD
+    return guard
+
+
+@pytest.mark.parametrize("jump", [-3600, -2, 2, 3600])
+def test_a_single_outlier_leaves_the_stream_alone(jump: int) -> None:
+    guard = guard_at(10_000 * S)
+    assert guard.check((10_000 + jump) * S) is Stamp.OUTLYING
+    assert guard.check(10_000 * S + S // 200) is Stamp.GOOD
+    assert guard.newest == 10_000 * S + S // 200
+
+
+@pytest.mark.parametrize("jump", [-3600, -2, 2, 3600])
+def test_agreeing_samples_are_a_new_base(jump: int) -> None:
+    guard = guard_at(10_000 * S)
+    base = (10_000 + jump) * S
+    verdicts = [guard.check(base + k * S // 200) for k in range(AGREEING_SAMPLES)]
+    assert verdicts == [Stamp.OUTLYING] * (AGREEING_SAMPLES - 1) + [Stamp.NEW_BASE]
+    assert guard.newest == base + (AGREEING_SAMPLES - 1) * S // 200
+    assert guard.check(base + S // 10) is Stamp.GOOD
+
+
+def test_outliers_that_disagree_never_become_a_base() -> None:
+    guard = guard_at(10_000 * S)
+    for k in range(50):
+        assert guard.check((20_000 + 7 * (k % 5)) * S) is Stamp.OUTLYING
+
+
+def test_a_good_sample_between_breaks_the_agreement() -> None:
+    guard = guard_at(10_000 * S)
+    for k in range(20):
+        assert guard.check(20_000 * S + k * S // 200) is Stamp.OUTLYING
+        assert guard.check(10_000 * S + k * S // 200) is Stamp.GOOD
+
+
+def test_late_samples_are_good_stamps_and_do_not_turn_time_back() -> None:
+    guard = guard_at(10_000 * S)
+    assert guard.check(10_000 * S - S // 2) is Stamp.GOOD
+    assert guard.newest == 10_000 * S
