@@ -19,8 +19,9 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
-LARGEST_STEP = 0.01
-"""Integration step, s: a fifth of the fastest roll mode of a small aircraft."""
+STEP = 0.005
+"""Integration step aimed at, s: a tenth of the fastest roll mode of a small aircraft. Shorter
+cells are joined, those longer than twice this are cut."""
 
 LARGEST_RATE = 30.0
 """Rate beyond which the model's state has diverged, rad/s: no aircraft here turns faster."""
@@ -87,7 +88,7 @@ class IdentifiedModel:
         leak = 1.0 / leak_time if leak_time > 0.0 else 0.0
         if leak:
             drive = drive + leak * 0.5 * (block.x[:-1] + block.x[1:])
-        stride = max(1, round(LARGEST_STEP / block.h))
+        stride = max(1, round(STEP / block.h))
         states = _integrate(a, self.state, drive, block.h, stride, leak)
         if not (np.abs(states[-1]) < LARGEST_RATE).all():  # NaN fails too
             self.resets += 1
@@ -140,7 +141,7 @@ def _integrate(
     if stride > 1:
         counts = np.diff(bounds)[:, None]
         drive = np.add.reduceat(drive, bounds[:-1], axis=0) / counts
-    steps_per_cell = max(1, math.ceil(h / LARGEST_STEP))
+    steps_per_cell = max(1, math.ceil(h / (2.0 * STEP)))
     p, q, r = x0.tolist()
     states = [(p, q, r)]
     for k, (bp, bq, br) in enumerate(drive.tolist()):

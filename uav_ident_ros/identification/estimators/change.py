@@ -98,16 +98,17 @@ class ChangeDetector:
             Liveliness of the inputs, of the excitation gate.
         """
         dt = data.dt * len(data.y)
-        mean = TickMean(data.y.mean(axis=0), data.f.mean(axis=0), data.z.mean(axis=0), dt)
-        self.recent.append(mean)
+        m = len(data.y)
+        y, f, z = (np.add.reduce(part) / m for part in (data.y, data.f, data.z))
+        self.recent.append(TickMean(y, f, z, dt))
         self._recent_time += dt
         while self._recent_time > WINDOW_TIME:
             self._recent_time -= self.recent.popleft().dt
-        self._hold_off = np.maximum(self._hold_off - dt, 0.0)
         self._since_look += dt
         if self._since_look < CHECK_TIME or self._recent_time < WINDOW_TIME - 2.0 * dt:
             return []
         elapsed, self._since_look = self._since_look, 0.0
+        self._hold_off = np.maximum(self._hold_off - elapsed, 0.0)
         return self._look(coefficients, share, elapsed)
 
     def _look(

@@ -17,6 +17,9 @@ from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, Flo
 WINDOW_TIME = 3.0
 """Time over which the variance of an input is taken, s: a slow multisine still moves in it."""
 
+LOOK_TIME = 0.25
+"""Time between two looks at the window, s."""
+
 QUIET_SHARE = 0.25
 """Share of its mean variance while learning below which an input is quiet: half the
 amplitude. Relative to the largest variance instead, one wild manoeuvre would close the gate
@@ -35,42 +38,44 @@ class ExcitationGate:
     ----------
     share : (4,) array
         Variance of each input over the window, relative to its mean while learning.
+    learning : (3,) bool array
+        Rows that see excitation.
     """
 
     def __init__(self, free: BoolArray) -> None:
         self._watched: BoolArray = free[:, INPUT_COLUMNS]
         self._window: deque[tuple[float, FloatArray, FloatArray]] = deque()
-        self._time = 0.0
-        self._sum: FloatArray = np.zeros(4)
-        self._square: FloatArray = np.zeros(4)
+        self._window_time = 0.0
+        self._since_look = 0.0
         self._usual: FloatArray = np.zeros(4)
         self._usual_time: FloatArray = np.zeros(4)
         self.share: FloatArray = np.zeros(4)
+        self.learning: BoolArray = np.ones(3, dtype=bool)
 
     def update(self, data: Regression) -> BoolArray:
         """Return which rows may learn from the samples of this tick, shape (3,)."""
-        variance = self._variance(data)
+        u = data.f[:, INPUT_COLUMNS]
+        dt = data.dt * len(u)
+        self._window.append((dt, data.dt * np.add.reduce(u), data.dt * np.add.reduce(u * u)))
+        self._since_look += dt
+        if self._since_look >= LOOK_TIME or len(self._window) == 1:
+            self._look()
+        return self.learning
+
+    def _look(self) -> None:
+        """Compare the inputs over the window with what is usual."""
+        elapsed, self._since_look = self._since_look, 0.0
+        self._window_time += elapsed
+        while self._window_time > WINDOW_TIME and len(self._window) > 1:
+            self._window_time -= self._window.popleft()[0]
+        time = sum(entry[0] for entry in self._window)
+        total = np.add.reduce([entry[1] for entry in self._window])
+        square = np.add.reduce([entry[2] for entry in self._window])
+        variance = np.maximum(square / time - (total / time) ** 2, 0.0)
         self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
         lively = self._watched & (self.share >= QUIET_SHARE)
-        learning: BoolArray = lively.any(axis=1) | ~self._watched.any(axis=1)
-        heard = (self._watched & learning[:, None]).any(axis=0)
-        spent = np.where(heard, data.dt * len(data.y), 0.0)
+        self.learning = lively.any(axis=1) | ~self._watched.any(axis=1)
+        heard = (self._watched & self.learning[:, None]).any(axis=0)
+        spent = np.where(heard, elapsed, 0.0)
         self._usual_time += spent
-        self._usual += spent / np.maximum(self._usual_time, data.dt) * (variance - self._usual)
-        return learning
-
-    def _variance(self, data: Regression) -> FloatArray:
-        """Variance of the inputs over the window that ends with this tick, shape (4,)."""
-        u = data.f[:, INPUT_COLUMNS]
-        entry = (data.dt * len(u), data.dt * u.sum(axis=0), data.dt * (u * u).sum(axis=0))
-        self._window.append(entry)
-        self._time += entry[0]
-        self._sum += entry[1]
-        self._square += entry[2]
-        while self._time > WINDOW_TIME and len(self._window) > 1:
-            time, total, square = self._window.popleft()
-            self._time -= time
-            self._sum -= total
-            self._square -= square
-        mean = self._sum / self._time
-        return np.maximum(self._square / self._time - mean * mean, 0.0)
+        self._usual += spent / np.maximum(self._usual_time, elapsed) * (variance - self._usual)

@@ -66,12 +66,6 @@ class Columns:
         self.used = np.arange(self.size) < self.counts[:, None]
         for i, row in enumerate(free):
             self.index[i, : self.counts[i]] = np.flatnonzero(row)
-        self._everything_used = bool(self.used.all())
-
-    def pick(self, values: FloatArray) -> FloatArray:
-        """Rows of free columns, shape (3, k, m), from regressors of shape (m, n)."""
-        picked = values.T[self.index]
-        return picked if self._everything_used else picked * self.used[:, :, None]
 
     def gather(self, values: FloatArray) -> FloatArray:
         """Free entries, shape (3, k), of values of shape (3, n)."""
@@ -93,19 +87,38 @@ class Information:
         Initial coefficients, their uncertainty, and which are free.
     forgetting_time : float
         Time constant of forgetting, s; 0 for never.
+
+    Attributes
+    ----------
+    time : (3,) array
+        How long each row has learned, s.
+    sigma : (3, n) array
+        Standard deviations as of the last full block; inf before the first.
+    added : Snapshot
+        What the last tick added.
     """
 
     def __init__(self, start: Start, forgetting_time: float = 0.0) -> None:
         self._start = start
         self._forgetting_time = forgetting_time
         self.columns = Columns(start.free)
-        k = self.columns.size
+        k, n = self.columns.size, start.values.shape[1]
         self._precision = self.columns.gather(start.precision)
-        self._diagonal = np.arange(k)
+        # Where the entries of each row stand in the product of a tick: z, then residuals,
+        # by f, deviations, residuals.
+        index, rows = self.columns.index, np.arange(3)[:, None]
+        width = n + 6
+        self._take_matrix = index[:, :, None] * width + index[:, None, :]
+        self._take_vector = index * width + n + rows
+        self._take_score = index * width + n + 3 + rows
+        self._take_square = ((n + rows) * width + n + 3 + rows)[:, 0]
+        self._pairs = (self.columns.used[:, :, None] & self.columns.used[:, None, :]) * 1.0
         self.matrix: FloatArray = np.zeros((3, k, k))
         self.vector: FloatArray = np.zeros((3, k))
+        self.added = self.snapshot()
         self.residual_variance: FloatArray = np.zeros(3)
         self.time: FloatArray = np.zeros(3)
+        self._square: FloatArray = np.zeros(3)
         self._scores: FloatArray = np.zeros((3, k, k))
         self._score: FloatArray = np.zeros((3, k))
         self._score_time: FloatArray = np.zeros(3)
@@ -113,11 +126,7 @@ class Information:
         self.sigma: FloatArray = np.where(start.free, start.sigma, 0.0)
 
     def accumulate(
-        self,
-        data: Regression,
-        z: FloatArray,
-        coefficients: FloatArray,
-        learning: BoolArray = np.ones(3, dtype=bool),  # noqa: B008 - never written to
+        self, data: Regression, z: FloatArray, coefficients: FloatArray, learning: BoolArray
     ) -> None:
         """Add the samples of a tick.
 
@@ -132,24 +141,41 @@ class Information:
         learning : (3,) bool array
             Rows that learn, and forget; the others stay as they are.
         """
-        dt = data.dt * len(data.y)
-        spent = np.where(learning, dt, 0.0)
+        weight = learning * data.dt
         residual = data.y - data.f @ coefficients.T
-        self.time += spent
-        share = spent / np.clip(self.time, dt, RESIDUAL_TIME)
-        self.residual_variance += share * ((residual**2).mean(axis=0) - self.residual_variance)
-        if self._forgetting_time > 0.0:
-            self.discount(np.exp(-spent / self._forgetting_time))
-        weighted = self.columns.pick(z) * np.where(learning, data.dt, 0.0)[:, None, None]
-        self.matrix += weighted @ self.columns.pick(data.f).transpose(0, 2, 1)
         # Deviations from the start, so that what is fixed or unexcited stays where it is.
         deviation = data.y - data.f @ self._start.values.T
-        self.vector += (weighted @ deviation.T[:, :, None])[:, :, 0]
-        self._score += (weighted @ residual.T[:, :, None])[:, :, 0]
-        self._score_time += spent
-        full = self._score_time >= BLOCK_TIME
-        if full.any():
-            self._close_blocks(full)
+        product = np.concatenate([z, residual], axis=1).T @ np.concatenate(
+            [data.f, deviation, residual], axis=1
+        )
+        row = weight[:, None] * self.columns.used
+        self.added = Snapshot(
+            product.take(self._take_matrix) * (weight[:, None, None] * self._pairs),
+            product.take(self._take_vector) * row,
+        )
+        self.matrix += self.added.matrix
+        self.vector += self.added.vector
+        self._score += product.take(self._take_score) * row
+        self._square += product.take(self._take_square) * weight
+        self._score_time += weight * len(data.y)
+        if self._score_time.max() >= BLOCK_TIME:
+            self._close_blocks(self._score_time >= BLOCK_TIME)
+
+    def _close_blocks(self, full: BoolArray) -> None:
+        """Count the scores of the rows whose block is full; forget; renew their sigma."""
+        spent = np.where(full, self._score_time, 0.0)
+        self.time += spent
+        share = np.divide(spent, np.minimum(self.time, RESIDUAL_TIME), out=np.zeros(3), where=full)
+        mean_square = np.divide(self._square, self._score_time, out=np.zeros(3), where=full)
+        self.residual_variance += share * (mean_square - self.residual_variance)
+        score = np.where(full[:, None], self._score, 0.0)
+        self._scores += score[:, :, None] * score[:, None, :]
+        self._blocks += full
+        for sums in (self._score, self._square, self._score_time):
+            sums[full] = 0.0
+        if self._forgetting_time > 0.0:
+            self.discount(np.exp(-spent / self._forgetting_time))
+        self.sigma = self._compute_sigma()
 
     def add_sample(self, row: int, y: FloatArray, f: FloatArray, z: FloatArray, dt: float) -> None:
         """Add one sample, y (3,), f and z (n,), that stands for `dt` s to one row alone."""
@@ -163,7 +189,7 @@ class Information:
         return Snapshot(self.matrix.copy(), self.vector.copy())
 
     def restore(self, row: int, snapshot: Snapshot) -> None:
-        """Set one row back to what it was."""
+        """Set one row to what a snapshot holds."""
         self.matrix[row] = snapshot.matrix[row]
         self.vector[row] = snapshot.vector[row]
 
@@ -183,15 +209,6 @@ class Information:
                 matrix -= RELEASED_SHARE * np.outer(matrix[:, j], matrix[j]) / matrix[j, j]
         self.vector[row] = matrix @ believed
 
-    def _close_blocks(self, full: BoolArray) -> None:
-        """Count the scores of the rows whose block is full, and renew their sigma."""
-        score = np.where(full[:, None], self._score, 0.0)
-        self._scores += score[:, :, None] * score[:, None, :]
-        self._score[full] = 0.0
-        self._score_time[full] = 0.0
-        self._blocks += full
-        self.sigma = self._compute_sigma()
-
     def discount(self, weight: float | FloatArray) -> None:
         """Let all that was accumulated count for `weight` of what it did, per row."""
         row = np.broadcast_to(weight, 3)
@@ -203,11 +220,15 @@ class Information:
     def _system(self) -> FloatArray:
         """Regularised matrix of each row; identity along what is not used, (3, k, k)."""
         matrix = self.matrix.copy()
-        diagonal = matrix[:, self._diagonal, self._diagonal]
+        diagonal = self._diagonal_of(matrix)
         diagonal += self._precision * self.residual_variance[:, None] + _RIDGE * np.abs(diagonal)
         diagonal[diagonal == 0.0] = 1.0
-        matrix[:, self._diagonal, self._diagonal] = diagonal
         return matrix
+
+    def _diagonal_of(self, matrices: FloatArray) -> FloatArray:
+        """View of the diagonals, shape (3, k)."""
+        k = self.columns.size
+        return matrices.reshape(3, k * k)[:, :: k + 1]
 
     def solve(self) -> FloatArray:
         """Coefficients that satisfy ``R a = r`` with the prior, shape (3, n)."""
@@ -226,7 +247,7 @@ class Information:
         correction = self._blocks / np.maximum(self._blocks - self.columns.counts, 1.0)
         middle = self._scores * correction[:, None, None]
         prior = self._precision * self.residual_variance[:, None] ** 2
-        middle[:, self._diagonal, self._diagonal] += prior
+        self._diagonal_of(middle)[:] += prior
         covariance = inverse @ middle @ inverse.transpose(0, 2, 1)
-        variance = np.maximum(covariance[:, self._diagonal, self._diagonal], 0.0)
+        variance = np.maximum(self._diagonal_of(covariance), 0.0)
         return self.columns.scatter(np.sqrt(variance))

@@ -10,6 +10,7 @@ while its coefficients are still poor).
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,6 +33,32 @@ SNAPSHOT_TIME = 0.5
 
 READD_TIME = 1.5
 """Newest stretch that surely lies after a noticed change, s."""
+
+TRIAL_TIME = 10.0
+"""Time in which a release has to prove itself, s."""
+
+TRIAL_RATIO = 0.8
+"""Squared residual of the new coefficients, relative to the old ones', above which a release
+is taken back: a real change leaves the old ones far behind, a false alarm does not."""
+
+
+@dataclass
+class Trial:
+    """A release on trial.
+
+    Parameters
+    ----------
+    before : Snapshot
+        The information as it would be without the release.
+    old : (n,) array
+        The row's coefficients before the release.
+    """
+
+    before: Snapshot
+    old: FloatArray
+    old_error: float = 0.0
+    new_error: float = 0.0
+    time: float = 0.0
 
 
 class InstrumentalVariable:
@@ -94,7 +121,8 @@ class RecursiveRegression:
         )
         self._gate = ExcitationGate(start.free)
         self._detector = ChangeDetector(start.free)
-        self._snapshots: deque[tuple[float, Snapshot]] = deque()
+        self._snapshots: deque[Snapshot] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
+        self._trials: dict[int, Trial] = {}
         self._since_snapshot = 0.0
 
     @property
@@ -120,21 +148,23 @@ class RecursiveRegression:
         self.coefficients = self._information.solve()
 
     def _follow_changes(self, data: Regression) -> None:
+        """Release what has changed, and take back a release that does not prove itself."""
+        for row in list(self._trials):
+            self._continue_trial(row, data)
         changed = self._detector.update(data, self.coefficients, self._gate.share)
         self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
         for i, j in changed:
             self._release(i, INPUT_COLUMNS.start + j, float(self._detector.slope[i, j]))
         self._since_snapshot += data.dt * len(data.y)
         if self._since_snapshot >= SNAPSHOT_TIME:
-            self._snapshots.append((0.0, self._information.snapshot()))
-            self._snapshots = deque((age + self._since_snapshot, s) for age, s in self._snapshots)
+            self._snapshots.append(self._information.snapshot())
             self._since_snapshot = 0.0
-            while len(self._snapshots) > 1 and self._snapshots[1][0] >= WINDOW_TIME:
-                self._snapshots.popleft()
 
     def _release(self, row: int, column: int, shift: float) -> None:
         """Forget one coefficient of one row, back to before the change, and learn it anew."""
-        self._information.restore(row, self._snapshots[0][1])
+        self._trials[row] = Trial(self._information.snapshot(), self.coefficients[row].copy())
+        if self._snapshots:
+            self._information.restore(row, self._snapshots[0])
         self._information.release(row, column, shift)
         time = 0.0
         for tick in reversed(self._detector.recent):
@@ -143,3 +173,17 @@ class RecursiveRegression:
                 break
             z = tick.z if self._instrumental and not self._reference.warming_up else tick.f
             self._information.add_sample(row, tick.y, tick.f, z, tick.dt)
+
+    def _continue_trial(self, row: int, data: Regression) -> None:
+        """Compare the old with the new coefficients on samples that neither has seen."""
+        trial = self._trials[row]
+        trial.before.matrix[row] += self._information.added.matrix[row]
+        trial.before.vector[row] += self._information.added.vector[row]
+        y = data.y[:, row]
+        trial.old_error += float(np.sum((y - data.f @ trial.old) ** 2))
+        trial.new_error += float(np.sum((y - data.f @ self.coefficients[row]) ** 2))
+        trial.time += data.dt * len(y)
+        if trial.time >= TRIAL_TIME:
+            del self._trials[row]
+            if trial.new_error > TRIAL_RATIO * trial.old_error:
+                self._information.restore(row, trial.before)
