@@ -535,9 +535,15 @@ def report(picture: Path, flight: Flight, outputs: Outputs, scorer: Scorer) -> N
     print(f"\nmeasured against predicted rates, coefficients over time: {picture}")
 
 
+def _interrupt(*_: object) -> NoReturn:
+    """End on SIGTERM as on Ctrl-C: the node must not be left behind."""
+    raise KeyboardInterrupt
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the demonstration; the return value is the exit status."""
     options = parser().parse_args(arguments)
+    signal.signal(signal.SIGTERM, _interrupt)
     domain = options.domain
     if domain is None:
         domain = 1 + secrets.randbelow(HIGHEST_DOMAIN)

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node costs while it runs: ``python benchmarks/node_cost.py``.
+
+For each Imu rate the node runs as a process of its own, a second process publishes a flight of
+`flights.yaml` to it in real time (system clock, stamped actuators at 50 Hz), and this one
+listens. Printed are the processor time of the node, the messages that were sent but never
+reached it, the time that a tick takes to compute, the age of a tick's stamp when its
+coefficients arrive here (it holds `input_wait`, 50 ms, and up to one period of the timer,
+50 ms), the regularity of the timer, and the memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import secrets
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from multiprocessing.queues import Queue
+from pathlib import Path
+
+import flights
+import numpy as np
+
+FLIGHT = "exact_noise_002"
+ACTUATOR_EVERY = 2
+"""Every second actuator sample of the flight is sent: 50 Hz."""
+
+WARM_UP = 5.0
+"""Seconds before the measurement begins: discovery, the estimator's start."""
+
+DISCOVERY = 2.0
+SETTLE = 2.5
+"""Seconds for the last diagnostics to arrive."""
+
+MARGIN = 2.0
+
+STAMP = struct.Struct("<iI")
+STAMP_OFFSET = 4
+"""Of a message that begins with a header, serialized: after the encapsulation header."""
+
+TICKS_PER_SECOND = os.sysconf("SC_CLK_TCK")
+HIGHEST_DOMAIN = 101
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Figures of one run."""
+
+    imu_rate: float
+    cpu: float
+    lost_imu: int
+    lost_actuators: int
+    sent: int
+    status: dict[str, str]
+    age_ms: np.ndarray
+    memory: tuple[float, float]
+
+
+# --- the publisher ----------------------------------------------------------------------------
+
+
+def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, bytearray]]:
+    """Messages of the flight with the time since its start, ns, in order; without stamps."""
+    from geometry_msgs.msg import Vector3
+    from rclpy.serialization import serialize_message
+    from sensor_msgs.msg import Imu, JointState
+    from std_msgs.msg import Header
+
+    flight = flights.load(FLIGHT, rate=imu_rate)
+    header = Header(frame_id=flight.frame_id)
+    names = list(flight.channel_set.names)
+    start = int(flight.imu_t_ns[0])
+    found = []
+    for t, rates, force in zip(flight.imu_t_ns, flight.rates, flight.specific_force, strict=True):
+        imu = Imu(header=header)
+        imu.angular_velocity = Vector3(x=float(rates[0]), y=float(rates[1]), z=float(rates[2]))
+        imu.linear_acceleration = Vector3(x=float(force[0]), y=float(force[1]), z=float(force[2]))
+        found.append((int(t) - start, "imu", bytearray(serialize_message(imu))))
+    chosen = slice(None, None, ACTUATOR_EVERY)
+    for t, raw in zip(flight.actuator_t_ns[chosen], flight.actuators[chosen], strict=True):
+        state = JointState(header=header, name=names, position=raw.tolist())
+        found.append((int(t) - start, "actuators", bytearray(serialize_message(state))))
+    found.sort(key=lambda item: item[0])
+    return (item for item in found if 0 <= item[0] <= seconds * 1e9)
+
+
+def publish(imu_rate: float, seconds: float, ready: object, sent: Queue[dict[str, int]]) -> None:
+    """Publish the flight in real time, stamped with the system's time."""
+    import rclpy
+    from sensor_msgs.msg import Imu, JointState
+
+    messages = list(serialized(imu_rate, seconds))
+    rclpy.init()
+    node = rclpy.create_node("flight")
+    publishers = {
+        "imu": node.create_publisher(Imu, "imu/data", 1000),
+        "actuators": node.create_publisher(JointState, "actuators", 1000),
+    }
+    while not all(p.get_subscription_count() for p in publishers.values()):
+        time.sleep(0.05)
+    time.sleep(DISCOVERY)
+    ready.set()  # type: ignore[attr-defined]
+    counts = dict.fromkeys(publishers, 0)
+    start = time.time_ns()
+    for t, topic, data in messages:
+        due = start + t
+        ahead = (due - time.time_ns()) * 1e-9
+        if ahead > 0.0:
+            time.sleep(ahead)
+        STAMP.pack_into(data, STAMP_OFFSET, due // 10**9, due % 10**9)
+        publishers[topic].publish(bytes(data))
+        counts[topic] += 1
+    sent.put(counts)
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+# --- the measurement --------------------------------------------------------------------------
+
+
+def cpu_seconds(pid: int) -> float:
+    """Processor time of a process so far, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS_PER_SECOND
+
+
+def resident_mb(pid: int) -> float:
+    """Resident memory of a process, MB."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) / 1024
+    return float("nan")
+
+
+def measure(imu_rate: float, seconds: float, parameters: list[str]) -> Cost:
+    """Run node and publisher and measure for `seconds`."""
+    from uav_ident_ros.player import Player, stamp_ns
+
+    command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
+    for parameter in (
+        "actuators.type:=sensor_msgs/msg/JointState",
+        "actuators.channels:=[elevator, rudder, aileron, throttle]",
+        "actuators.trim:=[0.0, 0.0, 0.0, 0.5]",
+        *parameters,
+    ):
+        command += ["-p", parameter]
+    spawn = multiprocessing.get_context("spawn")
+    ready, sent = spawn.Event(), spawn.Queue()
+    publisher = spawn.Process(
+        target=publish, args=(imu_rate, WARM_UP + seconds + MARGIN, ready, sent)
+    )
+    node = subprocess.Popen(command, cwd=flights.ROOT, stderr=subprocess.DEVNULL)
+    player = Player({}, clock=False)
+    ages: list[int] = []
+    try:
+        player.wait_for_node()
+        from sensor_msgs.msg import JointState
+
+        player.node.create_subscription(
+            JointState,
+            "/identifier/coefficients_named",
+            lambda m: ages.append(time.time_ns() - stamp_ns(m.header.stamp)),
+            1000,
+        )
+        publisher.start()
+        player.wait_until(ready.is_set, "the publisher", timeout=120.0)
+        player.spin_for(WARM_UP)
+        ages.clear()
+        begin, cpu, memory = time.monotonic(), cpu_seconds(node.pid), resident_mb(node.pid)
+        player.spin_for(seconds)
+        cpu = (cpu_seconds(node.pid) - cpu) / (time.monotonic() - begin)
+        memory_end, age_ms = resident_mb(node.pid), np.array(ages) * 1e-6
+        player.wait_until(lambda: not sent.empty(), "the publisher to end", timeout=60.0)
+        counts = sent.get()
+        player.spin_for(SETTLE)
+        status = {entry.key: entry.value for entry in player.outputs.status[-1].values}
+    finally:
+        player.close()
+        node.send_signal(signal.SIGINT)
+        node.wait(10.0)
+        if publisher.is_alive():
+            publisher.terminate()
+        if publisher.pid is not None:
+            publisher.join()
+    return Cost(
+        imu_rate=imu_rate,
+        cpu=100.0 * cpu,
+        lost_imu=counts["imu"] - int(status["rates: messages"]),
+        lost_actuators=counts["actuators"] - int(status["actuators: messages"]),
+        sent=counts["imu"],
+        status=status,
+        age_ms=age_ms,
+        memory=(memory, memory_end),
+    )
+
+
+# --- the table --------------------------------------------------------------------------------
+
+COLUMNS = (
+    ("Imu [Hz]", 8),
+    ("CPU [% of a core]", 17),
+    ("lost Imu / sent", 15),
+    ("lost act.", 9),
+    ("update p50/p99/max [ms]", 23),
+    ("tick's age p50/p99 [ms]", 23),
+    ("timer p50/p99 [ms]", 18),
+    ("memory [MB]", 13),
+)
+
+
+def row(cost: Cost) -> str:
+    """One line of the table."""
+    status = cost.status
+    update = [status.get(f"ticks: update time {p} [ms]", "-") for p in ("p50", "p99", "max")]
+    timer = [status.get(f"ticks: timer interval {p} [ms]", "-") for p in ("p50", "p99")]
+    age = np.percentile(cost.age_ms, (50, 99)) if len(cost.age_ms) else (np.nan, np.nan)
+    cells = (
+        f"{cost.imu_rate:g}",
+        f"{cost.cpu:.1f}",
+        f"{cost.lost_imu} / {cost.sent}",
+        f"{cost.lost_actuators}",
+        " / ".join(update),
+        f"{age[0]:.0f} / {age[1]:.0f}",
+        " / ".join(timer),
+        f"{cost.memory[0]:.0f} -> {cost.memory[1]:.0f}",
+    )
+    return "  ".join(f"{cell:>{w}}" for cell, (_, w) in zip(cells, COLUMNS, strict=True))
+
+
+def main() -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rates", type=float, nargs="+", default=[200.0, 500.0, 1000.0])
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="measured time per rate, up to 110"
+    )
+    parser.add_argument("--parameter", action="append", default=[], metavar="NAME:=VALUE")
+    options = parser.parse_args()
+    os.environ["ROS_DOMAIN_ID"] = str(1 + secrets.randbelow(HIGHEST_DOMAIN))
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    given = ", ".join(options.parameter) or "default parameters"
+    print(f"flight {FLIGHT}, {options.seconds:g} s per rate, actuators at 50 Hz, {given}")
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
+    print("  ".join(f"{title:>{width}}" for title, width in COLUMNS), flush=True)
+    with tempfile.TemporaryDirectory() as logs:
+        os.environ["ROS_LOG_DIR"] = logs
+        for rate in options.rates:
+            print(row(measure(rate, options.seconds, options.parameter)), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
