@@ -27,6 +27,7 @@ from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
 from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.identification.supervision import RunningFit, Verdict, judge
 
 RATES, ACTUATORS = "rates", "actuators"
 """The streams, as `OnlineIdentifier.drops` names them."""
@@ -52,6 +53,16 @@ class Drop(str, Enum):
     CLOCK_MISMATCH = "stamp far from the Imu's"
 
 
+class State(str, Enum):
+    """What the identifier is doing, in a word."""
+
+    WAITING = "waiting"
+    LEARNING = "learning"
+    CONVERGED = "converged"
+    PAUSED = "paused"
+    FAULT = "fault"
+
+
 class OnlineIdentifier:
     """Online identification of the attitude dynamics.
 
@@ -66,6 +77,10 @@ class OnlineIdentifier:
     ----------
     drops : dict
         For each stream, how many samples were dropped for which reason.
+    adapt : bool
+        Whether the coefficients may move; predictions go on while they may not.
+    running_fit : RunningFit
+        1-second prediction fit of the coefficients, and of holding the rate.
 
     Raises
     ------
@@ -99,6 +114,9 @@ class OnlineIdentifier:
         if self.settings.actuators.estimate_delay:
             self._delay = DelayTracker(self._sampler.delay, self._arm)
         self._model = IdentifiedModel(self.structure, self._arm)
+        self.running_fit = RunningFit(self._model)
+        self.adapt = self.settings.adapt_on_start
+        self._quiet_time: FloatArray = np.zeros(3)
         self.fault = ""
         self._learned_time = 0.0
         self.restart()
@@ -109,6 +127,7 @@ class OnlineIdentifier:
         self._guard.reset()
         self._filter: StateVariableFilter | None = None
         self._paper = BackwardDifference(self.structure)
+        self.running_fit.restart()
         self._outlying: list[tuple[int, Sequence[float], Sequence[float] | None]] = []
         self._mismatches = 0
         self._due: deque[int] = deque()
@@ -303,18 +322,23 @@ class OnlineIdentifier:
         self.drops[ACTUATORS][Drop.DUPLICATE] += self._sampler.raw_inputs.merge(t_ns)
         if len(self._sampler.rates.t):
             self._newest_rates = self._frame.to_body(self._sampler.rates.v[-1, :3])
-        adapting = False
         if self.settings.filter.method == "backward_difference":
-            adapting = self._paper_tick(t_ns)
+            fed = self._paper_tick(t_ns)
         else:
-            moved = False
-            for block in self._sampler.blocks():
-                self._learn(block)
-                moved = (self._delay is not None and self._delay.add(block)) or moved
-                adapting = True
-            if moved and self._delay is not None:
-                self._use_delay(self._delay.delay)
-        return self._estimate(t_ns, adapting)
+            fed = self._filtered_tick()
+        return self._estimate(t_ns, fed)
+
+    def _filtered_tick(self) -> bool:
+        """Learn from the blocks that this tick completes; return whether there were any."""
+        fed = moved = False
+        for block in self._sampler.blocks():
+            self.running_fit.add(block, self._estimator.coefficients)
+            self._learn(block)
+            moved = (self._delay is not None and self._delay.add(block)) or moved
+            fed = True
+        if moved and self._delay is not None:
+            self._use_delay(self._delay.delay)
+        return fed
 
     def _learn(self, block: Block) -> None:
         """Run the model over a block and learn from it."""
@@ -324,13 +348,16 @@ class OnlineIdentifier:
             self._filter = StateVariableFilter(
                 self.structure, self.settings.filter.cutoff, block.h, self._arm
             )
-        coefficients = self._estimator.coefficients
-        self._learned_time += block.h * len(block.u)
         leak = self.settings.model.leak_time
         if leak > 0.0 and self._learned_time < START_TIME:
             leak = min(leak, START_LEAK_TIME)
-        states = self._model.run(coefficients, block, leak)
-        self._estimator.update(self._filter.apply(block, states))
+        states = self._model.run(self._estimator.coefficients, block, leak)
+        regression = self._filter.apply(block, states)
+        if self.adapt:
+            self._learned_time += block.h * len(block.u)
+            self._estimator.update(regression)
+        learning = self._estimator.learning & self.adapt
+        self._quiet_time = np.where(learning, 0.0, self._quiet_time + block.h * len(block.u))
 
     def _paper_tick(self, t_ns: int) -> bool:
         """Learn as the paper does: backward differences of the rates at the ticks."""
@@ -346,28 +373,47 @@ class OnlineIdentifier:
         self._model.euler(
             self._estimator.coefficients, x, u, force, dt, self.settings.model.leak_time
         )
-        self._estimator.update(regression)
+        if self.adapt:
+            self._estimator.update(regression)
         return True
 
-    def _estimate(self, t_ns: int, adapting: bool) -> Estimate:
+    def _estimate(self, t_ns: int, fed: bool) -> Estimate:
         newest = self._newest_rates if self._newest_rates is not None else np.zeros(3)
         predicted = self._model.state
-        reason = self.fault or self._estimator.problem
-        if not reason and not adapting:
-            reason = f"waiting for {self._sampler.waiting_for or 'samples'}"
-        state = "fault" if self.fault else "learning" if adapting else "waiting"
+        coefficients, sigma = self._estimator.coefficients, self._estimator.sigma
+        age = float(self._quiet_time.max())
+        verdict = judge(
+            self.settings.supervision, self.structure, coefficients, sigma, self.running_fit, age
+        )
+        state, reason = self._state(fed, verdict)
         return Estimate(
             t_ns=t_ns,
-            coefficients=self._estimator.coefficients.copy(),
-            sigma=self._estimator.sigma,
+            coefficients=coefficients.copy(),
+            sigma=sigma,
             predicted_rates=self._frame.to_imu(predicted),
             prediction_error=self._frame.to_imu(newest - predicted),
-            fit=np.zeros(3),
-            adapting=adapting,
-            usable=False,
-            state=state,
+            fit=self.running_fit.fit.copy(),
+            adapting=fed and self.adapt and bool(self._estimator.learning.any()),
+            usable=verdict.usable and state != State.FAULT,
+            state=state.value,
             reason=reason,
         )
+
+    def _state(self, fed: bool, verdict: Verdict) -> tuple[State, str]:
+        """Return the state word, and why it is not adapting or not usable."""
+        if self.fault:
+            return State.FAULT, self.fault
+        if self._estimator.problem:
+            return State.FAULT, self._estimator.problem
+        if not fed:
+            return State.WAITING, f"waiting for {self._sampler.waiting_for or 'samples'}"
+        if not self.adapt:
+            return State.PAUSED, "adaptation is switched off"
+        if not self._estimator.learning.any():
+            return State.PAUSED, "too little excitation"
+        if verdict.usable:
+            return State.CONVERGED, ""
+        return State.LEARNING, verdict.reason
 
 
 _NO_FORCE = (0.0, 0.0, 0.0)

@@ -67,7 +67,7 @@ class IdentifiedModel:
         return np.asarray(np.linalg.solve(np.eye(3) + force_columns @ self._lever, coefficients))
 
     def run(self, coefficients: FloatArray, block: Block, leak_time: float) -> FloatArray:
-        """Advance over a block.
+        """Advance the state over a block.
 
         Parameters
         ----------
@@ -83,18 +83,24 @@ class IdentifiedModel:
         (m + 1, 3) array
             The state at the edges, rad/s.
         """
+        states = self.propagate(coefficients, block, self.state, leak_time)
+        if not (np.abs(states[-1]) < LARGEST_RATE).all():  # NaN fails too
+            self.resets += 1
+            states = block.x.copy()
+        self.state = states[-1]
+        return states
+
+    def propagate(
+        self, coefficients: FloatArray, block: Block, x0: FloatArray, leak_time: float = 0.0
+    ) -> FloatArray:
+        """Predict the rates over a block from `x0`, shape (3,); parameters as in `run`."""
         a = self.effective(coefficients)
         drive = self._drive(a, block)
         leak = 1.0 / leak_time if leak_time > 0.0 else 0.0
         if leak:
             drive = drive + leak * 0.5 * (block.x[:-1] + block.x[1:])
         stride = max(1, round(STEP / block.h))
-        states = _integrate(a, self.state, drive, block.h, stride, leak)
-        if not (np.abs(states[-1]) < LARGEST_RATE).all():  # NaN fails too
-            self.resets += 1
-            states = block.x.copy()
-        self.state = states[-1]
-        return states
+        return _integrate(a, x0, drive, block.h, stride, leak)
 
     def euler(
         self,

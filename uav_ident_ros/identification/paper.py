@@ -6,8 +6,6 @@ Kept to reproduce the paper exactly; at 20 Hz it ruins the estimate even without
 
 from __future__ import annotations
 
-import numpy as np
-
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.structure import FloatArray, Structure
 

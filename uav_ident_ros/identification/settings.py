@@ -421,6 +421,33 @@ class GradientSettings:
 
 
 @dataclass(frozen=True)
+class SupervisionSettings:
+    """When a controller may act on the coefficients."""
+
+    min_fit: float = _setting(
+        25.0,
+        "%",
+        "Running 1-second fit that every axis needs; it must also beat holding the rate.",
+        low=-100.0,
+        high=100.0,
+    )
+    min_t_ratio: float = _setting(
+        3.0,
+        "",
+        "Value over sigma that at least one control derivative of every row needs.",
+        low=0.0,
+        high=100.0,
+    )
+    max_age: float = _setting(
+        900.0,
+        "s",
+        "Time without excitation after which the coefficients count as stale; 0 for never.",
+        low=0.0,
+        high=1e6,
+    )
+
+
+@dataclass(frozen=True)
 class Settings:
     """Every setting of the identifier, with its default."""
 
@@ -476,11 +503,15 @@ class Settings:
         low=0.0,
         high=1e6,
     )
+    adapt_on_start: bool = _setting(
+        True, "", "Whether it learns at once; the service ~/adapt switches it."
+    )
     imu: ImuSettings = dataclasses.field(default_factory=ImuSettings)
     actuators: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
     filter: FilterSettings = dataclasses.field(default_factory=FilterSettings)
     model: ModelSettings = dataclasses.field(default_factory=ModelSettings)
     gradient: GradientSettings = dataclasses.field(default_factory=GradientSettings)
+    supervision: SupervisionSettings = dataclasses.field(default_factory=SupervisionSettings)
 
     @classmethod
     def from_values(cls, values: Mapping[str, object]) -> Settings:

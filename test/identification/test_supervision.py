@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The running fit, the states and the verdict, both ways."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from flying import AMPLITUDES, messages, plant_flight, run, settings
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.simulation.disturbance import ColouredNoise
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+from uav_ident_ros.simulation.plant import Autopilot
+from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT
+
+
+def measured(duration: float, **changes: Any) -> Measurements:
+    return measure(plant_flight(duration, **changes), Sensors(gyro_noise=0.02), seed=2)
+
+
+def flown(measurements: Measurements, **changes: Any) -> tuple[OnlineIdentifier, list[Estimate]]:
+    values = {"structure": "throttle_coupled", **changes}
+    identifier = OnlineIdentifier(settings(measurements, **values))
+    return identifier, run(identifier, messages(measurements))
+
+
+@pytest.fixture(scope="module")
+def excited() -> Measurements:
+    return measured(30.0)
+
+
+def test_a_good_identification_is_usable(excited: Measurements) -> None:
+    _, estimates = flown(excited)
+    last = estimates[-1]
+    assert (last.usable, last.state, last.reason) == (True, "converged", "")
+    assert (last.fit > 80.0).all()
+
+
+def test_it_is_not_usable_before_it_could_be_judged(excited: Measurements) -> None:
+    _, estimates = flown(excited)
+    early = [e for e in estimates if e.t_ns - estimates[0].t_ns < 4e9]
+    assert early
+    assert not any(e.usable for e in early)
+    assert {e.state for e in early} == {"waiting", "learning"}
+
+
+def test_wrong_signs_are_not_usable(excited: Measurements) -> None:
+    # Elevator reversed, and the estimator not allowed to find out.
+    n = 12
+    given = np.zeros((3, n))
+    given[0, 5], given[0, 10], given[1, 6], given[1, 8] = -10.0, 60.0, -6.0, +40.0
+    given[2, 7], given[2, 9] = -2.0, -12.0
+    _, estimates = flown(
+        excited, initial_coefficients=tuple(given.ravel().tolist()), adapt_on_start=False
+    )
+    assert not any(e.usable for e in estimates)
+    assert estimates[-1].state == "paused"
+    np.testing.assert_array_equal(estimates[-1].coefficients, given)
+
+
+def test_a_late_input_is_not_usable() -> None:
+    late = measured(40.0, delay=0.25)
+    _, estimates = flown(late, actuators__delay=0.0)
+    assert not estimates[-1].usable
+    assert "1-second fit" in estimates[-1].reason
+
+
+def test_an_unexcited_axis_is_not_usable() -> None:
+    amplitudes = {k: v for k, v in AMPLITUDES.items() if k != "de" and k != "dth"}
+    quiet_pitch = measured(
+        40.0,
+        segments=(Segment("multisine", amplitudes=amplitudes, seed=1),),
+        gusts=ColouredNoise(0.3, 0.3),
+    )
+    _, estimates = flown(quiet_pitch)
+    assert not estimates[-1].usable
+
+
+def test_quiet_flight_pauses_and_grows_stale() -> None:
+    quiet = measured(
+        60.0,
+        segments=(Segment("multisine", duration=30.0, amplitudes=AMPLITUDES, seed=1),),
+        gusts=ColouredNoise(0.3, 0.3),
+        autopilot=Autopilot(**SMALL_UAV_AUTOPILOT),
+    )
+    _, estimates = flown(quiet, supervision__max_age=20.0, supervision__min_fit=0.0)
+    t = np.array([e.t_ns - estimates[0].t_ns for e in estimates]) * 1e-9
+    at_pause = next(k for k, time in enumerate(t) if time > 36.0)
+    assert estimates[at_pause].state == "paused"
+    assert estimates[at_pause].reason == "too little excitation"
+    np.testing.assert_array_equal(estimates[at_pause].coefficients, estimates[-1].coefficients)
+    assert not estimates[-1].usable
+
+
+def test_the_running_fit_is_that_of_the_definition() -> None:
+    """Against the same sums written out, for coefficients that stay as they are."""
+    flight = plant_flight(12.0)
+    measurements = measure(flight, Sensors(gyro_noise=0.0), seed=2)
+    assert flight.coefficients is not None
+    wrong = flight.coefficients * np.where(np.arange(12) == 10, 0.7, 1.0)
+    identifier, estimates = flown(
+        measurements, initial_coefficients=tuple(wrong.ravel().tolist()), adapt_on_start=False
+    )
+    fit, hold = estimates[-1].fit, identifier.running_fit.hold
+    assert (fit[1] > 95.0, fit[0] < 80.0) == (True, True)
+    assert (hold < fit).all()
+
+
+def test_adaptation_can_be_switched_off_and_on(excited: Measurements) -> None:
+    identifier = OnlineIdentifier(settings(excited, structure="throttle_coupled"))
+    stream = messages(excited)
+    third = len(stream) // 3
+    before = run(identifier, stream[:third])[-1]
+    identifier.adapt = False
+    paused = run(identifier, stream[third : 2 * third])
+    assert {e.reason for e in paused} == {"adaptation is switched off"}
+    np.testing.assert_array_equal(paused[-1].coefficients, before.coefficients)
+    assert not paused[-1].adapting
+    identifier.adapt = True
+    after = run(identifier, stream[2 * third :])[-1]
+    assert after.adapting
+    assert (after.coefficients != before.coefficients).any()
