@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well the estimators predict: ``python benchmarks/accuracy.py [--quick] [--only PATTERN]``.
+
+Every estimator with every structure, one online pass over each flight of `FLIGHTS`, beside an
+offline output-error fit of the same structure, padasip's RLS and NLMS on the same regressors,
+the paper's law as printed, and holding the last rate. Scored is the 1-second prediction fit
+over the last 40 % of the flight, against the measured and the noise-free rates, and the error
+of the dominant coefficients where the truth is known. The table goes to the terminal, the
+figures to ``build/accuracy.json``, the picture to ``build/accuracy.png``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # ten-by-ten matrices; before NumPy loads
+
+import accuracy_report
+import adaptive_filters
+import cases
+import flights
+import numpy as np
+import output_error
+
+from uav_ident_ros.identification.prior import start_from
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.parameter_file import load_parameters
+
+FLIGHTS: Mapping[str, int] = {
+    "exact_noise_002": 3,
+    "exact_pulses": 3,
+    "exact_aerobatic": 3,
+    "exact_gusts_10": 3,
+    "exact_out_of_trim": 3,
+    "exact_closed_loop": 3,
+    **{
+        f"{aircraft}_{air}": 3
+        for aircraft in ("c172p", "t37", "ov10")
+        for air in ("calm", "turbulent", "banked", "unexcited")
+    },
+    "thor75_auto": 1,
+}
+"""The flights and for how many seeds each is flown; a recorded one has none."""
+
+QUICK = (
+    "exact_noise_002",
+    "exact_gusts_10",
+    "c172p_calm",
+    "c172p_turbulent",
+    "t37_calm",
+    "thor75_auto",
+)
+
+ESTIMATORS = ("gradient", "least_squares", "instrumental_variable")
+PAPER = flights.ROOT / "config" / "paper_2006.yaml"
+BUILD = flights.ROOT / "build"
+WORKERS = 2
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method on one flight.
+
+    Parameters
+    ----------
+    flight, seed : str, int or None
+        The flight.
+    structure, method : str
+        Labels.
+    model, truth, hold, held_force : tuple of 3 floats
+        Fits of p, q, r, percent; NaN where there is none.
+    coefficient_error : float
+        Largest relative error of the dominant coefficients at the end, percent.
+    seconds : float
+        Processing time.
+    """
+
+    flight: str
+    seed: int | None
+    structure: str
+    method: str
+    model: tuple[float, ...]
+    truth: tuple[float, ...]
+    hold: tuple[float, ...]
+    held_force: tuple[float, ...]
+    coefficient_error: float
+    seconds: float
+
+
+def _cell(case: cases.Case, structure: str, method: str, track: cases.Track, began: float) -> Cell:
+    fits = cases.score(case, track)
+    return Cell(
+        case.name,
+        case.seed,
+        structure,
+        method,
+        tuple(fits.model.tolist()),
+        tuple(fits.truth.tolist()),
+        tuple(fits.hold.tolist()),
+        tuple(fits.held_force.tolist()),
+        _dominant_error(case, track),
+        time.monotonic() - began,
+    )
+
+
+def _dominant_error(case: cases.Case, track: cases.Track) -> float:
+    flight = case.flight
+    if flight is None or flight.coefficients is None:
+        return float("nan")
+    truth = cases.truth_in(track.structure, flight, flight.duration)
+    where = tuple(np.transpose([track.structure.index(name) for name in cases.DOMINANT]))
+    return float(100.0 * np.max(np.abs(track.coefficients[-1][where] / truth[where] - 1.0)))
+
+
+def run_flight(name: str, seed: int | None) -> list[Cell]:
+    """Run every method on one flight."""
+    case = cases.load(name, seed)
+    out = [_run_paper(case)]
+    for label, values in cases.MODELS.items():
+        out += _run_structure(case, label, values)
+    if case.flight is None:
+        values = {**cases.MODELS["+ ay, az"], "actuators.estimate_delay": True}
+        began = time.monotonic()
+        track = cases.identify(case, {**values, "actuators.delay": 0.0})
+        out.append(_cell(case, "+ ay, az", "instrumental_variable, delay estimated", track, began))
+    return out
+
+
+def _run_paper(case: cases.Case) -> Cell:
+    values = load_parameters(PAPER, "identifier")
+    began = time.monotonic()
+    return _cell(case, "paper (20)", "paper 2006", cases.identify(case, values), began)
+
+
+def _run_structure(case: cases.Case, label: str, values: Mapping[str, object]) -> Iterator[Cell]:
+    tracks = []
+    for estimator in ESTIMATORS:
+        began = time.monotonic()
+        tracks.append(cases.identify(case, {**values, "estimator": estimator}))
+        yield _cell(case, label, estimator, tracks[-1], began)
+    yield from _run_adaptive(case, label, values)
+    began = time.monotonic()
+    settings = case.settings(values)
+    # The online estimates as they stood where the fitted part ends: the better start counts.
+    starts = [t.coefficients[t.at(output_error.TRAINING_PART * t.time[-1])] for t in tracks[1:]]
+    found = output_error.fit(case, settings, starts)
+    yield _cell(case, label, "output error", cases.constant_track(case, settings, found), began)
+
+
+def _run_adaptive(case: cases.Case, label: str, values: Mapping[str, object]) -> Iterator[Cell]:
+    settings = case.settings(values)
+    structure = STRUCTURES[settings.structure]
+    recorder = adaptive_filters.RegressionRecorder(structure.mask.shape)
+    track = cases.identify(case, values, lambda *_: recorder)
+    ticks = len(track.t_ns) - len(recorder.y)  # the first ones have no regressors yet
+    methods = [("RLS", adaptive_filters.RLS_FORGETTING)]
+    methods += [("NLMS", mu) for mu in adaptive_filters.NLMS_STEPS]
+    for kind, mu in methods:
+        began = time.monotonic()
+        found = adaptive_filters.run_filter(kind, mu, recorder, start_from(settings).free)
+        moved = replace(
+            track, t_ns=track.t_ns[ticks:], coefficients=found, delay=track.delay[ticks:]
+        )
+        yield _cell(case, label, f"padasip {kind} {mu:g}", moved, began)
+
+
+def _jobs(only: str, quick: bool, seeds: int) -> list[tuple[str, int | None]]:
+    jobs: list[tuple[str, int | None]] = []
+    for name, count in FLIGHTS.items():
+        if not fnmatch.fnmatch(name, only) or (quick and name not in QUICK):
+            continue
+        if name in cases.RECORDED_DELAY:
+            if cases.is_recorded(name):
+                jobs.append((name, None))
+            else:
+                print(f"{name}: left out, ../shared/bags/{name} is not there")
+            continue
+        jobs += [(name, seed) for seed in range(1, 1 + min(count, 1 if quick else seeds))]
+    return jobs
+
+
+def _job(job: tuple[str, int | None]) -> list[Cell]:
+    return run_flight(*job)
+
+
+def _run(jobs: Sequence[tuple[str, int | None]], workers: int) -> Iterator[Cell]:
+    with ProcessPoolExecutor(workers) as pool:
+        for (name, seed), cells in zip(jobs, pool.map(_job, jobs), strict=True):
+            print(f"{name} seed {seed}: done", file=sys.stderr, flush=True)
+            yield from cells
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="accuracy.py", description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="six flights, one seed each")
+    parser.add_argument("--only", default="*", metavar="PATTERN", help="flights, as in 'c172p_*'")
+    parser.add_argument("--seeds", type=int, default=3, help="seeds of each simulated flight")
+    parser.add_argument("--workers", type=int, default=WORKERS, help="processes")
+    parser.add_argument("--output", type=Path, default=BUILD, help="folder of the results")
+    options = parser.parse_args(arguments)
+    jobs = _jobs(options.only, options.quick, options.seeds)
+    if not jobs:
+        parser.error(f"no flight matches '{options.only}': there are {', '.join(FLIGHTS)}")
+    found = [asdict(cell) for cell in _run(jobs, options.workers)]
+    options.output.mkdir(parents=True, exist_ok=True)
+    (options.output / "accuracy.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
+    print(accuracy_report.table(found))
+    accuracy_report.plot(found, options.output / "accuracy.png")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

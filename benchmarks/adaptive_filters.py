@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The adaptive filters of `padasip`, fed with the identifier's own filtered regressors."""
+
+from __future__ import annotations
+
+import numpy as np
+import padasip
+from numpy.typing import NDArray
+
+from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.structure import FloatArray
+
+RLS_FORGETTING = 0.998
+"""Per update; at 20 Hz a time constant of 25 s, the usual choice."""
+
+NLMS_STEPS = (0.01, 0.05, 0.2, 0.5)
+"""Step sizes tried: the best in hindsight is what is compared."""
+
+FILTERS = {"RLS": padasip.filters.FilterRLS, "NLMS": padasip.filters.FilterNLMS}
+
+
+class RegressionRecorder:
+    """Stands in an estimator's place and keeps the newest sample of each tick.
+
+    Parameters
+    ----------
+    shape : tuple
+        Shape (3, n) of the coefficients.
+
+    Attributes
+    ----------
+    y : list of (3,) arrays
+        Accelerations; one entry per update.
+    f : list of (n,) arrays
+        Regressors.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.coefficients: FloatArray = np.zeros(shape)
+        self.sigma: FloatArray = np.zeros(shape)
+        self.problem = ""
+        self.learning = np.ones(3, dtype=bool)
+        self.changes: list[tuple[int, int]] = []
+        self.y: list[FloatArray] = []
+        self.f: list[FloatArray] = []
+
+    def update(self, data: Regression) -> None:
+        """Keep the last sample."""
+        self.y.append(data.y[-1].copy())
+        self.f.append(data.f[-1].copy())
+
+
+def run_filter(
+    kind: str, mu: float, recorder: RegressionRecorder, free: NDArray[np.bool_]
+) -> FloatArray:
+    """Coefficients after each update, shape (updates, 3, n).
+
+    Parameters
+    ----------
+    kind : str
+        ``RLS`` or ``NLMS``.
+    mu : float
+        Forgetting factor of RLS, step of NLMS.
+    recorder : RegressionRecorder
+        The data.
+    free : (3, n) bool array
+        Coefficients of the structure.
+    """
+    out = np.zeros((len(recorder.y), *free.shape))
+    for i, row in enumerate(free):
+        one = FILTERS[kind](int(row.sum()), mu=mu, w="zeros")
+        for k, (y, f) in enumerate(zip(recorder.y, recorder.f, strict=True)):
+            one.adapt(y[i], f[row])
+            out[k, i, row] = one.w
+    return out

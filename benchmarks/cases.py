@@ -1,0 +1,379 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights as the identifier sees them, one pass over them, and the score of what came out."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import flights
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_ident_ros.bags import Bag
+from uav_ident_ros.identification.estimators import Estimator
+from uav_ident_ros.identification.frames import BodyFrame
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.inputs import InputMap
+from uav_ident_ros.identification.prediction import (
+    InputSignal,
+    WindowErrors,
+    score_windows,
+    window_errors,
+)
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
+from uav_ident_ros.messages import RATES
+from uav_ident_ros.offline import ACTUATORS_TOPIC, IMU_TYPE, RATES_TOPIC
+from uav_ident_ros.simulation.flight import Flight
+from uav_ident_ros.simulation.recording import parameters
+
+TimeArray = NDArray[np.int64]
+
+RECORDED = flights.ROOT.parent / "shared" / "bags"
+"""Recorded real flights; cases of one that is absent are left out."""
+
+RECORDED_DELAY = {"thor75_auto": 0.08}
+"""Transport delay of the recorded flights, s."""
+
+LAST_PART = "last_40_percent"
+
+MODELS: Mapping[str, Mapping[str, object]] = {
+    "paper (20)": {"structure": "throttle_coupled"},
+    "+ constant": {
+        "structure": "augmented",
+        "fixed_coefficients": ("pdot/ay", "qdot/az", "rdot/ay"),
+    },
+    "+ ay, az": {"structure": "augmented"},
+}
+"""The structures compared: settings by label."""
+
+DOMINANT = ("pdot/p", "qdot/q", "rdot/r", "pdot/da", "qdot/de", "rdot/dr")
+"""Roll, pitch, yaw damping; aileron, elevator, rudder."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Messages of a flight and what is known of it.
+
+    Parameters
+    ----------
+    name : str
+        Name of the flight.
+    seed : int or None
+        Seed of a simulated one.
+    parameters : dict
+        Settings that fit its topics.
+    imu_t_ns, imu_arrival_ns : (N,) int arrays
+        Stamps and arrival of the Imu samples, ns.
+    rates, force : (N, 3) arrays
+        In the Imu's axes, rad/s and m/s^2.
+    actuator_t_ns, actuator_arrival_ns : (M,) int arrays
+        The same of the actuators.
+    actuators : (M, C) array
+        Raw channels.
+    true_rates : (N, 3) array or None
+        Noise-free p, q, r, FRD, rad/s.
+    flight : Flight or None
+        What really happened.
+    """
+
+    name: str
+    seed: int | None
+    parameters: dict[str, Any]
+    imu_t_ns: TimeArray
+    imu_arrival_ns: TimeArray
+    rates: FloatArray
+    force: FloatArray
+    actuator_t_ns: TimeArray
+    actuator_arrival_ns: TimeArray
+    actuators: FloatArray
+    true_rates: FloatArray | None = None
+    flight: Flight | None = None
+
+    def settings(self, values: Mapping[str, object]) -> Settings:
+        """Return settings that fit the topics, with `values`."""
+        return Settings.from_values({**self.parameters, **values})
+
+    def measured(self, settings: Settings) -> tuple[FloatArray, FloatArray]:
+        """Return p, q, r (N, 3) and ay, az (N, 2), FRD."""
+        frame = BodyFrame(settings.imu)
+        return frame.to_body(self.rates), frame.to_body(self.force)[:, 1:]
+
+
+def simulated(name: str, seed: int | None = None) -> Case:
+    """Return a flight of `flights.yaml`; `seed` None is the definition's own."""
+    m = flights.load(name, seed)
+    own = flights.definition(name).get("seed", 0)
+    return Case(
+        name=name,
+        seed=own if seed is None else seed,
+        parameters=parameters(m),
+        imu_t_ns=m.imu_t_ns,
+        imu_arrival_ns=m.imu_log_ns,
+        rates=m.rates,
+        force=m.specific_force,
+        actuator_t_ns=m.actuator_t_ns,
+        actuator_arrival_ns=m.actuator_log_ns,
+        actuators=m.actuators,
+        true_rates=m.true_rates,
+        flight=m.flight,
+    )
+
+
+def is_recorded(name: str) -> bool:
+    """Whether there is a recorded flight of that name."""
+    return (RECORDED / name).is_dir()
+
+
+@lru_cache(maxsize=2)
+def recorded(name: str) -> Case:
+    """Return a recorded real flight."""
+    read = RATES[IMU_TYPE].read
+    imu, actuators = [], []
+    with Bag(Path(RECORDED / name)) as bag:
+        decode = {topic: bag.decoder(topic) for topic in (RATES_TOPIC, ACTUATORS_TOPIC)}
+        for topic, log_ns, data in bag.messages((RATES_TOPIC, ACTUATORS_TOPIC)):
+            message = decode[topic](data)
+            if topic == RATES_TOPIC:
+                reading = read(message)
+                imu.append((reading[0], log_ns, reading[1], reading[2]))
+            else:
+                actuators.append((log_ns, list(message.data)))
+    stamps = np.array([row[0] for row in imu], dtype=np.int64)
+    arrivals = np.array([row[0] for row in actuators], dtype=np.int64)
+    first = np.unique(arrivals, return_index=True)[1]
+    return Case(
+        name=name,
+        seed=None,
+        parameters={
+            "actuators.channels": (0, 1, 2, 3),
+            "actuators.delay": RECORDED_DELAY[name],
+        },
+        imu_t_ns=stamps,
+        imu_arrival_ns=np.array([row[1] for row in imu], dtype=np.int64),
+        rates=np.array([row[2] for row in imu]),
+        force=np.array([row[3] for row in imu]),
+        actuator_t_ns=arrivals[first],
+        actuator_arrival_ns=arrivals[first],
+        actuators=np.array([row[1] for row in actuators])[first],
+    )
+
+
+def load(name: str, seed: int | None = None) -> Case:
+    """Return a recorded or simulated flight."""
+    return recorded(name) if name in RECORDED_DELAY else simulated(name, seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What one pass over a flight gave.
+
+    Parameters
+    ----------
+    settings : Settings
+        Settings of the pass.
+    t_ns : (K,) int array
+        Ticks, ns.
+    time : (K,) array
+        The same in s after the first Imu sample.
+    coefficients, sigma : (K, 3, n) arrays
+        Estimate and standard deviation at each.
+    learning : (K, 3) bool array
+        Rows that learned.
+    delay : (K,) array
+        Delay in use, s.
+    changes : list of (time, row, column)
+        Releases of changed coefficients.
+    """
+
+    settings: Settings
+    t_ns: TimeArray
+    time: FloatArray
+    coefficients: FloatArray
+    sigma: FloatArray
+    learning: NDArray[np.bool_]
+    delay: FloatArray
+    changes: list[tuple[float, int, int]]
+
+    @property
+    def structure(self) -> Structure:
+        """Structure of the coefficients."""
+        return STRUCTURES[self.settings.structure]
+
+    def at(self, time: float) -> int:
+        """Index of the last tick at or before `time`, s."""
+        return int(np.searchsorted(self.time, time + 1e-6, side="right")) - 1
+
+
+EstimatorFactory = Callable[[Structure, Settings], Estimator]
+
+
+def identify(
+    case: Case,
+    values: Mapping[str, object],
+    make: EstimatorFactory | None = None,
+    *,
+    until: float = np.inf,
+) -> Track:
+    """Run the identifier over a flight, once, as the node would.
+
+    Parameters
+    ----------
+    case : Case
+        The flight.
+    values : mapping
+        Settings besides those that its topics need.
+    make : callable, optional
+        Puts another estimator in the place of the settings'.
+    until : float
+        Stop so long after the first sample, s.
+    """
+    settings = case.settings(values)
+    identifier = OnlineIdentifier(settings)
+    if make is not None:
+        identifier._estimator = make(identifier.structure, settings)
+    start = int(case.imu_t_ns[0])
+    end = case.imu_arrival_ns[-1] if np.isinf(until) else start + round(until * 1e9)
+    estimates, learning, delays = [], [], []
+    changes: list[tuple[float, int, int]] = []
+    for arrival, is_rates, t, v in _messages(case):
+        if arrival > end:
+            break
+        if not is_rates:
+            identifier.add_actuators(t, v)
+            continue
+        identifier.add_rates(t, v[:3], v[3:])
+        while (due := identifier.due()) is not None:
+            estimate = identifier.update(due)
+            assert estimate is not None
+            estimator = identifier._estimator
+            estimates.append(estimate)
+            learning.append(estimator.learning.copy())
+            delays.append(identifier.delay)
+            if estimate.adapting:
+                time = (estimate.t_ns - start) * 1e-9
+                changes += [(time, i, j) for i, j in estimator.changes]
+    t_ns = np.array([estimate.t_ns for estimate in estimates], dtype=np.int64)
+    return Track(
+        settings=settings,
+        t_ns=t_ns,
+        time=(t_ns - start) * 1e-9,
+        coefficients=np.array([estimate.coefficients for estimate in estimates]),
+        sigma=np.array([estimate.sigma for estimate in estimates]),
+        learning=np.array(learning),
+        delay=np.array(delays),
+        changes=changes,
+    )
+
+
+def _messages(case: Case) -> Any:
+    """Yield (arrival, is rates, stamp, values) in the order of arrival, actuators first."""
+    signals = np.concatenate([case.rates, case.force], axis=1).tolist()
+    imu = zip(
+        case.imu_arrival_ns.tolist(),
+        (True,) * len(signals),
+        case.imu_t_ns.tolist(),
+        signals,
+        strict=True,
+    )
+    actuators = zip(
+        case.actuator_arrival_ns.tolist(),
+        (False,) * len(case.actuators),
+        case.actuator_t_ns.tolist(),
+        case.actuators.tolist(),
+        strict=True,
+    )
+    return heapq.merge(actuators, imu, key=lambda message: (message[0], message[1]))
+
+
+def constant_track(case: Case, settings: Settings, coefficients: FloatArray) -> Track:
+    """Return the track of coefficients, shape (3, n), that stay as they are."""
+    t_ns = _ticks(case, settings)
+    count = len(t_ns)
+    still = np.broadcast_to(coefficients, (count, *coefficients.shape))
+    return Track(
+        settings=settings,
+        t_ns=t_ns,
+        time=(t_ns - case.imu_t_ns[0]) * 1e-9,
+        coefficients=still,
+        sigma=np.zeros_like(still),
+        learning=np.zeros((count, 3), dtype=bool),
+        delay=np.full(count, settings.actuators.delay),
+        changes=[],
+    )
+
+
+def _ticks(case: Case, settings: Settings) -> TimeArray:
+    period = round(1e9 / settings.update_rate)
+    first = -(-int(case.imu_t_ns[0]) // period)
+    return np.arange(first * period, int(case.imu_t_ns[-1]), period, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Fits:
+    """1-second fits over the last 40 % of a flight, percent, of p, q, r.
+
+    Parameters
+    ----------
+    model, hold : (3,) arrays
+        Of the identified model and of holding the rate, against the measured rates.
+    held_force : (3,) array
+        Of the model with ay and az held; NaN without them.
+    truth : (3,) array
+        Of the model against the noise-free rates; NaN where they are unknown.
+    """
+
+    model: FloatArray
+    hold: FloatArray
+    held_force: FloatArray
+    truth: FloatArray
+
+
+def score(case: Case, track: Track) -> Fits:
+    """Score a track as replay does: each window with the delay that was in use."""
+    rates, force = case.measured(track.settings)
+    against_measured = _fit(case, track, rates, force)
+    truth = np.full(3, np.nan)
+    if case.true_rates is not None:
+        truth = _fit(case, track, case.true_rates, force).model
+    return Fits(against_measured.model, against_measured.hold, against_measured.held_force, truth)
+
+
+def _fit(case: Case, track: Track, rates: FloatArray, force: FloatArray) -> Any:
+    actuators = track.settings.actuators
+    u = InputMap(actuators).apply(case.actuators)
+    span = int(case.imu_t_ns[-1] - case.imu_t_ns[0])
+    late = track.t_ns >= case.imu_t_ns[-1] - round(0.4 * span)  # no other window counts here
+    parts = []
+    for delay in np.unique(track.delay[late]):
+        chosen = late & (track.delay == delay)
+        parts.append(
+            window_errors(
+                case.imu_t_ns,
+                rates,
+                InputSignal(case.actuator_t_ns, u, float(delay), actuators.time_constant),
+                force,
+                track.t_ns[chosen],
+                track.coefficients[chosen],
+                track.structure,
+                lever_arm=np.array(track.settings.imu.lever_arm),
+            )
+        )
+    first, last = int(case.imu_t_ns[0]), int(case.imu_t_ns[-1])
+    return score_windows(WindowErrors.join(parts), first, last)[LAST_PART]
+
+
+def truth_in(structure: Structure, flight: Flight, time: float = 0.0) -> FloatArray:
+    """Lay out the true coefficients of a plant in another structure, shape (3, n)."""
+    own = STRUCTURES[flight.structure]
+    true = flight.coefficients_at(time)
+    out = np.zeros(structure.mask.shape)
+    for name, (i, j) in zip(own.names, own.free, strict=True):
+        if name in structure.names:
+            out[structure.index(name)] = true[i, j]
+    return out

@@ -1,0 +1,323 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Offline output-error fit of a model structure: what a single pass is measured against.
+
+Multiple shooting: the record is cut into windows of one second, each with an initial state of
+its own; coefficients and initial states minimise the weighted squared distance of the model's
+rates from the measured ones (Jategaonkar, Flight Vehicle System Identification, 2015, ch. 4).
+The initial states are eliminated in each step (Kaufman's variable projection), which leaves
+`scipy.optimize.least_squares` a dense problem in the coefficients alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from cases import Case
+from scipy.optimize import least_squares
+
+from uav_ident_ros.identification.prior import PRODUCT_SIGMA, start_from
+from uav_ident_ros.identification.sampling import Block, Sampler
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import (
+    INPUT_COLUMNS,
+    PRODUCT_COLUMNS,
+    STRUCTURES,
+    FloatArray,
+    Structure,
+)
+
+WINDOW = 1.0
+"""Length of a shooting window, s."""
+
+TRAINING_PART = 0.6
+"""Share of the flight that is fitted."""
+
+LARGEST_RATE = 30.0
+"""Rate at which a diverging model is held, rad/s."""
+
+REWEIGHTINGS = 2
+"""Fits; after each the axes are weighted anew by their residuals."""
+
+STATE_STEP = 1e-4
+"""Step of the difference quotient in an initial rate, rad/s."""
+
+COEFFICIENT_STEP = 1e-5
+"""Step in a coefficient, relative to the least size below or to the coefficient."""
+
+_PRODUCTS = ((0, 1), (1, 2), (0, 2), (0, 0), (2, 2))
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Measured signals over W windows of m cells.
+
+    Parameters
+    ----------
+    h : float
+        Width of a cell, s.
+    x : (m + 1, 3, W) array
+        Rates at the edges, rad/s.
+    u : (m, 4, W) array
+        Means of the inputs over the cells, delayed and lagged.
+    force : (m + 1, 2, W) array
+        ay, az at the edges, m/s^2.
+    """
+
+    h: float
+    x: FloatArray
+    u: FloatArray
+    force: FloatArray
+
+
+def grid_blocks(case: Case, settings: Settings) -> list[Block]:
+    """Bring a flight's signals on the identifier's own grid, joined up to each restart."""
+    sampler = Sampler(settings)
+    signals = np.concatenate([case.rates, case.force], axis=1).tolist()
+    for t, v in zip(case.imu_t_ns.tolist(), signals, strict=True):
+        sampler.rates.append(t, v)
+    for t, v in zip(case.actuator_t_ns.tolist(), case.actuators.tolist(), strict=True):
+        sampler.raw_inputs.append(t, v)
+    last = int(case.imu_t_ns[-1])
+    sampler.rates.merge(last)
+    sampler.raw_inputs.merge(last)
+    return list(sampler.blocks())
+
+
+def cut_windows(blocks: Sequence[Block], first_ns: float, last_ns: float) -> Windows:
+    """Cut the signals between two times into windows that follow one another."""
+    m = max(1, round(WINDOW / blocks[0].h))
+    x, u, force = [], [], []
+    for block in blocks:
+        for start in range(0, len(block.u) - m + 1, m):
+            if block.t_ns[start] < first_ns or block.t_ns[start + m] > last_ns:
+                continue
+            x.append(block.x[start : start + m + 1])
+            u.append(block.u[start : start + m])
+            force.append(block.force[start : start + m + 1])
+    joined = (np.ascontiguousarray(np.array(part).transpose(1, 2, 0)) for part in (x, u, force))
+    return Windows(blocks[0].h, *joined)
+
+
+def simulate(a: FloatArray, x0: FloatArray, windows: Windows) -> FloatArray:
+    """Run models through windows: Runge-Kutta of order 4, inputs held over the cells.
+
+    Parameters
+    ----------
+    a : (3, n, P, 1 or W) array
+        Coefficients of P models.
+    x0 : (3, P, W) array
+        Initial rates.
+    windows : Windows
+        Measured inputs and specific forces.
+
+    Returns
+    -------
+    (m + 1, 3, P, W) array
+        Rates at the edges.
+    """
+    steps, h = len(windows.u), windows.h
+    out = np.empty((steps + 1, *x0.shape))
+    out[0] = x = x0.copy()
+    terms = [(i, j) for i in range(3) for j in range(8) if np.any(a[i, j])]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(steps):
+            drive = _drive(a, windows, k)
+            k1 = _slope(a, terms, x, drive[0])
+            k2 = _slope(a, terms, x + 0.5 * h * k1, drive[1])
+            k3 = _slope(a, terms, x + 0.5 * h * k2, drive[1])
+            k4 = _slope(a, terms, x + h * k3, drive[2])
+            x = x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+            x = np.fmin(np.fmax(x, -LARGEST_RATE), LARGEST_RATE)
+            out[k + 1] = x
+    return out
+
+
+def _drive(a: FloatArray, windows: Windows, k: int) -> list[FloatArray]:
+    """Return A f without the rates, at the start, middle and end of cell k: (3, P, W) each."""
+    columns = a[:, INPUT_COLUMNS.start :]
+    base = sum(columns[:, j] * windows.u[k, j] for j in range(4))
+    if columns.shape[1] == 4:
+        return [base, base, base]
+    base = base + columns[:, 4]
+    left, right = windows.force[k], windows.force[k + 1]
+    return [
+        base + columns[:, 5] * f[0] + columns[:, 6] * f[1]
+        for f in (left, 0.5 * (left + right), right)
+    ]
+
+
+def _slope(
+    a: FloatArray, terms: list[tuple[int, int]], x: FloatArray, drive: FloatArray
+) -> FloatArray:
+    f = [x[i] * x[j] for i, j in _PRODUCTS]
+    f += [x[0], x[1], x[2]]
+    out = np.broadcast_to(drive, x.shape).copy()
+    for i, j in terms:
+        out[i] += a[i, j] * f[j]
+    return out
+
+
+class Problem:
+    """Weighted residuals of the windows as a function of the free coefficients.
+
+    Parameters
+    ----------
+    structure : Structure
+        The model.
+    free : (3, n) bool array
+        Coefficients to fit; the others stay zero.
+    windows : Windows
+        The record.
+    """
+
+    def __init__(self, structure: Structure, free: FloatArray, windows: Windows) -> None:
+        self.structure, self.free, self.windows = structure, free, windows
+        self.x0 = windows.x[0].copy()
+        self.weight = 1.0 / np.maximum(windows.x.std(axis=(0, 2)), 1e-3)
+        self.noise = np.ones(3)
+        columns = np.argwhere(free)[:, 1]
+        self._products = np.flatnonzero(columns < PRODUCT_COLUMNS.stop)
+        self._at: FloatArray | None = None
+
+    def matrices(self, theta: FloatArray) -> FloatArray:
+        """Coefficient matrices (3, n, P, 1) of P coefficient vectors (k, P)."""
+        a = np.zeros((*self.free.shape, theta.shape[1], 1))
+        a[self.free] = theta[:, :, None]
+        return a
+
+    def residual(self, theta: FloatArray) -> FloatArray:
+        """Residuals with the best initial states, then the prior's."""
+        return self._evaluate(theta)[0]
+
+    def jacobian(self, theta: FloatArray) -> FloatArray:
+        """Their derivative."""
+        return self._evaluate(theta)[1]
+
+    def _evaluate(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if self._at is None or not np.array_equal(self._at, theta):
+            x0 = self._improved_start(theta)
+            self._value = self._linearised(theta, x0)
+            self._at = theta.copy()
+            self.x0 = x0
+        return self._value
+
+    def _improved_start(self, theta: FloatArray) -> FloatArray:
+        """One Gauss-Newton step of the initial states, (3, W)."""
+        start = self._perturbed(self.x0)
+        path = simulate(self.matrices(theta[:, None]), start, self.windows)
+        residual, slopes = self._weighted(path)
+        q, r = np.linalg.qr(slopes)
+        step = np.linalg.solve(r, q.transpose(0, 2, 1) @ residual[:, :, None])[:, :, 0]
+        return self.x0 - step.T
+
+    def _perturbed(self, x0: FloatArray) -> FloatArray:
+        """Return the initial states, then each rate moved in turn, (3, 4, W)."""
+        start = np.repeat(x0[:, None], 4, axis=1)
+        for i in range(3):
+            start[i, 1 + i] += STATE_STEP
+        return start
+
+    def _weighted(self, path: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (W, 3 (m + 1)) and their slopes in the initial state (W, 3 (m + 1), 3)."""
+        weight = self.weight[:, None]
+        base = path[:, :, 0]
+        residual = _by_window((base - self.windows.x) * weight)
+        slopes = [_by_window((path[:, :, 1 + i] - base) * (weight / STATE_STEP)) for i in range(3)]
+        return residual, np.stack(slopes, axis=2)
+
+    def _linearised(self, theta: FloatArray, x0: FloatArray) -> tuple[FloatArray, FloatArray]:
+        count = len(theta)
+        step = COEFFICIENT_STEP * np.maximum(np.abs(theta), 1.0)
+        same = np.repeat(theta[:, None], 4, axis=1)
+        moved = np.column_stack([same, theta[:, None] + np.diag(step)])
+        start = np.concatenate([self._perturbed(x0), np.repeat(x0[:, None], count, axis=1)], axis=1)
+        path = simulate(self.matrices(moved), start, self.windows)
+        residual, slopes = self._weighted(path)
+        weight = self.weight[:, None]
+        jacobian = np.stack(
+            [
+                _by_window((path[:, :, 4 + k] - path[:, :, 0]) * (weight / step[k]))
+                for k in range(count)
+            ],
+            axis=2,
+        )
+        q = np.linalg.qr(slopes)[0]
+        both = np.concatenate([residual[:, :, None], jacobian], axis=2)
+        both -= q @ (q.transpose(0, 2, 1) @ both)
+        flat = both.reshape(-1, count + 1)
+        # The same prior as online: a rigid body's inertia ratios lie within -1 ... 1.
+        prior = np.zeros((len(self._products), count))
+        prior[np.arange(len(self._products)), self._products] = 1.0 / PRODUCT_SIGMA
+        return (
+            np.concatenate([flat[:, 0], theta[self._products] / PRODUCT_SIGMA]),
+            np.concatenate([flat[:, 1:], prior]),
+        )
+
+    def reweight(self, theta: FloatArray) -> None:
+        """Weight each axis by the inverse of its residual's standard deviation."""
+        path = simulate(self.matrices(theta[:, None]), self.x0[:, None], self.windows)
+        spread = np.sqrt(((path[:, :, 0] - self.windows.x) ** 2).mean(axis=(0, 2)))
+        self.weight = 1.0 / np.maximum(spread, 1e-6)
+        self._at = None
+
+
+def _by_window(values: FloatArray) -> FloatArray:
+    """(m + 1, 3, W) as (W, 3 (m + 1))."""
+    return np.ascontiguousarray(values.transpose(2, 0, 1)).reshape(values.shape[2], -1)
+
+
+def fit(
+    case: Case,
+    settings: Settings,
+    starts: Sequence[FloatArray],
+    part: float = TRAINING_PART,
+    max_evaluations: int = 40,
+) -> FloatArray:
+    """Fit the structure of the settings to the first part of a flight.
+
+    Parameters
+    ----------
+    case : Case
+        The flight.
+    settings : Settings
+        Structure, fixed coefficients, delay and lag.
+    starts : sequence of (3, n) arrays
+        Coefficients to start from; the best fit of all counts.
+    part : float
+        Share of the flight to fit.
+    max_evaluations : int
+        Evaluations of each fit at most.
+
+    Returns
+    -------
+    (3, n) array
+        The coefficients.
+    """
+    structure = STRUCTURES[settings.structure]
+    free = start_from(settings).free
+    first, last = float(case.imu_t_ns[0]), float(case.imu_t_ns[-1])
+    windows = cut_windows(grid_blocks(case, settings), first, first + part * (last - first))
+    outcomes = []
+    for start in starts:
+        problem = Problem(structure, free, windows)
+        theta = np.clip(np.nan_to_num(start[free]), -1e3, 1e3)
+        for _ in range(REWEIGHTINGS):
+            found = least_squares(
+                problem.residual,
+                theta,
+                problem.jacobian,
+                method="trf",
+                x_scale="jac",
+                max_nfev=max_evaluations,
+                xtol=1e-6,
+                ftol=1e-6,
+            )
+            theta = found.x
+            problem.reweight(theta)
+        # Likelihood with the noise of each axis unknown: the product of the residuals' sizes.
+        outcomes.append((float(-np.log(problem.weight).sum()), theta))
+    coefficients = np.zeros(free.shape)
+    coefficients[free] = min(outcomes, key=lambda outcome: outcome[0])[1]
+    return coefficients
