@@ -226,3 +226,26 @@ def test_reset_reproduces_the_first_run_to_the_bit() -> None:
         np.testing.assert_array_equal(a.sigma, b.sigma)
         np.testing.assert_array_equal(a.predicted_rates, b.predicted_rates)
         np.testing.assert_array_equal(a.fit, b.fit)
+
+
+def test_inputs_that_move_together_are_named() -> None:
+    class Tied(Segment):
+        """Rudder and aileron in proportion, as behind an aileron-rudder interconnect."""
+
+        def sample(self, t: np.ndarray) -> np.ndarray:
+            u = super().sample(t)
+            u[:, 1] = 0.8 * u[:, 2]
+            return u
+
+    together = measure(
+        plant_flight(40.0, segments=(Tied("multisine", amplitudes=AMPLITUDES, seed=1),)),
+        Sensors(gyro_noise=0.02),
+        seed=1,
+    )
+    apart = measure(plant_flight(40.0), Sensors(gyro_noise=0.02), seed=1)
+    tied, free = (identify(m, structure=STRUCTURE)[0] for m in (together, apart))
+    assert ("pdot/dr", "pdot/da") in tied.collinear()
+    assert ("rdot/dr", "rdot/da") in tied.collinear()
+    assert not free.collinear()
+    assert tied.excitation()[0] < 0.01 < 0.1 < free.excitation()[0]
+    assert (free.excitation() <= 1.0).all()

@@ -19,6 +19,7 @@ from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayTracker, start_
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.frames import BodyFrame
+from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import IdentifiedModel
 from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.prior import start_from
@@ -26,7 +27,7 @@ from uav_ident_ros.identification.regression import Regression, StateVariableFil
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
 from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
-from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import ROWS, STRUCTURES, FloatArray
 from uav_ident_ros.identification.supervision import RunningFit, Verdict, judge
 
 RATES, ACTUATORS = "rates", "actuators"
@@ -103,6 +104,7 @@ class OnlineIdentifier:
         self._arm = np.array(settings.imu.lever_arm)
         self._sampler = Sampler(settings)
         self._guard = StampGuard(self._jump_ns)
+        self.adapt = settings.adapt_on_start
         self.reset()
 
     def reset(self) -> None:
@@ -115,7 +117,6 @@ class OnlineIdentifier:
             self._delay = DelayTracker(self._sampler.delay, self._arm)
         self._model = IdentifiedModel(self.structure, self._arm)
         self.running_fit = RunningFit(self._model)
-        self.adapt = self.settings.adapt_on_start
         self._quiet_time: FloatArray = np.zeros(3)
         self.fault = ""
         self._learned_time = 0.0
@@ -158,6 +159,24 @@ class OnlineIdentifier:
         start = start_again(self._start, self._estimator.coefficients, self._estimator.sigma)
         self._estimator = make_estimator(self.settings, start)
         self._learned_time = 0.0
+
+    # -- what the flight has shown ---------------------------------------------------------
+
+    @property
+    def input_map(self) -> InputMap:
+        """From raw channels to inputs, with the trim in use."""
+        return self._sampler.input_map
+
+    def excitation(self) -> FloatArray:
+        """Scale-free excitation of each row, shape (3,), 0 ... 1: `Information.excitation`."""
+        return self._estimator.information.excitation()
+
+    def collinear(self) -> list[tuple[str, ...]]:
+        """Names of coefficients that the flight has not told apart, a group an entry."""
+        return [
+            tuple(f"{ROWS[i]}/{self.structure.regressors[j]}" for j in group)
+            for i, group in self._estimator.information.collinear()
+        ]
 
     # -- samples in ------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from uav_ident_ros.identification.estimators.gradient import GradientEstimator
+from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
@@ -36,6 +37,10 @@ class Estimator(Protocol):
     problem: str
     learning: BoolArray
     changes: list[tuple[int, int]]
+
+    @property
+    def information(self) -> Information:
+        """What the flight has told, by which excitation and uncertainty are judged."""
 
     @property
     def sigma(self) -> FloatArray:

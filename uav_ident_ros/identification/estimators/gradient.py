@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.estimators.recursive import InstrumentalVariable
 from uav_ident_ros.identification.prior import LARGEST_COEFFICIENT, Start
 from uav_ident_ros.identification.regression import Regression
@@ -128,15 +129,19 @@ class GradientEstimator:
         self._power_time = 0.0
 
     @property
+    def information(self) -> Information:
+        """Information of the instrumental variable that runs beside the law."""
+        return self._reference.information
+
+    @property
     def sigma(self) -> FloatArray:
         """Standard deviations, shape (3, n).
 
         The law has none: they are those of the instrumental variable, widened by the
         distance from it.
         """
-        information = self._reference.information
-        distance = self.coefficients - information.solve()
-        return np.where(self._start.free, np.hypot(information.sigma, distance), 0.0)
+        distance = self.coefficients - self.information.solve()
+        return np.where(self._start.free, np.hypot(self.information.sigma, distance), 0.0)
 
     def update(self, data: Regression) -> None:
         """Take one step of the law over the time that the samples stand for."""

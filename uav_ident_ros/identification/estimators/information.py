@@ -33,6 +33,13 @@ _RIDGE = 1e-9
 collinear."""
 
 
+COLLINEAR_EIGENVALUE = 0.02
+"""Eigenvalue of the scaled information below which its direction is unknown; 1 if all
+regressors are uncorrelated."""
+
+COLLINEAR_SHARE = 0.4
+"""Component of the eigenvector from which a regressor belongs to the group."""
+
 RELEASED_SHARE = 0.98
 """Share of a coefficient's information that a release takes out: what is left keeps the
 solution from jumping on the first noisy sample."""
@@ -234,6 +241,39 @@ class Information:
         """Coefficients that satisfy ``R a = r`` with the prior, shape (3, n)."""
         deviation = np.linalg.solve(self._system(), self.vector[:, :, None])[:, :, 0]
         return self._start.values + self.columns.scatter(deviation)
+
+    def _correlation(self) -> FloatArray:
+        """Information scaled to a unit diagonal, symmetric, shape (3, k, k)."""
+        matrix = self._system()
+        matrix = 0.5 * (matrix + matrix.transpose(0, 2, 1))
+        scale = 1.0 / np.sqrt(np.abs(self._diagonal_of(matrix)))
+        return np.asarray(matrix * scale[:, :, None] * scale[:, None, :])
+
+    def excitation(self) -> FloatArray:
+        """How well the regressors of each row can be told apart, shape (3,), 0 ... 1.
+
+        The reciprocal of the largest variance inflation factor (Belsley, Kuh and Welsch 1980):
+        1 if all regressors are uncorrelated, 0 if one follows from the others. It does not
+        depend on their scales.
+        """
+        inverse = np.linalg.inv(self._correlation())
+        inflation = np.abs(self._diagonal_of(inverse)).max(axis=1)
+        return np.where(self.time > 0.0, 1.0 / np.maximum(inflation, 1.0), 0.0)
+
+    def collinear(self) -> list[tuple[int, tuple[int, ...]]]:
+        """Groups of regressors that were not told apart: (row, columns) of each.
+
+        A small eigenvalue of the scaled information is a direction without information; the
+        columns with a large share in its eigenvector belong together.
+        """
+        values, vectors = np.linalg.eigh(self._correlation())
+        groups = []
+        for i, row in enumerate(vectors):
+            for value, vector in zip(values[i], row.T, strict=True):
+                shares = (np.abs(vector) > COLLINEAR_SHARE) & self.columns.used[i]
+                if value < COLLINEAR_EIGENVALUE and shares.sum() > 1:
+                    groups.append((i, tuple(int(j) for j in self.columns.index[i, shares])))
+        return groups
 
     def _compute_sigma(self) -> FloatArray:
         """Return the standard deviations of the coefficients, shape (3, n).

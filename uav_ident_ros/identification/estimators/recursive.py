@@ -106,6 +106,8 @@ class RecursiveRegression:
         Rows that learned at the last tick.
     changes : list of (row, column)
         Coefficients released at the last tick.
+    information : Information
+        What the flight has told, least squares or instrumental variable.
     """
 
     def __init__(self, start: Start, forgetting_time: float, *, instrumental: bool) -> None:
@@ -116,7 +118,7 @@ class RecursiveRegression:
         self._start = start
         self._instrumental = instrumental
         self._reference = InstrumentalVariable(start, forgetting_time)
-        self._information = (
+        self.information = (
             self._reference.information if instrumental else Information(start, forgetting_time)
         )
         self._gate = ExcitationGate(start.free)
@@ -132,7 +134,7 @@ class RecursiveRegression:
         Those of least squares are widened by its distance from the instrumental variable:
         its bias in gusts is many times what its own residuals tell.
         """
-        sigma = self._information.sigma
+        sigma = self.information.sigma
         if self._instrumental:
             return sigma
         distance = self.coefficients - self._reference.information.solve()
@@ -143,9 +145,9 @@ class RecursiveRegression:
         self.learning = self._gate.update(data)
         self._reference.accumulate(data, self.coefficients, self.learning)
         if not self._instrumental:
-            self._information.accumulate(data, data.f, self.coefficients, self.learning)
+            self.information.accumulate(data, data.f, self.coefficients, self.learning)
         self._follow_changes(data)
-        self.coefficients = self._information.solve()
+        self.coefficients = self.information.solve()
 
     def _follow_changes(self, data: Regression) -> None:
         """Release what has changed, and take back a release that does not prove itself."""
@@ -157,28 +159,28 @@ class RecursiveRegression:
             self._release(i, INPUT_COLUMNS.start + j, float(self._detector.slope[i, j]))
         self._since_snapshot += data.dt * len(data.y)
         if self._since_snapshot >= SNAPSHOT_TIME:
-            self._snapshots.append(self._information.snapshot())
+            self._snapshots.append(self.information.snapshot())
             self._since_snapshot = 0.0
 
     def _release(self, row: int, column: int, shift: float) -> None:
         """Forget one coefficient of one row, back to before the change, and learn it anew."""
-        self._trials[row] = Trial(self._information.snapshot(), self.coefficients[row].copy())
+        self._trials[row] = Trial(self.information.snapshot(), self.coefficients[row].copy())
         if self._snapshots:
-            self._information.restore(row, self._snapshots[0])
-        self._information.release(row, column, shift)
+            self.information.restore(row, self._snapshots[0])
+        self.information.release(row, column, shift)
         time = 0.0
         for tick in reversed(self._detector.recent):
             time += tick.dt
             if time > READD_TIME:
                 break
             z = tick.z if self._instrumental and not self._reference.warming_up else tick.f
-            self._information.add_sample(row, tick.y, tick.f, z, tick.dt)
+            self.information.add_sample(row, tick.y, tick.f, z, tick.dt)
 
     def _continue_trial(self, row: int, data: Regression) -> None:
         """Compare the old with the new coefficients on samples that neither has seen."""
         trial = self._trials[row]
-        trial.before.matrix[row] += self._information.added.matrix[row]
-        trial.before.vector[row] += self._information.added.vector[row]
+        trial.before.matrix[row] += self.information.added.matrix[row]
+        trial.before.vector[row] += self.information.added.vector[row]
         y = data.y[:, row]
         trial.old_error += float(np.sum((y - data.f @ trial.old) ** 2))
         trial.new_error += float(np.sum((y - data.f @ self.coefficients[row]) ** 2))
@@ -186,4 +188,4 @@ class RecursiveRegression:
         if trial.time >= TRIAL_TIME:
             del self._trials[row]
             if trial.new_error > TRIAL_RATIO * trial.old_error:
-                self._information.restore(row, trial.before)
+                self.information.restore(row, trial.before)
