@@ -13,12 +13,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
+    RATE_COLUMNS,
     STRUCTURES,
     FloatArray,
 )
@@ -58,6 +60,14 @@ SURE_DROP = 0.1
 """Relative drop of the residual variance, against both delays `NEIGHBOURHOOD` away, from
 which the delay counts as known."""
 
+RATE_LAGS = (0.05, 0.1, 0.2)
+"""Delays of the rates that stand for what an autopilot's answers are made of, s."""
+
+SURE_NOVELTY = 0.1
+"""Relative drop of the residual variance, when the inputs join the rates and their past, from
+which the inputs are more than an autopilot's answers to gusts. Such answers tell of the autopilot:
+they reach 0.05 where nothing excites, excitation 0.2 and more."""
+
 SYSTEMATIC_ERROR = 0.002
 """What no formula sees: gyro noise in the regressors makes the delay come out a little low (1 to
 4 ms on flights of known delay), s."""
@@ -80,6 +90,7 @@ KEPT_SHARE = 0.5
 _RIDGE = 1e-9
 _STRUCTURE = STRUCTURES["augmented"]
 _INPUTS = np.arange(INPUT_COLUMNS.start, INPUT_COLUMNS.stop)
+_RATES = RATE_COLUMNS  # also within the shared columns, which begin alike
 _SHARED = np.setdiff1d(np.arange(_STRUCTURE.size), _INPUTS)
 
 
@@ -97,6 +108,9 @@ class DelayEstimate:
         By how much the residual variance (the product of the three rows') is below that at
         the delays `NEIGHBOURHOOD` away, relative, the smaller of the two; 0 if the flight does
         not tell delays apart.
+    novelty : float
+        By how much the residual variance falls when the inputs are added to the rates and their
+        past, relative; 0 if the inputs are a function of the rates.
     confidence : str
         ``none`` (no data), ``low`` or ``sure``.
     """
@@ -104,10 +118,11 @@ class DelayEstimate:
     delay: float
     sigma: float
     drop: float
+    novelty: float
     confidence: str
 
 
-NO_ESTIMATE = DelayEstimate(0.0, math.inf, 0.0, "none")
+NO_ESTIMATE = DelayEstimate(0.0, math.inf, 0.0, 0.0, "none")
 
 
 def start_again(start: Start, coefficients: FloatArray, sigma: FloatArray) -> Start:
@@ -152,9 +167,11 @@ class DelayBank:
         self.delays: FloatArray = self._lags * h
         self._every = max(1, round(SAMPLE_TIME / h))
         self._chunk = max(1, round(CHUNK_TIME / h))
-        count, shared = len(self._lags), len(_SHARED) + 3
-        self._common: FloatArray = np.zeros((shared, shared))
-        self._cross: FloatArray = np.zeros((count, shared, 4))
+        self._rate_lags = np.array([round(lag / h) for lag in RATE_LAGS])
+        count, common = len(self._lags), len(_SHARED) + 3 + 3 * len(RATE_LAGS)
+        # Columns: the shared regressors, the accelerations, the rates' past.
+        self._common: FloatArray = np.zeros((common, common))
+        self._cross: FloatArray = np.zeros((count, common, 4))
         self._own: FloatArray = np.zeros((count, 4, 4))
         self._weight = 0.0
         self._score = self._score_squared = self._scores = 0.0
@@ -167,7 +184,7 @@ class DelayBank:
         """Begin a new stretch of signals; what was learned stays."""
         self._signals.clear()
         self._length = 0
-        self._history: FloatArray = np.zeros((int(self._lags[-1]), 4))
+        self._history: FloatArray = np.zeros((int(self._lags[-1]), 18))
         # The filters' start-up differs between the delays until it has died away.
         self._settling = len(self._history) + round(SETTLING / CUTOFF / self.h)
 
@@ -194,16 +211,18 @@ class DelayBank:
 
     def _absorb(self, signals: FloatArray) -> None:
         before = len(self._history)
-        inputs = np.concatenate([self._history, signals[:, -4:]])
-        self._history = inputs[-before:]
-        first = min(self._settling, len(signals))
+        signals = np.concatenate([self._history, signals])
+        self._history = signals[-before:]
+        new = len(signals) - before
+        first = min(self._settling, new)
         self._settling -= first
-        ends = np.arange(before + first, len(inputs), self._every)
+        ends = np.arange(before + first, len(signals), self._every)
         if not len(ends):
             return
-        common = signals[ends - before, :-4]
-        delayed = inputs[ends - self._lags[:, None]]
-        keep = math.exp(-len(signals) * self.h / MEMORY_TIME)
+        past = [signals[ends - lag, _RATES] for lag in self._rate_lags]
+        common = np.hstack([signals[ends, :-4], *past])
+        delayed = signals[ends - self._lags[:, None], -4:]
+        keep = math.exp(-new * self.h / MEMORY_TIME)
         self._common = keep * self._common + common.T @ common
         self._cross = keep * self._cross + common.T @ delayed
         self._own = keep * self._own + delayed.transpose(0, 2, 1) @ delayed
@@ -252,14 +271,17 @@ class DelayBank:
         curvature = float(low - 2.0 * here + high) / step**2
         self._add_score(common, delayed, coefficients, residual[best], middle, keep)
         if curvature <= 0.0:
-            self.estimate = DelayEstimate(float(self.delays[best]), math.inf, 0.0, "low")
+            self.estimate = DelayEstimate(float(self.delays[best]), math.inf, 0.0, 0.0, "low")
             return
         delay = float(self.delays[middle]) - 0.5 * float(high - low) / step / curvature
         delay = min(max(delay, 0.0), float(self.delays[-1]))
         spread = self._score_squared - self._score**2 / max(self._scores, 1.0)
         sigma = math.hypot(math.sqrt(max(spread, 0.0)) / curvature, SYSTEMATIC_ERROR)
-        drop = self._drop(cost, best)
-        self.estimate = DelayEstimate(delay, sigma, drop, self._confidence(sigma, drop))
+        drop, novelty = self._drop(cost, best), self._novelty(best)
+        time = self._weight * self._every * self.h
+        sure = time >= SHORTEST_RECORD and sigma <= SURE_SIGMA
+        sure = sure and drop >= SURE_DROP and novelty >= SURE_NOVELTY
+        self.estimate = DelayEstimate(delay, sigma, drop, novelty, "sure" if sure else "low")
 
     def _add_score(
         self,
@@ -275,7 +297,7 @@ class DelayBank:
         squares = []
         for j in (middle - 1, middle + 1):
             a = coefficients[j]
-            e = common[:, shared:] - common[:, :shared] @ a[:, :shared].T
+            e = common[:, shared : shared + 3] - common[:, :shared] @ a[:, :shared].T
             e -= delayed[j] @ a[:, shared:].T
             squares.append((e**2).sum(axis=0))
         slope = (squares[1] - squares[0]) / (2.0 * self.delays[1])
@@ -291,10 +313,31 @@ class DelayBank:
         rise = min(sides) - cost[best] if best < len(cost) - 1 else 0.0
         return float(-math.expm1(-2.0 * rise / self._weight))
 
-    def _confidence(self, sigma: float, drop: float) -> str:
-        time = self._weight * self._every * self.h
-        sure = time >= SHORTEST_RECORD and sigma <= SURE_SIGMA and drop >= SURE_DROP
-        return "sure" if sure else "low"
+    def _novelty(self, best: int) -> float:
+        """Share of the residual that the inputs explain and the rates' past does not."""
+        shared = len(_SHARED)
+        past = np.arange(shared + 3, len(self._common))
+        moments = np.block(
+            [[self._common, self._cross[best]], [self._cross[best].T, self._own[best]]]
+        )
+        left = 1.0
+        for i, mask in enumerate(_STRUCTURE.mask):
+            without = np.concatenate([np.flatnonzero(mask[_SHARED]), past])
+            inputs = len(self._common) + np.flatnonzero(mask[_INPUTS])
+            y = shared + i
+            with_inputs = _residual(moments, np.concatenate([without, inputs]), y)
+            left *= with_inputs / _residual(moments, without, y)
+        return float(1.0 - left)
+
+
+def _residual(moments: FloatArray, columns: NDArray[np.intp], y: int) -> float:
+    """Residual sum of squares of regressing column `y` on `columns`, from the moments."""
+    matrix, vector = moments[np.ix_(columns, columns)], moments[columns, y]
+    diagonal = np.einsum("ii->i", matrix)
+    diagonal += _RIDGE * diagonal
+    diagonal[diagonal == 0.0] = 1.0
+    total = float(moments[y, y])
+    return max(total - float(vector @ np.linalg.solve(matrix, vector)), _RIDGE * total)
 
 
 class DelayTracker:
