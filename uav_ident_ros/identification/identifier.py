@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Sequence
-from enum import Enum
+from enum import StrEnum
 from fractions import Fraction
 
 import numpy as np
@@ -42,7 +42,7 @@ START_LEAK_TIME = 0.5
 """Leak of the model meanwhile, s: with poor coefficients its rate products would diverge."""
 
 
-class Drop(str, Enum):
+class Drop(StrEnum):
     """Why a sample was dropped."""
 
     NOT_FINITE = "not finite"
@@ -54,7 +54,7 @@ class Drop(str, Enum):
     CLOCK_MISMATCH = "stamp far from the Imu's"
 
 
-class State(str, Enum):
+class State(StrEnum):
     """What the identifier is doing, in a word."""
 
     WAITING = "waiting"

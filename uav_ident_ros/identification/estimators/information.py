@@ -261,7 +261,7 @@ class Information:
         return np.where(self.time > 0.0, 1.0 / np.maximum(inflation, 1.0), 0.0)
 
     def collinear(self) -> list[tuple[int, tuple[int, ...]]]:
-        """Groups of regressors that were not told apart: (row, columns) of each.
+        """Return the groups of regressors that were not told apart, (row, columns) of each.
 
         A small eigenvalue of the scaled information is a direction without information; the
         columns with a large share in its eigenvector belong together.
