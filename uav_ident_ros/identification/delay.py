@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
@@ -81,11 +80,9 @@ AGREEING_ESTIMATES = 3
 SAME_INTERVAL = 0.01
 """Relative change of the sample interval up to which a bank keeps what it has learned."""
 
-KEPT_SIGMA = 3.0
-"""Factor on the standard deviations of coefficients that were learned with another delay."""
-
-KEPT_SHARE = 0.5
-"""Least standard deviation of such coefficients, relative to them: 60 ms do so much."""
+KEPT_WEIGHT = 0.02
+"""What was learned with another delay counts for so much: it is biased, by tens of percent for
+60 ms, but holds the coefficients until there are new data."""
 
 _RIDGE = 1e-9
 _STRUCTURE = STRUCTURES["augmented"]
@@ -123,22 +120,6 @@ class DelayEstimate:
 
 
 NO_ESTIMATE = DelayEstimate(0.0, math.inf, 0.0, 0.0, "none")
-
-
-def start_again(start: Start, coefficients: FloatArray, sigma: FloatArray) -> Start:
-    """Where to start again, once the delay in use has moved.
-
-    Parameters
-    ----------
-    start : Start
-        Where the flight started.
-    coefficients, sigma : (3, n) array
-        What was learned with the delay before, and its standard deviations.
-    """
-    doubt = np.hypot(KEPT_SIGMA * sigma, KEPT_SHARE * coefficients)
-    known = start.free & (doubt > 0.0)
-    widened = np.where(known, np.minimum(start.sigma, doubt), start.sigma)
-    return Start(coefficients.copy(), widened, start.free)
 
 
 class DelayBank:

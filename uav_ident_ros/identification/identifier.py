@@ -15,7 +15,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayTracker, start_again
+from uav_ident_ros.identification.delay import KEPT_WEIGHT, NO_ESTIMATE, DelayTracker
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.frames import BodyFrame
@@ -156,8 +156,7 @@ class OnlineIdentifier:
     def _use_delay(self, delay: float) -> None:
         """Pair rates and inputs anew; what was learned with another delay is biased."""
         self._sampler.delay = delay
-        start = start_again(self._start, self._estimator.coefficients, self._estimator.sigma)
-        self._estimator = make_estimator(self.settings, start)
+        self._estimator.forget(KEPT_WEIGHT)
         self._learned_time = 0.0
 
     # -- what the flight has shown ---------------------------------------------------------

@@ -171,6 +171,10 @@ class GradientEstimator:
                 "values: lower 'gradient.gains' or set 'gradient.step' to 'guarded'"
             )
 
+    def forget(self, weight: float) -> None:
+        """Let all that was learned so far count for `weight`; the law itself keeps no memory."""
+        self._reference.information.discount(weight)
+
     def _gain_now(self, data: Regression, dt: float) -> FloatArray:
         """K in SI units at this tick."""
         if self._normalisation == "none":

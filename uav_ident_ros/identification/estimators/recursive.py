@@ -17,7 +17,7 @@ import numpy as np
 from uav_ident_ros.identification.estimators.change import WINDOW_TIME, ChangeDetector
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import Information, Snapshot
-from uav_ident_ros.identification.prior import Start
+from uav_ident_ros.identification.prior import LARGEST_COEFFICIENT, Start
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
 
@@ -147,7 +147,24 @@ class RecursiveRegression:
         if not self._instrumental:
             self.information.accumulate(data, data.f, self.coefficients, self.learning)
         self._follow_changes(data)
-        self.coefficients = self.information.solve()
+        self._accept(self.information.solve())
+
+    def _accept(self, solution: FloatArray) -> None:
+        """Take a solution row by row; a row that makes no sense starts anew where it stood."""
+        sane = (np.abs(solution) < LARGEST_COEFFICIENT).all(axis=1)  # NaN fails too
+        if not sane.all():
+            solution = np.where(sane[:, None], solution, self.coefficients)
+            self.information.discount(sane * 1.0)
+        self.coefficients = solution
+
+    def forget(self, weight: float) -> None:
+        """Let all that was learned so far count for `weight` of what it did."""
+        self._reference.information.discount(weight)
+        if not self._instrumental:
+            self.information.discount(weight)
+        self._detector = ChangeDetector(self._start.free)
+        self._snapshots.clear()
+        self._trials.clear()
 
     def _follow_changes(self, data: Regression) -> None:
         """Release what has changed, and take back a release that does not prove itself."""
