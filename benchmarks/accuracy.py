@@ -195,7 +195,8 @@ def _job(job: tuple[str, int | None]) -> list[Cell]:
 def _run(jobs: Sequence[tuple[str, int | None]], workers: int) -> Iterator[Cell]:
     with ProcessPoolExecutor(workers) as pool:
         for (name, seed), cells in zip(jobs, pool.map(_job, jobs), strict=True):
-            print(f"{name} seed {seed}: done", file=sys.stderr, flush=True)
+            said = f"{name} seed {seed}: {accuracy_report.in_short([asdict(c) for c in cells])}"
+            print(said, file=sys.stderr, flush=True)
             yield from cells
 
 

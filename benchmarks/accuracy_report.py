@@ -20,6 +20,7 @@ Key = tuple[str, str]
 
 HOLD = ("", "hold the last rate")
 NLMS = "padasip NLMS"
+DEFAULT = "instrumental_variable"
 REFERENCE = "output error"
 
 
@@ -30,6 +31,16 @@ def table(cells: Sequence[CellRow]) -> str:
     for flight in dict.fromkeys(cell["flight"] for cell in cells):
         lines += _flight_table([cell for cell in cells if cell["flight"] == flight])
     return "\n".join(lines + _summary(cells) + _against_output_error(cells))
+
+
+def in_short(cells: Sequence[CellRow]) -> str:
+    """Say how the default and the reference did, in a line."""
+    parts = []
+    for (structure, method), group in _grouped(cells).items():
+        if method in (DEFAULT, REFERENCE):
+            fits = "/".join(f"{value:.1f}" for value in _mean([c["model"] for c in group]))
+            parts.append(f"{structure} {method} {fits}")
+    return "; ".join(parts)
 
 
 def _best_in_hindsight(cells: Sequence[CellRow]) -> list[CellRow]:

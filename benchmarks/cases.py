@@ -241,7 +241,7 @@ def identify(
     end = case.imu_arrival_ns[-1] if np.isinf(until) else start + round(until * 1e9)
     estimates, learning, delays = [], [], []
     changes: list[tuple[float, int, int]] = []
-    for arrival, is_rates, t, v in _messages(case):
+    for arrival, is_rates, t, v in messages(case):
         if arrival > end:
             break
         if not is_rates:
@@ -271,7 +271,7 @@ def identify(
     )
 
 
-def _messages(case: Case) -> Any:
+def messages(case: Case) -> Any:
     """Yield (arrival, is rates, stamp, values) in the order of arrival, actuators first."""
     signals = np.concatenate([case.rates, case.force], axis=1).tolist()
     imu = zip(

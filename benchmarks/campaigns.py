@@ -1,0 +1,446 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Monte Carlo campaigns: ``python benchmarks/campaigns.py NAME [--seeds N] [--quick]``.
+
+Each flies flights of `flights.yaml` with seeds 1 to N, identifies them in one online pass with
+the defaults, prints what came out with its spread, and keeps every figure in
+``build/campaign_NAME.json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # ten-by-ten matrices; before NumPy loads
+
+import adaptive_filters
+import cases
+import flights
+import numpy as np
+import output_error
+import padasip
+
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
+
+BUILD = flights.ROOT / "build"
+WORKERS = 2
+IV, LS = "instrumental_variable", "least_squares"
+EXCITATION_START = 2.0
+"""When the multisines of every flight here begin, s."""
+
+Result = dict[str, Any]
+Job = tuple[Any, ...]
+
+
+def _over(jobs: Sequence[Job], function: Callable[..., Result], workers: int) -> list[Result]:
+    """Call the function with each job's arguments, in parallel, results in order."""
+    with ProcessPoolExecutor(workers) as pool:
+        futures = [pool.submit(function, *job) for job in jobs]
+        out = []
+        for job, future in zip(jobs, futures, strict=True):
+            out.append(future.result())
+            print(*job, file=sys.stderr, flush=True)
+        return out
+
+
+def _index(structure: Structure, names: Sequence[str]) -> tuple[FloatArray, ...]:
+    return tuple(np.transpose([structure.index(name) for name in names]))
+
+
+def _spread(values: Sequence[float]) -> str:
+    """Median and range."""
+    v = np.asarray(values, dtype=float)
+    return f"median {np.median(v):.2f}, {v.min():.2f} to {v.max():.2f}"
+
+
+# -- convergence ---------------------------------------------------------------------------
+
+
+def convergence(seeds: int, workers: int) -> list[Result]:
+    """Time from the start of excitation until the six dominant coefficients stay within 10 %."""
+    names = ("exact_convergence", "exact_noise_003", "exact_gusts_03")
+    jobs = [(n, s, e) for n in names for e in (IV, LS) for s in range(1, seeds + 1)]
+    results = _over(jobs, _convergence_of, workers)
+    for name in names:
+        for estimator in (IV, LS):
+            group = [r for r in results if (r["flight"], r["estimator"]) == (name, estimator)]
+            times = [r["seconds"] for r in group]
+            soon = sum(t <= 7.5 for t in times)
+            last = max({r["last"] for r in group}, key=[r["last"] for r in group].count)
+            print(
+                f"{name:20}{estimator:24}{_spread(times)} s; {soon} of {len(times)} within 7.5 s; "
+                f"last to settle: {last}"
+            )
+    return results
+
+
+def _convergence_of(name: str, seed: int, estimator: str) -> Result:
+    case = cases.simulated(name, seed)
+    until = 120.0 if "gusts" in name else 32.0
+    track = cases.identify(case, {"estimator": estimator}, until=until)
+    assert case.flight is not None
+    where = _index(track.structure, cases.DOMINANT)
+    truth = cases.truth_in(track.structure, case.flight)[where]
+    off = np.abs(track.coefficients[:, *where] / truth - 1.0) > 0.1
+    # The tick after the last one outside; infinite if it ends outside.
+    after = [int(np.flatnonzero(column)[-1]) + 1 if column.any() else 0 for column in off.T]
+    latest = max(after)
+    settled = track.time[latest] if latest < len(track.time) else np.inf
+    last = cases.DOMINANT[int(np.argmax(after))]
+    return {
+        "flight": name,
+        "seed": seed,
+        "estimator": estimator,
+        "seconds": float(settled - EXCITATION_START),
+        "last": last,
+    }
+
+
+# -- gusts ---------------------------------------------------------------------------------
+
+
+def gusts(seeds: int, workers: int) -> list[Result]:
+    """Free-run fit on a held-out calm flight of models learned in gusts of 1 rad/s^2."""
+    jobs = [("exact_gusts_10", s, e) for e in (IV, LS) for s in range(1, seeds + 1)]
+    results = _over(jobs, _final_of, workers)
+    held_out = cases.simulated("exact_held_out")
+    for result, fit in zip(results, _free_run_fits(held_out, results), strict=True):
+        result["fit"] = fit.tolist()
+    for estimator in (IV, LS):
+        fits = np.array([r["fit"] for r in results if r["estimator"] == estimator])
+        print(
+            f"exact_gusts_10 -> exact_held_out {estimator:24}mean "
+            + "/".join(f"{v:.1f}" for v in fits.mean(axis=0))
+            + ", sd "
+            + "/".join(f"{v:.1f}" for v in fits.std(axis=0))
+            + ", worst "
+            + "/".join(f"{v:.1f}" for v in fits.min(axis=0))
+        )
+    return results
+
+
+def _final_of(name: str, seed: int, estimator: str) -> Result:
+    case = cases.simulated(name, seed)
+    track = cases.identify(case, {"estimator": estimator})
+    assert case.flight is not None
+    truth = cases.truth_in(track.structure, case.flight, case.flight.duration)
+    return {
+        "flight": name,
+        "seed": seed,
+        "estimator": estimator,
+        "coefficients": track.coefficients[-1].tolist(),
+        "sigma": track.sigma[-1].tolist(),
+        "truth": truth.tolist(),
+    }
+
+
+def _free_run_fits(held_out: cases.Case, results: Sequence[Result]) -> FloatArray:
+    """Fit of p, q, r of models run through the whole flight from its first sample, percent."""
+    blocks = output_error.grid_blocks(held_out, held_out.settings({}))
+    x = np.concatenate([blocks[0].x, *(b.x[1:] for b in blocks[1:])])
+    u = np.concatenate([b.u for b in blocks])
+    force = np.concatenate([blocks[0].force, *(b.force[1:] for b in blocks[1:])])
+    windows = output_error.Windows(blocks[0].h, x[:, :, None], u[:, :, None], force[:, :, None])
+    a = np.moveaxis(np.array([r["coefficients"] for r in results]), 0, 2)[..., None]
+    start = np.repeat(x[0][:, None, None], len(results), axis=1)
+    path = output_error.simulate(a, start, windows)[:, :, :, 0]
+    error = np.sqrt(((path - x[:, :, None]) ** 2).sum(axis=0))
+    spread = np.sqrt(((x - x.mean(axis=0)) ** 2).sum(axis=0))
+    return np.asarray(100.0 * (1.0 - error / spread[:, None])).T
+
+
+# -- coverage ------------------------------------------------------------------------------
+
+OPEN_LOOP = ("exact_monte_carlo", "exact_gusts_03", "exact_gusts_10")
+CLOSED_LOOP = ("exact_closed_loop", "exact_closed_loop_gusts_10")
+
+
+def coverage(seeds: int, workers: int) -> list[Result]:
+    """Share of the errors within one and two standard deviations after 120 s."""
+    names = [(name, seeds) for name in OPEN_LOOP]
+    names += [(name, max(1, seeds // 3)) for name in CLOSED_LOOP]
+    jobs = [(n, s, e) for n, count in names for e in (IV, LS) for s in range(1, count + 1)]
+    results = _over(jobs, _final_of, workers)
+    for estimator in (IV, LS):
+        for name, _ in names:
+            group = [r for r in results if (r["flight"], r["estimator"]) == (name, estimator)]
+            print(f"{name:28}{estimator:24}{_coverage_line(group)}")
+        group = [r for r in results if r["flight"] in OPEN_LOOP and r["estimator"] == estimator]
+        print(f"{'open loop, pooled':28}{estimator:24}{_coverage_line(group)}")
+    return results
+
+
+def _ratios(results: Sequence[Result], names: Sequence[str] | None = None) -> FloatArray:
+    """Errors over sigma of the free coefficients, or of those named; shape (results, k)."""
+    structure = STRUCTURES["augmented"]
+    where = _index(structure, names or structure.names)
+    out = []
+    for result in results:
+        error, sigma = (np.array(result[k])[where] for k in ("coefficients", "sigma"))
+        out.append((error - np.array(result["truth"])[where]) / sigma)
+    return np.array(out)
+
+
+def _coverage_line(group: Sequence[Result]) -> str:
+    everything, dominant = np.abs(_ratios(group)), np.abs(_ratios(group, cases.DOMINANT))
+    structure = STRUCTURES["augmented"]
+    within = (everything < 1.0).mean(axis=0)
+    lowest = int(np.argmin(within))
+    return (
+        f"{len(group)} flights: within 1 sigma {_percent(everything < 1.0)}, 2 sigma "
+        f"{_percent(everything < 2.0)}; the six: {_percent(dominant < 1.0)}, "
+        f"{_percent(dominant < 2.0)}; lowest {structure.names[lowest]} {100 * within[lowest]:.0f}"
+    )
+
+
+def _percent(flags: FloatArray) -> str:
+    """Share of the flags, with the standard error over flights."""
+    per_flight = 100.0 * flags.mean(axis=1)
+    error = per_flight.std() / np.sqrt(len(per_flight))
+    return f"{per_flight.mean():.1f} ± {error:.1f} %"
+
+
+# -- quiet flight --------------------------------------------------------------------------
+
+QUIET_START = 62.0
+"""When the excitation of the quiet flights ends, s."""
+
+
+def quiet(seeds: int, workers: int) -> list[Result]:
+    """How far coefficients move in ten quiet minutes, in sigma as of their beginning."""
+    names = ("exact_quiet_gusts_03", "exact_quiet_gusts_10")
+    jobs = [(n, s, e) for n in names for e in (IV, LS) for s in range(1, seeds + 1)]
+    results = _over(jobs, _quiet_of, workers)
+    for name in names:
+        for estimator in (IV, LS):
+            group = [r for r in results if (r["flight"], r["estimator"]) == (name, estimator)]
+            moves = [r["move"] for r in group]
+            worst = max(group, key=lambda r: r["move"])
+            z = np.abs(_ratios(group))
+            print(
+                f"{name:24}{estimator:24}largest move {_spread(moves)} sigma ({worst['name']}); "
+                f"rows learned {100 * np.mean([r['learned'] for r in group]):.1f} % of the quiet; "
+                f"at its beginning within 1 sigma {_percent(z < 1.0)}, 2 sigma {_percent(z < 2.0)}"
+            )
+    return results
+
+
+def _quiet_of(name: str, seed: int, estimator: str) -> Result:
+    case = cases.simulated(name, seed)
+    track = cases.identify(case, {"estimator": estimator})
+    assert case.flight is not None
+    begin = track.at(QUIET_START)
+    mask = track.structure.mask
+    sigma = track.sigma[begin][mask]
+    moves = np.abs(track.coefficients[begin:, mask] - track.coefficients[begin, mask]) / sigma
+    worst = moves.max(axis=0)
+    return {
+        "flight": name,
+        "seed": seed,
+        "estimator": estimator,
+        "move": float(worst.max()),
+        "name": track.structure.names[int(worst.argmax())],
+        "learned": float(track.learning[begin:].mean()),
+        "coefficients": track.coefficients[begin].tolist(),
+        "sigma": track.sigma[begin].tolist(),
+        "truth": cases.truth_in(track.structure, case.flight).tolist(),
+    }
+
+
+# -- changes -------------------------------------------------------------------------------
+
+PRIMARY = {"elevator": "qdot/de", "aileron": "pdot/da", "rudder": "rdot/dr"}
+WATCHED = 30.0
+"""Time after a change over which it is watched, s."""
+
+PLANT_CHANGES = tuple(
+    f"exact_halved_{surface}{air}" for air in ("", "_gusts_05") for surface in PRIMARY
+)
+AIRCRAFT_CHANGES = ("c172p_halved_elevator", "c172p_halved_aileron")
+
+
+def changes(seeds: int, workers: int) -> list[Result]:
+    """How soon a halved control derivative is noticed and followed, and what else moves."""
+    few = max(1, seeds // 5)
+    names = [(n, seeds) for n in PLANT_CHANGES] + [(n, few) for n in AIRCRAFT_CHANGES]
+    jobs = [(n, s, IV) for n, count in names for s in range(1, count + 1)]
+    results = _over(jobs, _change_of, workers)
+    for name, _ in names:
+        group = [r for r in results if r["flight"] == name]
+        noticed = [r["noticed"] for r in group]
+        followed = [r["followed"] for r in group]
+        moved = [r["moved"] for r in group]
+        print(
+            f"{name:32}{len(group)} seeds: noticed {_spread(noticed)} s "
+            f"({sum(t <= 6.0 for t in noticed)} within 6 s); within 15 % {_spread(followed)} s "
+            f"({sum(t <= 10.0 for t in followed)} within 10 s); others moved by "
+            f"{_spread(moved)} of what is allowed ({sum(m <= 1.0 for m in moved)} kept, worst "
+            f"{max(group, key=lambda r: r['moved'])['mover']}); "
+            f"other releases {sum(r['false'] for r in group)}"
+        )
+    return results
+
+
+def _change_of(name: str, seed: int, estimator: str) -> Result:
+    case = cases.simulated(name, seed)
+    assert case.flight is not None
+    when = case.flight.changes[0].time
+    track = cases.identify(case, {"estimator": estimator}, until=when + WATCHED)
+    primary = PRIMARY[name.split("_")[2]]
+    i, j = track.structure.index(primary)
+    begin = track.at(when)
+    old = track.coefficients[begin]
+    if case.flight.coefficients is not None:
+        new = float(cases.truth_in(track.structure, case.flight, when + 1.0)[i, j])
+    else:
+        new = 0.5 * float(old[i, j])
+    found = [t - when for t, row, column in track.changes if (row, column) == (i, j) and t > when]
+    off = np.flatnonzero(np.abs(track.coefficients[begin:, i, j] / new - 1.0) > 0.15)
+    last = begin + int(off[-1]) + 1
+    others = [n for n in cases.DOMINANT if n != primary]
+    where = _index(track.structure, others)
+    allowed = np.maximum(2.0 * track.sigma[begin][where], 0.1 * np.abs(old[where]))
+    moved = (np.abs(track.coefficients[begin:, *where] - old[where]) / allowed).max(axis=0)
+    watched = set(case.flight.changes[0].factors)
+    own = {track.structure.index(n) for n in watched & set(track.structure.names)} or {
+        (row, j) for row in range(3)
+    }
+    return {
+        "flight": name,
+        "seed": seed,
+        "estimator": estimator,
+        "noticed": min(found, default=np.inf),
+        "followed": float(track.time[last] - when) if last < len(track.time) else np.inf,
+        "moved": float(moved.max()),
+        "mover": others[int(moved.argmax())],
+        "false": sum((row, column) not in own for _, row, column in track.changes),
+        "changes": [(t, *_name(track.structure, row, column)) for t, row, column in track.changes],
+    }
+
+
+def _name(structure: Structure, row: int, column: int) -> tuple[str]:
+    return (structure.names[structure.free.index((row, column))],)
+
+
+def alarms(seeds: int, workers: int) -> list[Result]:
+    """Releases in 30 minutes in which nothing changes."""
+    jobs = [(n, s, IV) for n in ("exact_half_hour", "c172p_half_hour") for s in range(1, seeds + 1)]
+    results = _over(jobs, _alarms_of, workers)
+    for r in results:
+        print(f"{r['flight']:20}seed {r['seed']}: {len(r['changes'])} releases {r['changes']}")
+    return results
+
+
+def _alarms_of(name: str, seed: int, estimator: str) -> Result:
+    track = cases.identify(cases.simulated(name, seed), {"estimator": estimator})
+    found = [(round(t, 1), *_name(track.structure, i, j)) for t, i, j in track.changes]
+    return {"flight": name, "seed": seed, "estimator": estimator, "changes": found}
+
+
+# -- cost ----------------------------------------------------------------------------------
+
+WARM_UP_TICKS = 100
+
+
+def cost(seeds: int, workers: int) -> list[Result]:
+    """Time of one update with 10 gyro samples, sigma included, beside padasip's RLS."""
+    results = []
+    for seed in range(1, seeds + 1):
+        case = cases.simulated("exact_noise_003", seed)
+        timed = {e: _update_times(case, e) for e in ("gradient", LS, IV)}
+        timed["padasip RLS, 1 sample a tick"] = _rls_times(case, 1)
+        timed["padasip RLS, 10 samples a tick"] = _rls_times(case, 10)
+        for method, times in timed.items():
+            p50, p99 = np.percentile(1e6 * times[WARM_UP_TICKS:], [50, 99])
+            print(f"seed {seed} {method:32}p50 {p50:6.0f} us, p99 {p99:6.0f} us")
+            results.append({"seed": seed, "method": method, "p50": p50, "p99": p99})
+    return results
+
+
+def _update_times(case: cases.Case, estimator: str) -> FloatArray:
+    """Seconds of each call of `update` that runs a tick."""
+    identifier = OnlineIdentifier(case.settings({"estimator": estimator}))
+    times = []
+    for _, is_rates, t, v in cases.messages(case):
+        if not is_rates:
+            identifier.add_actuators(t, v)
+            continue
+        identifier.add_rates(t, v[:3], v[3:])
+        while (due := identifier.due()) is not None:
+            began = time.perf_counter()
+            identifier.update(due)
+            times.append(time.perf_counter() - began)
+    return np.array(times)
+
+
+def _rls_times(case: cases.Case, samples: int) -> FloatArray:
+    """Seconds of padasip's three filters for `samples` samples, on the same regressors."""
+    structure = STRUCTURES["augmented"]
+    recorder = adaptive_filters.RegressionRecorder(structure.mask.shape)
+    cases.identify(case, {}, lambda *_: recorder)
+    filters = [
+        padasip.filters.FilterRLS(int(row.sum()), mu=adaptive_filters.RLS_FORGETTING, w="zeros")
+        for row in structure.mask
+    ]
+    times = []
+    for y, f in zip(recorder.y, recorder.f, strict=True):
+        rows = [f[row] for row in structure.mask]
+        began = time.perf_counter()
+        for _ in range(samples):
+            for one, target, row in zip(filters, y, rows, strict=True):
+                one.adapt(target, row)
+        times.append(time.perf_counter() - began)
+    return np.array(times)
+
+
+# -- command -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign and its numbers of seeds."""
+
+    run: Callable[[int, int], list[Result]]
+    seeds: int
+    quick: int
+
+
+CAMPAIGNS: Mapping[str, Campaign] = {
+    "convergence": Campaign(convergence, 10, 5),
+    "gusts": Campaign(gusts, 20, 6),
+    "coverage": Campaign(coverage, 200, 12),
+    "quiet": Campaign(quiet, 5, 1),
+    "changes": Campaign(changes, 20, 5),
+    "alarms": Campaign(alarms, 3, 1),
+    "cost": Campaign(cost, 3, 1),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="campaigns.py", description=__doc__.splitlines()[0])
+    parser.add_argument("name", choices=CAMPAIGNS, metavar="NAME", help=", ".join(CAMPAIGNS))
+    parser.add_argument("--seeds", type=int, help="seeds instead of the campaign's own number")
+    parser.add_argument("--quick", action="store_true", help="few seeds")
+    parser.add_argument("--workers", type=int, default=WORKERS, help="processes")
+    parser.add_argument("--output", type=Path, default=BUILD, help="folder of the results")
+    options = parser.parse_args(arguments)
+    campaign = CAMPAIGNS[options.name]
+    seeds = options.seeds or (campaign.quick if options.quick else campaign.seeds)
+    results = campaign.run(seeds, options.workers)
+    options.output.mkdir(parents=True, exist_ok=True)
+    path = options.output / f"campaign_{options.name}.json"
+    path.write_text(json.dumps(results, indent=1), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
