@@ -41,7 +41,8 @@ class Estimate:
     coefficients : (3, n) array
         A_m, SI units, body axes FRD.
     sigma : (3, n) array
-        One standard deviation of each coefficient; 0 for the fixed ones.
+        One standard deviation of each coefficient; 0 for the fixed ones, 1e6 for those of which
+        nothing is known yet.
     predicted_rates : (3,) array
         State x_m of the identified model at the tick, rad/s, in the Imu's own axes.
     prediction_error : (3,) array

@@ -22,15 +22,16 @@ from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import IdentifiedModel
 from uav_ident_ros.identification.paper import BackwardDifference
-from uav_ident_ros.identification.prior import start_from
+from uav_ident_ros.identification.prior import LARGEST_COEFFICIENT, start_from
 from uav_ident_ros.identification.regression import Regression, StateVariableFilter
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
+from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
 from uav_ident_ros.identification.structure import ROWS, STRUCTURES, FloatArray
 from uav_ident_ros.identification.supervision import RunningFit, Verdict, judge
 
-RATES, ACTUATORS = "rates", "actuators"
+RATES, ACTUATORS, AIRSPEED = "rates", "actuators", "airspeed"
 """The streams, as `OnlineIdentifier.drops` names them."""
 
 SECOND_NS = 1_000_000_000
@@ -92,7 +93,9 @@ class OnlineIdentifier:
     def __init__(self, settings: Settings, initial: CoefficientSet | None = None) -> None:
         self.settings = settings
         self.structure = STRUCTURES[settings.structure]
-        self.drops: dict[str, Counter[Drop]] = {RATES: Counter(), ACTUATORS: Counter()}
+        self.drops: dict[str, Counter[Drop]] = {
+            stream: Counter() for stream in (RATES, ACTUATORS, AIRSPEED)
+        }
         self._initial = initial
         self._frame = BodyFrame(settings.imu)
         self._rate = Fraction(settings.update_rate).limit_denominator(1_000_000)
@@ -111,6 +114,7 @@ class OnlineIdentifier:
         """Start cold: buffers and filters restart, the coefficients return to their start."""
         self._start = start_from(self.settings, self._initial)
         self._estimator: Estimator = make_estimator(self.settings, self._start)
+        self._speed = SpeedScaling(self.settings.airspeed, self.structure)
         self._delay: DelayTracker | None = None
         self._sampler.delay = self.settings.actuators.delay
         if self.settings.actuators.estimate_delay:
@@ -125,6 +129,7 @@ class OnlineIdentifier:
     def restart(self) -> None:
         """Start on a new time base: buffers and filters restart, the coefficients stay."""
         self._sampler.restart()
+        self._speed.airspeed.clear()
         self._guard.reset()
         self._filter: StateVariableFilter | None = None
         self._paper = BackwardDifference(self.structure)
@@ -299,6 +304,37 @@ class OnlineIdentifier:
             )
         return Drop.CLOCK_MISMATCH
 
+    def add_airspeed(self, t_ns: int, airspeed: float) -> Drop | None:
+        """Take one sample of the true airspeed.
+
+        Parameters
+        ----------
+        t_ns : int
+            Stamp, ns: the value applies from then on.
+        airspeed : float
+            True airspeed, m/s.
+
+        Returns
+        -------
+        Drop or None
+            Why the sample was dropped, None if it was taken.
+        """
+        newest = self._guard.newest
+        problem = None
+        if not math.isfinite(airspeed):
+            problem = Drop.NOT_FINITE
+        elif t_ns <= 0:
+            problem = Drop.ZERO_STAMP
+        elif newest is not None and abs(t_ns - newest) > self._jump_ns:
+            problem = Drop.CLOCK_MISMATCH
+        elif t_ns <= self._last_tick_ns:
+            problem = Drop.LATE
+        if problem is None:
+            self._speed.airspeed.append(t_ns, (airspeed,))
+        else:
+            self.drops[AIRSPEED][problem] += 1
+        return problem
+
     # -- ticks -----------------------------------------------------------------------------
 
     def _tick_ns(self, k: int) -> int:
@@ -338,6 +374,7 @@ class OnlineIdentifier:
     def _tick(self, t_ns: int) -> Estimate:
         self.drops[RATES][Drop.DUPLICATE] += self._sampler.rates.merge(t_ns)
         self.drops[ACTUATORS][Drop.DUPLICATE] += self._sampler.raw_inputs.merge(t_ns)
+        self.drops[AIRSPEED][Drop.DUPLICATE] += self._speed.update(t_ns)
         if len(self._sampler.rates.t):
             self._newest_rates = self._frame.to_body(self._sampler.rates.v[-1, :3])
         if self.settings.filter.method == "backward_difference":
@@ -350,15 +387,32 @@ class OnlineIdentifier:
         """Learn from the blocks that this tick completes; return whether there were any."""
         fed = moved = False
         for block in self._sampler.blocks():
-            self.running_fit.add(block, self._estimator.coefficients)
-            self._learn(block)
+            coefficients = self._coefficients()
+            self.running_fit.add(block, coefficients)
+            self._learn(block, coefficients)
             moved = (self._delay is not None and self._delay.add(block)) or moved
             fed = True
         if moved and self._delay is not None:
             self._use_delay(self._delay.delay)
         return fed
 
-    def _learn(self, block: Block) -> None:
+    def _coefficients(self) -> FloatArray:
+        """Coefficients at the airspeed flown, shape (3, n)."""
+        return self._estimator.coefficients * self._speed.scale
+
+    def coefficient_set(self, t_ns: int = 0) -> CoefficientSet:
+        """Coefficients to save and to start from again: at the reference airspeed.
+
+        Parameters
+        ----------
+        t_ns : int
+            Message time to note with them, ns.
+        """
+        return CoefficientSet(
+            self.structure.name, self._estimator.coefficients.copy(), self._estimator.sigma, t_ns
+        )
+
+    def _learn(self, block: Block, coefficients: FloatArray) -> None:
         """Run the model over a block and learn from it."""
         if block.restarted:
             self._model.restart(block.x[0])
@@ -369,12 +423,13 @@ class OnlineIdentifier:
         leak = self.settings.model.leak_time
         if leak > 0.0 and self._learned_time < START_TIME:
             leak = min(leak, START_LEAK_TIME)
-        states = self._model.run(self._estimator.coefficients, block, leak)
-        regression = self._filter.apply(block, states)
-        if self.adapt:
+        states = self._model.run(coefficients, block, leak)
+        scale = self._speed.scale if self._speed.enabled else None
+        regression = self._filter.apply(block, states, scale)
+        if self.adapt and self._speed.known:
             self._learned_time += block.h * len(block.u)
             self._estimator.update(regression)
-        learning = self._estimator.learning & self.adapt
+        learning = self._estimator.learning & self.adapt & self._speed.known
         self._quiet_time = np.where(learning, 0.0, self._quiet_time + block.h * len(block.u))
 
     def _paper_tick(self, t_ns: int) -> bool:
@@ -398,7 +453,8 @@ class OnlineIdentifier:
     def _estimate(self, t_ns: int, fed: bool) -> Estimate:
         newest = self._newest_rates if self._newest_rates is not None else np.zeros(3)
         predicted = self._model.state
-        coefficients, sigma = self._estimator.coefficients, self._estimator.sigma
+        coefficients = self._coefficients()
+        sigma = self._estimator.sigma * self._speed.scale
         age = float(self._quiet_time.max())
         verdict = judge(
             self.settings.supervision, self.structure, coefficients, sigma, self.running_fit, age
@@ -406,8 +462,8 @@ class OnlineIdentifier:
         state, reason = self._state(fed, verdict)
         return Estimate(
             t_ns=t_ns,
-            coefficients=coefficients.copy(),
-            sigma=sigma,
+            coefficients=coefficients,
+            sigma=np.minimum(sigma, LARGEST_COEFFICIENT),
             predicted_rates=self._frame.to_imu(predicted),
             prediction_error=self._frame.to_imu(newest - predicted),
             fit=self.running_fit.fit.copy(),
@@ -425,6 +481,8 @@ class OnlineIdentifier:
             return State.FAULT, self._estimator.problem
         if not fed:
             return State.WAITING, f"waiting for {self._sampler.waiting_for or 'samples'}"
+        if not self._speed.known:
+            return State.WAITING, "waiting for airspeed"
         if not self.adapt:
             return State.PAUSED, "adaptation is switched off"
         if not self._estimator.learning.any():

@@ -75,7 +75,9 @@ class StateVariableFilter:
         self._channels = 3 + structure.size + STATE_COLUMNS.stop
         self._filter = BlockFilter(low_pass(cutoff, h), self._channels)
 
-    def apply(self, block: Block, model_states: FloatArray) -> Regression:
+    def apply(
+        self, block: Block, model_states: FloatArray, scale: FloatArray | None = None
+    ) -> Regression:
         """Filter one block.
 
         Parameters
@@ -84,6 +86,8 @@ class StateVariableFilter:
             Signals over m cells.
         model_states : (m + 1, 3) array
             State of the identified model at the edges, rad/s.
+        scale : (n,) array, optional
+            Factor of each regressor at the airspeed flown; one if left out.
         """
         n = self._structure.size
         if block.restarted:
@@ -97,6 +101,10 @@ class StateVariableFilter:
         left, right = edges[:-1].copy(), edges[1:]
         inputs = slice(3 + INPUT_COLUMNS.start, 3 + INPUT_COLUMNS.stop)
         left[:, inputs] = right[:, inputs] = block.u
+        if scale is not None:
+            for edge in (left, right):
+                edge[:, 3 : 3 + n] *= scale
+                edge[:, 3 + n :] *= scale[STATE_COLUMNS]
         states = self._filter.apply(left, right)
         y = states[1, :, :3]
         f = states[0, :, 3 : 3 + n]

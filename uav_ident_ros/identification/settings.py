@@ -226,6 +226,14 @@ ACTUATOR_TYPES = (
     "px4_msgs/msg/ActuatorOutputs",
 )
 
+AIRSPEED_TYPES = (
+    "std_msgs/msg/Float64",
+    "std_msgs/msg/Float32",
+    "geometry_msgs/msg/TwistStamped",
+    "mavros_msgs/msg/VfrHud",
+    "px4_msgs/msg/AirspeedValidated",
+)
+
 
 @dataclass(frozen=True)
 class ImuSettings:
@@ -421,6 +429,26 @@ class GradientSettings:
 
 
 @dataclass(frozen=True)
+class AirspeedSettings:
+    """Airspeed, for coefficients that hold across flight speeds."""
+
+    type: str = _setting(
+        "",
+        "",
+        "Message type of the airspeed topic; empty for none. With one, damping is scaled with "
+        "the airspeed and control derivatives with its square.",
+        choices=("", *AIRSPEED_TYPES),
+    )
+    reference: float = _setting(
+        20.0,
+        "m/s",
+        "Airspeed at which initial and saved coefficients are valid: the usual one.",
+        low=1.0,
+        high=400.0,
+    )
+
+
+@dataclass(frozen=True)
 class SupervisionSettings:
     """When a controller may act on the coefficients."""
 
@@ -508,6 +536,7 @@ class Settings:
     )
     imu: ImuSettings = dataclasses.field(default_factory=ImuSettings)
     actuators: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
+    airspeed: AirspeedSettings = dataclasses.field(default_factory=AirspeedSettings)
     filter: FilterSettings = dataclasses.field(default_factory=FilterSettings)
     model: ModelSettings = dataclasses.field(default_factory=ModelSettings)
     gradient: GradientSettings = dataclasses.field(default_factory=GradientSettings)
@@ -626,6 +655,12 @@ def _check_consistency(settings: Settings) -> None:
             STRUCTURES[settings.structure].index(name)
         except ValueError as error:
             raise SettingsError("fixed_coefficients", f"'fixed_coefficients': {error}") from None
+    if settings.filter.method == "backward_difference" and settings.airspeed.type:
+        raise SettingsError(
+            "airspeed.type",
+            f"'airspeed.type' is '{settings.airspeed.type}': speed scaling needs 'filter.method' "
+            "'state_variable'",
+        )
     if settings.filter.method == "backward_difference" and settings.estimator != "gradient":
         raise SettingsError(
             "filter.method",

@@ -238,8 +238,14 @@ class Information:
         return matrices.reshape(3, k * k)[:, :: k + 1]
 
     def solve(self) -> FloatArray:
-        """Coefficients that satisfy ``R a = r`` with the prior, shape (3, n)."""
-        deviation = np.linalg.solve(self._system(), self.vector[:, :, None])[:, :, 0]
+        """Coefficients that satisfy ``R a = r`` with the prior, shape (3, n).
+
+        NaN where the matrix is singular, which the ridge all but excludes.
+        """
+        try:
+            deviation = np.linalg.solve(self._system(), self.vector[:, :, None])[:, :, 0]
+        except np.linalg.LinAlgError:
+            deviation = np.full_like(self.vector, np.nan)
         return self._start.values + self.columns.scatter(deviation)
 
     def _correlation(self) -> FloatArray:

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Speed scaling: one set of coefficients over a range of airspeeds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.identifier import AIRSPEED, Drop, OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.simulation.inputs import Segment, sample_inputs
+from uav_ident_ros.simulation.vehicles import vehicle
+
+RATE = 200.0
+REFERENCE = 20.0
+START_NS = 1_700_000_000 * 10**9
+PLANT = vehicle("small_uav")
+STRUCTURE = STRUCTURES[PLANT.structure]
+
+
+def airspeed(t: FloatArray) -> FloatArray:
+    """Slow swings between 14 and 28 m/s."""
+    return 21.0 + 7.0 * np.sin(2 * np.pi * t / 40.0)
+
+
+def scaled(speed: float) -> FloatArray:
+    """Coefficients of the plant at an airspeed."""
+    ratio = speed / REFERENCE
+    power = np.r_[np.zeros(5), np.ones(3), 2.0 * np.ones(4)]
+    return PLANT.coefficients * ratio**power
+
+
+def flight(duration: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times, rates and inputs of a plant whose coefficients follow the airspeed."""
+    t = np.arange(round(duration * RATE)) / RATE
+    amplitudes = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
+    u = sample_inputs([Segment("multisine", amplitudes=amplitudes, seed=1)], t)
+    speed = airspeed(t)
+    x = np.zeros((len(t), 3))
+    h = 1.0 / RATE
+    for k in range(len(t) - 1):
+        a = scaled(float(speed[k]))
+
+        def xdot(state: FloatArray, a: FloatArray = a, k: int = k) -> FloatArray:
+            return a @ STRUCTURE.regressor(state, u[k])
+
+        k1 = xdot(x[k])
+        k2 = xdot(x[k] + 0.5 * h * k1)
+        k3 = xdot(x[k] + 0.5 * h * k2)
+        k4 = xdot(x[k] + h * k3)
+        x[k + 1] = x[k] + h / 6.0 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return t, x, u
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[FloatArray, FloatArray, FloatArray]:
+    return flight(60.0)
+
+
+def identify(
+    flown: tuple[FloatArray, FloatArray, FloatArray], **values: Any
+) -> tuple[OnlineIdentifier, Estimate]:
+    identifier = OnlineIdentifier(
+        Settings.from_values(
+            {"structure": STRUCTURE.name, "imu.convention": "frd", "forgetting_time": 0.0, **values}
+        )
+    )
+    estimate = None
+    for t, x, u in zip(*flown, strict=True):
+        t_ns = START_NS + round(t * 1e9)
+        identifier.add_actuators(t_ns, u.tolist())
+        identifier.add_airspeed(t_ns, float(airspeed(t)))
+        identifier.add_rates(t_ns, x.tolist())
+        while (due := identifier.due()) is not None:
+            estimate = identifier.update(due)
+    assert estimate is not None
+    return identifier, estimate
+
+
+def worst_linear(found: FloatArray, truth: FloatArray) -> float:
+    linear = STRUCTURE.mask & (np.arange(12) >= 5)
+    return float(np.abs(found / np.where(linear, truth, 1.0) - 1.0)[linear].max())
+
+
+def test_one_set_of_coefficients_over_all_speeds(
+    flown: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    identifier, estimate = identify(
+        flown, **{"airspeed.type": "std_msgs/msg/Float64", "airspeed.reference": REFERENCE}
+    )
+    assert worst_linear(identifier.coefficient_set().values, PLANT.coefficients) < 0.02
+    now = (estimate.t_ns - START_NS) * 1e-9
+    assert worst_linear(estimate.coefficients, scaled(float(airspeed(np.array(now))))) < 0.02
+
+
+def test_without_an_airspeed_the_scaling_is_off(
+    flown: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    identifier, estimate = identify(flown)
+    np.testing.assert_array_equal(identifier.coefficient_set().values, estimate.coefficients)
+    assert worst_linear(estimate.coefficients, PLANT.coefficients) > 0.05
+
+
+def test_it_waits_for_the_first_airspeed(
+    flown: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    identifier = OnlineIdentifier(
+        Settings.from_values({"structure": STRUCTURE.name, "airspeed.type": "std_msgs/msg/Float64"})
+    )
+    estimate = None
+    for t, x, u in list(zip(*flown, strict=True))[:600]:
+        t_ns = START_NS + round(t * 1e9)
+        identifier.add_actuators(t_ns, u.tolist())
+        identifier.add_rates(t_ns, x.tolist())
+        while (due := identifier.due()) is not None:
+            estimate = identifier.update(due)
+    assert estimate is not None
+    assert (estimate.state, estimate.reason) == ("waiting", "waiting for airspeed")
+    assert not estimate.coefficients.any()
+
+
+def test_bad_airspeeds_are_dropped_and_counted() -> None:
+    identifier = OnlineIdentifier(Settings.from_values({"airspeed.type": "std_msgs/msg/Float64"}))
+    identifier.add_rates(START_NS, (0.0, 0.0, 0.0))
+    assert identifier.add_airspeed(START_NS, float("nan")) is Drop.NOT_FINITE
+    assert identifier.add_airspeed(0, 20.0) is Drop.ZERO_STAMP
+    assert identifier.add_airspeed(START_NS + 10**10, 20.0) is Drop.CLOCK_MISMATCH
+    assert identifier.drops[AIRSPEED].total() == 3

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Speed scaling: coefficients that hold across flight speeds.
+
+At constant lift coefficients a damping derivative grows with the airspeed V and a control
+derivative with V^2 (dynamic pressure times the angle that the rate makes, or the deflection).
+The estimator sees regressors scaled by V / V_ref and its square, so that it identifies the
+coefficients at the reference speed; what is published is valid at the speed flown.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_ident_ros.identification.samples import SampleBuffer
+from uav_ident_ros.identification.settings import AirspeedSettings
+from uav_ident_ros.identification.structure import (
+    INPUT_COLUMNS,
+    RATE_COLUMNS,
+    FloatArray,
+    Structure,
+)
+
+LARGEST_RATIO = 3.0
+"""Airspeed relative to the reference, and its inverse, beyond which the law is not believed:
+below it flow separates, above it something else is wrong."""
+
+
+class SpeedScaling:
+    """Scale of each regressor at the airspeed flown.
+
+    Parameters
+    ----------
+    settings : AirspeedSettings
+        Whether there is an airspeed, and the reference speed.
+    structure : Structure
+        The regressors.
+
+    Attributes
+    ----------
+    airspeed : SampleBuffer
+        True airspeed, m/s.
+    known : bool
+        Whether the scale is that of the airspeed flown.
+    scale : (n,) array
+        Factor of each regressor; one until there is an airspeed.
+    """
+
+    def __init__(self, settings: AirspeedSettings, structure: Structure) -> None:
+        self.enabled = settings.type != ""
+        self.airspeed = SampleBuffer(1)
+        self._reference = settings.reference
+        self._power: FloatArray = np.zeros(structure.size)
+        self._power[RATE_COLUMNS] = 1.0
+        self._power[INPUT_COLUMNS] = 2.0
+        self.known = not self.enabled
+        self.scale: FloatArray = np.ones_like(self._power)
+
+    def update(self, t_ns: int) -> int:
+        """Take the newest airspeed stamped at or before `t_ns`; return the duplicates."""
+        duplicates = self.airspeed.merge(t_ns)
+        if self.enabled and len(self.airspeed.t):
+            ratio = float(self.airspeed.v[-1, 0]) / self._reference
+            ratio = min(max(ratio, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
+            self.scale = ratio**self._power
+            self.known = True
+            self.airspeed.trim(t_ns)
+        return duplicates
