@@ -1,0 +1,377 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The documentation says what the code does: tables, links, commands, topics, examples."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+import setuptools
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.settings import Settings, declarations
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES
+from uav_ident_ros.messages import named_entries
+from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.parameter_table import TABLES, MarkerError, full_tables, main, renew
+
+ROOT = Path(__file__).resolve().parents[1]
+README = ROOT / "README.md"
+DOCS = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [README, ROOT / "CHANGELOG.md", ROOT / "bags" / "README.md", *DOCS]
+PACKAGE = ROOT / "uav_ident_ros"
+LARGEST_PICTURE = 200_000
+"""Bytes: a clone should stay small."""
+
+# Top-level names of files and folders of this repository, as the pages write them.
+OURS = re.compile(
+    r"^(?:scripts|config|bags|docs|test|launch|benchmarks|uav_ident_ros|requirements|\.ci)/\S+$"
+)
+
+
+def page_id(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+def code_blocks(text: str, language: str = "") -> list[str]:
+    """Fenced blocks of a language; nested ones, in lists, are dedented."""
+    found = re.findall(r"^( *)```(\w*)\n(.*?)^\1```$", text, re.DOTALL | re.MULTILINE)
+    return [
+        re.sub(f"^{indent}", "", body, flags=re.MULTILINE)
+        for indent, label, body in found
+        if label == language
+    ]
+
+
+def without_code(text: str) -> str:
+    return re.sub(r"^ *```.*?^ *```$", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def command_lines(text: str) -> Iterator[str]:
+    """Yield the lines of the blocks without a language, continuation lines joined."""
+    for block in code_blocks(text):
+        for line in block.replace("\\\n", " ").splitlines():
+            if line.strip():
+                yield line.strip()
+
+
+def console_scripts() -> set[str]:
+    recorded: dict[str, Any] = {}
+    with mock.patch.object(setuptools, "setup", lambda **arguments: recorded.update(arguments)):
+        runpy.run_path(str(ROOT / "setup.py"))
+    return {line.split("=")[0].strip() for line in recorded["entry_points"]["console_scripts"]}
+
+
+# --- generated tables ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", [README, ROOT / "docs" / "parameters.md"], ids=page_id)
+def test_generated_tables_are_in_step_with_the_declaration(page: Path) -> None:
+    text = text_of(page)
+    assert renew(text) == text, f"{page_id(page)} is out of step: run scripts/make_docs"
+
+
+def test_every_table_stands_somewhere_and_every_parameter_in_one() -> None:
+    text = text_of(README) + text_of(ROOT / "docs" / "parameters.md")
+    for name in TABLES:
+        assert f"<!-- generated: {name} -->" in text
+    rows = full_tables()
+    for setting in declarations():
+        assert f"| `{setting.name}` |" in rows
+
+
+def test_a_page_without_markers_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("no table here\n")
+    assert main([str(page)]) == 2
+    assert str(page) in capsys.readouterr().err
+    with pytest.raises(MarkerError, match="'nothing'"):
+        renew("<!-- generated: nothing -->\n<!-- end: nothing -->")
+
+
+# --- what the pages name exists --------------------------------------------------------------
+
+
+def anchors(text: str) -> set[str]:
+    """Anchors of the headings, by the rule that GitHub uses."""
+    headings = re.findall(r"^#+ (.*)$", without_code(text), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_no_relative_link_is_dead(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", without_code(text_of(page))):
+        if "://" in target:
+            continue
+        name, _, anchor = target.partition("#")
+        linked = (page.parent / name).resolve() if name else page
+        assert linked.exists(), f"{page_id(page)} links to '{target}'"
+        if anchor:
+            assert anchor in anchors(text_of(linked)), f"{page_id(page)} links to '{target}'"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_every_file_that_is_named_exists(page: Path) -> None:
+    text = text_of(page)
+    words = re.findall(r"`([^`\n]+)`", without_code(text))
+    words += [word for line in command_lines(text) for word in line.split()]
+    for word in (part for phrase in words for part in phrase.split()):
+        word = word.rstrip(".,:;")
+        if OURS.match(word) and "*" not in word:
+            assert (ROOT / word).exists(), f"{page_id(page)} names '{word}'"
+
+
+@pytest.mark.parametrize("page", [README, *DOCS], ids=page_id)
+def test_every_command_exists_and_knows_its_options(page: Path) -> None:
+    executables = console_scripts()
+    for line in command_lines(text_of(page)):
+        words = shlex.split(line, comments=True) if line.count("'") % 2 == 0 else line.split()
+        if not words:
+            continue
+        if words[0].startswith(".venv/bin/"):
+            name = words[0].removeprefix(".venv/bin/")
+            assert name in executables, f"{page_id(page)}: there is no executable '{name}'"
+            check_options(page, name, words[1:])
+        elif words[0].startswith("scripts/"):
+            script = ROOT / words[0]
+            assert os.access(script, os.X_OK), f"{page_id(page)}: '{words[0]}' cannot be run"
+        elif words[:3] == ["ros2", "run", "uav_ident_ros"]:
+            assert words[3] in executables
+        elif words[:3] == ["ros2", "launch", "uav_ident_ros"]:
+            check_launch_arguments(ROOT / "launch" / words[3], words[4:])
+
+
+def check_options(page: Path, name: str, words: list[str]) -> None:
+    """Hold the options of `replay` and `simulate` against their help."""
+    if name == "identifier":
+        assert words[0] == "--ros-args"
+        return
+    module = {"replay": "uav_ident_ros.replay", "simulate": "uav_ident_ros.simulation.cli"}[name]
+    known = help_of(module)
+    for word in words:
+        if word.startswith("--"):
+            assert re.search(rf"(?<!\S){word}(?![\w-])", known), f"{page_id(page)}: {name} {word}"
+
+
+def help_of(module: str, cache: dict[str, str] = {}) -> str:  # noqa: B006  (a cache is meant)
+    if module not in cache:
+        command = [sys.executable, "-m", module, "--help"]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+        cache[module] = re.sub(r"[\[\],]", " ", done.stdout)
+    return cache[module]
+
+
+def check_launch_arguments(launch_file: Path, words: list[str]) -> None:
+    declared = {
+        call.args[0].value
+        for call in ast.walk(ast.parse(text_of(launch_file)))
+        if isinstance(call, ast.Call)
+        and isinstance(call.func, ast.Name)
+        and call.func.id == "DeclareLaunchArgument"
+        and isinstance(call.args[0], ast.Constant)
+    }
+    assert {word.split(":=")[0] for word in words} <= declared
+
+
+def test_the_executables_listed_are_those_installed() -> None:
+    table = text_of(README).split("| executable |")[1].split("\n\n")[0]
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == console_scripts()
+
+
+def test_the_two_commands_open_the_readme() -> None:
+    first = code_blocks(text_of(README))[0].split()
+    assert first == ["scripts/demo", "scripts/test"]
+
+
+def test_pictures_are_small() -> None:
+    pictures = list((ROOT / "docs" / "images").glob("*"))
+    assert pictures
+    for picture in pictures:
+        assert picture.stat().st_size < LARGEST_PICTURE, picture.name
+
+
+# --- topics and services ---------------------------------------------------------------------
+
+ASK_NODE = """
+import json, rclpy
+from uav_ident_ros.node import IdentifierNode
+rclpy.init()
+node = IdentifierNode()
+mine = (node.get_name(), node.get_namespace())
+found = {
+    "topics": node.get_publisher_names_and_types_by_node(*mine)
+    + node.get_subscriber_names_and_types_by_node(*mine),
+    "services": node.get_service_names_and_types_by_node(*mine),
+}
+print("FOUND " + json.dumps(found))
+node.destroy_node()
+rclpy.shutdown()
+"""
+"""Ask the node itself: remapping, expansion and types are then rclpy's, not a guess."""
+
+# What every rclpy node has.
+OF_EVERY_NODE = re.compile(r"^/(rosout|parameter_events|clock)$|parameter|type_description")
+
+
+@pytest.fixture(scope="module")
+def interfaces(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
+    """Topics and services of a running node: name to type."""
+    environment = {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 101),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(tmp_path_factory.mktemp("log")),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", ASK_NODE],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        check=True,
+    )
+    line = next(line for line in done.stdout.splitlines() if line.startswith("FOUND "))
+    found = json.loads(line.removeprefix("FOUND "))
+    return {
+        kind: {name: types[0] for name, types in entries if not OF_EVERY_NODE.search(name)}
+        for kind, entries in found.items()
+    }
+
+
+def listed(header: str) -> dict[str, str]:
+    """Full name and type of every row below a table header of the README."""
+    rows = {}
+    for table in text_of(README).split(header)[1:]:
+        body = table.split("\n\n")[0]
+        for name, msgtype in re.findall(r"^\| `([~/\w]+)` \| `([\w/]+)` \|", body, re.MULTILINE):
+            full = name.replace("~", "/identifier") if name[0] in "~/" else f"/{name}"
+            rows[full] = msgtype
+    return rows
+
+
+def test_the_topics_of_the_readme_are_those_of_the_node(
+    interfaces: dict[str, dict[str, str]],
+) -> None:
+    assert listed("| topic | type | QoS | content |") == interfaces["topics"]
+
+
+def test_the_services_of_the_readme_are_those_of_the_node(
+    interfaces: dict[str, dict[str, str]],
+) -> None:
+    assert listed("| service | type | effect |") == interfaces["services"]
+
+
+# --- examples --------------------------------------------------------------------------------
+
+
+def examples() -> list[tuple[str, str]]:
+    pages = (README, *DOCS)
+    return [
+        (f"{page.name}-{i}", block)
+        for page in pages
+        for i, block in enumerate(code_blocks(text_of(page), "yaml"))
+    ]
+
+
+@pytest.mark.parametrize("block", [b for _, b in examples()], ids=[n for n, _ in examples()])
+def test_every_parameter_file_of_the_pages_is_accepted(block: str, tmp_path: Path) -> None:
+    path = tmp_path / "vehicle.yaml"
+    path.write_text(block, encoding="utf-8")
+    values = dict(load_parameters(path, "/identifier"))
+    values.pop("use_sim_time", None)
+    assert Settings.from_values(values).values() != Settings().values()
+
+
+def test_the_controller_example_reads_the_matrix_and_heeds_the_verdict() -> None:
+    (source,) = code_blocks(text_of(README), "python")
+    namespace: dict[str, Any] = {}
+    exec(compile(source, "README.md", "exec"), namespace)
+    structure = STRUCTURES["augmented"]
+    numbered = np.arange(1.0, 1.0 + structure.mask.size).reshape(structure.mask.shape)
+    coefficients = np.where(structure.mask, numbered, 0.0)
+
+    def message(usable: bool) -> SimpleNamespace:
+        estimate = Estimate(
+            t_ns=1,
+            coefficients=coefficients,
+            sigma=np.zeros_like(coefficients),
+            predicted_rates=np.zeros(3),
+            prediction_error=np.zeros(3),
+            fit=np.zeros(3),
+            adapting=True,
+            usable=usable,
+            state="learning",
+            reason="",
+        )
+        entries = named_entries(estimate, structure)
+        return SimpleNamespace(name=list(entries.names), position=list(entries.positions))
+
+    matrix = namespace["control_matrix"](message(usable=True))
+    np.testing.assert_array_equal(matrix, coefficients[:, INPUT_COLUMNS])
+    assert namespace["control_matrix"](message(usable=False)) is None
+
+
+# --- architecture ----------------------------------------------------------------------------
+
+
+def imports_of(path: Path) -> set[str]:
+    """Modules that a file imports anywhere, with full names."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(text_of(path))):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module)
+    return names
+
+
+NODE_MODULES = {"node", "inputs", "outputs", "parameters", "diagnostics", "notices", "saving"}
+OFFLINE_MODULES = {"bags", "bag_writer", "estimates_bag", "offline", "replay", "pictures"}
+
+
+def test_the_core_imports_numpy_and_itself() -> None:
+    allowed = {*sys.stdlib_module_names, "numpy"}
+    for path in (PACKAGE / "identification").rglob("*.py"):
+        for name in imports_of(path):
+            inside = name.startswith("uav_ident_ros.identification")
+            assert inside or name.split(".")[0] in allowed, f"{path.name} imports {name}"
+
+
+def test_the_node_and_the_replay_do_not_import_each_other() -> None:
+    for module, forbidden in [
+        *((name, OFFLINE_MODULES) for name in NODE_MODULES),
+        *((name, NODE_MODULES) for name in OFFLINE_MODULES),
+    ]:
+        imported = {
+            name.removeprefix("uav_ident_ros.") for name in imports_of(PACKAGE / f"{module}.py")
+        }
+        assert not imported & forbidden, f"{module} imports {imported & forbidden}"
+
+
+def test_every_module_of_the_table_exists() -> None:
+    table = text_of(ROOT / "docs" / "architecture.md").split("| layer |")[1].split("\n\n")[0]
+    existing = {path.stem for path in PACKAGE.rglob("*.py")}
+    cells = [row.split("|")[2] for row in table.splitlines()[2:]]
+    named = set(re.findall(r"`(\w+)`", " ".join(cells)))
+    assert named
+    assert named <= existing

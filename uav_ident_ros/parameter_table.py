@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameter tables of the documentation, written from the declaration of the settings.
+
+``python -m uav_ident_ros.parameter_table FILE...`` renews, in each file, what stands between
+the markers ``<!-- generated: NAME -->`` and ``<!-- end: NAME -->``. NAME is one of `TABLES`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from uav_ident_ros.identification.settings import Setting, Value, declarations
+from uav_ident_ros.messages import ACTUATORS, RATES
+
+USAGE_ERROR = 2
+
+MAIN_PARAMETERS = (
+    "structure",
+    "estimator",
+    "update_rate",
+    "imu.type",
+    "imu.convention",
+    "imu.lever_arm",
+    "actuators.type",
+    "actuators.channels",
+    "actuators.mixing.de",
+    "actuators.mixing.dr",
+    "actuators.mixing.da",
+    "actuators.mixing.dth",
+    "actuators.scale",
+    "actuators.trim",
+    "actuators.delay",
+    "actuators.estimate_delay",
+    "filter.cutoff",
+    "initial_coefficients_file",
+)
+"""What a new vehicle has to look at: the short table of the README."""
+
+_BLOCK = re.compile(
+    r"(?P<start><!-- generated: (?P<name>[\w-]+) -->\n).*?(?P<end><!-- end: (?P=name) -->)",
+    re.DOTALL,
+)
+
+
+class MarkerError(ValueError):
+    """A file has no block to renew, or one of an unknown name."""
+
+
+def write_value(value: Value) -> str:
+    """Write a value as in a parameter file."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple):
+        return "[" + ", ".join(write_value(entry) for entry in value) + "]"
+    return f'"{value}"' if value == "" else str(value)
+
+
+def allowed_values(setting: Setting) -> str:
+    """Describe what a setting may be, in a few words; empty if anything goes."""
+    if setting.choices:
+        return ", ".join(f"`{choice}`" for choice in setting.choices)
+    bounded = math.isfinite(setting.low) or math.isfinite(setting.high)
+    return setting.allowed() if bounded else setting.unit
+
+
+def full_tables() -> str:
+    """Return one table of every setting for each group, with a heading."""
+    groups: dict[str, list[Setting]] = {}
+    for setting in declarations():
+        group, _, _ = setting.name.rpartition(".")
+        groups.setdefault(group, []).append(setting)
+    parts = []
+    for group, settings in groups.items():
+        rows = [
+            (
+                f"`{setting.name}`",
+                setting.type.replace("|", " or "),
+                f"`{write_value(setting.default)}`",
+                allowed_values(setting),
+                setting.description,
+            )
+            for setting in settings
+        ]
+        table = markdown(("name", "type", "default", "allowed", "meaning"), rows)
+        parts.append(f"### {f'`{group}`' if group else 'General'}\n\n{table}")
+    return "\n".join(parts)
+
+
+def main_table() -> str:
+    """Return the short table of what a new vehicle has to look at."""
+    known = {setting.name: setting for setting in declarations()}
+    rows = [
+        (f"`{name}`", f"`{write_value(known[name].default)}`", known[name].description)
+        for name in MAIN_PARAMETERS
+    ]
+    return markdown(("name", "default", "meaning"), rows)
+
+
+def changeable() -> str:
+    """Say which parameters may change while the node runs."""
+    names = [f"`{setting.name}`" for setting in declarations() if not setting.read_only]
+    if not names:
+        return "Every parameter is read once, at the start; a later change is refused.\n"
+    return f"These may change while the node runs: {', '.join(names)}; all others are read once.\n"
+
+
+def rates_types() -> str:
+    """Return the table of the message types of the rates."""
+    rows = [(f"`{name}`", adapter.convention or "as set") for name, adapter in RATES.items()]
+    return markdown(("`imu.type`", "`imu.convention`"), rows)
+
+
+def actuator_types() -> str:
+    """Return the table of the message types of the actuators."""
+    rows = [
+        (
+            f"`{name}`",
+            ", ".join(f"`{field}`" for field in adapter.fields),
+            "index or name" if adapter.named else "index",
+            "its own" if adapter.stamped else "arrival (bag: log time)",
+            adapter.unit,
+        )
+        for name, adapter in ACTUATORS.items()
+    ]
+    header = ("`actuators.type`", "`actuators.field`, default first", "channels by")
+    return markdown((*header, "time", "unit"), rows)
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "parameters": full_tables,
+    "main-parameters": main_table,
+    "changeable": changeable,
+    "rates-types": rates_types,
+    "actuator-types": actuator_types,
+}
+"""What may stand between markers, by name."""
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    cells = ([cell.replace("|", "\\|") for cell in line] for line in lines)
+    return "".join(f"| {' | '.join(line)} |\n" for line in cells)
+
+
+def renew(text: str) -> str:
+    """Return `text` with every block between markers written anew.
+
+    Raises
+    ------
+    MarkerError
+        If there is no block, or one of an unknown name.
+    """
+
+    def block(match: re.Match[str]) -> str:
+        name = match["name"]
+        if name not in TABLES:
+            raise MarkerError(f"there is no table '{name}': there are {', '.join(TABLES)}")
+        return f"{match['start']}\n{TABLES[name]()}\n{match['end']}"
+
+    renewed, count = _BLOCK.subn(block, text)
+    if not count:
+        raise MarkerError("there is no block between '<!-- generated: NAME -->' and its end")
+    return renewed
+
+
+def main(paths: Sequence[str]) -> int:
+    """Renew the files; the return value is the exit status."""
+    for path in map(Path, paths):
+        try:
+            text = path.read_text(encoding="utf-8")
+            renewed = renew(text)
+        except (OSError, MarkerError) as error:
+            print(f"parameter_table: '{path}': {error}", file=sys.stderr)
+            return USAGE_ERROR
+        if renewed != text:
+            path.write_text(renewed, encoding="utf-8")
+            print(f"renewed {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
