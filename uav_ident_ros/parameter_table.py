@@ -62,7 +62,7 @@ def write_value(value: Value) -> str:
 def allowed_values(setting: Setting) -> str:
     """Describe what a setting may be, in a few words; empty if anything goes."""
     if setting.choices:
-        return ", ".join(f"`{choice}`" for choice in setting.choices)
+        return ", ".join(f"`{write_value(choice)}`" for choice in setting.choices)
     bounded = math.isfinite(setting.low) or math.isfinite(setting.high)
     return setting.allowed() if bounded else setting.unit
 
