@@ -105,9 +105,19 @@ class Case:
         return frame.to_body(self.rates), frame.to_body(self.force)[:, 1:]
 
 
-def simulated(name: str, seed: int | None = None) -> Case:
-    """Return a flight of `flights.yaml`; `seed` None is the definition's own."""
-    m = flights.load(name, seed)
+def simulated(name: str, seed: int | None = None, **sensor_changes: Any) -> Case:
+    """Return a flight of `flights.yaml`.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    seed : int, optional
+        Seed instead of the definition's own.
+    **sensor_changes
+        Fields of `Sensors` that differ.
+    """
+    m = flights.load(name, seed, **sensor_changes)
     own = flights.definition(name).get("seed", 0)
     return Case(
         name=name,
@@ -117,7 +127,7 @@ def simulated(name: str, seed: int | None = None) -> Case:
         imu_arrival_ns=m.imu_log_ns,
         rates=m.rates,
         force=m.specific_force,
-        actuator_t_ns=m.actuator_t_ns,
+        actuator_t_ns=m.actuator_t_ns if m.sensors.stamped else m.actuator_log_ns,
         actuator_arrival_ns=m.actuator_log_ns,
         actuators=m.actuators,
         true_rates=m.true_rates,

@@ -65,8 +65,9 @@ def test_pulse_widths_become_radians(name: str) -> None:
 
 
 def test_elevons_together_pitch_and_against_each_other_roll() -> None:
-    np.testing.assert_allclose(inputs("mavros_elevon", c0=100.0, c1=-100.0), [0.1, 0, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(inputs("mavros_elevon", c0=100.0, c1=100.0), [0, 0, 0.1, 0], atol=1e-15)
+    together, against = (inputs("mavros_elevon", c0=100.0, c1=c) for c in (-100.0, 100.0))
+    np.testing.assert_allclose(together, [0.1, 0, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(against, [0, 0, 0.1, 0], atol=1e-15)
 
 
 @pytest.mark.parametrize("name", ["px4_quadrotor", "gazebo_quadrotor"])

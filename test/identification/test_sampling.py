@@ -15,6 +15,7 @@ from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.sampling import RATE_SAMPLES, Block, Sampler
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 
@@ -94,6 +95,19 @@ def test_half_a_sample_is_seen() -> None:
     flight = plant_flight(6.0, actuator_rate=50.0)
     assert misfit(measure(flight)).max() < 1e-3
     assert misfit(measure(flight), actuators__delay=0.01).max() > 0.02
+
+
+def test_with_its_lever_arm_an_offset_accelerometer_reads_as_at_the_centre() -> None:
+    flight = plant_flight(5.0, rate=1000.0, max_step=1e-3, force=ColouredNoise(0.3, 0.5))
+    structure, forces = STRUCTURES["augmented"], []
+    arms = ((0.0, 0.0, 0.0), (1.0, -0.3, 0.2))
+    for arm in arms:
+        svf = StateVariableFilter(structure, 15.0, 0.001, np.array(arm))
+        own = measure(flight, Sensors(1000.0, lever_arm=arm))
+        forces.append(np.concatenate([svf.apply(b, b.x).f[:, 13:] for b in blocks_of(own)]))
+    uncorrected = flight.force_at(arms[1])[:, 1:] - flight.force_at(arms[0])[:, 1:]
+    # Half a cell is left: held inputs make the accelerations jump between two samples.
+    assert np.abs(forces[1] - forces[0]).max() < 0.01 * np.abs(uncorrected).max()
 
 
 def test_an_integrator_driven_by_held_inputs_is_exact() -> None:

@@ -69,7 +69,9 @@ they reach 0.05 where nothing excites, excitation 0.2 and more."""
 
 SYSTEMATIC_ERROR = 0.002
 """What no formula sees: gyro noise in the regressors makes the delay come out a little low (1 to
-4 ms on flights of known delay), s."""
+4 ms on flights of known delay), s. Gusts do the same, and more: 4 ms at 0.3 rad/s^2, 10 ms in
+moderate turbulence, half of 60 ms where gusts of 1 rad/s^2 move the aircraft as much as its
+surfaces do. Least squares takes a gust's decay for the aircraft's."""
 
 SMALLEST_MOVE = 0.005
 """The delay in use moves by no less than this, s: the fit is flat about the right one."""
