@@ -19,7 +19,7 @@ class CoefficientSet:
     values : (3, n) array
         A, SI units, body axes FRD; zero where the structure has no coefficient.
     sigma : (3, n) array
-        Standard deviations; 0 for what is known or absent, inf for what is unknown.
+        Standard deviations; 0 for what is known or absent.
     t_ns : int
         Message time at which they were valid, nanoseconds; 0 if unknown.
     """
@@ -41,8 +41,8 @@ class Estimate:
     coefficients : (3, n) array
         A_m, SI units, body axes FRD.
     sigma : (3, n) array
-        One standard deviation of each coefficient; 0 for the fixed ones, 1e6 for those of which
-        nothing is known yet.
+        One standard deviation of each coefficient; 0 for the fixed ones; that of the prior
+        where nothing is known yet.
     predicted_rates : (3,) array
         State x_m of the identified model at the tick, rad/s, in the Imu's own axes.
     prediction_error : (3,) array

@@ -22,7 +22,7 @@ from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import IdentifiedModel
 from uav_ident_ros.identification.paper import BackwardDifference
-from uav_ident_ros.identification.prior import LARGEST_COEFFICIENT, start_from
+from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, StateVariableFilter
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
@@ -463,7 +463,7 @@ class OnlineIdentifier:
         return Estimate(
             t_ns=t_ns,
             coefficients=coefficients,
-            sigma=np.minimum(sigma, LARGEST_COEFFICIENT),
+            sigma=sigma,
             predicted_rates=self._frame.to_imu(predicted),
             prediction_error=self._frame.to_imu(newest - predicted),
             fit=self.running_fit.fit.copy(),

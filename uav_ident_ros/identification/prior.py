@@ -11,15 +11,30 @@ from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.rigid_body import Inertia, product_coefficients
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import (
+    CONSTANT,
+    INPUTS,
     PRODUCT_COLUMNS,
+    RATE_PRODUCTS,
+    RATES,
+    SPECIFIC_FORCES,
     STRUCTURES,
     BoolArray,
     FloatArray,
+    Structure,
 )
 
 PRODUCT_SIGMA = 1.0
 """Prior standard deviation of the rate-product coefficients: the inertia ratios of a rigid
 body lie within -1 ... 1."""
+
+RATE_SIGMA = 30.0
+INPUT_SIGMA = 1000.0
+CONSTANT_SIGMA = 30.0
+FORCE_SIGMA = 10.0
+"""Prior standard deviations of what is unknown: damping, 1/s; control derivatives, 1/s^2 per
+unit; constant, rad/s^2; specific forces, rad/s^2 per m/s^2. Several times what aircraft have:
+a second of excitation outweighs them, and until then they keep noise from looking like
+coefficients of millions."""
 
 LARGEST_COEFFICIENT = 1e6
 """Magnitude beyond which a coefficient is nonsense in SI units."""
@@ -34,7 +49,7 @@ class Start:
     values : (3, n) array
         Initial coefficients, SI.
     sigma : (3, n) array
-        Their standard deviations; inf where nothing is known, 0 where not free.
+        Their standard deviations; 0 where not free.
     free : (3, n) bool array
         Coefficients that move.
     """
@@ -45,11 +60,22 @@ class Start:
 
     @property
     def precision(self) -> FloatArray:
-        """Prior information ``1 / sigma^2``, shape (3, n); 0 where nothing is known."""
+        """Prior information ``1 / sigma^2``, shape (3, n); 0 where not free."""
         precision = np.zeros_like(self.sigma)
-        known = self.free & np.isfinite(self.sigma)
-        precision[known] = self.sigma[known] ** -2
+        precision[self.free] = self.sigma[self.free] ** -2
         return precision
+
+
+def weak_sigma(structure: Structure) -> FloatArray:
+    """Prior standard deviations of unknown coefficients, shape (3, n), SI."""
+    by_label = {
+        **dict.fromkeys(RATE_PRODUCTS, PRODUCT_SIGMA),
+        **dict.fromkeys(RATES, RATE_SIGMA),
+        **dict.fromkeys(INPUTS, INPUT_SIGMA),
+        **dict.fromkeys(SPECIFIC_FORCES, FORCE_SIGMA),
+        CONSTANT: CONSTANT_SIGMA,
+    }
+    return np.tile([by_label[label] for label in structure.regressors], (3, 1))
 
 
 def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Start:
@@ -69,9 +95,8 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
     """
     structure = STRUCTURES[settings.structure]
     values = np.zeros((3, structure.size))
-    sigma = np.full((3, structure.size), np.inf)
+    sigma = weak_sigma(structure)
     free = structure.mask.copy()
-    sigma[:, PRODUCT_COLUMNS] = PRODUCT_SIGMA
     if settings.initial_coefficients:
         given = np.array(settings.initial_coefficients).reshape(3, structure.size)
         values = np.where(structure.mask, given, 0.0)
@@ -83,8 +108,7 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
                 f"'structure' is '{structure.name}'",
             )
         values = np.where(structure.mask, initial.values, 0.0)
-        known = (initial.sigma > 0.0) & np.isfinite(initial.sigma)
-        sigma = np.where(known, initial.sigma, sigma)
+        sigma = np.where(initial.sigma > 0.0, np.minimum(initial.sigma, sigma), sigma)
     if settings.model.inertia:
         try:
             inertia = Inertia(*settings.model.inertia)

@@ -28,6 +28,9 @@ of gusts and filter."""
 RESIDUAL_TIME = 30.0
 """Memory of the running residual variance, s."""
 
+FIRST_RESIDUAL_VARIANCE = 0.1
+"""Residual variance until there is a measured one, rad^2/s^4: filtered gyro noise."""
+
 _RIDGE = 1e-9
 """Relative to a regressor's own information: keeps the solution defined where columns are
 collinear."""
@@ -100,7 +103,7 @@ class Information:
     time : (3,) array
         How long each row has learned, s.
     sigma : (3, n) array
-        Standard deviations as of the last full block; inf before the first.
+        Standard deviations as of the last full block; those of the start before the first.
     added : Snapshot
         What the last tick added.
     """
@@ -123,7 +126,7 @@ class Information:
         self.matrix: FloatArray = np.zeros((3, k, k))
         self.vector: FloatArray = np.zeros((3, k))
         self.added = self.snapshot()
-        self.residual_variance: FloatArray = np.zeros(3)
+        self.residual_variance: FloatArray = np.full(3, FIRST_RESIDUAL_VARIANCE)
         self.time: FloatArray = np.zeros(3)
         self._square: FloatArray = np.zeros(3)
         self._scores: FloatArray = np.zeros((3, k, k))
