@@ -16,6 +16,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped
+from rcl_interfaces.srv import ListParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -39,6 +40,9 @@ NUDGE_AFTER = 0.02
 
 CLOCK_AHEAD_NS = 100_000_000
 """How far /clock may get ahead of the messages that way, ns: two periods of the node's timer."""
+
+CALL_AGAIN_AFTER = 1.0
+"""Seconds without an answer after which a service call is repeated."""
 
 SETTLE = 0.3
 """Seconds for what takes no longer on any machine, and cannot be asked for."""
@@ -183,14 +187,35 @@ class Player:
         )
 
     def wait_for_node(self, timeout: float = 20.0) -> None:
-        """Listen until the node has subscribed to everything and its outputs are matched."""
+        """Listen until the node hears this player and this player hears the node."""
         self.wait_until(
             self.node_is_there,
             f"node '{self._node_name}' to subscribe to {', '.join(self._publishers)}"
             + (" and /clock" if self._clock else ""),
             timeout,
         )
-        self.spin_for(SETTLE)  # matching in the other direction, which nothing reports
+        self._wait_for_answer_to_a_call(timeout)
+        self.spin_for(SETTLE)
+
+    def _wait_for_answer_to_a_call(self, timeout: float) -> None:
+        """Listen until the node answers a service.
+
+        That the player knows the node does not mean that the node knows the player yet, and
+        until then it hears nothing.
+        """
+        client = self.node.create_client(ListParameters, f"{self._node_name}/list_parameters")
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            self.wait_until(client.service_is_ready, f"node '{self._node_name}'", timeout)
+            answer = client.call_async(ListParameters.Request())
+            again = time.monotonic() + CALL_AGAIN_AFTER
+            while time.monotonic() < again:
+                self._executor.spin_once(timeout_sec=NUDGE_AFTER)
+                if answer.done():
+                    self.node.destroy_client(client)
+                    return
+            client.remove_pending_request(answer)
+        raise PlayerError(f"waited {timeout:g} s in vain for node '{self._node_name}' to answer")
 
     def send(self, topic: str, data: Any) -> None:
         """Publish one message, or its CDR bytes."""
@@ -242,6 +267,7 @@ class Player:
                 on_time(t_ns)
 
         self._play(messages, hold)
+        self._flush()
 
     def play_in_step(self, messages: Sequence[Message], timeout: float = 20.0) -> None:
         """Play as fast as the node answers, so that no message can be lost.

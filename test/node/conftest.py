@@ -58,6 +58,7 @@ def start_node() -> Iterator[StartNode]:
 
     yield start
     for node in started:
+        print(node.log)  # pytest shows it if the test failed
         node.kill()
 
 

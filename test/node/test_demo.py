@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demonstration, on a short flight and off a terminal."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from node_process import ROOT
+from recordings import recording, write_bag
+
+PNG = b"\x89PNG"
+
+
+def demo(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "uav_ident_ros.demo", *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120.0,
+        check=False,
+    )
+
+
+def test_it_shows_scores_and_draws_a_flight(tmp_path: Path) -> None:
+    flight = recording("multisine", 10.0)
+    bag = write_bag(flight, tmp_path / "short")
+    shutil.copy(flight.parameter_file, bag)
+    run = demo(str(bag), "--speed", "4", "--output", str(tmp_path))
+    assert run.returncode == 0, run.stderr
+    assert "learning" in run.stdout
+    lines = run.stdout.splitlines()
+    (fit,) = [line.split() for line in lines if line.startswith("identified model")]
+    (hold,) = [line.split() for line in lines if line.startswith("holding the rates")]
+    assert all(float(f) > 50.0 > float(h) for f, h in zip(fit[-3:], hold[-3:], strict=True))
+    assert (tmp_path / "demo_short.png").read_bytes().startswith(PNG)
+
+
+def test_wrong_input_is_refused_in_one_line(tmp_path: Path) -> None:
+    for arguments, said in (
+        (("none",), "bag 'none' does not exist"),
+        (("--speed", "9"), "0.1 to 5"),
+        ((str(ROOT / "bags" / "multisine"), "--params-file", "none.yaml"), "does not exist"),
+    ):
+        run = demo(*arguments, "--output", str(tmp_path))
+        assert run.returncode == 2
+        assert said in run.stderr
+        assert run.stderr.count("\n") == 1
