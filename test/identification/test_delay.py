@@ -19,7 +19,7 @@ from uav_ident_ros.identification.delay import (
 )
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.sampling import Block
-from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.messages import header_ns
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
@@ -87,6 +87,18 @@ def test_nothing_is_known_before_there_are_data() -> None:
     assert identifier.delay_sigma == math.inf
 
 
+def test_the_papers_differences_cannot_show_a_delay() -> None:
+    with pytest.raises(SettingsError, match="state_variable") as caught:
+        Settings.from_values(
+            {
+                "actuators.estimate_delay": True,
+                "filter.method": "backward_difference",
+                "estimator": "gradient",
+            }
+        )
+    assert caught.value.name == "actuators.estimate_delay"
+
+
 def test_without_the_setting_nothing_moves() -> None:
     m = measure(plant_flight(15.0, delay=0.06), NOISY)
     identifier = OnlineIdentifier(settings(m, actuators__delay=0.02))
@@ -124,9 +136,7 @@ def test_the_coefficients_do_not_jump_wildly_when_the_delay_moves() -> None:
 def test_the_delay_survives_a_gap_and_a_new_time_base() -> None:
     m = measure(plant_flight(30.0, delay=0.06), NOISY)
     start = int(m.imu_t_ns[0])
-    identifier = OnlineIdentifier(
-        settings(m, actuators__delay=0.0, actuators__estimate_delay=True)
-    )
+    identifier = OnlineIdentifier(settings(m, actuators__delay=0.0, actuators__estimate_delay=True))
 
     def broken(message: Message) -> Message:
         after = message.t_ns - start

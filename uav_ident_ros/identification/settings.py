@@ -667,3 +667,9 @@ def _check_consistency(settings: Settings) -> None:
             "'filter.method' is 'backward_difference': that is the paper's law only; "
             f"with 'estimator' {settings.estimator!r} use 'state_variable'",
         )
+    if settings.filter.method == "backward_difference" and settings.actuators.estimate_delay:
+        raise SettingsError(
+            "actuators.estimate_delay",
+            "'actuators.estimate_delay' is true, but 'filter.method' 'backward_difference' sees "
+            "the rates at the ticks only: set it to false, or use 'state_variable'",
+        )
