@@ -25,8 +25,9 @@ BLOCK_TIME = 1.0
 """Length of the blocks whose scores are taken as independent, s: longer than the correlation
 of gusts and filter."""
 
-RESIDUAL_TIME = 30.0
-"""Memory of the running residual variance, s."""
+RESIDUAL_TIME = 5.0
+"""Memory of the running residual variance, s: short, so that the large residuals before the
+first excitation are soon forgotten; it weighs the prior alone."""
 
 FIRST_RESIDUAL_VARIANCE = 0.1
 """Residual variance until there is a measured one, rad^2/s^4: filtered gyro noise."""
