@@ -24,9 +24,7 @@ class InputMap:
         n = len(settings.channels)
         mixing = settings.mixing
         scale = np.array(settings.scale or (1.0,) * n)
-        self.matrix: FloatArray = (
-            np.array([mixing.de, mixing.dr, mixing.da, mixing.dth]) * scale
-        )
+        self.matrix: FloatArray = np.array([mixing.de, mixing.dr, mixing.da, mixing.dth]) * scale
         self.trim: FloatArray = np.array(settings.trim or (0.0,) * n)
 
     def apply(self, raw: FloatArray) -> FloatArray:

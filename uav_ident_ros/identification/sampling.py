@@ -261,9 +261,7 @@ class Sampler:
             undelayed = self._input_means(edges, self._undelayed_lag, restarted)
         return Block(edges, self.h_ns * NS, x, u, undelayed, force, restarted)
 
-    def _input_means(
-        self, edges: TimeArray, lag: ServoLag | None, restarted: bool
-    ) -> FloatArray:
+    def _input_means(self, edges: TimeArray, lag: ServoLag | None, restarted: bool) -> FloatArray:
         """Cell means of the inputs after the servo lag, shape (m, 4)."""
         assert lag is not None
         raw = self.raw_inputs
