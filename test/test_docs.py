@@ -214,7 +214,7 @@ def test_pictures_are_small() -> None:
 ASK_NODE = """
 import json, rclpy
 from uav_ident_ros.node import IdentifierNode
-rclpy.init()
+rclpy.init(args=["--ros-args", "-p", "airspeed.type:=std_msgs/msg/Float64"])
 node = IdentifierNode()
 mine = (node.get_name(), node.get_namespace())
 found = {
@@ -226,7 +226,7 @@ print("FOUND " + json.dumps(found))
 node.destroy_node()
 rclpy.shutdown()
 """
-"""Ask the node itself: remapping, expansion and types are then rclpy's, not a guess."""
+"""Ask the node itself, with every optional input on: names and types are then rclpy's, no guess."""
 
 # What every rclpy node has.
 OF_EVERY_NODE = re.compile(r"^/(rosout|parameter_events|clock)$|parameter|type_description")
