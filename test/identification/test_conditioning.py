@@ -153,7 +153,7 @@ def test_a_gap_leaves_no_jump(calm_flight: Flight, gap: float, lost: str) -> Non
     after = values[(t > end) & (t < end + 5 * S)]
     assert len(after) > 50
     # Lost rates are seen at once; lost inputs only after a while, in which they are held.
-    limit = 2e-3 if lost == "rates" else 4e-2
+    limit = 5e-3 if lost == "rates" else 4e-2
     assert np.abs(after / before - 1.0).max() < limit
 
 
@@ -171,7 +171,7 @@ def test_a_new_time_base_restarts_without_a_jump(calm_flight: Flight) -> None:
     before = [estimates[turn - 1].coefficients[structure.index(n)] for n in names]
     for estimate in estimates[turn : turn + 100]:
         after = [estimate.coefficients[structure.index(n)] for n in names]
-        np.testing.assert_allclose(after, before, rtol=2e-3)
+        np.testing.assert_allclose(after, before, rtol=5e-3)
 
 
 # -- memory ------------------------------------------------------------------------------------
