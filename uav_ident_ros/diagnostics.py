@@ -11,7 +11,8 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.identifier import Drop
+from uav_ident_ros.identification.identifier import Drop, OnlineIdentifier
+from uav_ident_ros.identification.structure import ROWS
 
 TICKS_KEPT = 1200
 """Tick times kept for the percentiles: a minute at 20 Hz."""
@@ -161,3 +162,13 @@ def estimate_values(estimate: Estimate) -> Iterator[tuple[str, str]]:
     yield "tick [s]", f"{estimate.t_ns * 1e-9:.3f}"
     for axis, fit in zip("pqr", estimate.fit, strict=True):
         yield f"fit {axis} [%]", f"{fit:.1f}"
+
+
+def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
+    """Yield what the flight has shown so far, and what it has not."""
+    for row, excitation in zip(ROWS, identifier.excitation(), strict=True):
+        yield f"excitation {row} [0..1]", f"{excitation:.3f}"
+    yield "delay [s]", f"{identifier.delay:.4f}"
+    yield "delay confidence", identifier.delay_confidence
+    groups = identifier.collinear()
+    yield "not told apart", "; ".join(", ".join(group) for group in groups) or "nothing"

@@ -11,6 +11,7 @@ from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
+from uav_ident_ros.airspeed import AIRSPEED
 from uav_ident_ros.diagnostics import InputMonitor
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.messages import (
@@ -26,6 +27,7 @@ from uav_ident_ros.notices import Throttle, without_sources
 
 RATES_TOPIC = "imu/data"
 ACTUATORS_TOPIC = "actuators"
+AIRSPEED_TOPIC = "airspeed"
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 
@@ -179,5 +181,38 @@ class ActuatorInput:
             self._input.refuse(reason, str(error))
             return
         drop = self._identifier.add_actuators(arrival_ns if stamp_ns is None else stamp_ns, values)
+        if drop is not None:
+            self._input.warn(drop.value, drop.value)
+
+
+class AirspeedInput:
+    """Subscription to the airspeed, for vehicles that have one.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the subscription; its clock stamps messages that carry no time.
+    identifier : OnlineIdentifier
+        Takes the samples.
+    warnings : Throttle
+        Takes what was refused, and why.
+    """
+
+    def __init__(self, node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> None:
+        type_name = identifier.settings.airspeed.type
+        self._identifier = identifier
+        self._clock = node.get_clock()
+        self._read = AIRSPEED[type_name]
+        self._input = _Input(node, type_name, AIRSPEED_TOPIC, self._take, warnings)
+        self.monitor = self._input.monitor
+
+    def _take(self, data: bytes) -> None:
+        arrival_ns = self._clock.now().nanoseconds
+        self.monitor.arrived()
+        message = self._input.decode(data)
+        if message is None:
+            return
+        stamp_ns, airspeed = self._read(message)
+        drop = self._identifier.add_airspeed(arrival_ns if stamp_ns is None else stamp_ns, airspeed)
         if drop is not None:
             self._input.warn(drop.value, drop.value)

@@ -10,7 +10,7 @@ import sys
 import time
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -18,14 +18,21 @@ from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedE
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from std_msgs.msg import Header
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros import diagnostics
 from uav_ident_ros.coefficients_file import load_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
-from uav_ident_ros.identification.identifier import ACTUATORS, RATES, OnlineIdentifier
+from uav_ident_ros.identification.identifier import ACTUATORS, AIRSPEED, RATES, OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.inputs import ACTUATORS_TOPIC, RATES_TOPIC, ActuatorInput, RatesInput
+from uav_ident_ros.inputs import (
+    ACTUATORS_TOPIC,
+    AIRSPEED_TOPIC,
+    RATES_TOPIC,
+    ActuatorInput,
+    AirspeedInput,
+    RatesInput,
+)
 from uav_ident_ros.notices import OnChange, Throttle
 from uav_ident_ros.outputs import RELIABLE, Outputs
 from uav_ident_ros.parameters import declare, settings_of
@@ -50,12 +57,16 @@ class IdentifierNode(Node):
 
     def __init__(self) -> None:
         super().__init__("identifier")
-        settings = settings_of(self, (RATES_TOPIC, ACTUATORS_TOPIC))
+        settings = settings_of(self, (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC))
         self.identifier = OnlineIdentifier(settings, initial_coefficients(settings))
         declare(self, settings)
         warnings = Throttle(self.get_logger().warning)
         self._rates = RatesInput(self, self.identifier, warnings)
         self._actuators = ActuatorInput(self, self.identifier, warnings)
+        self._monitors = {RATES: self._rates.monitor, ACTUATORS: self._actuators.monitor}
+        if settings.airspeed.type:
+            self._airspeed = AirspeedInput(self, self.identifier, warnings)
+            self._monitors[AIRSPEED] = self._airspeed.monitor
         self._outputs = Outputs(self, self.identifier.structure)
         self._estimate: Estimate | None = None
         self._meter = diagnostics.TickMeter()
@@ -69,12 +80,13 @@ class IdentifierNode(Node):
     def _offer_services(self) -> None:
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/save", self._on_save)
+        self.create_service(SetBool, "~/adapt", self._on_adapt)
 
     def _watch_time(self, settings: Settings) -> None:
         """Ticks on the node's clock; diagnostics on one that never stops; jumps of /clock."""
         self.create_timer(1.0 / settings.update_rate, self._on_timer)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        self._state_log = OnChange(self.get_logger().warning)
+        self._said = OnChange()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD, self._on_diagnostics, clock=self._steady)
         jump = Duration(seconds=settings.time_jump)
@@ -136,15 +148,18 @@ class IdentifierNode(Node):
             response.success = False
             response.message = "there is no estimate to save yet"
             return response
-        coefficients = CoefficientSet(
-            structure=self.identifier.structure.name,
-            values=estimate.coefficients,
-            sigma=estimate.sigma,
-            t_ns=estimate.t_ns,
+        response.success, response.message = self._saver.save(
+            self.identifier.coefficient_set(estimate.t_ns)
         )
-        response.success, response.message = self._saver.save(coefficients)
         log = self.get_logger()
         (log.info if response.success else log.error)(response.message)
+        return response
+
+    def _on_adapt(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self.identifier.adapt = bool(request.data)
+        response.success = True
+        response.message = "adaptation is switched " + ("on" if request.data else "off")
+        self.get_logger().info(response.message)
         return response
 
     # -- diagnostics -----------------------------------------------------------------------
@@ -152,14 +167,25 @@ class IdentifierNode(Node):
     def _on_diagnostics(self) -> None:
         self._check_clock()
         state, reason = self._state()
-        self._state_log.notice(
-            f"{state}: {reason}" if reason else "" if state == "waiting" else state
-        )
+        line = f"{state}: {reason}" if reason else state
+        if self._said.changed(line):
+            self._log_state(state, line)
         message = DiagnosticArray(header=Header(stamp=self.get_clock().now().to_msg()))
         message.status.append(
             diagnostics.status(self.get_fully_qualified_name(), state, reason, self._groups())
         )
         self._diagnostics.publish(message)
+
+    def _log_state(self, state: str, line: str) -> None:
+        log = self.get_logger()
+        # rclpy allows one severity for a line of the source.
+        match diagnostics.level_of(state):
+            case DiagnosticStatus.OK:
+                log.info(line)
+            case DiagnosticStatus.WARN:
+                log.warning(line)
+            case _:
+                log.error(line)
 
     def _state(self) -> tuple[str, str]:
         """State word and reason: what the inputs say first, then what the estimate says."""
@@ -183,7 +209,7 @@ class IdentifierNode(Node):
                     "--clock, or set use_sim_time to false"
                 )
             return "/clock stands still"
-        for monitor in (self._rates.monitor, self._actuators.monitor):
+        for monitor in self._monitors.values():
             age = monitor.age()
             if age is None:
                 return f"no message on '{monitor.topic}' yet"
@@ -210,7 +236,8 @@ class IdentifierNode(Node):
         }
         if self._estimate is not None:
             groups[""] += diagnostics.estimate_values(self._estimate)
-        for stream, monitor in ((RATES, self._rates.monitor), (ACTUATORS, self._actuators.monitor)):
+            groups[""] += diagnostics.knowledge_values(self.identifier)
+        for stream, monitor in self._monitors.items():
             groups[stream] = list(monitor.values(self.identifier.drops[stream]))
         return groups
 

@@ -58,24 +58,16 @@ class Throttle:
 
 
 class OnChange:
-    """Passes on what differs from the last time.
+    """Tells a change from more of the same; other numbers in a line are not a change."""
 
-    Parameters
-    ----------
-    say : callable
-        Takes the line.
-    """
-
-    def __init__(self, say: Callable[[str], object]) -> None:
-        self._say = say
+    def __init__(self) -> None:
         self._last = ""
 
-    def notice(self, line: str) -> None:
-        """Say `line` unless it is what was said last; an empty line is remembered, not said."""
-        if line != self._last:
-            self._last = line
-            if line:
-                self._say(line)
+    def changed(self, line: str) -> bool:
+        """Whether `line` says something else than the last one."""
+        masked = re.sub(r"\d+(\.\d+)?", "#", line)
+        before, self._last = self._last, masked
+        return masked != before
 
 
 def without_sources(message: str) -> str:

@@ -26,11 +26,9 @@ def test_other_notices_are_not_held_back() -> None:
 
 
 def test_state_is_said_once_per_change() -> None:
-    said: list[str] = []
-    log = OnChange(said.append)
-    for line in ("a", "a", "", "a", "b", "b"):
-        log.notice(line)
-    assert said == ["a", "a", "b"]
+    log = OnChange()
+    lines = ("learning", "learning", "paused: fit 12.5 %", "paused: fit 9 %", "paused", "learning")
+    assert [log.changed(line) for line in lines] == [True, False, True, False, True, True]
 
 
 def test_ros_sources_are_left_out() -> None:

@@ -14,7 +14,7 @@ from node_process import StartNode
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from recordings import NODE, MakePlayer, Recording, published, recording
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros.bags import Message
 from uav_ident_ros.coefficients_file import load_coefficients
@@ -47,6 +47,30 @@ def test_reset_starts_cold(
     player.play_in_step(flight.messages)
     assert len(first) > 80
     assert published(player.outputs) == first
+
+
+def test_adapt_switches_learning_off_and_on(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer
+) -> None:
+    start_node(parameter_file=flight.parameter_file)
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    start_ns = flight.messages[0].log_ns
+    parts = [
+        [m for m in flight.messages if begin * 1e9 <= m.log_ns - start_ns < (begin + 1.5) * 1e9]
+        for begin in (0.0, 1.5, 3.0)
+    ]
+    player.play_in_step(parts[0])
+    learned = player.outputs.coefficients[-1].data
+    assert call(player, SetBool, f"{NODE}/adapt", SetBool.Request(data=False)).success
+    player.play_in_step(parts[1])
+    assert {tuple(m.data) for m in player.outputs.coefficients} == {tuple(learned)}
+    player.wait_until(
+        lambda: any("switched off" in s.message for s in player.outputs.status), "the state"
+    )
+    assert call(player, SetBool, f"{NODE}/adapt", SetBool.Request(data=True)).success
+    player.play_in_step(parts[2])
+    assert player.outputs.coefficients[-1].data != learned
 
 
 def test_save_writes_what_is_published(

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The optional airspeed topic."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace as Message
+
+import pytest
+from geometry_msgs.msg import TwistStamped
+from node_process import StartNode
+from rclpy.serialization import serialize_message
+from recordings import MakePlayer, recording
+
+from uav_ident_ros import bags
+from uav_ident_ros.airspeed import AIRSPEED
+from uav_ident_ros.identification.settings import AIRSPEED_TYPES
+from uav_ident_ros.player import to_stamp
+
+TOPIC = "/airspeed"
+
+AIRSPEED_EVERY = 20
+"""Messages of the flight per airspeed: about 12 Hz."""
+HEADER = Message(stamp=Message(sec=3, nanosec=5))
+
+
+@pytest.mark.parametrize(
+    ("name", "message", "wanted"),
+    [
+        ("std_msgs/msg/Float64", Message(data=21.5), (None, 21.5)),
+        ("std_msgs/msg/Float32", Message(data=21.5), (None, 21.5)),
+        (
+            "geometry_msgs/msg/TwistStamped",
+            Message(header=HEADER, twist=Message(linear=Message(x=18.0, y=6.0, z=9.0))),
+            (3_000_000_005, 21.0),
+        ),
+        ("mavros_msgs/msg/VfrHud", Message(header=HEADER, airspeed=21.5), (3_000_000_005, 21.5)),
+        (
+            "px4_msgs/msg/AirspeedValidated",
+            Message(timestamp=7, true_airspeed_m_s=21.5),
+            (7_000, 21.5),
+        ),
+    ],
+)
+def test_every_type_is_read(name: str, message: object, wanted: tuple[int | None, float]) -> None:
+    stamp_ns, airspeed = AIRSPEED[name](message)
+    assert (stamp_ns, pytest.approx(airspeed)) == wanted
+
+
+def test_the_types_are_those_of_the_settings() -> None:
+    assert tuple(AIRSPEED) == AIRSPEED_TYPES
+
+
+def test_node_waits_for_airspeed_and_learns_with_it(
+    start_node: StartNode, make_player: MakePlayer
+) -> None:
+    plain = recording("multisine", 5.0)
+    start_node(
+        parameter_file=plain.parameter_file,
+        parameters={"airspeed.type": "geometry_msgs/msg/TwistStamped"},
+    )
+    flight = replace(plain, types={**plain.types, TOPIC: "geometry_msgs/msg/TwistStamped"})
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    begin = flight.messages[0].log_ns
+    without = [m for m in flight.messages if m.log_ns < begin + int(2e9)]
+    player.play_in_step(without)
+    player.wait_until(
+        lambda: any("no message on '/airspeed' yet" in s.message for s in player.outputs.status),
+        "the state",
+    )
+    waiting = player.outputs.coefficients[-1].data
+    messages = []
+    for number, message in enumerate(flight.messages[len(without) :]):
+        messages.append(message)
+        if number % AIRSPEED_EVERY == 0:
+            twist = TwistStamped()
+            twist.header.stamp = to_stamp(message.log_ns)
+            bad = number % (5 * AIRSPEED_EVERY) == 0
+            twist.twist.linear.x = math.nan if bad else 20.0
+            messages.append(bags.Message(TOPIC, message.log_ns, serialize_message(twist)))
+    player.play_in_step(messages)
+    player.spin_for(1.2)
+    assert player.outputs.coefficients[-1].data != waiting
+    shown = {entry.key: entry.value for entry in player.outputs.status[-1].values}
+    assert int(shown["airspeed: dropped: not finite"]) > 0
+    assert int(shown["airspeed: messages"]) == sum(m.topic == TOPIC for m in messages)
