@@ -25,17 +25,12 @@ import numpy as np
 import yaml
 
 from uav_ident_ros.bags import Bag, BagError, Message
-from uav_ident_ros.identification.prediction import (
-    PredictionFit,
-    WindowErrors,
-    fit,
-    score_windows,
-    window_errors,
-)
+from uav_ident_ros.identification.prediction import PredictionFit, score
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
-from uav_ident_ros.messages import ACTUATORS, MessageTypeError, import_type
+from uav_ident_ros.messages import ACTUATORS, FIT_NAMES, MessageTypeError, import_type
+from uav_ident_ros.notices import OnChange
 from uav_ident_ros.offline import Inputs, OfflineRun, choose_inputs
 from uav_ident_ros.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.pictures import PictureError, save_overview
@@ -51,12 +46,6 @@ DEFAULT_SPEED = 2.0
 
 HIGHEST_DOMAIN = 101
 """Highest ROS domain whose ports are free of the system's ephemeral ones."""
-
-RUNNING_TICKS = 200
-"""Ticks that the running fit is over: ten seconds at 20 Hz."""
-
-LOWEST_SHOWN = -99.0
-"""A model that has learned nothing yet diverges: fits below this say nothing more, percent."""
 
 REFRESH = 0.5
 """Seconds between two pictures on a terminal."""
@@ -205,8 +194,8 @@ class Ticks:
     measured: FloatArray
 
 
-def received(outputs: Outputs, structure: Structure, last: int = 0) -> Ticks:
-    """Gather the ticks of which every message arrived: all, or the `last` ones."""
+def received(outputs: Outputs, structure: Structure) -> Ticks:
+    """Gather the ticks of which every message arrived."""
     streams = (
         outputs.named,
         outputs.coefficients,
@@ -214,13 +203,11 @@ def received(outputs: Outputs, structure: Structure, last: int = 0) -> Ticks:
         outputs.prediction_error,
     )
     count = min(len(stream) for stream in streams)
-    first = max(count - last, 0) if last else 0
-    named, dense, predicted, error = (stream[first:count] for stream in streams)
-    shape = (count - first, *structure.mask.shape)
+    named, dense, predicted, error = (stream[:count] for stream in streams)
     rates = _vectors(predicted)
     return Ticks(
         t_ns=np.array([stamp_ns(m.header.stamp) for m in named], dtype=np.int64),
-        coefficients=np.array([m.data for m in dense]).reshape(shape),
+        coefficients=np.array([m.data for m in dense]).reshape(count, *structure.mask.shape),
         predicted=rates,
         measured=rates + _vectors(error),
     )
@@ -230,54 +217,24 @@ def _vectors(messages: list[Any]) -> FloatArray:
     return np.array([(m.vector.x, m.vector.y, m.vector.z) for m in messages]).reshape(-1, 3)
 
 
-class Scorer:
-    """Scores the coefficients that were published live, by the score of record.
-
-    Parameters
-    ----------
-    flight : Flight
-        The flight that is played.
-    """
-
-    def __init__(self, flight: Flight) -> None:
-        self.structure = STRUCTURES[flight.inputs.settings.structure]
-        self._arm = np.array(flight.inputs.settings.imu.lever_arm)
-        # Only for the flight's record: measured rates and inputs as the identifier takes them.
-        record = OfflineRun(flight.inputs)
-        with Bag(flight.path) as bag:
-            record.run(bag, lambda messages, _: messages)
-        self._t_ns, self._rates, self._force = record.measured()
-        self._inputs = record.input_signal()
-
-    def final(self, ticks: Ticks) -> PredictionFit:
-        """Score over the last 40 % of the flight."""
-        errors = self._errors(ticks, len(self._t_ns))
-        first_ns, last_ns = int(self._t_ns[0]), int(self._t_ns[-1])
-        return score_windows(errors, first_ns, last_ns)["last_40_percent"]
-
-    def running(self, outputs: Outputs) -> FloatArray | None:
-        """Fit (3,) over the windows of the last seconds, percent; None before the first."""
-        ticks = received(outputs, self.structure, RUNNING_TICKS)
-        if not len(ticks.t_ns):
-            return None
-        end = int(np.searchsorted(self._t_ns, ticks.t_ns[-1], side="right"))
-        errors = self._errors(ticks, end)
-        if not len(errors.t_ns):
-            return None
-        return fit(errors, np.ones(len(errors.t_ns), dtype=bool)).model
-
-    def _errors(self, ticks: Ticks, end: int) -> WindowErrors:
-        """Windows of the ticks, compared with the samples before `end`."""
-        return window_errors(
-            self._t_ns[:end],
-            self._rates[:end],
-            self._inputs,
-            self._force[:end],
-            ticks.t_ns,
-            ticks.coefficients,
-            self.structure,
-            lever_arm=self._arm,
-        )
+def live_score(flight: Flight, ticks: Ticks, structure: Structure) -> PredictionFit:
+    """Score the coefficients as they were published live, over the last 40 % of the flight."""
+    # Only for the flight's record: measured rates and inputs as the identifier takes them.
+    record = OfflineRun(flight.inputs)
+    with Bag(flight.path) as bag:
+        record.run(bag, lambda messages, _: messages)
+    t_ns, rates, force = record.measured()
+    fits = score(
+        t_ns,
+        rates,
+        record.input_signal(),
+        force,
+        ticks.t_ns,
+        ticks.coefficients,
+        structure,
+        lever_arm=np.array(flight.inputs.settings.imu.lever_arm),
+    )
+    return fits["last_40_percent"]
 
 
 # --- the running picture ----------------------------------------------------------------------
@@ -306,27 +263,25 @@ def newest_state(outputs: Outputs) -> str:
     return outputs.status[-1].message if outputs.status else "starting"
 
 
-def fit_words(fits: FloatArray | None) -> str:
-    """Return the fit of the last seconds in words."""
-    if fits is None or not np.isfinite(fits).all():
+def fit_words(values: Mapping[str, float]) -> str:
+    """Return the node's own running fit in words."""
+    fits = [values.get(name, 0.0) for name in FIT_NAMES]
+    if not any(fits):
         return "no fit yet"
-    shown = (f"{f:.0f}" if f > LOWEST_SHOWN else f"<{LOWEST_SHOWN:.0f}" for f in fits)
-    return "fit " + " ".join(f"{a} {f}" for a, f in zip(AXES, shown, strict=True)) + " %"
+    return "fit " + " ".join(f"{a} {f:.0f}" for a, f in zip(AXES, fits, strict=True)) + " %"
 
 
 class Lines:
     """A line every few seconds, for logs and pipes."""
 
-    def __init__(self, scorer: Scorer) -> None:
-        self._scorer = scorer
+    def __init__(self) -> None:
         self._next = 0.0
-        self._state = ""
+        self._said = OnChange()
 
     def show(self, seconds: float, outputs: Outputs) -> None:
         """Print a line if it is time for one, and the node's state when it changes."""
         state = newest_state(outputs)
-        if state != self._state:
-            self._state = state
+        if self._said.changed(state):
             print(f"{seconds:6.1f} s  {state}", flush=True)
         now = time.monotonic()
         if now < self._next:
@@ -334,8 +289,7 @@ class Lines:
         self._next = now + LINE_EVERY
         values = newest_values(outputs)
         shown = "  ".join(f"{n} {values[n]:+.2f}" for n in SHOWN if n in values)
-        fits = fit_words(self._scorer.running(outputs))
-        print(f"{seconds:6.1f} s  {fits:<24}  {shown}", flush=True)
+        print(f"{seconds:6.1f} s  {fit_words(values):<24}  {shown}", flush=True)
 
     def close(self) -> None:
         """Nothing to leave behind."""
@@ -344,11 +298,10 @@ class Lines:
 class Table:
     """A table that is drawn anew, for terminals; needs the package `rich`."""
 
-    def __init__(self, flight: Flight, scorer: Scorer) -> None:
+    def __init__(self, flight: Flight) -> None:
         from rich.live import Live
 
         self._flight = flight
-        self._scorer = scorer
         self._next = 0.0
         self._live = Live(auto_refresh=False)
         self._live.start()
@@ -363,8 +316,7 @@ class Table:
         self._next = now + REFRESH
         table = RichTable(
             title=f"{self._flight.name}: {seconds:.1f} s, {newest_state(outputs)}",
-            caption=f"last {RUNNING_TICKS} ticks, 1-second prediction: "
-            + fit_words(self._scorer.running(outputs)),
+            caption="running 1-second prediction: " + fit_words(newest_values(outputs)),
         )
         for column in ("coefficient", "value", "1 sigma", "truth"):
             table.add_column(column, justify="left" if column == "coefficient" else "right")
@@ -392,12 +344,12 @@ def coefficient_rows(
         yield name, f"{value:+.3f}", shown, known
 
 
-def make_view(flight: Flight, scorer: Scorer) -> View:
+def make_view(flight: Flight) -> View:
     """Return a table on a terminal if `rich` is installed, else lines."""
     if sys.stdout.isatty():
         with contextlib.suppress(ImportError):
-            return Table(flight, scorer)
-    return Lines(scorer)
+            return Table(flight)
+    return Lines()
 
 
 # --- the result -------------------------------------------------------------------------------
@@ -496,7 +448,6 @@ def run_demo(options: argparse.Namespace) -> int:
         f"{flight.name}: {seconds:.0f} s at {speed:g} times real time, ROS domain "
         f"{os.environ['ROS_DOMAIN_ID']}"
     )
-    scorer = Scorer(flight)
     with running_node(flight, log) as node:
         player = Player({topic: import_type(name) for topic, name in flight.types.items()})
         view: View | None = None
@@ -506,7 +457,7 @@ def run_demo(options: argparse.Namespace) -> int:
                 print(f"demo: the node did not start: {log.read_text().strip()}", file=sys.stderr)
                 return FAILED
             player.wait_for_node()
-            view = make_view(flight, scorer)
+            view = make_view(flight)
             shown = view
 
             def on_time(t_ns: int) -> None:
@@ -521,15 +472,16 @@ def run_demo(options: argparse.Namespace) -> int:
     if not player.outputs.named:
         print(f"demo: the node published nothing; its log is {log}", file=sys.stderr)
         return FAILED
-    report(options.output / f"demo_{flight.name}.png", flight, player.outputs, scorer)
+    report(options.output / f"demo_{flight.name}.png", flight, player.outputs)
     print(f"the node's log: {log}")
     return 0
 
 
-def report(picture: Path, flight: Flight, outputs: Outputs, scorer: Scorer) -> None:
+def report(picture: Path, flight: Flight, outputs: Outputs) -> None:
     """Print the result and leave the picture."""
-    ticks = received(outputs, scorer.structure)
-    final = scorer.final(ticks)
+    structure = STRUCTURES[flight.inputs.settings.structure]
+    ticks = received(outputs, structure)
+    final = live_score(flight, ticks, structure)
     print(f"\n{result_lines(flight, outputs, final)}")
     draw(picture, flight, ticks, final)
     print(f"\nmeasured against predicted rates, coefficients over time: {picture}")
