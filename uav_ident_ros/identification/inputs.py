@@ -28,7 +28,7 @@ class InputMap:
         self.trim: FloatArray = np.array(settings.trim or (0.0,) * n)
 
     def apply(self, raw: FloatArray) -> FloatArray:
-        """Inputs of shape (..., 4) from raw channels of shape (..., N)."""
+        """Return inputs of shape (..., 4) from raw channels of shape (..., N)."""
         return np.asarray((raw - self.trim) @ self.matrix.T)
 
 
