@@ -37,6 +37,9 @@ IV, LS = "instrumental_variable", "least_squares"
 EXCITATION_START = 2.0
 """When the multisines of every flight here begin, s."""
 
+WIDEST = "augmented"
+"""The default structure, which holds all others."""
+
 Result = dict[str, Any]
 Job = tuple[Any, ...]
 
@@ -52,6 +55,15 @@ def _over(jobs: Sequence[Job], function: Callable[..., Result], workers: int) ->
         return out
 
 
+def _methods() -> list[tuple[str, str]]:
+    """Estimators with the default structure, and with the plant's own, which has less to learn."""
+    return [(IV, WIDEST), (IV, "throttle_coupled"), (LS, WIDEST)]
+
+
+def _chosen(results: Sequence[Result], **wanted: str) -> list[Result]:
+    return [r for r in results if all(r[key] == value for key, value in wanted.items())]
+
+
 def _index(structure: Structure, names: Sequence[str]) -> tuple[FloatArray, ...]:
     return tuple(np.transpose([structure.index(name) for name in names]))
 
@@ -65,28 +77,33 @@ def _spread(values: Sequence[float]) -> str:
 # -- convergence ---------------------------------------------------------------------------
 
 
+CONVERGENCE_FLIGHTS = {"exact_convergence": 32.0, "exact_noise_003": 32.0, "exact_gusts_03": 62.0}
+"""Flights and how much of each is flown, s."""
+
+
 def convergence(seeds: int, workers: int) -> list[Result]:
     """Time from the start of excitation until the six dominant coefficients stay within 10 %."""
-    names = ("exact_convergence", "exact_noise_003", "exact_gusts_03")
-    jobs = [(n, s, e) for n in names for e in (IV, LS) for s in range(1, seeds + 1)]
+    names = tuple(CONVERGENCE_FLIGHTS)
+    methods = _methods()
+    jobs = [(n, s, *m) for n in names for m in methods for s in range(1, seeds + 1)]
     results = _over(jobs, _convergence_of, workers)
     for name in names:
-        for estimator in (IV, LS):
-            group = [r for r in results if (r["flight"], r["estimator"]) == (name, estimator)]
+        for estimator, structure in methods:
+            group = _chosen(results, flight=name, estimator=estimator, structure=structure)
             times = [r["seconds"] for r in group]
             soon = sum(t <= 7.5 for t in times)
             last = max({r["last"] for r in group}, key=[r["last"] for r in group].count)
             print(
-                f"{name:20}{estimator:24}{_spread(times)} s; {soon} of {len(times)} within 7.5 s; "
-                f"last to settle: {last}"
+                f"{name:20}{estimator:24}{structure:18}{_spread(times)} s; {soon} of {len(times)} "
+                f"within 7.5 s; last to settle: {last}"
             )
     return results
 
 
-def _convergence_of(name: str, seed: int, estimator: str) -> Result:
+def _convergence_of(name: str, seed: int, estimator: str, structure: str) -> Result:
     case = cases.simulated(name, seed)
-    until = 120.0 if "gusts" in name else 32.0
-    track = cases.identify(case, {"estimator": estimator}, until=until)
+    values = {"estimator": estimator, "structure": structure}
+    track = cases.identify(case, values, until=CONVERGENCE_FLIGHTS[name])
     assert case.flight is not None
     where = _index(track.structure, cases.DOMINANT)
     truth = cases.truth_in(track.structure, case.flight)[where]
@@ -100,6 +117,7 @@ def _convergence_of(name: str, seed: int, estimator: str) -> Result:
         "flight": name,
         "seed": seed,
         "estimator": estimator,
+        "structure": structure,
         "seconds": float(settled - EXCITATION_START),
         "last": last,
     }
@@ -110,15 +128,17 @@ def _convergence_of(name: str, seed: int, estimator: str) -> Result:
 
 def gusts(seeds: int, workers: int) -> list[Result]:
     """Free-run fit on a held-out calm flight of models learned in gusts of 1 rad/s^2."""
-    jobs = [("exact_gusts_10", s, e) for e in (IV, LS) for s in range(1, seeds + 1)]
+    methods = _methods()
+    jobs = [("exact_gusts_10", s, *m) for m in methods for s in range(1, seeds + 1)]
     results = _over(jobs, _final_of, workers)
     held_out = cases.simulated("exact_held_out")
     for result, fit in zip(results, _free_run_fits(held_out, results), strict=True):
         result["fit"] = fit.tolist()
-    for estimator in (IV, LS):
-        fits = np.array([r["fit"] for r in results if r["estimator"] == estimator])
+    for estimator, structure in methods:
+        group = _chosen(results, estimator=estimator, structure=structure)
+        fits = np.array([r["fit"] for r in group])
         print(
-            f"exact_gusts_10 -> exact_held_out {estimator:24}mean "
+            f"exact_gusts_10 -> exact_held_out {estimator:24}{structure:18}mean "
             + "/".join(f"{v:.1f}" for v in fits.mean(axis=0))
             + ", sd "
             + "/".join(f"{v:.1f}" for v in fits.std(axis=0))
@@ -128,15 +148,16 @@ def gusts(seeds: int, workers: int) -> list[Result]:
     return results
 
 
-def _final_of(name: str, seed: int, estimator: str) -> Result:
+def _final_of(name: str, seed: int, estimator: str, structure: str = WIDEST) -> Result:
     case = cases.simulated(name, seed)
-    track = cases.identify(case, {"estimator": estimator})
+    track = cases.identify(case, {"estimator": estimator, "structure": structure})
     assert case.flight is not None
     truth = cases.truth_in(track.structure, case.flight, case.flight.duration)
     return {
         "flight": name,
         "seed": seed,
         "estimator": estimator,
+        "structure": structure,
         "coefficients": track.coefficients[-1].tolist(),
         "sigma": track.sigma[-1].tolist(),
         "truth": truth.tolist(),
@@ -150,7 +171,10 @@ def _free_run_fits(held_out: cases.Case, results: Sequence[Result]) -> FloatArra
     u = np.concatenate([b.u for b in blocks])
     force = np.concatenate([blocks[0].force, *(b.force[1:] for b in blocks[1:])])
     windows = output_error.Windows(blocks[0].h, x[:, :, None], u[:, :, None], force[:, :, None])
-    a = np.moveaxis(np.array([r["coefficients"] for r in results]), 0, 2)[..., None]
+    a = np.zeros((*STRUCTURES[WIDEST].mask.shape, len(results), 1))
+    for k, result in enumerate(results):
+        found = np.array(result["coefficients"])
+        a[:, : found.shape[1], k, 0] = found  # the paper's columns come first in every structure
     start = np.repeat(x[0][:, None, None], len(results), axis=1)
     path = output_error.simulate(a, start, windows)[:, :, :, 0]
     error = np.sqrt(((path - x[:, :, None]) ** 2).sum(axis=0))
@@ -181,7 +205,7 @@ def coverage(seeds: int, workers: int) -> list[Result]:
 
 def _ratios(results: Sequence[Result], names: Sequence[str] | None = None) -> FloatArray:
     """Errors over sigma of the free coefficients, or of those named; shape (results, k)."""
-    structure = STRUCTURES["augmented"]
+    structure = STRUCTURES[WIDEST]
     where = _index(structure, names or structure.names)
     out = []
     for result in results:
@@ -192,7 +216,7 @@ def _ratios(results: Sequence[Result], names: Sequence[str] | None = None) -> Fl
 
 def _coverage_line(group: Sequence[Result]) -> str:
     everything, dominant = np.abs(_ratios(group)), np.abs(_ratios(group, cases.DOMINANT))
-    structure = STRUCTURES["augmented"]
+    structure = STRUCTURES[WIDEST]
     within = (everything < 1.0).mean(axis=0)
     lowest = int(np.argmin(within))
     return (
@@ -384,7 +408,7 @@ def _update_times(case: cases.Case, estimator: str) -> FloatArray:
 
 def _rls_times(case: cases.Case, samples: int) -> FloatArray:
     """Seconds of padasip's three filters for `samples` samples, on the same regressors."""
-    structure = STRUCTURES["augmented"]
+    structure = STRUCTURES[WIDEST]
     recorder = adaptive_filters.RegressionRecorder(structure.mask.shape)
     cases.identify(case, {}, lambda *_: recorder)
     filters = [
