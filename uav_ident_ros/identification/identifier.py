@@ -42,6 +42,19 @@ START_TIME = 20.0
 START_LEAK_TIME = 0.5
 """Leak of the model meanwhile, s: with poor coefficients its rate products would diverge."""
 
+LARGEST_GYRO_RATE = 100.0
+"""Rate that no gyro of an aircraft measures, rad/s: 5700 deg/s."""
+
+LARGEST_FORCE = 1000.0
+"""Specific force that no aircraft survives, m/s^2: 100 g."""
+
+LARGEST_CHANNEL = 1e5
+"""Raw channel value of no known unit: radians, fractions, PWM microseconds and motor speeds
+all stay below."""
+
+LARGEST_AIRSPEED = 1000.0
+"""Airspeed beyond any of these aircraft, m/s."""
+
 
 class Drop(StrEnum):
     """Why a sample was dropped."""
@@ -50,6 +63,7 @@ class Drop(StrEnum):
     WRONG_LENGTH = "wrong number of values"
     ZERO_STAMP = "zero or negative stamp"
     OUTLYING_STAMP = "outlying stamp"
+    IMPLAUSIBLE = "implausibly large"
     LATE = "late"
     DUPLICATE = "repeated stamp"
     CLOCK_MISMATCH = "stamp far from the Imu's"
@@ -227,6 +241,8 @@ class OnlineIdentifier:
             return Drop.WRONG_LENGTH
         if not (math.isfinite(sum(pqr)) and math.isfinite(sum(force))):
             return Drop.NOT_FINITE
+        if max(map(abs, pqr)) > LARGEST_GYRO_RATE or max(map(abs, force)) > LARGEST_FORCE:
+            return Drop.IMPLAUSIBLE
         if t_ns <= 0:
             return Drop.ZERO_STAMP
         return None
@@ -285,6 +301,8 @@ class OnlineIdentifier:
             return Drop.WRONG_LENGTH
         if not math.isfinite(sum(values)):
             return Drop.NOT_FINITE
+        if max(map(abs, values)) > LARGEST_CHANNEL:
+            return Drop.IMPLAUSIBLE
         if t_ns <= 0:
             return Drop.ZERO_STAMP
         newest = self._guard.newest
@@ -323,6 +341,8 @@ class OnlineIdentifier:
         problem = None
         if not math.isfinite(airspeed):
             problem = Drop.NOT_FINITE
+        elif abs(airspeed) > LARGEST_AIRSPEED:
+            problem = Drop.IMPLAUSIBLE
         elif t_ns <= 0:
             problem = Drop.ZERO_STAMP
         elif newest is not None and abs(t_ns - newest) > self._jump_ns:
