@@ -23,7 +23,7 @@ WINDOW_TIME = 5.0
 CHECK_TIME = 0.25
 """Time between two looks, s."""
 
-CONFIRMATIONS = 3
+CONFIRMATIONS = 4
 """Looks in a row that must agree."""
 
 MIN_T = 5.0
@@ -32,7 +32,7 @@ MIN_T = 5.0
 MIN_CHANGE = 0.2
 """Slope relative to the coefficient below which a change does not matter."""
 
-MIN_HISTORY_RATIO = 3.0
+MIN_HISTORY_RATIO = 4.0
 """Slope relative to its own usual size: model errors give slopes that come and go."""
 
 HISTORY_TIME = 30.0
