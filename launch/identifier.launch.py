@@ -13,7 +13,7 @@ from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 PACKAGE = "uav_ident_ros"
-DEFAULT_PARAMS = "paper_2006.yaml"
+DEFAULT_PARAMS = "identifier.yaml"
 
 
 def declare_arguments() -> list[DeclareLaunchArgument]:
@@ -25,7 +25,7 @@ def declare_arguments() -> list[DeclareLaunchArgument]:
                 [FindPackageShare(PACKAGE), "config", DEFAULT_PARAMS]
             ),
             description="ROS 2 parameter file of the vehicle; its sections must match the"
-            " node's full name, or be /**",
+            " node's full name, or be /**. Default: every parameter at its default",
         ),
         DeclareLaunchArgument(
             "namespace",

@@ -307,6 +307,7 @@ def test_launch_file_starts_what_the_package_installs():
     assert ast.literal_eval(values["executable"]) in console_scripts()
     constants = constants_of(ROOT / "launch" / "identifier.launch.py")
     assert constants["PACKAGE"] == PACKAGE
+    assert constants["DEFAULT_PARAMS"] == "identifier.yaml"  # defaults, not a vehicle's or paper's
     assert (ROOT / "config" / constants["DEFAULT_PARAMS"]).is_file()
 
 
