@@ -169,6 +169,20 @@ def test_unknown_channel_name() -> None:
         read(message)
 
 
+def test_no_names_at_all() -> None:
+    read = reader(type="sensor_msgs/msg/JointState", channels=["elevator", "rudder"])
+    unnamed = SimpleNamespace(header=header(), name=[], position=[1.0, 2.0])
+    for _ in range(2):
+        with pytest.raises(ChannelError, match="no channel 'elevator': the message names none"):
+            read(unnamed)
+    named = SimpleNamespace(header=header(), name=["rudder", "elevator"], position=[1.0, 2.0])
+    assert read(named)[1] == (2.0, 1.0)
+    with pytest.raises(ChannelError, match="no channel 'elevator': the message names none"):
+        read(unnamed)
+    by_index = reader(type="sensor_msgs/msg/JointState", channels=[1, 0])
+    assert by_index(unnamed)[1] == (2.0, 1.0)
+
+
 def test_too_few_values() -> None:
     read = reader(channels=[0, 4])
     with pytest.raises(ChannelError, match="'data' has 4 values, too few for channels 0, 4"):

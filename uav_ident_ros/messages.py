@@ -257,7 +257,7 @@ class ActuatorReader:
             )
         self._channels = settings.channels
         self._indices: list[int] = []
-        self._names: list[str] = []
+        self._names: list[str] | None = None  # of the newest message
         if not isinstance(settings.channels[0], str):
             self._indices = [int(channel) for channel in settings.channels]
         elif not adapter.named:
@@ -300,9 +300,8 @@ class ActuatorReader:
                 if channel not in names:
                     near = difflib.get_close_matches(str(channel), names, n=1)
                     hint = f"; did you mean '{near[0]}'?" if near else ""
-                    raise ChannelError(
-                        f"there is no channel '{channel}' among {_listed(names)}{hint}"
-                    )
+                    found = f" among {_listed(names)}" if names else ": the message names none"
+                    raise ChannelError(f"there is no channel '{channel}'{found}{hint}")
                 indices.append(names.index(str(channel)))
             self._indices = indices
         self._names = names
