@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from changing_speed import PLANT, REFERENCE, START_NS, airspeed, flight, worst_linear
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
-from uav_ident_ros.bag_writer import BagWriter, jazzy_types
+from uav_ident_ros.bag_writer import BagWriter, header, jazzy_types, message_class
 from uav_ident_ros.bags import Bag, BagError
 from uav_ident_ros.coefficients_file import load_coefficients, save_coefficients
 from uav_ident_ros.estimates_bag import write_estimates
@@ -333,6 +334,15 @@ BAD_INPUT = {
     "cut off": (["cut.mcap"], "'cut.mcap' is cut off at its end"),
     "unknown topic": (["BAG", "--imu-topic", "gyro"], "has no topic '/gyro'; it has /actuators"),
     "unknown actuators": (["BAG", "--actuators-topic", "/x"], "has no topic '/x'"),
+    "unknown airspeed": (["BAG", "--airspeed-topic", "/x"], "has no topic '/x'"),
+    "no airspeed": (
+        ["BAG", "--params-file", "@airspeed.type: std_msgs/msg/Float64"],
+        "has neither a topic '/airspeed' nor one of type std_msgs/msg/Float64; it has /actuators",
+    ),
+    "not an airspeed": (
+        ["BAG", "--airspeed-topic", IMU],
+        "topic '/imu/data' is of type sensor_msgs/msg/Imu, but known are std_msgs/msg/Float64,",
+    ),
     "missing parameters": (["BAG", "--params-file", "p.yaml"], "'p.yaml': does not exist"),
     "malformed": (["BAG", "--params-file", "@a: [1"], "parameter file 'params.yaml', line"),
     "misspelt": (["BAG", "--params-file", "@update_rat: 20.0"], "did you mean 'update_rate'"),
@@ -450,3 +460,170 @@ def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
     assert (fit.model > 80.0).all()
     first_ns, last_ns = run.estimates[0].t_ns, run.estimates[-1].t_ns
     assert fit.windows == pytest.approx(20 * (0.4e-9 * (last_ns - first_ns) - 1.0), abs=2)
+
+
+# --- with an airspeed --------------------------------------------------------------------------
+
+AIRSPEED = "/airspeed"
+NUMBER, TWIST = "std_msgs/msg/Float64", "geometry_msgs/msg/TwistStamped"
+AIRSPEED_EVERY = 10
+"""Samples of the rates per airspeed: 20 Hz."""
+
+TWIST_LATE_NS = 12_000_000
+"""How long after its stamp a TwistStamped is recorded here, ns; not a multiple of the rest."""
+
+Entry = tuple[int, str, int, list[float]]  # log time, topic, message time, values
+
+
+def changing_speed(seconds: float, msgtype: str) -> list[Entry]:
+    """A flight at changing speed in log-time order; every 50th airspeed is NaN."""
+    late_ns = TWIST_LATE_NS if msgtype == TWIST else 0
+    entries: list[Entry] = []
+    for k, (t, x, u) in enumerate(zip(*flight(seconds), strict=True)):
+        t_ns = START_NS + round(t * 1e9)
+        entries.append((t_ns, ACTUATORS, t_ns, u.tolist()))
+        if k % AIRSPEED_EVERY == 0:
+            bad = k % (50 * AIRSPEED_EVERY) == 0
+            speed = float("nan") if bad else float(airspeed(t))
+            entries.append((t_ns + late_ns, AIRSPEED, t_ns, [speed]))
+        entries.append((t_ns, IMU, t_ns, x.tolist()))
+    return sorted(entries, key=lambda entry: entry[0])
+
+
+def airspeed_message(msgtype: str, t_ns: int, speed: float) -> Any:
+    if msgtype == NUMBER:
+        return message_class(NUMBER)(data=speed)
+    vector, twist = (message_class(f"geometry_msgs/msg/{name}") for name in ("Vector3", "Twist"))
+    # 0.6 and 0.8: the airspeed is the length of the vector
+    velocity = vector(x=0.6 * speed, y=0.0, z=-0.8 * speed)
+    return message_class(TWIST)(
+        header=header(t_ns), twist=twist(linear=velocity, angular=vector(x=0.0, y=0.0, z=0.0))
+    )
+
+
+def write_flight(path: Path, entries: list[Entry], msgtype: str, topic: str = AIRSPEED) -> Path:
+    """Write a flight into a bag, the airspeed on a topic of a type."""
+    vector = message_class("geometry_msgs/msg/Vector3")
+    layout = message_class("std_msgs/msg/MultiArrayLayout")(dim=[], data_offset=0)
+    unknown = np.r_[-1.0, np.zeros(8)]
+    with BagWriter(path) as writer:
+        writer.topic(IMU, "sensor_msgs/msg/Imu")
+        writer.topic(ACTUATORS, "std_msgs/msg/Float64MultiArray")
+        writer.topic(topic, msgtype)
+        for log_ns, kind, t_ns, values in entries:
+            if kind == AIRSPEED:
+                writer.write(topic, log_ns, airspeed_message(msgtype, t_ns, values[0]))
+            elif kind == ACTUATORS:
+                array = message_class("std_msgs/msg/Float64MultiArray")
+                writer.write(ACTUATORS, log_ns, array(layout=layout, data=np.array(values)))
+            else:
+                message = message_class("sensor_msgs/msg/Imu")(
+                    header=header(t_ns),
+                    orientation=message_class("geometry_msgs/msg/Quaternion")(0.0, 0.0, 0.0, 1.0),
+                    orientation_covariance=unknown,
+                    angular_velocity=vector(*values),
+                    angular_velocity_covariance=np.zeros(9),
+                    linear_acceleration=vector(0.0, 0.0, 0.0),
+                    linear_acceleration_covariance=unknown,
+                )
+                writer.write(IMU, log_ns, message)
+    return path
+
+
+@pytest.mark.parametrize("msgtype", [NUMBER, TWIST])
+def test_airspeed_is_taken_as_by_the_core(
+    msgtype: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entries = changing_speed(60.0, msgtype)
+    values = {
+        "structure": PLANT.structure,
+        "imu.convention": "frd",
+        "forgetting_time": 0.0,
+        "airspeed.type": msgtype,
+        "airspeed.reference": REFERENCE,
+    }
+    identifier = OnlineIdentifier(Settings.from_values(values))
+    add = {IMU: identifier.add_rates, ACTUATORS: identifier.add_actuators}
+    estimates = []
+    for _, kind, t_ns, numbers in entries:
+        if kind == AIRSPEED:
+            identifier.add_airspeed(t_ns, numbers[0])
+        else:
+            add[kind](t_ns, numbers)
+        while (due := identifier.due()) is not None:
+            estimates.append(identifier.update(due))
+
+    bag = write_flight(tmp_path / "bag", entries, msgtype)
+    (tmp_path / "p.yaml").write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}))
+    output = tmp_path / "out"
+    arguments = [str(bag), "--params-file", str(tmp_path / "p.yaml"), "--output", str(output)]
+    assert main(arguments) == 0
+
+    decode = jazzy_types().deserialize_cdr
+    with Bag(output / "estimates") as written:
+        topic = "/identifier/coefficients"
+        dense = [decode(m.data, written.types[topic]).data for m in written.messages([topic])]
+    assert len(dense) == len(estimates)
+    for found, estimate in zip(dense, estimates, strict=True):
+        np.testing.assert_allclose(found, estimate.coefficients.ravel(), rtol=1e-9, atol=1e-12)
+
+    saved = load_coefficients(output / "coefficients.yaml")
+    wanted = identifier.coefficient_set(estimates[-1].t_ns)
+    np.testing.assert_allclose(saved.values, wanted.values, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(saved.sigma, wanted.sigma, rtol=1e-9, atol=1e-12)
+    assert saved.t_ns == wanted.t_ns
+    assert worst_linear(saved.values, PLANT.coefficients) < 0.02
+    assert worst_linear(estimates[-1].coefficients, PLANT.coefficients) > 0.05  # at another speed
+
+    content = summary(output)
+    assert content["inputs"]["airspeed"] == {
+        "topic": AIRSPEED, "type": msgtype, "received": 1200, "dropped": {"not finite": 24}
+    }  # fmt: skip
+    index = STRUCTURES[PLANT.structure].index("pdot/da")
+    assert content["coefficients"]["pdot/da"]["value"] == saved.values[index]
+    printed = capsys.readouterr().out
+    assert f"airspeed: /airspeed ({msgtype}), 1200 messages, 24 not finite" in printed
+    assert "coefficients at the reference airspeed, 20 m/s" in printed
+
+
+def test_unstamped_airspeed_counts_from_its_log_time(tmp_path: Path) -> None:
+    late_ns = 3 * SECOND_NS
+    entries = [e for e in changing_speed(6.0, NUMBER) if e[1] != AIRSPEED]
+    first_ns = entries[0][0] + late_ns
+    entries.append((first_ns, AIRSPEED, entries[0][2], [20.0]))
+    entries.sort(key=lambda entry: entry[0])
+    bag = write_flight(tmp_path / "bag", entries, NUMBER)
+    with Bag(bag) as opened:
+        values = {"airspeed.type": NUMBER, "imu.convention": "frd"}
+        run = OfflineRun(choose_inputs(opened, values))
+        run.run(opened, lambda messages, total: messages)
+    waiting = [e.t_ns for e in run.estimates if e.reason == "waiting for airspeed"]
+    assert first_ns - SECOND_NS // 20 <= max(waiting) < first_ns
+    assert run.estimates[-1].state == "learning"
+
+
+def test_airspeed_topic_is_found_by_type_and_by_option(tmp_path: Path) -> None:
+    entries = changing_speed(0.5, NUMBER)
+    with Bag(write_flight(tmp_path / "named", entries, NUMBER, "/pitot")) as bag:
+        assert choose_inputs(bag, {}).topics == (IMU, ACTUATORS)
+        assert choose_inputs(bag, {"airspeed.type": ""}).airspeed_topic == ""
+        assert choose_inputs(bag, {"airspeed.type": NUMBER}).airspeed_topic == "/pitot"
+        # the option alone is enough: the type is the topic's
+        inputs = choose_inputs(bag, {"airspeed.type": ""}, airspeed_topic="/pitot")
+        assert inputs.settings.airspeed.type == NUMBER
+        assert inputs.topics == (IMU, ACTUATORS, "/pitot")
+        words = "'/pitot' is of type std_msgs/msg/Float64, but 'airspeed.type' is 'geometry_msgs"
+        with pytest.raises(BagError, match=words):
+            choose_inputs(bag, {"airspeed.type": TWIST}, airspeed_topic="/pitot")
+    with BagWriter(tmp_path / "two") as writer:
+        for topic, msgtype in (
+            (IMU, "sensor_msgs/msg/Imu"),
+            (ACTUATORS, "std_msgs/msg/Float64MultiArray"),
+            ("/pitot_a", NUMBER),
+            ("/pitot_b", NUMBER),
+        ):
+            writer.topic(topic, msgtype)
+        writer.write("/pitot_a", START_NS, message_class(NUMBER)(data=20.0))
+    words = "but /pitot_a, /pitot_b: choose one with --airspeed-topic"
+    with Bag(tmp_path / "two") as bag, pytest.raises(BagError, match=words):
+        choose_inputs(bag, {"airspeed.type": NUMBER})

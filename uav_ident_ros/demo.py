@@ -83,7 +83,7 @@ class Flight:
     inputs : Inputs
         Its topics and the settings.
     messages : list of Message
-        Everything on the two topics, in log-time order.
+        Everything on the topics of the inputs, in log-time order.
     types : dict
         Message type of each topic.
     truth : dict
@@ -115,14 +115,13 @@ def load_flight(path: Path, parameter_file: Path | None) -> Flight:
         parameters = load_parameters(parameter_file, "identifier")
     with Bag(path) as bag:
         inputs = choose_inputs(bag, parameters)
-        topics = (inputs.rates_topic, inputs.actuators_topic)
         return Flight(
             name=path.resolve().stem,
             path=path,
             parameter_file=parameter_file,
             inputs=inputs,
-            messages=list(bag.messages(topics)),
-            types={topic: bag.type_of(topic) for topic in topics},
+            messages=list(bag.messages(inputs.topics)),
+            types={topic: bag.type_of(topic) for topic in inputs.topics},
             truth=_truth(path / "truth.yaml"),
         )
 
@@ -152,7 +151,10 @@ def node_command(flight: Flight) -> list[str]:
     ):
         command += ["-p", f"{name}:={value}"]
     command += ["-r", f"imu/data:={flight.inputs.rates_topic}"]
-    return [*command, "-r", f"actuators:={flight.inputs.actuators_topic}"]
+    command += ["-r", f"actuators:={flight.inputs.actuators_topic}"]
+    if flight.inputs.airspeed_topic:
+        command += ["-r", f"airspeed:={flight.inputs.airspeed_topic}"]
+    return command
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_ident_ros.airspeed import AIRSPEED
 from uav_ident_ros.bags import Bag, BagError, Message
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.frames import BodyFrame
@@ -25,7 +26,12 @@ from uav_ident_ros.identification.prediction import (
     window_errors,
 )
 from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.settings import ACTUATOR_TYPES, RATE_TYPES, Settings
+from uav_ident_ros.identification.settings import (
+    ACTUATOR_TYPES,
+    AIRSPEED_TYPES,
+    RATE_TYPES,
+    Settings,
+)
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.messages import (
     RATES,
@@ -39,6 +45,14 @@ from uav_ident_ros.messages import (
 IMU_TYPE = "sensor_msgs/msg/Imu"
 RATES_TOPIC = "/imu/data"
 ACTUATORS_TOPIC = "/actuators"
+AIRSPEED_TOPIC = "/airspeed"
+
+TOPIC_OPTIONS = {
+    "imu.type": "--imu-topic",
+    "actuators.type": "--actuators-topic",
+    "airspeed.type": "--airspeed-topic",
+}
+"""Options of `replay` that name the topic whose type a setting gives."""
 
 # Why the shells refuse a message before the identifier sees it.
 WRONG_FRAME, NO_RATES = "wrong frame", "no rates"
@@ -55,11 +69,20 @@ class Inputs:
         Topics of the bag.
     settings : Settings
         Settings whose message types are those of the topics.
+    airspeed_topic : str
+        Topic of the airspeed; empty if there is none in the settings.
     """
 
     rates_topic: str
     actuators_topic: str
     settings: Settings
+    airspeed_topic: str = ""
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Every topic that is read."""
+        topics = (self.rates_topic, self.actuators_topic, self.airspeed_topic)
+        return tuple(topic for topic in topics if topic)
 
 
 def choose_inputs(
@@ -67,6 +90,7 @@ def choose_inputs(
     parameters: Mapping[str, object],
     rates_topic: str | None = None,
     actuators_topic: str | None = None,
+    airspeed_topic: str | None = None,
 ) -> Inputs:
     """Find the input topics of a bag.
 
@@ -79,6 +103,9 @@ def choose_inputs(
     rates_topic, actuators_topic : str, optional
         Topics to take. Left out: ``/imu/data`` and ``/actuators`` if the bag has them, else
         the only topic of a known type.
+    airspeed_topic : str, optional
+        Topic to take. Left out: none, or, if ``airspeed.type`` is set, ``/airspeed`` or else the
+        only topic of that type.
 
     Raises
     ------
@@ -89,21 +116,40 @@ def choose_inputs(
     """
     values = dict(parameters)
     Settings.from_values(values)  # what is wrong with the parameters comes before the bag
-    topics = []
-    for setting, asked, default, known in (
+    wanted = [
         ("imu.type", rates_topic, RATES_TOPIC, RATE_TYPES),
         ("actuators.type", actuators_topic, ACTUATORS_TOPIC, ACTUATOR_TYPES),
-    ):
-        wanted = values.get(setting)
-        types = known if wanted is None else (str(wanted),)
-        topic = asked or _find_topic(bag, default, types, setting)
-        msgtype = bag.type_of(topic)
-        if msgtype not in types:
-            reason = f"'{setting}' is '{wanted}'" if wanted else f"known are {', '.join(known)}"
-            raise BagError(f"bag '{bag.path}': topic '{topic}' is of type {msgtype}, but {reason}")
-        values[setting] = msgtype
-        topics.append(topic)
-    return Inputs(topics[0], topics[1], Settings.from_values(values))
+    ]
+    if airspeed_topic or values.get("airspeed.type"):
+        wanted.append(("airspeed.type", airspeed_topic, AIRSPEED_TOPIC, AIRSPEED_TYPES))
+    topics = {}
+    for setting, asked, default, known in wanted:
+        topics[setting] = _choose(bag, values.get(setting), setting, asked, default, known)
+        values[setting] = bag.type_of(topics[setting])
+    return Inputs(
+        topics["imu.type"],
+        topics["actuators.type"],
+        Settings.from_values(values),
+        topics.get("airspeed.type", ""),
+    )
+
+
+def _choose(
+    bag: Bag,
+    wanted: object,
+    setting: str,
+    asked: str | None,
+    default: str,
+    known: tuple[str, ...],
+) -> str:
+    """Return the topic asked for, or else the one to be found, if its type will do."""
+    types = (str(wanted),) if wanted else known
+    topic = asked or _find_topic(bag, default, types, setting)
+    msgtype = bag.type_of(topic)
+    if msgtype not in types:
+        reason = f"'{setting}' is '{wanted}'" if wanted else f"known are {', '.join(known)}"
+        raise BagError(f"bag '{bag.path}': topic '{topic}' is of type {msgtype}, but {reason}")
+    return topic
 
 
 def _find_topic(bag: Bag, default: str, types: tuple[str, ...], setting: str) -> str:
@@ -111,7 +157,6 @@ def _find_topic(bag: Bag, default: str, types: tuple[str, ...], setting: str) ->
     if default in bag.types:
         return default
     candidates = [topic for topic, msgtype in bag.types.items() if msgtype in types]
-    option = "--imu-topic" if setting == "imu.type" else "--actuators-topic"
     if not candidates:
         raise BagError(
             f"bag '{bag.path}' has neither a topic '{default}' nor one of type "
@@ -120,7 +165,7 @@ def _find_topic(bag: Bag, default: str, types: tuple[str, ...], setting: str) ->
     if len(candidates) > 1:
         raise BagError(
             f"bag '{bag.path}' has no topic '{default}', but {', '.join(candidates)}: choose one "
-            f"with {option}"
+            f"with {TOPIC_OPTIONS[setting]}"
         )
     return candidates[0]
 
@@ -203,7 +248,9 @@ class OfflineRun:
         self._rates = Record(6)
         self._actuators = Record(len(inputs.settings.actuators.channels))
         self._received: Counter[str] = Counter()
-        self._refused: dict[str, Counter[str]] = {"rates": Counter(), "actuators": Counter()}
+        self._refused: dict[str, Counter[str]] = {
+            stream: Counter() for stream in self.identifier.drops
+        }
         self._era = 0
         self._contexts: list[tuple[int, float]] = []  # time base and delay of each estimate
         self._newest_ns: int | None = None
@@ -222,7 +269,7 @@ class OfflineRun:
     # -- messages in -----------------------------------------------------------------------
 
     def run(self, bag: Bag, wrap: Callable[[Iterable[Message], int], Iterable[Message]]) -> None:
-        """Feed every message of the two topics, in log-time order.
+        """Feed every message of the topics, in log-time order.
 
         Parameters
         ----------
@@ -236,17 +283,17 @@ class OfflineRun:
         BagError
             If the bag turns out to be damaged.
         """
-        rates_topic, actuators_topic = self.inputs.rates_topic, self.inputs.actuators_topic
-        topics = (rates_topic, actuators_topic)
+        inputs, identifier = self.inputs, self.identifier
         take_rates = self._rates_taker(bag)
-        decode_actuators = bag.decoder(actuators_topic)
-        identifier = self.identifier
-        total = sum(bag.counts[topic] for topic in topics)
-        for topic, log_ns, data in wrap(bag.messages(topics), total):
-            if topic == rates_topic:
+        decode = {topic: bag.decoder(topic) for topic in inputs.topics}
+        total = sum(bag.counts[topic] for topic in inputs.topics)
+        for topic, log_ns, data in wrap(bag.messages(inputs.topics), total):
+            if topic == inputs.rates_topic:
                 take_rates(data)
+            elif topic == inputs.actuators_topic:
+                self._take_actuators(decode[topic](data), log_ns)
             else:
-                self._take_actuators(decode_actuators(data), log_ns)
+                self._take_airspeed(decode[topic](data), log_ns)
             while (t_ns := identifier.due()) is not None:
                 estimate = identifier.update(t_ns)
                 if estimate is not None:
@@ -292,8 +339,13 @@ class OfflineRun:
         if self.identifier.add_actuators(t_ns, values) is None:
             self._actuators.append(t_ns, values, self._era)
 
+    def _take_airspeed(self, message: object, log_ns: int) -> None:
+        self._received["airspeed"] += 1
+        stamp_ns, airspeed = AIRSPEED[self.inputs.settings.airspeed.type](message)
+        self.identifier.add_airspeed(log_ns if stamp_ns is None else stamp_ns, airspeed)
+
     def refusals(self, stream: str) -> Refusals:
-        """Count what became of the messages of ``rates`` or ``actuators``."""
+        """Count what became of the messages of ``rates``, ``actuators`` or ``airspeed``."""
         dropped = Counter(self._refused[stream])
         for drop, count in self.identifier.drops[stream].items():
             dropped[drop.value] += count
@@ -303,9 +355,8 @@ class OfflineRun:
     # -- results ---------------------------------------------------------------------------
 
     def result(self) -> CoefficientSet:
-        """Return the last estimate's coefficients."""
-        last = self.estimates[-1]
-        return CoefficientSet(self.structure.name, last.coefficients, last.sigma, last.t_ns)
+        """Return the coefficients at the last tick; with an airspeed, at its reference."""
+        return self.identifier.coefficient_set(self.estimates[-1].t_ns)
 
     def measured(self, era: int = 0) -> tuple[TimeArray, FloatArray, FloatArray]:
         """Return the rates of one time base: stamps (k,), p q r (k, 3), ay az (k, 2), FRD."""
@@ -319,7 +370,7 @@ class OfflineRun:
         actuators = self.inputs.settings.actuators
         delay = actuators.delay if delay is None else delay
         # The identifier's own map: it may have learned the trim in flight.
-        u = self.identifier._sampler.input_map.apply(raw)
+        u = self.identifier.input_map.apply(raw)
         return InputSignal(t_ns, u, delay, actuators.time_constant)
 
     def score(self) -> dict[str, PredictionFit]:

@@ -91,6 +91,12 @@ def parser() -> argparse.ArgumentParser:
         help="default: /actuators, else the only one of a known type",
     )
     result.add_argument(
+        "--airspeed-topic",
+        type=_topic,
+        metavar="TOPIC",
+        help="default: none, or with 'airspeed.type' /airspeed, else the only one of that type",
+    )
+    result.add_argument(
         "--plot", action="store_true", help="also write replay.png: rates and coefficients"
     )
     return result
@@ -126,7 +132,9 @@ def replay(options: argparse.Namespace) -> None:
     if options.params_file is not None:
         values = dict(load_parameters(options.params_file, options.node))
     with Bag(options.bag) as bag:
-        inputs = choose_inputs(bag, values, options.imu_topic, options.actuators_topic)
+        inputs = choose_inputs(
+            bag, values, options.imu_topic, options.actuators_topic, options.airspeed_topic
+        )
         run = OfflineRun(inputs, _initial(inputs.settings))
         run.run(bag, _progress)
     if run.fault:
@@ -219,10 +227,12 @@ def summary(name: str, run: OfflineRun, fits: dict[str, PredictionFit]) -> dict[
 
 def _streams(inputs: Inputs) -> tuple[tuple[str, str, str], ...]:
     settings = inputs.settings
-    return (
+    streams = (
         ("rates", inputs.rates_topic, settings.imu.type),
         ("actuators", inputs.actuators_topic, settings.actuators.type),
+        ("airspeed", inputs.airspeed_topic, settings.airspeed.type),
     )
+    return streams if inputs.airspeed_topic else streams[:2]
 
 
 def _json(value: float) -> float | None:
@@ -289,6 +299,8 @@ def _table(name: str, run: OfflineRun, fits: dict[str, PredictionFit]) -> str:
     if settings.actuators.estimate_delay:
         sigma = _sigma(run.identifier.delay_sigma)
         lines.append(f"estimated delay of the inputs: {run.identifier.delay:.3f} s, sigma {sigma}")
+    if settings.airspeed.type:
+        lines.append(f"coefficients at the reference airspeed, {settings.airspeed.reference:g} m/s")
     lines += ["", f"{'coefficient':<12}{'value':>12}{'sigma':>12}"]
     for coefficient, index in zip(run.structure.names, run.structure.free, strict=True):
         value, sigma = result.values[index], result.sigma[index]
