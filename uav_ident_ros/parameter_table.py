@@ -7,7 +7,6 @@ the markers ``<!-- generated: NAME -->`` and ``<!-- end: NAME -->``. NAME is one
 
 from __future__ import annotations
 
-import math
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -63,8 +62,7 @@ def allowed_values(setting: Setting) -> str:
     """Describe what a setting may be, in a few words; empty if anything goes."""
     if setting.choices:
         return ", ".join(f"`{write_value(choice)}`" for choice in setting.choices)
-    bounded = math.isfinite(setting.low) or math.isfinite(setting.high)
-    return setting.allowed() if bounded else setting.unit
+    return setting.allowed() if setting.bounded else setting.unit
 
 
 def full_tables() -> str:

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import textwrap
 from collections.abc import Iterator
@@ -63,8 +62,7 @@ def _indent(depth: int) -> str:
 
 def _comment(setting: Setting) -> str:
     numeric = setting.type in ("float", "int", "float[]")
-    bounded = math.isfinite(setting.low) or math.isfinite(setting.high)
-    if setting.choices or (numeric and bounded):
+    if setting.choices or (numeric and setting.bounded):
         return f"{setting.description} ({setting.allowed()})"
     return f"{setting.description} ({setting.unit})" if setting.unit else setting.description
 

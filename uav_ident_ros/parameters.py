@@ -163,8 +163,7 @@ def descriptor(setting: Setting) -> ParameterDescriptor:
     )
     if setting.type in _TYPES:
         result.type = _TYPES[setting.type].value
-    bounded = math.isfinite(setting.low) or math.isfinite(setting.high)
-    if setting.type == "float" and bounded:
+    if setting.type == "float" and setting.bounded:
         result.floating_point_range = [
             FloatingPointRange(from_value=setting.low, to_value=setting.high, step=0.0)
         ]

@@ -70,6 +70,11 @@ class Setting:
     choices: tuple[str, ...] = ()
     read_only: bool = True
 
+    @property
+    def bounded(self) -> bool:
+        """Whether there is a lowest or a highest value."""
+        return math.isfinite(self.low) or math.isfinite(self.high)
+
     def check(self, value: object) -> Value:
         """Return `value` in its canonical type.
 
