@@ -8,6 +8,7 @@ speed is whatever the machine gives.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -245,7 +246,7 @@ class Player:
         *,
         speed: float = 1.0,
         on_time: Callable[[int], None] | None = None,
-    ) -> None:
+    ) -> float:
         """Play at `speed` times real time, in log-time order.
 
         Parameters
@@ -256,18 +257,27 @@ class Player:
             1 for real time.
         on_time : callable, optional
             Called with the log time (ns) about every 10 ms of it.
+
+        Returns
+        -------
+        float
+            Root mean square of how late /clock was, s: what a busy machine adds to the stamps
+            on arrival.
         """
         start_ns, start = messages[0].log_ns, time.monotonic()
+        late: list[float] = []
 
         def hold(t_ns: int) -> None:
             ahead = (t_ns - start_ns) / SECOND_NS / speed - (time.monotonic() - start)
             if ahead > 0.0:
                 self.spin_for(ahead)
+            late.append(time.monotonic() - start - (t_ns - start_ns) / SECOND_NS / speed)
             if on_time is not None:
                 on_time(t_ns)
 
         self._play(messages, hold)
         self._flush()
+        return math.sqrt(sum(x * x for x in late) / max(len(late), 1))
 
     def play_in_step(self, messages: Sequence[Message], timeout: float = 20.0) -> None:
         """Play as fast as the node answers, so that no message can be lost.

@@ -15,6 +15,11 @@ from uav_ident_ros.offline import OfflineRun, choose_inputs
 from uav_ident_ros.parameter_file import load_parameters
 from uav_ident_ros.player import stamp_ns
 
+ON_TIME = 2e-3
+"""How late the player may be, s rms: a machine too busy for real time says nothing."""
+
+ATTEMPTS = 3
+
 
 def test_same_to_the_bit_as_replay_with_clock(
     start_node: StartNode, make_player: MakePlayer, tmp_path: Path
@@ -78,8 +83,12 @@ def test_unstamped_actuators_at_real_time_fit_within_a_point(
     start_node(parameter_file=flight.parameter_file, sim_time=True)
     player = make_player(flight)
     player.wait_for_node()
-    player.play(flight.messages)
-    player.spin_for(0.5)
+    for _ in range(ATTEMPTS):
+        player.outputs.clear()
+        late = player.play(flight.messages)  # again from the start: the node starts cold
+        player.spin_for(0.5)
+        if late < ON_TIME:
+            break
     ticks = [stamp_ns(m.header.stamp) for m in player.outputs.named]
     assert len(ticks) == len(player.outputs.coefficients)
     live = dict(zip(ticks, (m.data for m in player.outputs.coefficients), strict=True))
