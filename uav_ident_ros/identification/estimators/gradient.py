@@ -173,7 +173,7 @@ class GradientEstimator:
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight`; the law itself keeps no memory."""
-        self._reference.information.discount(weight)
+        self._reference.discount(weight)
 
     def _gain_now(self, data: Regression, dt: float) -> FloatArray:
         """K in SI units at this tick."""

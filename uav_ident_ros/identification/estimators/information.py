@@ -54,10 +54,22 @@ CONSTANT_COLUMN = AUGMENTED_REGRESSORS.index(CONSTANT)
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Copy of the accumulated ``R``, shape (3, k, k), and ``r``, shape (3, k)."""
+    """Copy of what was accumulated: ``R`` (3, k, k), ``r`` (3, k), and the scores ``S``."""
 
     matrix: FloatArray
     vector: FloatArray
+    scores: FloatArray
+    blocks: FloatArray
+
+    def scaled(self, weight: FloatArray) -> Snapshot:
+        """Return it at a weight per row, shape (3,)."""
+        row = weight[:, None, None]
+        return Snapshot(
+            self.matrix * row,
+            self.vector * weight[:, None],
+            self.scores * row**2,
+            self.blocks * weight,
+        )
 
 
 class Columns:
@@ -105,8 +117,8 @@ class Information:
         How long each row has learned, s.
     sigma : (3, n) array
         Standard deviations as of the last full block; those of the start before the first.
-    added : Snapshot
-        What the last tick added.
+    added : tuple of arrays
+        What the last tick added to ``R`` and ``r``.
     """
 
     def __init__(self, start: Start, forgetting_time: float = 0.0) -> None:
@@ -126,7 +138,7 @@ class Information:
         self._pairs = (self.columns.used[:, :, None] & self.columns.used[:, None, :]) * 1.0
         self.matrix: FloatArray = np.zeros((3, k, k))
         self.vector: FloatArray = np.zeros((3, k))
-        self.added = self.snapshot()
+        self.added: tuple[FloatArray, FloatArray] = (self.matrix, self.vector)
         self.residual_variance: FloatArray = np.full(3, FIRST_RESIDUAL_VARIANCE)
         self.time: FloatArray = np.zeros(3)
         self._square: FloatArray = np.zeros(3)
@@ -160,12 +172,12 @@ class Information:
             [data.f, deviation, residual], axis=1
         )
         row = weight[:, None] * self.columns.used
-        self.added = Snapshot(
+        self.added = (
             product.take(self._take_matrix) * (weight[:, None, None] * self._pairs),
             product.take(self._take_vector) * row,
         )
-        self.matrix += self.added.matrix
-        self.vector += self.added.vector
+        self.matrix += self.added[0]
+        self.vector += self.added[1]
         self._score += product.take(self._take_score) * row
         self._square += product.take(self._take_square) * weight
         self._score_time += weight * len(data.y)
@@ -197,7 +209,24 @@ class Information:
 
     def snapshot(self) -> Snapshot:
         """Return a copy of what was accumulated."""
-        return Snapshot(self.matrix.copy(), self.vector.copy())
+        return Snapshot(
+            self.matrix.copy(), self.vector.copy(), self._scores.copy(), self._blocks.copy()
+        )
+
+    def fade(self, part: Snapshot, keep: FloatArray) -> Snapshot:
+        """Let one part of what was accumulated count for `keep` of what it did, per row.
+
+        Returns
+        -------
+        Snapshot
+            What is left of the part.
+        """
+        left = part.scaled(keep)
+        self.matrix += left.matrix - part.matrix
+        self.vector += left.vector - part.vector
+        self._scores += left.scores - part.scores
+        self._blocks += left.blocks - part.blocks
+        return left
 
     def restore(self, row: int, snapshot: Snapshot) -> None:
         """Set one row to what a snapshot holds."""

@@ -24,9 +24,9 @@ from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, Flo
 WARM_UP_TIME = 10.0
 """Time for which least squares builds the first model, s."""
 
-TAKE_OVER_WEIGHT = 0.1
-"""Weight that the least-squares start keeps when the instruments take over: it is biased,
-and at full weight the bias would stay for as long again."""
+FADE_TIME = 8.0
+"""Time constant with which the information of the least-squares start then fades, s. It is
+biased, so it must go; at once, too little would be left where a flight has told little yet."""
 
 SNAPSHOT_TIME = 0.5
 """Time between the copies of the information that a change goes back to, s."""
@@ -62,7 +62,7 @@ class Trial:
 
 
 class InstrumentalVariable:
-    """Information with instruments, after a least-squares start.
+    """Information with instruments, after a least-squares start that fades.
 
     Parameters
     ----------
@@ -74,15 +74,30 @@ class InstrumentalVariable:
 
     def __init__(self, start: Start, forgetting_time: float) -> None:
         self.information = Information(start, forgetting_time)
-        self.warming_up = True
+        self._forgetting_rate = 1.0 / forgetting_time if forgetting_time > 0.0 else 0.0
+        self._fading: Snapshot | None = None
+
+    @property
+    def warming_up(self) -> bool:
+        """Whether the regressors are still their own instruments."""
+        return self._fading is None
 
     def accumulate(self, data: Regression, coefficients: FloatArray, learning: BoolArray) -> None:
         """Add the samples of a tick; parameters as in `Information.accumulate`."""
-        if self.warming_up and self.information.time.max() >= WARM_UP_TIME:
-            self.warming_up = False
-            self.information.discount(TAKE_OVER_WEIGHT)
-        z = data.f if self.warming_up else data.z
+        if self._fading is None and self.information.time.max() >= WARM_UP_TIME:
+            self._fading = self.information.snapshot()
+        if self._fading is not None:
+            spent = np.where(learning, data.dt * len(data.y), 0.0)
+            left = self.information.fade(self._fading, np.exp(-spent / FADE_TIME))
+            self._fading = left.scaled(np.exp(-spent * self._forgetting_rate))
+        z = data.f if self._fading is None else data.z
         self.information.accumulate(data, z, coefficients, learning)
+
+    def discount(self, weight: float) -> None:
+        """Let all that was accumulated count for `weight` of what it did."""
+        self.information.discount(weight)
+        if self._fading is not None:
+            self._fading = self._fading.scaled(np.full(3, weight))
 
 
 class RecursiveRegression:
@@ -159,7 +174,7 @@ class RecursiveRegression:
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""
-        self._reference.information.discount(weight)
+        self._reference.discount(weight)
         if not self._instrumental:
             self.information.discount(weight)
         self._detector = ChangeDetector(self._start.free)
@@ -196,8 +211,8 @@ class RecursiveRegression:
     def _continue_trial(self, row: int, data: Regression) -> None:
         """Compare the old with the new coefficients on samples that neither has seen."""
         trial = self._trials[row]
-        trial.before.matrix[row] += self.information.added.matrix[row]
-        trial.before.vector[row] += self.information.added.vector[row]
+        trial.before.matrix[row] += self.information.added[0][row]
+        trial.before.vector[row] += self.information.added[1][row]
         y = data.y[:, row]
         trial.old_error += float(np.sum((y - data.f @ trial.old) ** 2))
         trial.new_error += float(np.sum((y - data.f @ self.coefficients[row]) ** 2))
