@@ -249,3 +249,26 @@ def test_inputs_that_move_together_are_named() -> None:
     assert not free.collinear()
     assert tied.excitation()[0] < 0.01 < 0.1 < free.excitation()[0]
     assert (free.excitation() <= 1.0).all()
+
+
+def test_what_is_not_excited_is_not_forgotten() -> None:
+    """Rudder and throttle move for half a minute; then, for four forgetting times, they rest."""
+    still = {name: peak for name, peak in AMPLITUDES.items() if name in ("de", "da")}
+    flight = plant_flight(
+        110.0,
+        segments=(
+            Segment("multisine", duration=30.0, amplitudes=AMPLITUDES, seed=1),
+            Segment("multisine", start=30.0, amplitudes=still, seed=2),
+        ),
+        gusts=ColouredNoise(0.3, 0.3),
+    )
+    assert flight.coefficients is not None
+    measurements = measure(flight, Sensors(gyro_noise=0.02), seed=1)
+    identifier = OnlineIdentifier(settings(measurements, structure=STRUCTURE, forgetting_time=20.0))
+    estimates = run(identifier, messages(measurements))
+    at_rest = next(e for e in estimates if e.t_ns - estimates[0].t_ns > 33e9)
+    last = estimates[-1]
+    for name in ("pdot/dr", "rdot/dr", "pdot/dth"):
+        place = identifier.structure.index(name)
+        assert abs(last.coefficients[place] - at_rest.coefficients[place]) < at_rest.sigma[place]
+        assert last.sigma[place] < 2.0 * at_rest.sigma[place]

@@ -43,6 +43,7 @@ class ExcitationGate:
     """
 
     def __init__(self, free: BoolArray) -> None:
+        self._columns = free.shape[1]
         self._watched: BoolArray = free[:, INPUT_COLUMNS]
         self._window: deque[tuple[float, FloatArray, FloatArray]] = deque()
         self._window_time = 0.0
@@ -61,6 +62,12 @@ class ExcitationGate:
         if self._since_look >= LOOK_TIME or len(self._window) == 1:
             self._look()
         return self.learning
+
+    def quiet_columns(self) -> BoolArray:
+        """Return which of the n regressors are inputs that say nothing at present."""
+        quiet = np.zeros(self._columns, dtype=bool)
+        quiet[INPUT_COLUMNS] = self.share < QUIET_SHARE
+        return quiet
 
     def _look(self) -> None:
         """Compare the inputs over the window with what is usual."""

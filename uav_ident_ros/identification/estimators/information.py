@@ -146,10 +146,16 @@ class Information:
         self._score: FloatArray = np.zeros((3, k))
         self._score_time: FloatArray = np.zeros(3)
         self._blocks: FloatArray = np.zeros(3)
+        self._quiet: BoolArray | None = None
         self.sigma: FloatArray = np.where(start.free, start.sigma, 0.0)
 
     def accumulate(
-        self, data: Regression, z: FloatArray, coefficients: FloatArray, learning: BoolArray
+        self,
+        data: Regression,
+        z: FloatArray,
+        coefficients: FloatArray,
+        learning: BoolArray,
+        quiet: BoolArray | None = None,
     ) -> None:
         """Add the samples of a tick.
 
@@ -163,7 +169,10 @@ class Information:
             The estimate before the tick, from which the residuals are taken.
         learning : (3,) bool array
             Rows that learn, and forget; the others stay as they are.
+        quiet : (n,) bool array, optional
+            Regressors that are not excited, and not forgotten.
         """
+        self._quiet = quiet
         weight = learning * data.dt
         residual = data.y - data.f @ coefficients.T
         # Deviations from the start, so that what is fixed or unexcited stays where it is.
@@ -197,7 +206,7 @@ class Information:
         for sums in (self._score, self._square, self._score_time):
             sums[full] = 0.0
         if self._forgetting_time > 0.0:
-            self.discount(np.exp(-spent / self._forgetting_time))
+            self._forget(np.exp(-spent / self._forgetting_time))
         self.sigma = self._compute_sigma()
 
     def add_sample(self, row: int, y: FloatArray, f: FloatArray, z: FloatArray, dt: float) -> None:
@@ -248,6 +257,25 @@ class Information:
             if regressor in (column, CONSTANT_COLUMN) and matrix[j, j] > 0.0:
                 matrix -= RELEASED_SHARE * np.outer(matrix[:, j], matrix[j]) / matrix[j, j]
         self.vector[row] = matrix @ believed
+
+    def _forget(self, keep: FloatArray) -> None:
+        """Let old data count for `keep`, per row; what is quiet is not forgotten.
+
+        ``R <- D R D``, D = sqrt(keep) along what is excited and 1 along what is not; r follows
+        so that the solution stays where it is.
+        """
+        if self._quiet is None or not self._quiet.any():
+            self.discount(keep)
+            return
+        kept = self._quiet[self.columns.index]
+        root = np.where(kept, 1.0, np.sqrt(keep)[:, None])
+        pairs = root[:, :, None] * root[:, None, :]
+        solution = self.columns.gather(self.solve() - self._start.values)[:, :, None]
+        before = (self.matrix @ solution)[:, :, 0]
+        self.matrix *= pairs
+        self.vector += (self.matrix @ solution)[:, :, 0] - before
+        self._scores *= pairs**2
+        self._blocks *= keep
 
     def discount(self, weight: float | FloatArray) -> None:
         """Let all that was accumulated count for `weight` of what it did, per row."""

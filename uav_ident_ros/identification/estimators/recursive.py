@@ -82,7 +82,13 @@ class InstrumentalVariable:
         """Whether the regressors are still their own instruments."""
         return self._fading is None
 
-    def accumulate(self, data: Regression, coefficients: FloatArray, learning: BoolArray) -> None:
+    def accumulate(
+        self,
+        data: Regression,
+        coefficients: FloatArray,
+        learning: BoolArray,
+        quiet: BoolArray | None = None,
+    ) -> None:
         """Add the samples of a tick; parameters as in `Information.accumulate`."""
         if self._fading is None and self.information.time.max() >= WARM_UP_TIME:
             self._fading = self.information.snapshot()
@@ -91,7 +97,7 @@ class InstrumentalVariable:
             left = self.information.fade(self._fading, np.exp(-spent / FADE_TIME))
             self._fading = left.scaled(np.exp(-spent * self._forgetting_rate))
         z = data.f if self._fading is None else data.z
-        self.information.accumulate(data, z, coefficients, learning)
+        self.information.accumulate(data, z, coefficients, learning, quiet)
 
     def discount(self, weight: float) -> None:
         """Let all that was accumulated count for `weight` of what it did."""
@@ -158,9 +164,10 @@ class RecursiveRegression:
     def update(self, data: Regression) -> None:
         """Add the samples of a tick and solve."""
         self.learning = self._gate.update(data)
-        self._reference.accumulate(data, self.coefficients, self.learning)
+        known = (self.coefficients, self.learning, self._gate.quiet_columns())
+        self._reference.accumulate(data, *known)
         if not self._instrumental:
-            self.information.accumulate(data, data.f, self.coefficients, self.learning)
+            self.information.accumulate(data, data.f, *known)
         self._follow_changes(data)
         self._accept(self.information.solve())
 
