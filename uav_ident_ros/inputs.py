@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message
 
 from uav_ident_ros.airspeed import AIRSPEED
 from uav_ident_ros.diagnostics import InputMonitor
-from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.identifier import Drop, OnlineIdentifier
 from uav_ident_ros.messages import (
     RATES,
     ActuatorReader,
@@ -43,7 +43,7 @@ _OVERRIDABLE = (
 
 
 class _Input:
-    """What both inputs share: a subscription to bytes, counts, and what is said about a drop.
+    """What all inputs share: a subscription to bytes, counts, and what is said about a drop.
 
     Messages come as bytes, so that one that cannot be decoded is refused like any other bad
     message; decoded by rclpy, it would end the node.
@@ -147,25 +147,36 @@ class RatesInput:
                 self._input.warn(drop.value, drop.value)
 
 
-class ActuatorInput:
-    """Subscription to the actuator channels.
+class ArrayInput:
+    """Subscription to values that may carry no time: those are stamped on arrival.
 
     Parameters
     ----------
     node : Node
         Owner of the subscription; its clock stamps messages that carry no time.
-    identifier : OnlineIdentifier
-        Takes the samples.
+    type_name, topic : str
+        Message type and topic.
+    read : callable
+        Message to its stamp, ns, or None, and its values; may raise ChannelError.
+    add : callable
+        Stamp and values to the identifier; returns why it dropped them, or None.
     warnings : Throttle
         Takes what was refused, and why.
     """
 
-    def __init__(self, node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> None:
-        settings = identifier.settings.actuators
-        self._identifier = identifier
+    def __init__(
+        self,
+        node: Node,
+        type_name: str,
+        topic: str,
+        read: Callable[[Any], tuple[int | None, Any]],
+        add: Callable[[int, Any], Drop | None],
+        warnings: Throttle,
+    ) -> None:
         self._clock = node.get_clock()
-        self._read = ActuatorReader(settings)
-        self._input = _Input(node, settings.type, ACTUATORS_TOPIC, self._take, warnings)
+        self._read = read
+        self._add = add
+        self._input = _Input(node, type_name, topic, self._take, warnings)
         self.monitor = self._input.monitor
 
     def _take(self, data: bytes) -> None:
@@ -180,39 +191,27 @@ class ActuatorInput:
             reason = "not finite" if error.not_finite else "wrong channels"
             self._input.refuse(reason, str(error))
             return
-        drop = self._identifier.add_actuators(arrival_ns if stamp_ns is None else stamp_ns, values)
+        drop = self._add(arrival_ns if stamp_ns is None else stamp_ns, values)
         if drop is not None:
             self._input.warn(drop.value, drop.value)
 
 
-class AirspeedInput:
-    """Subscription to the airspeed, for vehicles that have one.
+def actuator_input(node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> ArrayInput:
+    """Subscribe to the actuator channels; parameters as in `ArrayInput`."""
+    settings = identifier.settings.actuators
+    return ArrayInput(
+        node,
+        settings.type,
+        ACTUATORS_TOPIC,
+        ActuatorReader(settings),
+        identifier.add_actuators,
+        warnings,
+    )
 
-    Parameters
-    ----------
-    node : Node
-        Owner of the subscription; its clock stamps messages that carry no time.
-    identifier : OnlineIdentifier
-        Takes the samples.
-    warnings : Throttle
-        Takes what was refused, and why.
-    """
 
-    def __init__(self, node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> None:
-        type_name = identifier.settings.airspeed.type
-        self._identifier = identifier
-        self._clock = node.get_clock()
-        self._read = AIRSPEED[type_name]
-        self._input = _Input(node, type_name, AIRSPEED_TOPIC, self._take, warnings)
-        self.monitor = self._input.monitor
-
-    def _take(self, data: bytes) -> None:
-        arrival_ns = self._clock.now().nanoseconds
-        self.monitor.arrived()
-        message = self._input.decode(data)
-        if message is None:
-            return
-        stamp_ns, airspeed = self._read(message)
-        drop = self._identifier.add_airspeed(arrival_ns if stamp_ns is None else stamp_ns, airspeed)
-        if drop is not None:
-            self._input.warn(drop.value, drop.value)
+def airspeed_input(node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> ArrayInput:
+    """Subscribe to the airspeed, for vehicles that have one; parameters as in `ArrayInput`."""
+    type_name = identifier.settings.airspeed.type
+    return ArrayInput(
+        node, type_name, AIRSPEED_TOPIC, AIRSPEED[type_name], identifier.add_airspeed, warnings
+    )

@@ -29,9 +29,9 @@ from uav_ident_ros.inputs import (
     ACTUATORS_TOPIC,
     AIRSPEED_TOPIC,
     RATES_TOPIC,
-    ActuatorInput,
-    AirspeedInput,
     RatesInput,
+    actuator_input,
+    airspeed_input,
 )
 from uav_ident_ros.notices import OnChange, Throttle
 from uav_ident_ros.outputs import RELIABLE, Outputs
@@ -62,10 +62,10 @@ class IdentifierNode(Node):
         declare(self, settings)
         warnings = Throttle(self.get_logger().warning)
         self._rates = RatesInput(self, self.identifier, warnings)
-        self._actuators = ActuatorInput(self, self.identifier, warnings)
+        self._actuators = actuator_input(self, self.identifier, warnings)
         self._monitors = {RATES: self._rates.monitor, ACTUATORS: self._actuators.monitor}
         if settings.airspeed.type:
-            self._airspeed = AirspeedInput(self, self.identifier, warnings)
+            self._airspeed = airspeed_input(self, self.identifier, warnings)
             self._monitors[AIRSPEED] = self._airspeed.monitor
         self._outputs = Outputs(self, self.identifier.structure)
         self._estimate: Estimate | None = None
