@@ -40,10 +40,11 @@ class ExcitationGate:
         Variance of each input over the window, relative to its mean while learning.
     learning : (3,) bool array
         Rows that see excitation.
+    quiet : (n,) bool array
+        Regressors that are inputs and say nothing at present.
     """
 
     def __init__(self, free: BoolArray) -> None:
-        self._columns = free.shape[1]
         self._watched: BoolArray = free[:, INPUT_COLUMNS]
         self._window: deque[tuple[float, FloatArray, FloatArray]] = deque()
         self._window_time = 0.0
@@ -52,6 +53,7 @@ class ExcitationGate:
         self._usual_time: FloatArray = np.zeros(4)
         self.share: FloatArray = np.zeros(4)
         self.learning: BoolArray = np.ones(3, dtype=bool)
+        self.quiet: BoolArray = np.zeros(free.shape[1], dtype=bool)
 
     def update(self, data: Regression) -> BoolArray:
         """Return which rows may learn from the samples of this tick, shape (3,)."""
@@ -62,12 +64,6 @@ class ExcitationGate:
         if self._since_look >= LOOK_TIME or len(self._window) == 1:
             self._look()
         return self.learning
-
-    def quiet_columns(self) -> BoolArray:
-        """Return which of the n regressors are inputs that say nothing at present."""
-        quiet = np.zeros(self._columns, dtype=bool)
-        quiet[INPUT_COLUMNS] = self.share < QUIET_SHARE
-        return quiet
 
     def _look(self) -> None:
         """Compare the inputs over the window with what is usual."""
@@ -80,6 +76,7 @@ class ExcitationGate:
         square = np.add.reduce([entry[2] for entry in self._window])
         variance = np.maximum(square / time - (total / time) ** 2, 0.0)
         self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
+        self.quiet[INPUT_COLUMNS] = self.share < QUIET_SHARE
         lively = self._watched & (self.share >= QUIET_SHARE)
         self.learning = lively.any(axis=1) | ~self._watched.any(axis=1)
         heard = (self._watched & self.learning[:, None]).any(axis=0)

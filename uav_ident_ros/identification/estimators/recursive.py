@@ -28,6 +28,9 @@ FADE_TIME = 8.0
 """Time constant with which the information of the least-squares start then fades, s. It is
 biased, so it must go; at once, too little would be left where a flight has told little yet."""
 
+FADED_SHARE = 1e-12
+"""Share of the start below which nothing is left to fade."""
+
 SNAPSHOT_TIME = 0.5
 """Time between the copies of the information that a change goes back to, s."""
 
@@ -70,17 +73,19 @@ class InstrumentalVariable:
         Initial coefficients, their uncertainty, and which are free.
     forgetting_time : float
         Time constant of forgetting, s; 0 for never.
+
+    Attributes
+    ----------
+    warming_up : bool
+        Whether the regressors are still their own instruments.
     """
 
     def __init__(self, start: Start, forgetting_time: float) -> None:
         self.information = Information(start, forgetting_time)
         self._forgetting_rate = 1.0 / forgetting_time if forgetting_time > 0.0 else 0.0
+        self.warming_up = True
         self._fading: Snapshot | None = None
-
-    @property
-    def warming_up(self) -> bool:
-        """Whether the regressors are still their own instruments."""
-        return self._fading is None
+        self._start_share: FloatArray = np.ones(3)
 
     def accumulate(
         self,
@@ -90,13 +95,17 @@ class InstrumentalVariable:
         quiet: BoolArray | None = None,
     ) -> None:
         """Add the samples of a tick; parameters as in `Information.accumulate`."""
-        if self._fading is None and self.information.time.max() >= WARM_UP_TIME:
+        if self.warming_up and self.information.time.max() >= WARM_UP_TIME:
+            self.warming_up = False
             self._fading = self.information.snapshot()
         if self._fading is not None:
             spent = np.where(learning, data.dt * len(data.y), 0.0)
-            left = self.information.fade(self._fading, np.exp(-spent / FADE_TIME))
-            self._fading = left.scaled(np.exp(-spent * self._forgetting_rate))
-        z = data.f if self._fading is None else data.z
+            keep = np.exp(-spent / FADE_TIME)
+            left = self.information.fade(self._fading, keep)
+            self._start_share *= keep
+            gone = self._start_share.max() < FADED_SHARE
+            self._fading = None if gone else left.scaled(np.exp(-spent * self._forgetting_rate))
+        z = data.f if self.warming_up else data.z
         self.information.accumulate(data, z, coefficients, learning, quiet)
 
     def discount(self, weight: float) -> None:
@@ -164,7 +173,7 @@ class RecursiveRegression:
     def update(self, data: Regression) -> None:
         """Add the samples of a tick and solve."""
         self.learning = self._gate.update(data)
-        known = (self.coefficients, self.learning, self._gate.quiet_columns())
+        known = (self.coefficients, self.learning, self._gate.quiet)
         self._reference.accumulate(data, *known)
         if not self._instrumental:
             self.information.accumulate(data, data.f, *known)
