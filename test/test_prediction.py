@@ -17,6 +17,7 @@ from uav_ident_ros.identification.prediction import (
     InputSignal,
     WindowErrors,
     fit,
+    predict_ahead,
     score,
     window_errors,
 )
@@ -209,6 +210,27 @@ def percent(model: list[Array], measured: list[Array]) -> Array:
     m, x = np.concatenate(model), np.concatenate(measured)
     distance = np.linalg.norm(m - x, axis=0)
     return 100.0 * (1.0 - distance / np.linalg.norm(x - x.mean(axis=0), axis=0))
+
+
+@pytest.mark.parametrize("horizon_ns", [1_000_000_000, 50_000_000])
+def test_predictions_ahead_are_where_an_integration_ends(horizon_ns: int) -> None:
+    record = fly(AUGMENTED, duration=3.0)
+    factors = np.random.default_rng(3).uniform(0.5, 1.5, (len(record.ticks_ns), 1, 1))
+    record = replace(record, coefficients=record.coefficients * factors)
+    t_ns, ahead = predict_ahead(*record.arguments(), horizon_ns=horizon_ns)
+    count = int((record.ticks_ns + horizon_ns <= record.t_ns[-1]).sum())
+    np.testing.assert_array_equal(t_ns, record.ticks_ns[:count] + horizon_ns)
+    for tick in (0, count // 2, count - 1):
+        shorter = replace(record, t_ns=record.t_ns[record.t_ns <= t_ns[tick]])
+        model, _ = predicted(
+            replace(
+                shorter,
+                rates=record.rates[: len(shorter.t_ns)],
+                force=record.force[: len(shorter.t_ns)],
+            ),
+            tick,
+        )
+        np.testing.assert_allclose(ahead[tick], model[-1], rtol=0.0, atol=1e-5)
 
 
 def test_fit_equals_the_formula_with_wrong_and_changing_coefficients() -> None:

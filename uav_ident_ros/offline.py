@@ -218,6 +218,34 @@ class Refusals:
     dropped: dict[str, int]
 
 
+@dataclass(frozen=True)
+class Stretch:
+    """What was measured and published on one time base, with one delay of the inputs.
+
+    Parameters
+    ----------
+    era : int
+        Restarts of the time base before it.
+    t_ns : (N,) int array
+        Stamps of all rates on the time base, ns.
+    rates : (N, 3) array
+        p, q, r, rad/s, FRD.
+    force : (N, 2) array
+        ay, az, m/s^2, FRD.
+    inputs : InputSignal
+        Inputs on the time base, with the delay.
+    ticks : list of Estimate
+        The estimates made with that delay.
+    """
+
+    era: int
+    t_ns: TimeArray
+    rates: FloatArray
+    force: FloatArray
+    inputs: InputSignal
+    ticks: list[Estimate]
+
+
 class OfflineRun:
     """One pass of the identifier over the messages of a bag.
 
@@ -380,22 +408,27 @@ class OfflineRun:
         last_ns = max(int(t[-1]) for t, _ in parts)
         return score_windows(WindowErrors.join([e for _, e in parts]), first_ns, last_ns)
 
-    def _window_errors(self) -> Iterator[tuple[TimeArray, WindowErrors]]:
-        """Stamps and windows of every time base of the flight, and of every delay in use."""
+    def stretches(self) -> Iterator[Stretch]:
+        """Yield what was measured and published on every time base, and with every delay."""
         for context in sorted(set(self._contexts)):
             era, delay = context
             t_ns, rates, force = self.measured(era)
             pairs = zip(self.estimates, self._contexts, strict=True)
             ticks = [estimate for estimate, other in pairs if other == context]
+            yield Stretch(era, t_ns, rates, force, self.input_signal(era, delay), ticks)
+
+    def _window_errors(self) -> Iterator[tuple[TimeArray, WindowErrors]]:
+        """Stamps and windows of every stretch of the flight."""
+        for part in self.stretches():
             yield (
-                t_ns,
+                part.t_ns,
                 window_errors(
-                    t_ns,
-                    rates,
-                    self.input_signal(era, delay),
-                    force,
-                    np.array([estimate.t_ns for estimate in ticks], dtype=np.int64),
-                    np.array([estimate.coefficients for estimate in ticks]),
+                    part.t_ns,
+                    part.rates,
+                    part.inputs,
+                    part.force,
+                    np.array([estimate.t_ns for estimate in part.ticks], dtype=np.int64),
+                    np.array([estimate.coefficients for estimate in part.ticks]),
                     self.structure,
                     lever_arm=np.array(self.inputs.settings.imu.lever_arm),
                 ),

@@ -138,6 +138,9 @@ class DelayBank:
     ----------
     delays : (J,) array
         The delays, s.
+    residual : (J, 3) array
+        Residual sum of squares of pdot, qdot, rdot at each delay, as of the last evaluation; zero
+        before.
     estimate : DelayEstimate
         Outcome of the last evaluation.
     """
@@ -160,6 +163,7 @@ class DelayBank:
         self._score = self._score_squared = self._scores = 0.0
         self._signals: list[FloatArray] = []
         self._length = 0
+        self.residual: FloatArray = np.zeros((count, 3))
         self.estimate = NO_ESTIMATE
         self.restart()
 
@@ -243,6 +247,7 @@ class DelayBank:
         coefficients, residual = self._solve()
         if not residual.all():
             return  # a rate that has never moved
+        self.residual = residual
         # Negative log-likelihood with the noise of each row unknown.
         cost = 0.5 * self._weight * np.log(residual).sum(axis=1)
         best = int(np.argmin(cost))

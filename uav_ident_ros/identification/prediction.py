@@ -14,7 +14,7 @@ ay and az are regressors, running the model with both held at their value at t.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -339,6 +339,57 @@ def window_errors(
     )
 
 
+def predict_ahead(
+    t_ns: TimeArray,
+    rates: FloatArray,
+    inputs: InputSignal,
+    force: FloatArray | None,
+    ticks_ns: TimeArray,
+    coefficients: FloatArray,
+    structure: Structure,
+    *,
+    horizon_ns: int = WINDOW_NS,
+    lever_arm: FloatArray | None = None,
+) -> tuple[TimeArray, FloatArray]:
+    """Predict from every tick to one `horizon_ns` later, where the measurements cover that.
+
+    The other parameters are those of `window_errors`, and so are the predictions: these are
+    the rates at the end of its windows.
+
+    Returns
+    -------
+    t_ns : (W,) int array
+        Times that the predictions are for, ns: a tick plus the horizon.
+    predicted : (W, 3) array
+        Predicted p, q, r, rad/s, FRD.
+
+    Raises
+    ------
+    ValueError
+        If stamps do not rise or shapes do not match.
+    """
+    _check(t_ns, rates, inputs, ticks_ns, coefficients, structure)
+    arm = np.zeros(3) if lever_arm is None else np.asarray(lever_arm, dtype=np.float64)
+    force = np.zeros((len(t_ns), 2)) if force is None else force
+    if arm.any():
+        force = force - centripetal(rates, arm)
+    usable = _covered(ticks_ns, t_ns, inputs, horizon_ns)
+    ticks = ticks_ns[usable]
+    if not len(ticks):
+        return ticks, np.empty((0, 3))
+    grid = _Grid.build(t_ns, rates, inputs, force, np.union1d(ticks, ticks + horizon_ns))
+    model = _effective(coefficients[usable], structure, arm)
+    x0 = grid.interpolated(ticks, t_ns, rates)
+    start = np.searchsorted(grid.t_ns, ticks)
+    end = np.searchsorted(grid.t_ns, ticks + horizon_ns)
+    predicted = np.empty_like(x0)
+    for k in range(0, len(ticks), BLOCK):
+        block = slice(k, k + BLOCK)
+        run = _BlockRun(model[block], grid, start[block], hold_force=False)
+        predicted[block] = run.last_state(x0[block], end[block]).T
+    return ticks + horizon_ns, predicted
+
+
 def _check(
     t_ns: TimeArray,
     rates: FloatArray,
@@ -359,11 +410,13 @@ def _check(
         )
 
 
-def _covered(ticks_ns: TimeArray, t_ns: TimeArray, inputs: InputSignal) -> BoolArray:
+def _covered(
+    ticks_ns: TimeArray, t_ns: TimeArray, inputs: InputSignal, window_ns: int = WINDOW_NS
+) -> BoolArray:
     """Flag the ticks whose whole window has rates and inputs."""
     if not len(t_ns) or not len(inputs.t_ns):
         return np.zeros(len(ticks_ns), dtype=bool)
-    end = ticks_ns + WINDOW_NS
+    end = ticks_ns + window_ns
     acting = inputs.t_ns + inputs.delay_ns
     timeout_ns = round(INPUT_TIMEOUT * 1e9)
     inside = (ticks_ns >= t_ns[0]) & (end <= t_ns[-1])
@@ -503,9 +556,23 @@ class _BlockRun:
 
     def squared_errors(self, x: FloatArray, end: TimeArray) -> FloatArray:
         """Sum the squared errors, shape (3, W), from the initial rates (W, 3)."""
+        sums = np.zeros((3, len(x)))
+        for node, state in self._states(x, end):
+            counts = self._grid.compared[node] & (node <= end)
+            sums += np.where(counts, (state - self._grid.rates[:, node]) ** 2, 0.0)
+        return sums
+
+    def last_state(self, x: FloatArray, end: TimeArray) -> FloatArray:
+        """Return the state at the node `end` of each window, shape (3, W); from (W, 3)."""
+        last = np.ascontiguousarray(x.T)
+        for node, state in self._states(x, end):
+            last = np.where(node <= end, state, last)
+        return last
+
+    def _states(self, x: FloatArray, end: TimeArray) -> Iterator[tuple[TimeArray, FloatArray]]:
+        """Yield node after node (W,) with the state there (3, W), until all are at their end."""
         grid = self._grid
         x = np.ascontiguousarray(x.T)
-        sums = np.zeros_like(x)
         node = self._start
         last = len(grid.t_ns) - 1
         drive = self._drive(grid.after, node)
@@ -517,11 +584,9 @@ class _BlockRun:
             x = self._step(x, h, drive, middle, drive_end)
             # fmax and fmin also turn the NaN of an overflow into a number
             x = np.fmin(np.fmax(x, -LARGEST_RATE), LARGEST_RATE)
-            counts = grid.compared[following] & (following <= end)
-            sums += np.where(counts, (x - grid.rates[:, following]) ** 2, 0.0)
+            yield following, x
             node = following
             drive = self._drive(grid.after, node) if grid.jumps else drive_end
-        return sums
 
     def _step(
         self, x: FloatArray, h: FloatArray, first: FloatArray, middle: FloatArray, last: FloatArray
