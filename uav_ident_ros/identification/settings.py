@@ -211,6 +211,9 @@ def _setting(
     )
 
 
+LARGEST_COEFFICIENT = 1e6
+"""Magnitude beyond which a coefficient is nonsense in SI units."""
+
 MAX_DELAY = 0.5
 """Longest transport delay that is looked back for, s."""
 
@@ -238,6 +241,16 @@ AIRSPEED_TYPES = (
     "mavros_msgs/msg/VfrHud",
     "px4_msgs/msg/AirspeedValidated",
 )
+
+ARMED_TYPES = (
+    "std_msgs/msg/Bool",
+    "mavros_msgs/msg/State",
+    "px4_msgs/msg/VehicleStatus",
+    "px4_msgs/msg/ActuatorArmed",
+)
+
+NO_FILE = "none"
+"""Value of ``state_file`` that switches it off."""
 
 
 @dataclass(frozen=True)
@@ -397,6 +410,7 @@ class ModelSettings:
         "0 for never, as in the paper.",
         low=0.0,
         high=1000.0,
+        read_only=False,
     )
     inertia: tuple[float, ...] = _setting(
         (),
@@ -454,6 +468,19 @@ class AirspeedSettings:
 
 
 @dataclass(frozen=True)
+class ArmedSettings:
+    """Whether the motors are armed: on the ground there is nothing to learn."""
+
+    type: str = _setting(
+        "",
+        "",
+        "Message type of the armed topic; empty for none. With one, coefficients move only "
+        "while the vehicle is armed. Set it if the autopilot publishes it.",
+        choices=("", *ARMED_TYPES),
+    )
+
+
+@dataclass(frozen=True)
 class SupervisionSettings:
     """When a controller may act on the coefficients."""
 
@@ -463,6 +490,7 @@ class SupervisionSettings:
         "Running 1-second fit that every axis needs; it must also beat holding the rate.",
         low=-100.0,
         high=100.0,
+        read_only=False,
     )
     min_t_ratio: float = _setting(
         3.0,
@@ -470,6 +498,7 @@ class SupervisionSettings:
         "Value over sigma that at least one control derivative of every row needs.",
         low=0.0,
         high=100.0,
+        read_only=False,
     )
     max_age: float = _setting(
         900.0,
@@ -477,6 +506,7 @@ class SupervisionSettings:
         "Time without excitation after which the coefficients count as stale; 0 for never.",
         low=0.0,
         high=1e6,
+        read_only=False,
     )
 
 
@@ -518,10 +548,38 @@ class Settings:
         choices=("gradient", "least_squares", "instrumental_variable"),
     )
     initial_coefficients: tuple[float, ...] = _setting(
-        (), "", "A_m at the start: 3n values, row-major, SI. Empty: zeros."
+        (),
+        "",
+        "A_m at the start: 3n values, row-major, SI. Empty: zeros.",
+        low=-LARGEST_COEFFICIENT,
+        high=LARGEST_COEFFICIENT,
     )
     initial_coefficients_file: str = _setting(
         "", "", "File of initial coefficients, as replay writes it; wins over the values."
+    )
+    state_file: str = _setting(
+        "",
+        "",
+        "File that the node keeps its coefficients in and starts from again; wins over the "
+        "initial ones. Empty: $ROS_HOME/uav_ident_ros/NODE.yaml; 'none': neither written nor "
+        "read. Replay does not use it.",
+    )
+    state_max_age: float = _setting(
+        604800.0,
+        "s",
+        "Age by the computer's clock beyond which the state file is not started from; 0 for "
+        "never. Lower it if the aircraft is often changed between flights.",
+        low=0.0,
+        high=1e9,
+    )
+    save_period: float = _setting(
+        30.0,
+        "s",
+        "Interval at which usable coefficients are written to the state file, at least 1 s; "
+        "0 for only on ~/save and at the end.",
+        low=0.0,
+        high=86400.0,
+        read_only=False,
     )
     fixed_coefficients: tuple[str, ...] = _setting(
         (),
@@ -535,6 +593,7 @@ class Settings:
         "suffers.",
         low=0.0,
         high=1e6,
+        read_only=False,
     )
     adapt_on_start: bool = _setting(
         True, "", "Whether it learns at once; the service ~/adapt switches it."
@@ -542,6 +601,7 @@ class Settings:
     imu: ImuSettings = dataclasses.field(default_factory=ImuSettings)
     actuators: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
     airspeed: AirspeedSettings = dataclasses.field(default_factory=AirspeedSettings)
+    armed: ArmedSettings = dataclasses.field(default_factory=ArmedSettings)
     filter: FilterSettings = dataclasses.field(default_factory=FilterSettings)
     model: ModelSettings = dataclasses.field(default_factory=ModelSettings)
     gradient: GradientSettings = dataclasses.field(default_factory=GradientSettings)
