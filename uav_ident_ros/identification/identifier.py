@@ -24,12 +24,13 @@ from uav_ident_ros.identification.model import IdentifiedModel
 from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, StateVariableFilter
+from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
 from uav_ident_ros.identification.structure import ROWS, STRUCTURES, FloatArray
-from uav_ident_ros.identification.supervision import RunningFit, Verdict, judge
+from uav_ident_ros.identification.supervision import Verdict, judge
 
 RATES, ACTUATORS, AIRSPEED = "rates", "actuators", "airspeed"
 """The streams, as `OnlineIdentifier.drops` names them."""
@@ -96,7 +97,7 @@ class OnlineIdentifier:
     adapt : bool
         Whether the coefficients may move; predictions go on while they may not.
     running_fit : RunningFit
-        1-second prediction fit of the coefficients, and of holding the rate.
+        1-second prediction fit of the coefficients, of those saved, and of holding the rate.
 
     Raises
     ------
@@ -135,6 +136,7 @@ class OnlineIdentifier:
             self._delay = DelayTracker(self._sampler.delay, self._arm)
         self._model = IdentifiedModel(self.structure, self._arm)
         self.running_fit = RunningFit(self._model)
+        self._saved: FloatArray | None = None
         self._quiet_time: FloatArray = np.zeros(3)
         self.fault = ""
         self._learned_time = 0.0
@@ -408,7 +410,8 @@ class OnlineIdentifier:
         fed = moved = False
         for block in self._sampler.blocks():
             coefficients = self._coefficients()
-            self.running_fit.add(block, coefficients)
+            saved = None if self._saved is None else self._saved * self._speed.scale
+            self.running_fit.add(block, coefficients, saved)
             self._learn(block, coefficients)
             moved = (self._delay is not None and self._delay.add(block)) or moved
             fed = True
@@ -431,6 +434,11 @@ class OnlineIdentifier:
         return CoefficientSet(
             self.structure.name, self._estimator.coefficients.copy(), self._estimator.sigma, t_ns
         )
+
+    def note_saved(self, saved: CoefficientSet) -> None:
+        """Take note of what was saved, or started from: its fit runs beside that in use."""
+        self._saved = saved.values
+        self.running_fit.save()
 
     def _learn(self, block: Block, coefficients: FloatArray) -> None:
         """Run the model over a block and learn from it."""

@@ -93,13 +93,16 @@ def cell_means(
     """
     t = (t_ns - t_ns[0]) * NS
     edges = (edges_ns - t_ns[0]) * NS
-    width = np.diff(t)[:, None]
-    slope = np.zeros_like(u)
-    if interpolation == "linear":
-        slope[:-1] = np.diff(u, axis=0) / width
-    integral = np.zeros_like(u)
-    np.cumsum((u[:-1] + 0.5 * slope[:-1] * width) * width, axis=0, out=integral[1:])
-    last = np.searchsorted(t_ns, edges_ns, side="right") - 1
+    last = t_ns.searchsorted(edges_ns, side="right") - 1
     since = (edges - t[last])[:, None]
-    at_edges = integral[last] + (u[last] + 0.5 * slope[last] * since) * since
-    return np.asarray(np.diff(at_edges, axis=0) / np.diff(edges)[:, None])
+    width = (t[1:] - t[:-1])[:, None]
+    integral = np.zeros_like(u)
+    if interpolation == "linear":
+        slope = np.zeros_like(u)
+        slope[:-1] = (u[1:] - u[:-1]) / width
+        np.add.accumulate((u[:-1] + 0.5 * slope[:-1] * width) * width, out=integral[1:])
+        at_edges = integral[last] + (u[last] + 0.5 * slope[last] * since) * since
+    else:
+        np.add.accumulate(u[:-1] * width, out=integral[1:])
+        at_edges = integral[last] + u[last] * since
+    return np.asarray((at_edges[1:] - at_edges[:-1]) / (edges[1:] - edges[:-1])[:, None])

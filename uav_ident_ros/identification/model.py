@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_ident_ros.identification.frames import lever_arm_matrix
 from uav_ident_ros.identification.sampling import Block
@@ -19,9 +21,9 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
-STEP = 0.005
-"""Integration step aimed at, s: a tenth of the fastest roll mode of a small aircraft. Shorter
-cells are joined, those longer than twice this are cut."""
+STEP = 0.01
+"""Integration step aimed at, s: with the fastest roll mode of a small aircraft, 50 ms, the
+midpoint rule then errs by less than 1 %. Shorter cells are joined, longer ones are cut."""
 
 LARGEST_RATE = 30.0
 """Rate beyond which the model's state has diverged, rad/s: no aircraft here turns faster."""
@@ -142,18 +144,17 @@ def _integrate(
     Plain floats: for three states they are several times faster than arrays.
     """
     xdot = _acceleration(a, leak)
-    m = len(drive)
-    bounds = [*range(0, m, stride), m]
+    steps = _steps(len(drive), stride)
     if stride > 1:
-        counts = np.diff(bounds)[:, None]
-        drive = np.add.reduceat(drive, bounds[:-1], axis=0) / counts
-    steps_per_cell = max(1, math.ceil(h / (2.0 * STEP)))
+        drive = np.add.reduceat(drive, steps.begin) / steps.cells[:, None]
+    per_cell = max(1, round(h / STEP))
     p, q, r = x0.tolist()
     states = [(p, q, r)]
-    for k, (bp, bq, br) in enumerate(drive.tolist()):
-        dt = h * (bounds[k + 1] - bounds[k]) / steps_per_cell
+    for (bp, bq, br), dt in zip(
+        drive.tolist(), (steps.cells * (h / per_cell)).tolist(), strict=True
+    ):
         half = 0.5 * dt
-        for _ in range(steps_per_cell):
+        for _ in range(per_cell):
             dp, dq, dr = xdot(p, q, r)
             mp, mq, mr = xdot(p + half * (dp + bp), q + half * (dq + bq), r + half * (dr + br))
             p, q, r = p + dt * (mp + bp), q + dt * (mq + bq), r + dt * (mr + br)
@@ -161,8 +162,39 @@ def _integrate(
     coarse = np.array(states)
     if stride == 1:
         return coarse
-    every = np.arange(m + 1)
-    return np.stack([np.interp(every, bounds, coarse[:, i]) for i in range(3)], axis=1)
+    low = coarse[steps.left]
+    return np.asarray(low + steps.share * (coarse[steps.left + 1] - low))
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Integration steps over the m cells of a block.
+
+    Parameters
+    ----------
+    begin : (s,) int array
+        First cell of each step.
+    cells : (s,) array
+        Cells of each step.
+    left : (m + 1,) int array
+        Step in which each edge lies.
+    share : (m + 1, 1) array
+        How far through it, 0 ... 1.
+    """
+
+    begin: NDArray[np.intp]
+    cells: FloatArray
+    left: NDArray[np.intp]
+    share: FloatArray
+
+
+@lru_cache(maxsize=64)
+def _steps(m: int, stride: int) -> _Steps:
+    begin = np.arange(0, m, stride)
+    cells = np.minimum(stride, m - begin) * 1.0
+    edges = np.arange(m + 1)
+    left = np.minimum(edges // stride, len(begin) - 1)
+    return _Steps(begin, cells, left, ((edges - begin[left]) / cells[left])[:, None])
 
 
 def _acceleration(

@@ -36,9 +36,6 @@ unit; constant, rad/s^2; specific forces, rad/s^2 per m/s^2. Several times what 
 a second of excitation outweighs them, and until then they keep noise from looking like
 coefficients of millions."""
 
-LARGEST_COEFFICIENT = 1e6
-"""Magnitude beyond which a coefficient is nonsense in SI units."""
-
 
 @dataclass(frozen=True)
 class Start:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 
 import numpy as np
@@ -40,11 +41,14 @@ class SampleBuffer:
         """Drop everything."""
         self._waiting_t: list[int] = []
         self._waiting_v: list[Sequence[float]] = []
+        self._ordered = True
         self.t: TimeArray = np.empty(0, dtype=np.int64)
         self.v: FloatArray = np.empty((0, self._width))
 
     def append(self, t_ns: int, values: Sequence[float]) -> None:
         """Keep a sample until a tick at or after its stamp asks for it."""
+        if self._waiting_t and t_ns <= self._waiting_t[-1]:
+            self._ordered = False
         self._waiting_t.append(t_ns)
         self._waiting_v.append(values)
 
@@ -70,25 +74,24 @@ class SampleBuffer:
         """
         if not self._waiting_t:
             return 0
-        t = np.array(self._waiting_t, dtype=np.int64)
-        v = np.array(self._waiting_v, dtype=np.float64)
-        ready = t <= t_ns
-        if ready.all():
-            self._waiting_t, self._waiting_v = [], []
-        else:
-            later = np.flatnonzero(~ready)
-            self._waiting_t = [self._waiting_t[i] for i in later]
-            self._waiting_v = [self._waiting_v[i] for i in later]
-            t, v = t[ready], v[ready]
-        steps = np.diff(t)
-        duplicates = 0
-        if (steps <= 0).any():
-            t, first = np.unique(t, return_index=True)
-            duplicates = len(v) - len(t)
-            v = v[first]
-        self.t = np.concatenate([self.t, t])
-        self.v = np.concatenate([self.v, v])
+        duplicates = 0 if self._ordered else self._order()
+        ready = bisect_right(self._waiting_t, t_ns)
+        if ready:
+            t = np.array(self._waiting_t[:ready], dtype=np.int64)
+            v = np.array(self._waiting_v[:ready], dtype=np.float64)
+            del self._waiting_t[:ready], self._waiting_v[:ready]
+            self.t = np.concatenate([self.t, t])
+            self.v = np.concatenate([self.v, v])
         return duplicates
+
+    def _order(self) -> int:
+        """Put what waits in order of the stamps; return the number of duplicates dropped."""
+        before = len(self._waiting_t)
+        first = dict(zip(reversed(self._waiting_t), reversed(self._waiting_v), strict=True))
+        self._waiting_t = sorted(first)
+        self._waiting_v = [first[t] for t in self._waiting_t]
+        self._ordered = True
+        return before - len(self._waiting_t)
 
     def trim(self, t_ns: int) -> None:
         """Drop the samples in use before the last one at or before `t_ns`."""

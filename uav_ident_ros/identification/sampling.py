@@ -7,7 +7,7 @@ rates are straight lines. The inputs are shifted by delay and lag and averaged o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +36,9 @@ STEADY_INTERVALS = 10
 
 STEADY_SPREAD = 1.5
 """Ratio of the upper quartile of the intervals to their median up to which a rate is steady."""
+
+STALE_LOOK = 10
+"""Ticks between two looks at how often the inputs come: their rate does not change in flight."""
 
 STEADY_RATE = 0.1
 """Mean and standard deviation of the rates below which flight is steady, rad/s."""
@@ -72,6 +75,20 @@ class Block:
     restarted: bool
 
 
+def join(blocks: Sequence[Block]) -> Block:
+    """Make one block, without delayed inputs, of blocks that continue one another."""
+    first, rest = blocks[0], blocks[1:]
+    return Block(
+        np.concatenate([first.t_ns, *(block.t_ns[1:] for block in rest)]),
+        first.h,
+        np.concatenate([first.x, *(block.x[1:] for block in rest)]),
+        np.concatenate([block.u for block in blocks]),
+        None,
+        np.concatenate([first.force, *(block.force[1:] for block in rest)]),
+        first.restarted,
+    )
+
+
 class Sampler:
     """Brings rates and inputs together on the grid.
 
@@ -104,6 +121,7 @@ class Sampler:
         self._lag: ServoLag | None = None
         self._undelayed_lag: ServoLag | None = None
         self._stale_ns = self._timeout_ns
+        self._calls = 0
         self._edge_ns: int | None = None
         self._continues = False
         self.waiting_for = "rates"
@@ -136,7 +154,9 @@ class Sampler:
         """Yield the blocks that the samples in use complete."""
         if not self._ready():
             return
-        self._stale_ns = self._find_stale_age()
+        if self._calls % STALE_LOOK == 0:
+            self._stale_ns = self._find_stale_age()
+        self._calls += 1
         first_ns = 0
         for first_ns, last_ns in self._runs():
             yield from self._cut(first_ns, last_ns)
@@ -203,7 +223,11 @@ class Sampler:
     def _runs(self) -> Iterator[tuple[int, int]]:
         """Yield first and last stamp of the stretches of rates without a gap, in order."""
         t = self.rates.t
-        breaks = np.flatnonzero(np.diff(t) > self._max_gap_ns)
+        gaps = t[1:] - t[:-1] > self._max_gap_ns
+        if not gaps.any():
+            yield int(t[0]), int(t[-1])
+            return
+        breaks = np.flatnonzero(gaps)
         starts = [0, *(int(i) + 1 for i in breaks)]
         ends = [*(int(i) for i in breaks), len(t) - 1]
         for start, end in zip(starts, ends, strict=True):
@@ -265,8 +289,8 @@ class Sampler:
         """Cell means of the inputs after the servo lag, shape (m, 4)."""
         assert lag is not None
         raw = self.raw_inputs
-        u = self.input_map.apply(raw.v)
-        commanded = cell_means(raw.t, u, edges, self._actuators.interpolation)
+        means = cell_means(raw.t, raw.v, edges, self._actuators.interpolation)
+        commanded = self.input_map.apply(means)
         if restarted:
             lag.restart(commanded[0])
         return lag.apply(commanded)

@@ -142,20 +142,23 @@ class ChangeDetector:
 
     def _slopes(self, coefficients: FloatArray) -> FloatArray:
         """Update `slope`; return its t-ratios by the long-run variance, shape (3, 4)."""
-        y = np.array([tick.y for tick in self.recent])
-        f = np.array([tick.f for tick in self.recent])
+        # Far quicker than to make an array of a list of arrays.
+        y = np.concatenate([tick.y for tick in self.recent]).reshape(-1, 3)
+        f = np.concatenate([tick.f for tick in self.recent]).reshape(len(y), -1)
         residual = y - f @ coefficients.T
-        residual -= residual.mean(axis=0)
-        u = f[:, INPUT_COLUMNS] - f[:, INPUT_COLUMNS].mean(axis=0)
-        power = (u * u).sum(axis=0)
+        residual -= np.add.reduce(residual) / len(y)
+        u = f[:, INPUT_COLUMNS]
+        u = u - np.add.reduce(u) / len(u)
+        power = np.add.reduce(u * u)
         power[power < np.finfo(float).tiny ** 0.5] = np.inf  # a constant input has no slope
         self.slope = residual.T @ u / power
         # Scores of the slope, (ticks, 3, 4); sums over sliding blocks of the correlation
         # time give the Bartlett estimate of their long-run variance.
         scores = u[:, None, :] * (residual[:, :, None] - self.slope * u[:, None, :])
-        sums = np.concatenate([np.zeros((1, 3, 4)), np.cumsum(scores, axis=0)])
+        sums = np.zeros((len(y) + 1, 3, 4))
+        np.add.accumulate(scores, out=sums[1:])
         length = max(1, round(CORRELATION_TIME / self.recent[-1].dt))
         blocks = sums[length:] - sums[:-length]
-        variance = (blocks**2).mean(axis=0) / length * len(scores)
+        variance = np.add.reduce(blocks * blocks) * (len(y) / (length * len(blocks)))
         deviation = np.sqrt(variance) / power
         return np.divide(np.abs(self.slope), deviation, out=np.zeros((3, 4)), where=deviation > 0.0)

@@ -46,7 +46,7 @@ class ExcitationGate:
 
     def __init__(self, free: BoolArray) -> None:
         self._watched: BoolArray = free[:, INPUT_COLUMNS]
-        self._window: deque[tuple[float, FloatArray, FloatArray]] = deque()
+        self._window: deque[tuple[float, FloatArray]] = deque()
         self._window_time = 0.0
         self._since_look = 0.0
         self._usual: FloatArray = np.zeros(4)
@@ -59,7 +59,8 @@ class ExcitationGate:
         """Return which rows may learn from the samples of this tick, shape (3,)."""
         u = data.f[:, INPUT_COLUMNS]
         dt = data.dt * len(u)
-        self._window.append((dt, data.dt * np.add.reduce(u), data.dt * np.add.reduce(u * u)))
+        sums = data.dt * np.concatenate([np.add.reduce(u), np.add.reduce(u * u)])
+        self._window.append((dt, sums))
         self._since_look += dt
         if self._since_look >= LOOK_TIME or len(self._window) == 1:
             self._look()
@@ -72,8 +73,8 @@ class ExcitationGate:
         while self._window_time > WINDOW_TIME and len(self._window) > 1:
             self._window_time -= self._window.popleft()[0]
         time = sum(entry[0] for entry in self._window)
-        total = np.add.reduce([entry[1] for entry in self._window])
-        square = np.add.reduce([entry[2] for entry in self._window])
+        sums = np.concatenate([entry[1] for entry in self._window]).reshape(-1, 2, 4)
+        total, square = np.add.reduce(sums)
         variance = np.maximum(square / time - (total / time) ** 2, 0.0)
         self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
         self.quiet[INPUT_COLUMNS] = self.share < QUIET_SHARE

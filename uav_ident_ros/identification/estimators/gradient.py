@@ -7,9 +7,13 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.estimators.recursive import InstrumentalVariable
-from uav_ident_ros.identification.prior import LARGEST_COEFFICIENT, Start
+from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.settings import GradientSettings, SettingsError
+from uav_ident_ros.identification.settings import (
+    LARGEST_COEFFICIENT,
+    GradientSettings,
+    SettingsError,
+)
 from uav_ident_ros.identification.structure import PRODUCT_COLUMNS, BoolArray, FloatArray
 
 DEFAULT_GAIN = 0.15

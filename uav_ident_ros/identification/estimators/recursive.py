@@ -17,8 +17,9 @@ import numpy as np
 from uav_ident_ros.identification.estimators.change import WINDOW_TIME, ChangeDetector
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import Information, Snapshot
-from uav_ident_ros.identification.prior import LARGEST_COEFFICIENT, Start
+from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
 
 WARM_UP_TIME = 10.0
@@ -27,6 +28,9 @@ WARM_UP_TIME = 10.0
 FADE_TIME = 8.0
 """Time constant with which the information of the least-squares start then fades, s. It is
 biased, so it must go; at once, too little would be left where a flight has told little yet."""
+
+FADE_STEP = 0.5
+"""Time between two steps of that fading, s."""
 
 FADED_SHARE = 1e-12
 """Share of the start below which nothing is left to fade."""
@@ -86,6 +90,7 @@ class InstrumentalVariable:
         self.warming_up = True
         self._fading: Snapshot | None = None
         self._start_share: FloatArray = np.ones(3)
+        self._since_fade: FloatArray = np.zeros(3)
 
     def accumulate(
         self,
@@ -99,14 +104,21 @@ class InstrumentalVariable:
             self.warming_up = False
             self._fading = self.information.snapshot()
         if self._fading is not None:
-            spent = np.where(learning, data.dt * len(data.y), 0.0)
-            keep = np.exp(-spent / FADE_TIME)
-            left = self.information.fade(self._fading, keep)
-            self._start_share *= keep
-            gone = self._start_share.max() < FADED_SHARE
-            self._fading = None if gone else left.scaled(np.exp(-spent * self._forgetting_rate))
+            self._since_fade += learning * (data.dt * len(data.y))
+            if self._since_fade.max() >= FADE_STEP:
+                self._fading = self._fade(self._fading)
         z = data.f if self.warming_up else data.z
         self.information.accumulate(data, z, coefficients, learning, quiet)
+
+    def _fade(self, start: Snapshot) -> Snapshot | None:
+        """Fade the least-squares start a step further; return what is left of it."""
+        spent, self._since_fade = self._since_fade, np.zeros(3)
+        keep = np.exp(-spent / FADE_TIME)
+        left = self.information.fade(start, keep)
+        self._start_share *= keep
+        if self._start_share.max() < FADED_SHARE:
+            return None
+        return left.scaled(np.exp(-spent * self._forgetting_rate))
 
     def discount(self, weight: float) -> None:
         """Let all that was accumulated count for `weight` of what it did."""

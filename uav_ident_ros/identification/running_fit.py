@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The running 1-second prediction fit: how well the coefficients foretell the aircraft."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_ident_ros.identification.model import LARGEST_RATE, IdentifiedModel
+from uav_ident_ros.identification.sampling import Block, join
+from uav_ident_ros.identification.structure import FloatArray
+
+PREDICTION_TIME = 1.0
+"""Length of a prediction, s, as in the score of record."""
+
+FIT_MEMORY = 30.0
+"""Time constant of the running fit, s."""
+
+WORST_FIT = -1000.0
+"""Where the published fit ends, percent: below it the number says nothing more."""
+
+# The sums over samples: count, x, x^2, then squared errors.
+_SPREAD, _MODEL, _HOLD, _SAVED = slice(0, 3), 3, 4, 5
+
+
+class RunningFit:
+    """1-second prediction fit of the coefficients in use, of those saved, and of holding.
+
+    Predictions follow one another: each starts from the measured rates, with the coefficients
+    of that time, and is compared with every sample of its second.
+
+    Attributes
+    ----------
+    fit, hold, saved : (3,) array
+        Fit of p, q, r in percent, of the coefficients in use, of the rates held and of the
+        coefficients last saved; 0 until there is one.
+    predictions : int
+        Predictions that have counted.
+    """
+
+    def __init__(self, model: IdentifiedModel) -> None:
+        self._model = model
+        self.fit: FloatArray = np.zeros(3)
+        self.hold: FloatArray = np.zeros(3)
+        self.saved: FloatArray = np.zeros(3)
+        self.predictions = 0
+        self._blocks: list[Block] = []
+        self._time = 0.0
+        self._sums: FloatArray = np.zeros((6, 3))
+
+    def restart(self) -> None:
+        """Give up the prediction under way."""
+        self._blocks.clear()
+        self._time = 0.0
+
+    def save(self) -> None:
+        """Take note that the coefficients in use are saved: so far they have one history."""
+        self._sums[_SAVED] = self._sums[_MODEL]
+
+    def add(self, block: Block, coefficients: FloatArray, saved: FloatArray | None) -> None:
+        """Take a block of signals; once a second is full, predict it.
+
+        Parameters
+        ----------
+        block : Block
+            Signals.
+        coefficients : (3, n) array
+            Coefficients in use when the block began.
+        saved : (3, n) array or None
+            Coefficients last saved; None while there are none.
+        """
+        if block.restarted:
+            self.restart()
+        if not self._blocks:
+            self._coefficients, self._saved = coefficients, saved
+        self._blocks.append(block)
+        self._time += block.h * len(block.u)
+        if self._time >= PREDICTION_TIME - 0.5 * block.h:
+            self._predict(join(self._blocks))
+            self.restart()
+
+    def _predict(self, second: Block) -> None:
+        """Predict a second, and compare."""
+        x = second.x[1:]
+        now = np.zeros((6, 3))
+        now[_SPREAD] = np.full(3, len(x)), x.sum(axis=0), (x * x).sum(axis=0)
+        now[_MODEL] = self._error(second, self._coefficients)
+        now[_HOLD] = ((x - second.x[0]) ** 2).sum(axis=0)
+        if self._saved is not None:
+            now[_SAVED] = self._error(second, self._saved)
+        self._sums = np.exp(-self._time / FIT_MEMORY) * self._sums + now
+        self.predictions += 1
+        count, total, square = self._sums[_SPREAD]
+        spread = square - total * total / count
+        errors = self._sums[_SPREAD.stop :]
+        ratio = np.sqrt(np.divide(errors, spread, out=np.ones((3, 3)), where=spread > 0.0))
+        self.fit, self.hold, self.saved = np.maximum(100.0 * (1.0 - ratio), WORST_FIT)
+        if self._saved is None:
+            self.saved = np.zeros(3)
+
+    def _error(self, second: Block, coefficients: FloatArray) -> FloatArray:
+        """Sum of the squared errors of a prediction, shape (3,)."""
+        predicted = self._model.propagate(coefficients, second, second.x[0])[1:]
+        # A divergent prediction is clipped, as in the score of record; NaN fails the test too.
+        predicted = np.where(np.abs(predicted) < LARGEST_RATE, predicted, LARGEST_RATE)
+        return np.asarray(((second.x[1:] - predicted) ** 2).sum(axis=0))
