@@ -7,6 +7,10 @@ One format serves ``coefficients.yaml``, ``initial_coefficients_file`` and the s
     version: 1
     structure: baseline
     stamp: 1700000000.250000000      # message time, s; 0.0 if unknown
+    saved: 2023-11-14T22:13:25Z      # time of the computer; this and the next three are notes,
+    usable: true                     # which a state file has and others need not
+    delay: 0.05                      # of the actuators, as found in flight, s
+    learned_with: {actuators.scale: "[]", ...}
     coefficients:                    # SI units, body axes forward-right-down
       pdot/pq: {value: 0.0125, sigma: 0.003}
       ...
@@ -18,9 +22,15 @@ from __future__ import annotations
 
 import difflib
 import errno
+import glob
+import json
 import math
 import os
 import re
+import stat
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
@@ -29,6 +39,7 @@ import numpy as np
 import yaml
 
 from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.settings import MAX_DELAY
 from uav_ident_ros.identification.structure import STRUCTURES, Structure
 
 FORMAT = "uav_ident_ros/coefficients"
@@ -36,8 +47,13 @@ VERSION = 1
 
 NS_PER_S = 1_000_000_000
 
+LARGEST_FILE = 1_000_000
+"""Size beyond which it is some other file, bytes: ours have a few thousand."""
+
 _TOP_KEYS = ("format", "version", "structure", "stamp", "coefficients")
+_NOTE_KEYS = ("saved", "usable", "delay", "learned_with")
 _ENTRY_KEYS = ("value", "sigma")
+_BOOLEANS = {"true": True, "false": False}
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _INFINITY = frozenset((".inf", ".Inf", ".INF", "+.inf", "inf"))
 
@@ -46,7 +62,31 @@ class CoefficientsFileError(Exception):
     """A coefficients file cannot be used; the message names it and what is wrong."""
 
 
-def save_coefficients(coefficients: CoefficientSet, path: Path | str) -> None:
+@dataclass(frozen=True)
+class Notes:
+    """What a file may say beside the coefficients.
+
+    Parameters
+    ----------
+    saved : datetime, optional
+        When it was written, by the computer's clock, with its time zone.
+    usable : bool, optional
+        Whether the verdict on the coefficients was good.
+    delay : float, optional
+        Transport delay of the actuators that was found in flight, s.
+    learned_with : mapping of str to str
+        Settings that say what the coefficients mean, each with its value as JSON.
+    """
+
+    saved: datetime | None = None
+    usable: bool | None = None
+    delay: float | None = None
+    learned_with: Mapping[str, str] = field(default_factory=dict)
+
+
+def save_coefficients(
+    coefficients: CoefficientSet, path: Path | str, notes: Notes | None = None
+) -> None:
     """Write a coefficients file, whole or not at all.
 
     Parameters
@@ -55,6 +95,8 @@ def save_coefficients(coefficients: CoefficientSet, path: Path | str) -> None:
         What to write; every value finite.
     path : Path or str
         The file; one that exists is replaced.
+    notes : Notes, optional
+        What to write beside them.
 
     Raises
     ------
@@ -62,10 +104,10 @@ def save_coefficients(coefficients: CoefficientSet, path: Path | str) -> None:
         If a value is not finite or the file cannot be written.
     """
     path = Path(path)
-    text = format_coefficients(coefficients, path)
+    text = format_coefficients(coefficients, path, notes or Notes())
     # A link is followed: the file that it points to is replaced, not the link.
     target = Path(os.path.realpath(path))
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    temporary = target.with_name(_temporary_name(target.name, os.getpid()))
     try:
         try:
             with temporary.open("w", encoding="utf-8") as file:
@@ -80,6 +122,30 @@ def save_coefficients(coefficients: CoefficientSet, path: Path | str) -> None:
         raise CoefficientsFileError(f"cannot write '{path}': {_reason(error)}") from None
 
 
+def _temporary_name(name: str, writer: int | str) -> str:
+    """Name of the file that process `writer` writes before it becomes `name`."""
+    return f".{name}.{writer}.tmp"
+
+
+def remove_leftovers(path: Path | str) -> None:
+    """Remove what processes that were killed while they wrote `path` have left beside it."""
+    target = Path(os.path.realpath(path))
+    for left in target.parent.glob(_temporary_name(glob.escape(target.name), "*")):
+        writer = left.name.removesuffix(".tmp").rpartition(".")[2]
+        if writer.isdecimal() and not _is_running(int(writer)):
+            left.unlink(missing_ok=True)
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it runs, for another user
+        return True
+    return True
+
+
 def _sync_folder(folder: Path) -> None:
     """Make a rename in `folder` survive a loss of power."""
     descriptor = os.open(folder, os.O_RDONLY)
@@ -89,7 +155,9 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def format_coefficients(coefficients: CoefficientSet, path: Path | str = "coefficients") -> str:
+def format_coefficients(
+    coefficients: CoefficientSet, path: Path | str = "coefficients", notes: Notes | None = None
+) -> str:
     """Return the text of the file; `path` only names it in errors.
 
     Raises
@@ -111,6 +179,7 @@ def format_coefficients(coefficients: CoefficientSet, path: Path | str = "coeffi
         f"version: {VERSION}",
         f"structure: {structure.name}",
         f"stamp: {seconds}.{nanoseconds:09d}",
+        *_note_lines(notes or Notes()),
         "coefficients:",
     ]
     for name, index in zip(structure.names, structure.free, strict=True):
@@ -121,6 +190,20 @@ def format_coefficients(coefficients: CoefficientSet, path: Path | str = "coeffi
         shown = ".inf" if unknown else _digits(sigma)
         lines.append(f"  {name}: {{value: {_digits(value)}, sigma: {shown}}}")
     return "\n".join(lines) + "\n"
+
+
+def _note_lines(notes: Notes) -> Iterator[str]:
+    if notes.saved is not None:
+        utc = notes.saved.astimezone(UTC).replace(tzinfo=None)
+        yield f"saved: {utc.isoformat()}Z"
+    if notes.usable is not None:
+        yield f"usable: {json.dumps(notes.usable)}"
+    if notes.delay is not None:
+        yield f"delay: {_digits(notes.delay)}"
+    if notes.learned_with:
+        yield "learned_with:"
+        # JSON strings are YAML strings too.
+        yield from (f"  {name}: {json.dumps(text)}" for name, text in notes.learned_with.items())
 
 
 def _digits(value: float) -> str:
@@ -144,17 +227,23 @@ def load_coefficients(path: Path | str, structure: str | None = None) -> Coeffic
     Raises
     ------
     CoefficientsFileError
-        If it cannot be read, is of another format, version or structure, or any coefficient is
-        missing, unknown or not a number.
+        If it cannot be read, is damaged or is for another structure.
     """
+    return load_with_notes(path, structure)[0]
+
+
+def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[CoefficientSet, Notes]:
+    """Read a coefficients file with its notes; parameters and errors as `load_coefficients`."""
     path = Path(path)
     try:
-        root = yaml.compose(path.read_text(encoding="utf-8"), yaml.SafeLoader)
-        return _Reader(path).coefficients(root, structure)
+        root = yaml.compose(_text_of(path), yaml.SafeLoader)
+        return _Reader(path).document(root, structure)
     except OSError as error:
         reason = _reason(error)
     except UnicodeDecodeError:
         reason = "it is not text in UTF-8"
+    except RecursionError:
+        reason = "it is nested too deeply"
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         reason = f"line {mark.line + 1 if mark else 1}: {error.problem or error.context}"
@@ -163,6 +252,18 @@ def load_coefficients(path: Path | str, structure: str | None = None) -> Coeffic
     except _WrongError as error:
         reason = str(error)
     raise CoefficientsFileError(f"coefficients file '{path}': {reason}")
+
+
+def _text_of(path: Path) -> str:
+    """Read a file, unless it is none that could be ours: a pipe would block for ever."""
+    status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder")
+    if not stat.S_ISREG(status.st_mode):
+        raise _WrongError(None, "it is not a regular file")
+    if status.st_size > LARGEST_FILE:
+        raise _WrongError(None, f"it has {status.st_size} bytes, more than any such file")
+    return path.read_text(encoding="utf-8")
 
 
 def _reason(error: OSError) -> str:
@@ -185,11 +286,14 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self._path = path
 
-    def coefficients(self, root: Any, wanted: str | None) -> CoefficientSet:
+    def document(self, root: Any, wanted: str | None) -> tuple[CoefficientSet, Notes]:
         """Read the whole document."""
         if root is None:
             raise _WrongError(None, "it is empty")
-        top = self._mapping(root, "the file", _TOP_KEYS)
+        top = self._mapping(root, "the file", _TOP_KEYS, _NOTE_KEYS)
+        return self._coefficients(top, wanted), self._notes(top)
+
+    def _coefficients(self, top: Mapping[str, Any], wanted: str | None) -> CoefficientSet:
         if self._text(top["format"], "format") != FORMAT:
             raise _WrongError(
                 top["format"], f"the format is '{top['format'].value}', not '{FORMAT}'"
@@ -207,15 +311,57 @@ class _Reader:
             sigma[index] = self._sigma(entry["sigma"], f"the sigma of {name}")
         return CoefficientSet(structure.name, values, sigma, self._stamp(top["stamp"]))
 
-    def _mapping(self, node: Any, owner: str, keys: tuple[str, ...]) -> dict[str, Any]:
-        """Read a mapping that has exactly the given keys."""
+    def _notes(self, top: Mapping[str, Any]) -> Notes:
+        """Read what stands beside the coefficients, as far as it is there."""
+        learned_with = {}
+        if "learned_with" in top:
+            if not isinstance(top["learned_with"], yaml.MappingNode):
+                raise _WrongError(top["learned_with"], "learned_with must be a mapping")
+            for key, value in top["learned_with"].value:
+                name = self._text(key, "an entry of learned_with")
+                learned_with[name] = self._text(value, name)
+        return Notes(
+            saved=self._time(top["saved"]) if "saved" in top else None,
+            usable=self._flag(top["usable"], "usable") if "usable" in top else None,
+            delay=self._delay(top["delay"]) if "delay" in top else None,
+            learned_with=learned_with,
+        )
+
+    def _time(self, node: Any) -> datetime:
+        text = self._text(node, "saved")
+        try:
+            time = datetime.fromisoformat(text)
+        except ValueError:
+            wanted = "a time like 2023-11-14T22:13:25Z"
+            raise _WrongError(node, f"saved is '{text}', not {wanted}") from None
+        if time.tzinfo is None:
+            raise _WrongError(node, f"saved is '{text}', without a time zone: add Z for UTC")
+        return time
+
+    def _flag(self, node: Any, owner: str) -> bool:
+        text = self._text(node, owner)
+        if text not in _BOOLEANS:
+            raise _WrongError(node, f"{owner} is '{text}', not true or false")
+        return _BOOLEANS[text]
+
+    def _delay(self, node: Any) -> float:
+        delay = self._number(node, "delay")
+        if not 0.0 <= delay <= MAX_DELAY:
+            raise _WrongError(node, f"delay is {delay:g}: allowed is 0 to {MAX_DELAY:g} s")
+        return delay
+
+    def _mapping(
+        self, node: Any, owner: str, keys: tuple[str, ...], optional: tuple[str, ...] = ()
+    ) -> dict[str, Any]:
+        """Read a mapping that has all the given keys, and of others only the optional ones."""
         if not isinstance(node, yaml.MappingNode):
             raise _WrongError(node, f"{owner} must be a mapping with {', '.join(keys)}")
+        allowed = (*keys, *optional)
         found: dict[str, Any] = {}
         for key, value in node.value:
-            if key.value not in keys:
-                near = difflib.get_close_matches(str(key.value), keys, n=1)
-                hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(keys)}"
+            if key.value not in allowed:
+                near = difflib.get_close_matches(str(key.value), allowed, n=1)
+                hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(allowed)}"
                 raise _WrongError(key, f"{owner} has an unknown entry '{key.value}': {hint}")
             if key.value in found:
                 raise _WrongError(key, f"'{key.value}' is there twice")

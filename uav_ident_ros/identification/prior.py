@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.rigid_body import Inertia, product_coefficients
-from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.identification.settings import (
+    LARGEST_COEFFICIENT,
+    Settings,
+    SettingsError,
+)
 from uav_ident_ros.identification.structure import (
     CONSTANT,
     INPUTS,
@@ -35,6 +39,15 @@ FORCE_SIGMA = 10.0
 unit; constant, rad/s^2; specific forces, rad/s^2 per m/s^2. Several times what aircraft have:
 a second of excitation outweighs them, and until then they keep noise from looking like
 coefficients of millions."""
+
+RESUMED_WIDENING = 3.0
+"""Standard deviations of saved coefficients count so many times on a warm start: they hold for
+the flight that they were learned in."""
+
+RESUMED_CHANGE = 0.2
+"""Change of a coefficient between two flights that is nothing unusual, relative to its value:
+other load, air density, battery, a repair. The prior is never forgotten, so it must not claim
+more than this."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +88,18 @@ def weak_sigma(structure: Structure) -> FloatArray:
     return np.tile([by_label[label] for label in structure.regressors], (3, 1))
 
 
+def resumed(saved: CoefficientSet) -> CoefficientSet:
+    """Coefficients of an earlier flight as the start of the next: the values, trusted less.
+
+    The variance is that of the file times `RESUMED_WIDENING` squared, plus that of a change
+    by `RESUMED_CHANGE` between the flights. So a t-ratio is never above five at the start, and
+    a second of excitation outweighs what was saved.
+    """
+    change = RESUMED_CHANGE * np.abs(saved.values)
+    sigma = np.where(saved.sigma > 0.0, np.hypot(RESUMED_WIDENING * saved.sigma, change), 0.0)
+    return replace(saved, sigma=sigma)
+
+
 def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Start:
     """Gather the prior knowledge.
 
@@ -88,7 +113,8 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
     Raises
     ------
     SettingsError
-        If `initial` belongs to another structure, or the inertias are impossible.
+        If `initial` belongs to another structure or is beyond all bounds, or the inertias are
+        impossible.
     """
     structure = STRUCTURES[settings.structure]
     values = np.zeros((3, structure.size))
@@ -103,6 +129,11 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
                 "initial_coefficients_file",
                 f"the initial coefficients are of structure '{initial.structure}', "
                 f"'structure' is '{structure.name}'",
+            )
+        if not (np.abs(initial.values) <= LARGEST_COEFFICIENT).all():
+            raise SettingsError(
+                "initial_coefficients_file",
+                f"an initial coefficient is beyond {LARGEST_COEFFICIENT:g}: none in SI units is",
             )
         values = np.where(structure.mask, initial.values, 0.0)
         sigma = np.where(initial.sigma > 0.0, np.minimum(initial.sigma, sigma), sigma)
