@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import StrEnum
 from fractions import Fraction
 
@@ -22,11 +23,16 @@ from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import IdentifiedModel
 from uav_ident_ros.identification.paper import BackwardDifference
-from uav_ident_ros.identification.prior import start_from
+from uav_ident_ros.identification.prior import Start, resumed, start_from
 from uav_ident_ros.identification.regression import Regression, StateVariableFilter
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.sampling import Block, Sampler
-from uav_ident_ros.identification.settings import MAX_DELAY, Settings
+from uav_ident_ros.identification.settings import (
+    MAX_DELAY,
+    Settings,
+    SettingsError,
+    declarations,
+)
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
 from uav_ident_ros.identification.structure import ROWS, STRUCTURES, FloatArray
@@ -127,11 +133,55 @@ class OnlineIdentifier:
 
     def reset(self) -> None:
         """Start cold: buffers and filters restart, the coefficients return to their start."""
-        self._start = start_from(self.settings, self._initial)
+        self._begin(start_from(self.settings, self._initial), self.settings.actuators.delay)
+
+    def resume(self, saved: CoefficientSet, delay: float | None = None) -> None:
+        """Start warm: like `reset`, but from what a former flight has learned.
+
+        Parameters
+        ----------
+        saved : CoefficientSet
+            Its coefficients; they are trusted less than it trusted them, see `resumed`. Those
+            that are fixed keep their initial value all the same.
+        delay : float, optional
+            Delay of the actuators that it found, s; used if the delay is estimated.
+
+        Raises
+        ------
+        SettingsError
+            If `saved` does not fit the settings.
+        """
+        cold = start_from(self.settings, self._initial)
+        warm = start_from(self.settings, resumed(saved))
+        actuators = self.settings.actuators
+        known = delay if actuators.estimate_delay and delay is not None else actuators.delay
+        self._begin(replace(warm, values=np.where(warm.free, warm.values, cold.values)), known)
+        self.note_saved(saved)
+
+    def reconfigure(self, settings: Settings) -> None:
+        """Go on with other settings; to be called between two ticks.
+
+        Raises
+        ------
+        SettingsError
+            If one differs that cannot change in flight: then nothing changes.
+        """
+        before, after = self.settings.values(), settings.values()
+        for setting in declarations():
+            if setting.read_only and before[setting.name] != after[setting.name]:
+                raise SettingsError(
+                    setting.name, f"'{setting.name}' cannot change in flight: start anew"
+                )
+        self.settings = settings
+        self._estimator.reconfigure(settings)
+
+    def _begin(self, start: Start, delay: float) -> None:
+        """Forget everything and start from what is known."""
+        self._start = start
         self._estimator: Estimator = make_estimator(self.settings, self._start)
         self._speed = SpeedScaling(self.settings.airspeed, self.structure)
         self._delay: DelayTracker | None = None
-        self._sampler.delay = self.settings.actuators.delay
+        self._sampler.delay = delay
         if self.settings.actuators.estimate_delay:
             self._delay = DelayTracker(self._sampler.delay, self._arm)
         self._model = IdentifiedModel(self.structure, self._arm)

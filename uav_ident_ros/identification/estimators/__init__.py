@@ -49,6 +49,9 @@ class Estimator(Protocol):
     def update(self, data: Regression) -> None:
         """Learn from the samples of a tick."""
 
+    def reconfigure(self, settings: Settings) -> None:
+        """Take over the settings that may change in flight."""
+
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did, 0 ... 1."""
 

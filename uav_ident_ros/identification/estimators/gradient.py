@@ -12,6 +12,7 @@ from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.settings import (
     LARGEST_COEFFICIENT,
     GradientSettings,
+    Settings,
     SettingsError,
 )
 from uav_ident_ros.identification.structure import PRODUCT_COLUMNS, BoolArray, FloatArray
@@ -174,6 +175,9 @@ class GradientEstimator:
                 "the gradient law has diverged and its coefficients are held at the last finite "
                 "values: lower 'gradient.gains' or set 'gradient.step' to 'guarded'"
             )
+
+    def reconfigure(self, settings: Settings) -> None:
+        """Take over the settings that may change in flight: none of the law's."""
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight`; the law itself keeps no memory."""

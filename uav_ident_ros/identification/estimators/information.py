@@ -113,6 +113,8 @@ class Information:
 
     Attributes
     ----------
+    forgetting_time : float
+        The parameter; it may change at any time.
     time : (3,) array
         How long each row has learned, s.
     sigma : (3, n) array
@@ -123,7 +125,7 @@ class Information:
 
     def __init__(self, start: Start, forgetting_time: float = 0.0) -> None:
         self._start = start
-        self._forgetting_time = forgetting_time
+        self.forgetting_time = forgetting_time
         self.columns = Columns(start.free)
         k, n = self.columns.size, start.values.shape[1]
         self._precision = self.columns.gather(start.precision)
@@ -205,8 +207,8 @@ class Information:
         self._blocks += full
         for sums in (self._score, self._square, self._score_time):
             sums[full] = 0.0
-        if self._forgetting_time > 0.0:
-            self._forget(np.exp(-spent / self._forgetting_time))
+        if self.forgetting_time > 0.0:
+            self._forget(np.exp(-spent / self.forgetting_time))
         self.sigma = self._compute_sigma()
 
     def add_sample(self, row: int, y: FloatArray, f: FloatArray, z: FloatArray, dt: float) -> None:

@@ -19,7 +19,7 @@ from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import Information, Snapshot
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT
+from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
 
 WARM_UP_TIME = 10.0
@@ -86,7 +86,6 @@ class InstrumentalVariable:
 
     def __init__(self, start: Start, forgetting_time: float) -> None:
         self.information = Information(start, forgetting_time)
-        self._forgetting_rate = 1.0 / forgetting_time if forgetting_time > 0.0 else 0.0
         self.warming_up = True
         self._fading: Snapshot | None = None
         self._start_share: FloatArray = np.ones(3)
@@ -118,7 +117,8 @@ class InstrumentalVariable:
         self._start_share *= keep
         if self._start_share.max() < FADED_SHARE:
             return None
-        return left.scaled(np.exp(-spent * self._forgetting_rate))
+        forgetting_time = self.information.forgetting_time
+        return left.scaled(np.exp(-spent / forgetting_time)) if forgetting_time > 0.0 else left
 
     def discount(self, weight: float) -> None:
         """Let all that was accumulated count for `weight` of what it did."""
@@ -199,6 +199,11 @@ class RecursiveRegression:
             solution = np.where(sane[:, None], solution, self.coefficients)
             self.information.discount(sane * 1.0)
         self.coefficients = solution
+
+    def reconfigure(self, settings: Settings) -> None:
+        """Take over the settings that may change in flight."""
+        self._reference.information.forgetting_time = settings.forgetting_time
+        self.information.forgetting_time = settings.forgetting_time
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A warm start from what a former flight has learned, and settings that change in flight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from flying import AMPLITUDES, DOMINANT, errors, messages, plant_flight, run, settings, worst
+
+from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.prior import RESUMED_CHANGE
+from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.simulation.flight import Flight
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+from uav_ident_ros.simulation.vehicles import vehicle
+
+STRUCTURE = "throttle_coupled"
+
+
+@cache
+def first_flight() -> tuple[Flight, Measurements]:
+    flight = plant_flight(40.0)
+    return flight, measure(flight, Sensors(gyro_noise=0.02), seed=2)
+
+
+@cache
+def learned() -> CoefficientSet:
+    """What the first flight has taught."""
+    return identified(first_flight()[1]).coefficient_set()
+
+
+def identified(measurements: Measurements, **changes: Any) -> OnlineIdentifier:
+    identifier = OnlineIdentifier(settings(measurements, structure=STRUCTURE, **changes))
+    run(identifier, messages(measurements))
+    return identifier
+
+
+def fresh(**changes: Any) -> OnlineIdentifier:
+    return OnlineIdentifier(settings(first_flight()[1], structure=STRUCTURE, **changes))
+
+
+def second_flight(seconds: float, **changes: Any) -> tuple[Flight, Measurements]:
+    """Another flight, with other inputs and other noise."""
+    segments = (Segment("multisine", amplitudes=AMPLITUDES, seed=7),)
+    flight = plant_flight(seconds, segments=segments, seed=7, **changes)
+    return flight, measure(flight, Sensors(gyro_noise=0.02), seed=8)
+
+
+def test_it_goes_on_with_the_values_and_is_soon_usable() -> None:
+    _, measurements = second_flight(8.0)
+    identifier = fresh()
+    identifier.resume(learned())
+    first, *_, last = run(identifier, messages(measurements))
+    assert np.array_equal(first.coefficients, learned().values)
+    assert last.usable, last.reason
+    cold = run(fresh(), messages(measurements))[-1]
+    assert (last.fit > cold.fit + 5.0).all()
+
+
+def test_it_stays_as_good_as_it_was_from_the_first_second_on() -> None:
+    flight, measurements = second_flight(20.0)
+    before = worst(errors(learned().values, STRUCTURE, flight, DOMINANT))
+    identifier = fresh()
+    identifier.resume(learned())
+    estimates = run(identifier, messages(measurements))
+    for estimate in estimates:
+        assert worst(errors(estimate.coefficients, STRUCTURE, flight, DOMINANT)) < before + 0.15
+
+
+def test_it_does_not_claim_to_know_the_aircraft_of_today() -> None:
+    identifier = fresh()
+    identifier.resume(learned())
+    started = identifier.coefficient_set()
+    free = learned().sigma > 0.0
+    assert (started.sigma[free] > learned().sigma[free]).all()
+    index = STRUCTURES[STRUCTURE].index("pdot/da")
+    assert started.sigma[index] >= RESUMED_CHANGE * abs(started.values[index])
+
+
+def test_an_aircraft_that_was_changed_on_the_ground_is_learned_anew() -> None:
+    aircraft = vehicle("small_uav")
+    structure = STRUCTURES[aircraft.structure]
+    changed = aircraft.coefficients.copy()
+    changed[structure.index("pdot/da")] *= 0.5
+    flight, measurements = second_flight(15.0, vehicle=replace(aircraft, coefficients=changed))
+    identifier = fresh()
+    identifier.resume(learned())
+    last = run(identifier, messages(measurements))[-1]
+    assert abs(errors(last.coefficients, STRUCTURE, flight, ["pdot/da"])["pdot/da"]) < 0.1
+
+
+def test_what_is_fixed_keeps_its_initial_value() -> None:
+    initial = np.zeros((3, STRUCTURES[STRUCTURE].size))
+    index = STRUCTURES[STRUCTURE].index("pdot/p")
+    initial[index] = -7.0
+    identifier = fresh(
+        fixed_coefficients=("pdot/p",), initial_coefficients=tuple(initial.ravel().tolist())
+    )
+    identifier.resume(learned())
+    values = identifier.coefficient_set().values
+    assert values[index] == -7.0
+    index = STRUCTURES[STRUCTURE].index("pdot/da")
+    assert values[index] == learned().values[index]
+
+
+def test_the_delay_that_was_found_is_kept_only_where_it_is_estimated() -> None:
+    for estimate, wanted in ((True, 0.06), (False, 0.02)):
+        identifier = fresh(actuators__estimate_delay=estimate, actuators__delay=0.02)
+        identifier.resume(learned(), delay=0.06)
+        assert identifier.delay == wanted
+
+
+def test_reset_goes_back_to_the_configured_start() -> None:
+    identifier = fresh()
+    identifier.resume(learned())
+    identifier.reset()
+    assert not identifier.coefficient_set().values.any()
+
+
+def test_nonsense_is_refused_and_leaves_the_identifier_as_it_was() -> None:
+    identifier = fresh()
+    huge = replace(learned(), values=learned().values * 1e9)
+    other = CoefficientSet("baseline", learned().values, learned().sigma)
+    for wrong in (huge, other):
+        with pytest.raises(SettingsError):
+            identifier.resume(wrong)
+        assert not identifier.coefficient_set().values.any()
+
+
+def test_settings_that_may_change_in_flight_do() -> None:
+    _, measurements = first_flight()
+    stream = messages(measurements)
+    half = len(stream) // 2
+    identifier = fresh(forgetting_time=0.0)
+    run(identifier, stream[:half])
+    values = identifier.settings.values()
+    identifier.reconfigure(
+        Settings.from_values({**values, "forgetting_time": 20.0, "supervision.min_fit": 100.0})
+    )
+    last = run(identifier, stream[half:])[-1]
+    assert not last.usable
+    assert "needed: 100 %" in last.reason
+    kept = fresh(forgetting_time=0.0)
+    run(kept, stream)
+    assert not np.array_equal(last.coefficients, kept.coefficient_set().values)
+
+
+def test_settings_that_may_not_change_are_refused_by_name() -> None:
+    identifier = fresh()
+    before = identifier.settings
+    values = {**before.values(), "forgetting_time": 50.0, "filter.cutoff": 20.0}
+    with pytest.raises(SettingsError, match=r"'filter\.cutoff' cannot change in flight"):
+        identifier.reconfigure(Settings.from_values(values))
+    assert identifier.settings is before
