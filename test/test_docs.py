@@ -363,8 +363,11 @@ def test_the_node_and_the_replay_do_not_import_each_other() -> None:
         *((name, NODE_MODULES) for name in OFFLINE_MODULES),
     ]:
         imported = {
-            name.removeprefix("uav_ident_ros.") for name in imports_of(PACKAGE / f"{module}.py")
+            name.removeprefix("uav_ident_ros.").split(".")[0]
+            for path in [*PACKAGE.glob(f"{module}.py"), *(PACKAGE / module).glob("*.py")]
+            for name in imports_of(path)
         }
+        assert imported, module
         assert not imported & forbidden, f"{module} imports {imported & forbidden}"
 
 

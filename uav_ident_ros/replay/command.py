@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`replay` from the command line to the exit status."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from uav_ident_ros.bags import BagError
+from uav_ident_ros.replay.comparison import ranked, ranking
+from uav_ident_ros.replay.find import find_bags, is_collection, names_of
+from uav_ident_ros.replay.job import NO_RESULT, Job, Outcome, replay
+from uav_ident_ros.replay.options import parser, topics
+from uav_ident_ros.replay.overview import overview
+from uav_ident_ros.replay.parallel import replay_all
+from uav_ident_ros.replay.progress import of_messages
+
+DEFAULT_FOLDER = "replay_{}"
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the command; the return value is the exit status, see `replay --help`."""
+    command_line = parser()
+    options = command_line.parse_args(args)
+    try:
+        if options.compare:
+            if len(options.bags) > 1 or is_collection(options.bags[0]):
+                command_line.error("--compare takes one bag")
+            return _compare(options)
+        if len(options.bags) > 1 or is_collection(options.bags[0]):
+            return _many(options)
+        return _one(options)
+    except BagError as error:
+        _tell([str(error)])
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except Exception:
+        # Python's own status for it, 1, would say that there is a result.
+        traceback.print_exc()
+    return NO_RESULT
+
+
+def _job(options: argparse.Namespace, bag: Path, name: str, folder: Path) -> Job:
+    files = (options.params_file,) if options.params_file else ()
+    return Job(bag, name, folder, files, options.node, topics(options), options.plot)
+
+
+def _one(options: argparse.Namespace) -> int:
+    """Replay one bag and print its results."""
+    (bag,) = options.bags
+    name = bag.resolve().stem
+    folder = options.output or Path(DEFAULT_FOLDER.format(name))
+    outcome = replay(_job(options, bag, name, folder), of_messages)
+    _tell(outcome.warnings)
+    if outcome.table:
+        _print(f"{outcome.table}\n\nwritten to {folder}{os.sep}")
+    return outcome.status
+
+
+def _many(options: argparse.Namespace) -> int:
+    """Replay several bags and print one line for each."""
+    bags = []
+    for path in options.bags:
+        bags += find_bags(path) if is_collection(path) else [path]
+    jobs = []
+    for bag, name in zip(bags, names_of(bags), strict=True):
+        default = Path(DEFAULT_FOLDER.format(name))
+        jobs.append(_job(options, bag, name, options.output / name if options.output else default))
+    outcomes = replay_all(jobs, options.jobs)
+    _tell_of_several(outcomes)
+    _print(overview(outcomes))
+    return max(outcome.status for outcome in outcomes)
+
+
+def _compare(options: argparse.Namespace) -> int:
+    """Replay one bag with several configurations and rank them."""
+    (bag,) = options.bags
+    name = bag.resolve().stem
+    folder = options.output or Path(DEFAULT_FOLDER.format(name))
+    base = _job(options, bag, name, folder)
+    jobs = [
+        replace(base, name=label, folder=folder / label, params_files=(*base.params_files, file))
+        for file, label in zip(options.compare, names_of(options.compare), strict=True)
+    ]
+    outcomes = replay_all(jobs, options.jobs)
+    _tell_of_several(outcomes)
+    _print(ranking(name, outcomes))
+    best = ranked(outcomes)[0]
+    failed = any(outcome.status == NO_RESULT for outcome in outcomes)
+    return NO_RESULT if failed else best.status
+
+
+def _tell(warnings: Sequence[str]) -> None:
+    for warning in warnings:
+        print(f"replay: {warning}", file=sys.stderr)
+
+
+def _tell_of_several(outcomes: Sequence[Outcome]) -> None:
+    for outcome in outcomes:
+        _tell([f"{outcome.job.name}: {warning}" for warning in outcome.warnings])
+
+
+def _print(text: str) -> None:
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        # The reader has gone; there is nobody left to tell, not at the exit either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One bag replayed with one configuration: what is asked for, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from uav_ident_ros.bag_writer import BagWriteError
+from uav_ident_ros.bags import Bag, BagError, Message
+from uav_ident_ros.coefficients_file import CoefficientsFileError, load_coefficients
+from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.messages import MessageTypeError
+from uav_ident_ros.offline import OfflineRun, choose_inputs
+from uav_ident_ros.parameter_file import ParameterFileError, load_parameters
+from uav_ident_ros.pictures import PictureError
+from uav_ident_ros.replay.results import write_results
+
+NODE_NAME = "/identifier"
+
+USABLE, NOT_USABLE, NO_RESULT = 0, 1, 2
+"""Exit status: what scripts are told."""
+
+REFUSALS = (
+    BagError,
+    BagWriteError,
+    CoefficientsFileError,
+    MessageTypeError,
+    ParameterFileError,
+    PictureError,
+    SettingsError,
+)
+"""What bad input raises."""
+
+Progress = Callable[[Iterable[Message], int], Iterable[Message]]
+"""Wraps the messages and their number, to show how far the replay is."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One bag to be replayed with one configuration.
+
+    Parameters
+    ----------
+    bag : Path
+        The bag.
+    name : str
+        What its results are called.
+    folder : Path
+        Where they go.
+    params_files : tuple of Path
+        Parameter files; what a later one sets wins.
+    node : str
+        Node whose sections of the files count.
+    topics : mapping
+        Topics to read, by stream (``rates``, ``actuators``, ``airspeed``); the others are found.
+    plot : bool
+        Whether to draw the picture too.
+    """
+
+    bag: Path
+    name: str
+    folder: Path
+    params_files: tuple[Path, ...] = ()
+    node: str = NODE_NAME
+    topics: Mapping[str, str] = field(default_factory=dict)
+    plot: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+    status : int
+        `USABLE`, `NOT_USABLE` or `NO_RESULT`.
+    warnings : tuple of str
+        What is wrong with the input; if there is no result, why.
+    table : str
+        Results in words and columns; empty if there are none.
+    summary : mapping
+        Content of summary.json; empty if there is none.
+    """
+
+    job: Job
+    status: int
+    warnings: tuple[str, ...] = ()
+    table: str = ""
+    summary: Mapping[str, Any] = field(default_factory=dict)
+
+
+def replay(job: Job, progress: Progress = lambda messages, _: messages) -> Outcome:
+    """Do a job: run the identifier over the bag and write the results.
+
+    Bad input is an outcome, too: nothing of `REFUSALS` is raised.
+    """
+    warnings: list[str] = []
+    try:
+        run = _run(job, progress, warnings)
+        summary, table = write_results(
+            job.folder, job.name, run, run.score(), NODE_NAME, plot=job.plot
+        )
+    except REFUSALS as error:
+        return Outcome(job, NO_RESULT, (*warnings, str(error)))
+    status = USABLE if run.estimates[-1].usable else NOT_USABLE
+    return Outcome(job, status, tuple(warnings), table, summary)
+
+
+def _run(job: Job, progress: Progress, warnings: list[str]) -> OfflineRun:
+    """Run the identifier over the bag."""
+    values: dict[str, Any] = {}
+    for file in job.params_files:
+        values.update(load_parameters(file, job.node))
+    with Bag(job.bag) as bag:
+        topics = (job.topics.get(stream) for stream in ("rates", "actuators", "airspeed"))
+        inputs = choose_inputs(bag, values, *topics)
+        run = OfflineRun(inputs, _initial(inputs.settings))
+        run.run(bag, progress)
+    if run.fault:
+        warnings.append(f"fault: {run.fault}")
+    if not run.estimates:
+        raise BagError(f"bag '{job.bag}': no tick came due: {_why_nothing(run)}")
+    return run
+
+
+def _initial(settings: Settings) -> CoefficientSet | None:
+    """Read the coefficients to start from, if the settings name a file."""
+    if not settings.initial_coefficients_file:
+        return None
+    return load_coefficients(settings.initial_coefficients_file, settings.structure)
+
+
+def _why_nothing(run: OfflineRun) -> str:
+    """Say what became of the rates of a bag that gave no estimate."""
+    rates = run.refusals("rates")
+    topic = run.inputs.rates_topic
+    if not rates.dropped:
+        return f"'{topic}' has {rates.received} messages, too few for one tick"
+    reasons = ", ".join(f"{count} {reason}" for reason, count in rates.dropped.items())
+    return f"of {rates.received} messages on '{topic}' were dropped: {reasons}"

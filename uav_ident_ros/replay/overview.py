@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many bags, a line each: how good its model is, or why there is none."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from uav_ident_ros.replay.job import NO_RESULT, NOT_USABLE, USABLE, Outcome
+from uav_ident_ros.replay.summary import AXES
+
+VERDICTS = {USABLE: "usable", NOT_USABLE: "not usable", NO_RESULT: "no result"}
+LOWEST_SHOWN = -1000.0
+"""Fit below which the number says nothing more, percent."""
+
+FIT_WINDOWS = "last_40_percent"
+
+
+def fit_of(outcome: Outcome) -> tuple[float | None, ...]:
+    """Return the 1-second prediction fit of p, q, r over the last windows, percent."""
+    fit = outcome.summary["prediction_fit"][FIT_WINDOWS]["model"]
+    return tuple(fit[axis] for axis in AXES)
+
+
+def fit_columns(outcome: Outcome) -> str:
+    """Return the fit of each axis in columns."""
+    return columns(fit_of(outcome) if outcome.summary else [None] * len(AXES))
+
+
+def columns(values: Iterable[float | None]) -> str:
+    """Return percentages in columns; a dash where there is none."""
+
+    def word(value: float | None) -> str:
+        if value is None:
+            return "-"
+        return f"{value:.1f}" if value > LOWEST_SHOWN else f"<{LOWEST_SHOWN:.0f}"
+
+    return "".join(f"{word(value):>8}" for value in values)
+
+
+def overview(outcomes: Sequence[Outcome]) -> str:
+    """Return a table of several replays."""
+    width = max(len(outcome.job.name) for outcome in outcomes) + 2
+    heads = "".join(f"{f'fit {axis}':>8}" for axis in AXES)
+    lines = [f"{'bag':<{width}}{heads}  verdict"]
+    for outcome in outcomes:
+        lines.append(f"{outcome.job.name:<{width}}{fit_columns(outcome)}  {verdict(outcome)}")
+    counts = Counter(outcome.status for outcome in outcomes)
+    counted = ", ".join(f"{counts[s]} {word}" for s, word in VERDICTS.items() if counts[s])
+    return "\n".join([*lines, "", f"{len(outcomes)} bags: {counted}"])
+
+
+def verdict(outcome: Outcome) -> str:
+    """Return the verdict on a replay, and the reason where it is not a good one."""
+    word = VERDICTS[outcome.status]
+    if outcome.status == NO_RESULT:
+        return f"{word}: {outcome.warnings[-1]}"
+    reason = outcome.summary["reason"]
+    return f"{word}: {reason}" if outcome.status == NOT_USABLE and reason else word

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""summary.json: everything about a replay, the same bytes for the same bag."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from uav_ident_ros.identification.prediction import PredictionFit
+from uav_ident_ros.offline import Inputs, OfflineRun
+
+SUMMARY_VERSION = 1
+AXES = ("p", "q", "r")
+
+
+def summarise(name: str, run: OfflineRun, fits: dict[str, PredictionFit]) -> dict[str, Any]:
+    """Everything worth keeping about a replay, ready for JSON; the same for the same bag."""
+    last = run.estimates[-1]
+    result = run.result()
+    settings = run.inputs.settings
+    return {
+        "version": SUMMARY_VERSION,
+        "bag": name,
+        "ticks": len(run.estimates),
+        "first_tick_ns": run.estimates[0].t_ns,
+        "last_tick_ns": last.t_ns,
+        "frame_id": run.frame_id,
+        "inputs": {
+            stream: {
+                "topic": topic,
+                "type": msgtype,
+                "received": run.refusals(stream).received,
+                "dropped": run.refusals(stream).dropped,
+            }
+            for stream, topic, msgtype in streams(run.inputs)
+        },
+        "state": last.state,
+        "reason": last.reason,
+        "fault": run.fault,
+        "usable": last.usable,
+        "delay": run.identifier.delay,
+        "delay_sigma": _json(run.identifier.delay_sigma),
+        "structure": run.structure.name,
+        "coefficients": {
+            coefficient: {
+                "value": _json(result.values[index]),
+                "sigma": _json(result.sigma[index]),
+            }
+            for coefficient, index in zip(run.structure.names, run.structure.free, strict=True)
+        },
+        "prediction_fit": {windows: _json_fit(fit) for windows, fit in fits.items()},
+        "settings": {key: _json_setting(v) for key, v in settings.values().items()},
+    }
+
+
+def streams(inputs: Inputs) -> tuple[tuple[str, str, str], ...]:
+    """Return name, topic and message type of the streams that are read."""
+    settings = inputs.settings
+    streams = (
+        ("rates", inputs.rates_topic, settings.imu.type),
+        ("actuators", inputs.actuators_topic, settings.actuators.type),
+        ("airspeed", inputs.airspeed_topic, settings.airspeed.type),
+    )
+    return streams if inputs.airspeed_topic else streams[:2]
+
+
+def _json(value: float) -> float | None:
+    """Return a number for JSON, which knows neither NaN nor infinity."""
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def _json_fit(fit: PredictionFit) -> dict[str, Any]:
+    def by_axis(values: Any) -> dict[str, float | None]:
+        return {axis: _json(value) for axis, value in zip(AXES, values, strict=True)}
+
+    return {
+        "unit": "percent",
+        "windows": fit.windows,
+        "samples": fit.samples,
+        "model": by_axis(fit.model),
+        "model_with_ay_az_held": by_axis(fit.held_force),
+        "hold": by_axis(fit.hold),
+    }
+
+
+def _json_setting(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
