@@ -43,6 +43,7 @@ setup(
     # here would break every machine that has them from apt.
     install_requires=["setuptools", "numpy"],
     extras_require={
+        "monitor": ["rich"],
         "replay": ["pyyaml", "matplotlib", "rosbags"],
         # colcon decides by this extra whether `colcon test` runs pytest
         "test": ["pytest", "hypothesis", "scipy", "pyyaml", "matplotlib", "rosbags"],
@@ -51,6 +52,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"identifier = {PACKAGE}.node:main",
+            f"monitor = {PACKAGE}.monitor.cli:main",
             f"replay = {PACKAGE}.replay:main",
             f"simulate = {PACKAGE}.simulation.cli:main",
         ],

@@ -161,11 +161,15 @@ def test_every_command_exists_and_knows_its_options(page: Path) -> None:
 
 
 def check_options(page: Path, name: str, words: list[str]) -> None:
-    """Hold the options of `replay` and `simulate` against their help."""
+    """Hold the options of a command against its help."""
     if name == "identifier":
         assert words[0] == "--ros-args"
         return
-    module = {"replay": "uav_ident_ros.replay", "simulate": "uav_ident_ros.simulation.cli"}[name]
+    module = {
+        "monitor": "uav_ident_ros.monitor.cli",
+        "replay": "uav_ident_ros.replay",
+        "simulate": "uav_ident_ros.simulation.cli",
+    }[name]
     known = help_of(module)
     for word in words:
         if word.startswith("--"):

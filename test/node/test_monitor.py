@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The monitor beside the real node, over DDS: on a pipe, on a terminal, once."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import itertools
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from node_process import ROOT, StartNode
+from recordings import MakePlayer, Recording, recording
+
+from uav_ident_ros.player import Player
+
+MONITOR = [sys.executable, "-m", "uav_ident_ros.monitor.cli"]
+
+WITHOUT_RICH = [
+    sys.executable,
+    "-c",
+    "import sys; sys.modules['rich'] = None\n"
+    "from uav_ident_ros.monitor.cli import main; sys.exit(main())",
+]
+
+StartMonitor = Callable[..., subprocess.Popen[str]]
+
+
+class EndedError(Exception):
+    """The process that was played for has ended."""
+
+
+@pytest.fixture
+def start_monitor() -> Iterator[StartMonitor]:
+    """Start the monitor with its output in pipes; it is ended after the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [*MONITOR, *arguments],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "COLUMNS": "80", "PYTHONIOENCODING": "utf-8"},
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def parts(flight: Recording, *ends: float) -> list[list]:
+    """The messages of a recording, cut at times after its start, s."""
+    start_ns = flight.messages[0].log_ns
+    edges = [start_ns + round(1e9 * end) for end in (0.0, *ends)]
+    return [
+        [m for m in flight.messages if begin <= m.log_ns < end]
+        for begin, end in itertools.pairwise(edges)
+    ]
+
+
+def play_while(player: Player, messages: list, process: subprocess.Popen[str]) -> None:
+    """Play in real time until a process ends, or the messages do."""
+
+    def look(_: int) -> None:
+        if process.poll() is not None:
+            raise EndedError
+
+    with contextlib.suppress(EndedError):
+        player.play(messages, on_time=look)
+
+
+def test_once_shows_what_may_be_used_and_what_is_of_the_past(
+    start_node: StartNode, make_player: MakePlayer, start_monitor: StartMonitor
+) -> None:
+    flight = recording("multisine", 25.0)
+    start_node(parameter_file=flight.parameter_file, sim_time=True)
+    player = make_player(flight)
+    player.wait_for_node()
+    converging, flying = parts(flight, 10.0, 25.0)
+    player.play_in_step(converging)
+    monitor = start_monitor("--once", "--timeout", "10", "--node", "/identifier")
+    play_while(player, flying, monitor)
+    shown, errors = monitor.communicate(timeout=20.0)
+    assert monitor.returncode == 0, shown + errors
+    assert shown.startswith("/identifier  converged  usable  tick ")
+    newest = player.outputs.named[-1]
+    value = dict(zip(newest.name, newest.position, strict=True))["pdot/da"]
+    (row,) = re.findall(r"^da +([-+.\d]+) +([.\d]+) +(>?\d+) ", shown, re.MULTILINE)
+    assert float(row[0]) == pytest.approx(value, rel=0.05)
+    assert float(row[1]) > 0.0
+    assert re.search(r"rates +/imu/data +\d+\.\d Hz +age \d", shown)
+
+    player.spin_for(2.5)  # silence: what was usable is so no more
+    monitor = start_monitor("--once", "--timeout", "3")
+    shown, errors = monitor.communicate(timeout=30.0)
+    assert monitor.returncode == 1, shown + errors
+    assert "waiting" in shown
+    assert "none since" in shown
+
+
+def test_once_tells_why_coefficients_may_not_be_used(
+    start_node: StartNode, make_player: MakePlayer, start_monitor: StartMonitor
+) -> None:
+    flight = recording("multisine", 25.0)
+    start_node(
+        parameter_file=flight.parameter_file,
+        parameters={"supervision.min_fit": "99.5"},
+        sim_time=True,
+    )
+    player = make_player(flight)
+    player.wait_for_node()
+    learning, flying = parts(flight, 10.0, 25.0)
+    player.play_in_step(learning)
+    monitor = start_monitor("--once", "--timeout", "10", "--node", "/identifier")
+    play_while(player, flying, monitor)
+    shown, errors = monitor.communicate(timeout=20.0)
+    assert monitor.returncode == 1, errors
+    assert shown.startswith("/identifier  learning  not usable  tick ")
+    assert "needed: 100 %" in shown
+
+
+def test_once_says_when_there_is_nothing_to_hear(start_monitor: StartMonitor) -> None:
+    for arguments in ((), ("--node", "/nowhere/identifier")):
+        monitor = start_monitor("--once", "--timeout", "1", *arguments)
+        shown, errors = monitor.communicate(timeout=30.0)
+        assert monitor.returncode == 3
+        assert shown == ""
+        assert errors.count("\n") == 1
+        assert "for 1 s" in errors
+
+
+def test_several_identifiers_are_listed_and_one_is_chosen(
+    start_node: StartNode, start_monitor: StartMonitor
+) -> None:
+    for name in ("one", "two"):
+        start_node("-r", f"__ns:=/{name}")
+        player = Player({}, f"/{name}/identifier", clock=False)
+        try:
+            player.wait_until(player.node_is_there, "the node")
+        finally:
+            player.close()
+    monitor = start_monitor("--once")
+    shown, errors = monitor.communicate(timeout=30.0)
+    assert monitor.returncode == 2
+    assert shown == ""
+    assert errors.splitlines() == [
+        "monitor: there are 2 identifiers: choose one with --node",
+        "  /one/identifier",
+        "  /two/identifier",
+    ]
+    monitor = start_monitor("--once", "--node", "/two/identifier", "--timeout", "3")
+    shown, errors = monitor.communicate(timeout=30.0)
+    assert monitor.returncode == 1, errors
+    assert shown.startswith("/two/identifier  waiting  not usable  no tick yet")
+    assert "no message on '/two/imu/data' yet" in shown
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_blocks_of_text_on_a_pipe_until_it_is_ended(
+    start_node: StartNode,
+    make_player: MakePlayer,
+    start_monitor: StartMonitor,
+    ending: signal.Signals,
+) -> None:
+    flight = recording("multisine", 30.0)
+    start_node(parameter_file=flight.parameter_file, sim_time=True)
+    player = make_player(flight)
+    player.wait_for_node()
+    monitor = start_monitor("--node", "identifier/")
+    assert monitor.stdout is not None
+    ticks: list[float] = []
+
+    def read() -> None:
+        for line in monitor.stdout or ():
+            ticks.extend(float(t) for t in re.findall(r"  tick ([\d.]+) s$", line))
+            if len(ticks) >= 3:
+                monitor.send_signal(ending)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    play_while(player, flight.messages, monitor)
+    reader.join(20.0)
+    assert len(ticks) >= 3
+    assert ticks == sorted(set(ticks))
+    assert monitor.wait(10.0) == 0
+    assert monitor.stderr is not None
+    assert "Traceback" not in monitor.stderr.read()
+
+
+def test_a_reader_that_goes_away_is_no_error(
+    start_node: StartNode, start_monitor: StartMonitor
+) -> None:
+    start_node()
+    monitor = start_monitor("--plain", "--node", "/identifier")
+    assert monitor.stdout is not None
+    assert monitor.stdout.readline().startswith("/identifier")
+    monitor.stdout.close()
+    assert monitor.wait(10.0) == 0
+    assert monitor.stderr is not None
+    assert monitor.stderr.read() == ""
+    monitor.stdout = None
+
+
+class Terminal:
+    """A program on a terminal of 80 columns and 24 lines."""
+
+    def __init__(self, command: list[str]) -> None:
+        self._main, side = pty.openpty()
+        fcntl.ioctl(side, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "NO_COLOR")}
+        environment |= {"TERM": "xterm-256color", "PYTHONIOENCODING": "utf-8"}
+        self.process = subprocess.Popen(
+            command, cwd=ROOT, stdin=side, stdout=side, stderr=side, env=environment
+        )
+        os.close(side)
+        self.received = ""
+
+    def read_until(self, words: str, timeout: float = 20.0) -> bool:
+        """Read until the words were shown, or the program ends; return whether they were."""
+        end = time.monotonic() + timeout
+        while words not in self.received and time.monotonic() < end:
+            if select.select([self._main], [], [], 0.1)[0]:
+                try:
+                    self.received += os.read(self._main, 65536).decode(errors="replace")
+                except OSError:  # the program has ended
+                    break
+        return words in self.received
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        os.close(self._main)
+
+
+@pytest.fixture
+def on_terminal() -> Iterator[Callable[[list[str]], Terminal]]:
+    opened: list[Terminal] = []
+
+    def run(command: list[str]) -> Terminal:
+        opened.append(Terminal(command))
+        return opened[-1]
+
+    yield run
+    for terminal in opened:
+        terminal.close()
+
+
+def test_the_terminal_is_drawn_in_place_and_given_back(
+    start_node: StartNode, on_terminal: Callable[[list[str]], Terminal]
+) -> None:
+    start_node()
+    terminal = on_terminal([*MONITOR, "--node", "/identifier"])
+    assert terminal.read_until("no message on '/imu/data' yet")
+    assert "\x1b[?1049h" in terminal.received  # the alternate screen, without a cursor
+    assert "\x1b[?25l" in terminal.received
+    terminal.process.send_signal(signal.SIGINT)
+    assert terminal.read_until("\x1b[?1049l")
+    assert terminal.process.wait(10.0) == 0
+    terminal.read_until("never shown", timeout=0.5)
+    assert "\x1b[?25h" in terminal.received
+    assert "Traceback" not in terminal.received
+    frame = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "\n", terminal.received)
+    assert max(len(line) for line in frame.splitlines()) <= 80
+
+
+def test_without_rich_the_terminal_gets_blocks_and_the_reason(
+    start_node: StartNode, on_terminal: Callable[[list[str]], Terminal]
+) -> None:
+    start_node()
+    terminal = on_terminal([*WITHOUT_RICH, "--node", "/identifier"])
+    assert terminal.read_until("no message on '/imu/data' yet")
+    assert "'rich' is not installed" in terminal.received
+    assert "\x1b[?1049h" not in terminal.received
+    terminal.process.send_signal(signal.SIGINT)
+    assert terminal.process.wait(10.0) == 0
+
+
+def test_it_waits_for_a_node_that_is_not_there_yet(
+    start_node: StartNode, on_terminal: Callable[[list[str]], Terminal]
+) -> None:
+    terminal = on_terminal([*MONITOR, "--plain"])
+    assert terminal.read_until("looking for an identifier")
+    start_node()
+    assert terminal.read_until("/identifier  waiting  not usable")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--node", "/"), "no node name"),
+        (("--timeout", "-1"), "positive"),
+        (("--nod",), "expected one argument"),
+        (("x",), "unrecognized"),
+    ],
+)
+def test_a_wrong_command_line_is_one_line(
+    start_monitor: StartMonitor, arguments: tuple[str, ...], said: str
+) -> None:
+    monitor = start_monitor(*arguments)
+    shown, errors = monitor.communicate(timeout=20.0)
+    assert monitor.returncode == 2
+    assert shown == ""
+    assert errors.count("\n") == 1
+    assert said in errors

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the monitor shows of what it heard: size, signs, words, verdict."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.messages import entry_names
+from uav_ident_ros.monitor.heard import TREND_TIME, Coefficient, Heard
+from uav_ident_ros.monitor.lines import ASCII, glyphs_for, lines, plain
+
+SECOND_NS = 1_000_000_000
+
+STATUS = {
+    "excitation pdot [0..1]": "0.280",
+    "hold p [%]": "-12.0",
+    "hold q [%]": "3.0",
+    "hold r [%]": "95.0",
+    "delay [s]": "0.0231",
+    "delay confidence": "sure",
+    "not told apart": "qdot/1, qdot/az; rdot/p, rdot/r",
+    "ticks: count": "651",
+    "ticks: update time p99 [ms]": "0.300",
+    "rates: topic": "/mavros/imu/data_raw",
+    "rates: rate [Hz]": "200.0",
+    "rates: age [s]": "0.01",
+    "rates: dropped": "3",
+    "rates: dropped: late": "2",
+    "rates: dropped: not finite": "1",
+    "actuators: topic": "/mavros/rc/out",
+    "actuators: rate [Hz]": "0.0",
+    "actuators: age [s]": "no message yet",
+    "actuators: dropped": "0",
+    "airspeed: topic": "/airspeed",
+    "airspeed: rate [Hz]": "10.0",
+    "airspeed: age [s]": "0.11",
+    "airspeed: dropped": "0",
+}
+
+
+class Watch:
+    """A clock that is set by hand."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def heard(
+    structure: str = "augmented", *, usable: bool = True, scale: float = 1.0
+) -> tuple[Heard, Watch]:
+    """A node that has been heard for two ticks and one status."""
+    watch = Watch()
+    result = Heard("/drone1/identifier", watch)
+    names = entry_names(STRUCTURES[structure])
+    count = len(names)
+    values = scale * np.linspace(-60.0, 60.0, count)
+    values[-4:-1], values[-1] = (84.0, 20.0, 86.0), float(usable)
+    sigmas = np.full(count, 0.5)
+    sigmas[0], sigmas[1] = 0.0, math.inf
+    for t_ns in (SECOND_NS, SECOND_NS + 50_000_000):
+        result.coefficients_named(t_ns, names, list(values), list(sigmas))
+    result.diagnosed("learning: the 1-second fit of q is 20 %", STATUS)
+    return result, watch
+
+
+def text(result: Heard, width: int = 80) -> str:
+    return "\n".join(plain(line) for line in lines(result, width))
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+@pytest.mark.parametrize("scale", [1.0, 1e-9, 1e9, 1e300])
+def test_everything_fits_on_80_columns_and_24_lines(structure: str, scale: float) -> None:
+    shown = text(heard(structure, scale=scale)[0]).splitlines()
+    assert len(shown) <= 24
+    assert max(map(len, shown)) <= 80
+
+
+@pytest.mark.parametrize("width", [20, 40, 60, 120, 200])
+def test_other_widths_are_kept_and_nothing_is_lost(width: int) -> None:
+    result, _ = heard()
+    shown = text(result, width)
+    assert max(map(len, shown.splitlines())) <= width
+    if width >= 40:
+        for name in STRUCTURES["augmented"].regressors:
+            assert f"\n{name} " in shown or f"  {name} " in shown
+
+
+def test_every_number_is_where_it_belongs() -> None:
+    shown = text(heard()[0])
+    head = shown.splitlines()[0]
+    assert head == "/drone1/identifier  learning  usable  tick 1.05 s"
+    assert "the 1-second fit of q is 20 %" in shown
+    assert "pq   -60.000 fixed" in shown
+    assert "qr   -55.862   inf    0 →" in shown
+    assert "p    -51.724 0.500  103 →" in shown
+    assert "pdot   excited 0.28" in shown
+    assert "fit 84 %  hold -12 %" in shown
+    assert "fit 86 %  hold 95 %" in shown
+    assert "/mavros/imu/data_raw" in shown
+    assert "200.0 Hz  age 0.01 s  dropped 3\n          dropped: late 2, not finite 1\n" in shown
+    assert "0.0 Hz  no message yet  dropped 0" in shown
+    assert "delay     23 ms  estimated, sure" in shown
+    assert "ticks     651  update 0.300 ms (p99)" in shown
+    assert "not told apart: qdot/1, qdot/az; rdot/p, rdot/r" in shown
+
+
+def styles(result: Heard) -> dict[str, str]:
+    return {part.strip(): style for line in lines(result, 80) for part, style in line}
+
+
+def test_colours_tell_good_from_bad() -> None:
+    found = styles(heard()[0])
+    assert found["usable"] == "bold green"
+    assert found["fit 84 %"] == "green"
+    assert found["fit 86 %"] == "yellow"  # worse than holding the rate
+    assert found["dropped 3"] == "yellow"
+    result, _ = heard(usable=False)
+    result.diagnosed("fault: the frame is wrong", {})
+    found = styles(result)
+    assert found["fault"] == "bold red"
+    assert found["not usable"] == "bold yellow"
+
+
+def test_a_verdict_of_the_past_is_not_usable() -> None:
+    result, watch = heard()
+    assert result.usable
+    watch.now += 2.0
+    assert not result.usable
+    assert "last tick 1.05 s, none since" in text(result)
+
+    result, _ = heard()
+    result.diagnosed("waiting: no message on '/imu/data' for more than 2 s", STATUS)
+    assert not result.usable
+
+    latched = Heard("/identifier")
+    names = entry_names(STRUCTURES["baseline"])
+    for _ in range(2):  # the same tick twice is still one tick
+        latched.coefficients_named(SECOND_NS, names, [1.0] * len(names), [0.1] * len(names))
+    latched.diagnosed("converged", {})
+    assert not latched.usable
+
+
+def test_nothing_heard_yet_is_said_in_words() -> None:
+    shown = text(Heard("/identifier"))
+    assert "no tick yet" in shown
+    assert "no status on /diagnostics yet" in shown
+    assert shown.count("no fit yet") == 3
+
+
+def test_two_nodes_of_one_name_are_named() -> None:
+    result, _ = heard()
+    result.publishers = 2
+    assert "2 nodes publish under this name" in text(result)
+
+
+@pytest.mark.parametrize(
+    ("past", "sigma", "trend"),
+    [
+        ((1.0, 1.2, 1.6), 0.5, 1),
+        ((1.0, 1.2, 1.4), 0.5, 0),
+        ((1.0, 0.2), 0.5, -1),
+        ((1.0, 9.0), 0.0, 0),
+        ((1.0, 9.0), math.inf, 0),
+        ((), 0.1, 0),
+    ],
+)
+def test_a_trend_is_more_than_a_standard_deviation(
+    past: tuple[float, ...], sigma: float, trend: int
+) -> None:
+    value = past[-1] if past else 1.0
+    assert Coefficient("pdot/p", value, sigma, past).trend == trend
+
+
+def fed(*ticks: tuple[float, float]) -> Heard:
+    """A node whose `pdot/p` took these values at these times, s."""
+    result = Heard("/identifier")
+    for t, value in ticks:
+        result.coefficients_named(round(t * 1e9), ["pdot/p"], [value], [0.01])
+    return result
+
+
+def test_a_trend_looks_back_ten_seconds_and_no_further() -> None:
+    rising = [(1.0 + 0.05 * k, 0.05 * k) for k in range(1000)]
+    (coefficient,) = fed(*rising).coefficients()
+    assert coefficient.trend == 1
+    assert coefficient.value - coefficient.past[0] == pytest.approx(TREND_TIME, abs=0.5)
+    steady = [*rising, *((60.0 + 0.05 * k, rising[-1][1]) for k in range(300))]
+    assert fed(*steady).coefficients()[0].trend == 0
+
+
+def test_a_trend_begins_anew_when_time_goes_back() -> None:
+    (coefficient,) = fed((50.0, 9.0), (51.0, 9.0), (1.0, 0.0)).coefficients()
+    assert coefficient.past == (0.0, 0.0)
+
+
+def test_past_values_are_drawn_where_there_is_room() -> None:
+    result = fed(*((1.0 + 0.5 * k, 0.1 * k) for k in range(20)))
+    wide = text(result, 120)
+    assert "▁▂▃▄▅▆▇█"[0] in wide
+    assert "█" in wide
+    assert "█" not in text(result, 80)
+
+
+def test_terminals_without_unicode_get_other_signs() -> None:
+    assert glyphs_for("utf-8").up == "↗"
+    assert glyphs_for("ascii") is ASCII
+    assert glyphs_for(None) is ASCII
+    result = fed((1.0, 0.0), (2.0, 1.0))
+    "\n".join(plain(line) for line in lines(result, 120, ASCII)).encode("ascii")

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `monitor`: watch a running identifier from a terminal, over ssh too."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import signal
+import sys
+from typing import NoReturn
+
+from uav_ident_ros.monitor.heard import Heard
+from uav_ident_ros.monitor.listener import Listener
+from uav_ident_ros.monitor.views import Blocks, make_view
+
+USABLE = 0
+NOT_USABLE = 1
+USAGE_ERROR = 2
+NOTHING_HEARD = 3
+"""Exit statuses of ``--once``; the view itself ends with 0."""
+
+TIMEOUT = 5.0
+"""Seconds after which ``--once`` gives up: five statuses of the node, and discovery is slow."""
+
+LOOK_AGAIN = 1.0
+"""Seconds after which the view looks again for an identifier."""
+
+
+class MonitorError(Exception):
+    """There is not exactly one identifier to watch; the message says what there is."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(USAGE_ERROR, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    result = _Parser(
+        prog="monitor",
+        description="Watch a running identifier: coefficients with sigma, t-ratio and trend, "
+        "fit, state, verdict, inputs and delay. Ctrl-C ends it.",
+        epilog="--once exits with 0 if the coefficients may be used, 1 if not, 3 if no "
+        "identifier was heard.",
+    )
+    result.add_argument(
+        "--node",
+        type=_full_name,
+        help="full name of the node, like /drone1/identifier (the only one there is)",
+    )
+    result.add_argument(
+        "--plain",
+        action="store_true",
+        help="a block of text every second, as where there is no terminal",
+    )
+    result.add_argument("--once", action="store_true", help="print one block and exit")
+    result.add_argument(
+        "--timeout",
+        type=_seconds,
+        default=TIMEOUT,
+        help=f"seconds that --once waits for the node at most ({TIMEOUT:g})",
+    )
+    return result
+
+
+def _full_name(text: str) -> str:
+    name = text.rstrip("/")
+    if not name.lstrip("/"):
+        raise argparse.ArgumentTypeError(f"'{text}' is no node name: write /identifier")
+    return name if name.startswith("/") else f"/{name}"
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0.0 < seconds < math.inf:
+        raise argparse.ArgumentTypeError(f"'{text}': a positive number of seconds is needed")
+    return seconds
+
+
+def _the_one(found: list[str]) -> str:
+    """Return the only identifier of a list.
+
+    Raises
+    ------
+    MonitorError
+        If there are several.
+    """
+    if len(found) > 1:
+        raise MonitorError(f"there are {len(found)} identifiers: choose one with --node\n  "
+                           + "\n  ".join(found))  # fmt: skip
+    return found[0]
+
+
+def once(listener: Listener, node: str | None, timeout: float) -> int:
+    """Print one block; return the exit status that tells what a controller may do."""
+    if node is None:
+        found = listener.find(timeout)
+        if not found:
+            print(f"monitor: no identifier was heard for {timeout:g} s", file=sys.stderr)
+            return NOTHING_HEARD
+        node = _the_one(found)
+    heard = listener.listen(node)
+    listener.spin(timeout, lambda: heard.fresh and bool(heard.status.state))
+    if heard.tick is None and not heard.status.state:
+        print(f"monitor: nothing was heard of '{node}' for {timeout:g} s", file=sys.stderr)
+        return NOTHING_HEARD
+    Blocks().show(heard)
+    return USABLE if heard.usable else NOT_USABLE
+
+
+def watch(listener: Listener, node: str | None, as_text: bool) -> NoReturn:
+    """Show an identifier for as long as this runs; wait for one if there is none."""
+    heard = _wait_for(listener, node)
+    view = make_view(as_text)
+    try:
+        while True:
+            view.show(heard)
+            listener.spin(view.period)
+    finally:
+        view.close()
+
+
+def _wait_for(listener: Listener, node: str | None) -> Heard:
+    """Begin to listen to the node, or to the only one, once it is there."""
+    if node is not None:
+        return listener.listen(node)
+    print("monitor: looking for an identifier (Ctrl-C ends it)", file=sys.stderr)
+    while not (found := listener.find(LOOK_AGAIN)):
+        pass
+    return listener.listen(_the_one(found))
+
+
+def _interrupt(*_: object) -> NoReturn:
+    """End on SIGTERM as on Ctrl-C: the terminal must be given back."""
+    raise KeyboardInterrupt
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the monitor; the return value is the exit status."""
+    options = parser().parse_args(arguments)
+    signal.signal(signal.SIGTERM, _interrupt)
+    listener = Listener()
+    try:
+        if options.once:
+            return once(listener, options.node, options.timeout)
+        watch(listener, options.node, options.plain)
+    except MonitorError as error:
+        print(f"monitor: {error}", file=sys.stderr)
+        return USAGE_ERROR
+    except KeyboardInterrupt:
+        return 0
+    except BrokenPipeError:
+        # Whoever read this has gone; what Python would flush at the end has nowhere to go.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    finally:
+        listener.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What has been heard of one identifier, as plain values: no ROS, no terminal."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from uav_ident_ros.messages import FIT_NAMES, NS_PER_S, USABLE_NAME
+
+AXES = ("p", "q", "r")
+
+TREND_TIME = 10.0
+"""Message time over which the trend of a coefficient is shown, s."""
+
+TREND_POINTS = 20
+"""Values kept of each coefficient over that time."""
+
+SILENT_AFTER = 1.5
+"""Seconds without a tick after which the last one is old: the slowest update rate is 1 Hz."""
+
+STATES_WITHOUT_DATA = ("waiting", "fault")
+"""State words under which the last coefficients are of the past."""
+
+WAITING_FOR_STATUS = "no status on /diagnostics yet"
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A coefficient as it was last published.
+
+    Parameters
+    ----------
+    name : str
+        ``pdot/da`` and so on.
+    value, sigma : float
+        Value and standard deviation, SI; sigma is 0 for a fixed coefficient.
+    past : tuple of float
+        Its values over the last `TREND_TIME`, oldest first, the newest included.
+    """
+
+    name: str
+    value: float
+    sigma: float
+    past: tuple[float, ...] = ()
+
+    @property
+    def t_ratio(self) -> float | None:
+        """How many standard deviations it is from zero; None for a fixed one."""
+        return abs(self.value) / self.sigma if self.sigma > 0.0 else None
+
+    @property
+    def trend(self) -> int:
+        """1 or -1 if it rose or fell by more than its standard deviation, else 0."""
+        change = self.value - self.past[0] if self.past else 0.0
+        if self.sigma == 0.0 or abs(change) <= self.sigma:
+            return 0
+        return 1 if change > 0.0 else -1
+
+
+@dataclass(frozen=True)
+class Status:
+    """The newest status of the node on /diagnostics.
+
+    Parameters
+    ----------
+    state, reason : str
+        The state word, and why it is in it.
+    values : mapping
+        Everything beneath it, by label.
+    """
+
+    state: str = ""
+    reason: str = WAITING_FOR_STATUS
+    values: Mapping[str, str] = field(default_factory=dict)
+
+    def number(self, label: str) -> float | None:
+        """Value of a label as a number; None if it is missing or none."""
+        try:
+            return float(self.values[label])
+        except (KeyError, ValueError):
+            return None
+
+    def per_axis(self, label: str) -> tuple[float, ...] | None:
+        """Values of ``LABEL p [%]`` and so on; None if the node does not publish them."""
+        found = [self.number(f"{label} {axis} [%]") for axis in AXES]
+        known = tuple(value for value in found if value is not None)
+        return known if len(known) == len(AXES) else None
+
+    def group(self, name: str) -> dict[str, str]:
+        """Values of a group, by their labels within it."""
+        head = f"{name}: "
+        return {k.removeprefix(head): v for k, v in self.values.items() if k.startswith(head)}
+
+    def inputs(self) -> dict[str, dict[str, str]]:
+        """Values of every input, by its stream: the groups that name a topic."""
+        ending = ": topic"
+        streams = [k.removesuffix(ending) for k in self.values if k.endswith(ending)]
+        return {stream: self.group(stream) for stream in streams}
+
+
+class Heard:
+    """Gathers what one identifier publishes.
+
+    Parameters
+    ----------
+    node : str
+        Full name of the node.
+    clock : callable
+        Monotonic seconds, for ages.
+
+    Attributes
+    ----------
+    status : Status
+        Its newest status.
+    ticks : int
+        Ticks heard.
+    publishers : int
+        Nodes that publish under this name; more than one is a mistake.
+    """
+
+    def __init__(self, node: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self.node = node
+        self.status = Status()
+        self.ticks = 0
+        self.publishers = 1
+        self._clock = clock
+        self._arrived: float | None = None
+        self._newest_ns: int | None = None
+        self._names: tuple[str, ...] = ()
+        self._values: tuple[float, ...] = ()
+        self._sigmas: tuple[float, ...] = ()
+        self._past: deque[tuple[int, tuple[float, ...]]] = deque()
+
+    # -- in --------------------------------------------------------------------------------
+
+    def coefficients_named(
+        self,
+        t_ns: int,
+        names: Sequence[str],
+        values: Sequence[float],
+        sigmas: Sequence[float],
+    ) -> None:
+        """Take the content of one ~/coefficients_named message, stamped `t_ns`."""
+        if self._newest_ns is not None and (t_ns < self._newest_ns or tuple(names) != self._names):
+            self._past.clear()  # it started again, from other data or with another structure
+        self.ticks += t_ns != self._newest_ns
+        self._newest_ns, self._arrived = t_ns, self._clock()
+        self._names, self._values, self._sigmas = tuple(names), tuple(values), tuple(sigmas)
+        step_ns = round(TREND_TIME / TREND_POINTS * NS_PER_S)
+        if not self._past or t_ns - self._past[-1][0] >= step_ns:
+            self._past.append((t_ns, self._values))
+        while t_ns - self._past[0][0] > TREND_TIME * NS_PER_S:
+            self._past.popleft()
+
+    def diagnosed(self, message: str, values: Mapping[str, str]) -> None:
+        """Take one status: its message, and its values by label."""
+        state, _, reason = message.partition(": ")
+        self.status = Status(state, reason, values)
+
+    # -- out -------------------------------------------------------------------------------
+
+    @property
+    def tick(self) -> float | None:
+        """Message time of the newest tick, s; None before the first."""
+        return None if self._newest_ns is None else self._newest_ns / NS_PER_S
+
+    @property
+    def age(self) -> float:
+        """Seconds since the newest tick arrived; inf before the first."""
+        return math.inf if self._arrived is None else self._clock() - self._arrived
+
+    @property
+    def fresh(self) -> bool:
+        """Whether ticks arrive now: the first message may be a latched one, of any age."""
+        return self.ticks > 1 and self.age < SILENT_AFTER
+
+    @property
+    def usable(self) -> bool:
+        """Whether a controller may act on the coefficients now."""
+        verdict = self._entries().get(USABLE_NAME, 0.0) >= 1.0
+        return verdict and self.fresh and self.status.state not in STATES_WITHOUT_DATA
+
+    @property
+    def fit(self) -> tuple[float, ...] | None:
+        """Running 1-second prediction fit of each axis, percent; None before the first."""
+        entries = self._entries()
+        fit = tuple(entries.get(name, 0.0) for name in FIT_NAMES)
+        return fit if any(fit) else None
+
+    def coefficients(self) -> list[Coefficient]:
+        """Every coefficient, in the order of the message."""
+        other = {*FIT_NAMES, USABLE_NAME}
+        past = [*(values for _, values in self._past), self._values]
+        return [
+            Coefficient(name, value, sigma, tuple(values[i] for values in past))
+            for i, (name, value, sigma) in enumerate(
+                zip(self._names, self._values, self._sigmas, strict=True)
+            )
+            if name not in other
+        ]
+
+    def _entries(self) -> dict[str, float]:
+        return dict(zip(self._names, self._values, strict=True))
