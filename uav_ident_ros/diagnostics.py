@@ -168,6 +168,8 @@ def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
     """Yield what the flight has shown so far, and what it has not."""
     for row, excitation in zip(ROWS, identifier.excitation(), strict=True):
         yield f"excitation {row} [0..1]", f"{excitation:.3f}"
+    for axis, hold in zip("pqr", identifier.running_fit.hold, strict=True):
+        yield f"hold {axis} [%]", f"{hold:.1f}"
     yield "delay [s]", f"{identifier.delay:.4f}"
     yield "delay confidence", identifier.delay_confidence
     groups = identifier.collinear()
