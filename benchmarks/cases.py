@@ -261,13 +261,11 @@ def identify(
         while (due := identifier.due()) is not None:
             estimate = identifier.update(due)
             assert estimate is not None
-            estimator = identifier._estimator
             estimates.append(estimate)
-            learning.append(estimator.learning.copy())
+            learning.append(identifier.learning)
             delays.append(identifier.delay)
-            if estimate.adapting:
-                time = (estimate.t_ns - start) * 1e-9
-                changes += [(time, i, j) for i, j in estimator.changes]
+            for change in identifier.changed()[len(changes) :]:
+                changes.append((change.t - start * 1e-9, *identifier.structure.index(change.name)))
     t_ns = np.array([estimate.t_ns for estimate in estimates], dtype=np.int64)
     return Track(
         settings=settings,

@@ -25,7 +25,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.identifier import ACTUATORS, RATES, Drop, OnlineIdentifier
+from uav_ident_ros.identification.drops import Drop
+from uav_ident_ros.identification.identifier import ACTUATORS, RATES, OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.disturbance import ColouredNoise

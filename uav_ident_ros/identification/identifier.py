@@ -7,16 +7,22 @@ samples give the same estimates, bit for bit, however they were batched.
 
 from __future__ import annotations
 
-import math
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import StrEnum
 from fractions import Fraction
 
 import numpy as np
 
 from uav_ident_ros.identification.delay import KEPT_WEIGHT, NO_ESTIMATE, DelayTracker
+from uav_ident_ros.identification.drops import (
+    LARGEST_AIRSPEED,
+    LARGEST_CHANNEL,
+    LARGEST_FORCE,
+    LARGEST_GYRO_RATE,
+    Drop,
+    value_problem,
+)
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.frames import BodyFrame
@@ -26,6 +32,7 @@ from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.prior import Start, resumed, start_from
 from uav_ident_ros.identification.regression import Regression, StateVariableFilter
 from uav_ident_ros.identification.running_fit import RunningFit
+from uav_ident_ros.identification.samples import NS, SampleBuffer
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import (
     MAX_DELAY,
@@ -35,10 +42,10 @@ from uav_ident_ros.identification.settings import (
 )
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
-from uav_ident_ros.identification.structure import ROWS, STRUCTURES, FloatArray
-from uav_ident_ros.identification.supervision import Verdict, judge
+from uav_ident_ros.identification.structure import ROWS, STRUCTURES, BoolArray, FloatArray
+from uav_ident_ros.identification.supervision import Change, State, Supervisor
 
-RATES, ACTUATORS, AIRSPEED = "rates", "actuators", "airspeed"
+RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
 """The streams, as `OnlineIdentifier.drops` names them."""
 
 SECOND_NS = 1_000_000_000
@@ -48,42 +55,6 @@ START_TIME = 20.0
 
 START_LEAK_TIME = 0.5
 """Leak of the model meanwhile, s: with poor coefficients its rate products would diverge."""
-
-LARGEST_GYRO_RATE = 100.0
-"""Rate that no gyro of an aircraft measures, rad/s: 5700 deg/s."""
-
-LARGEST_FORCE = 1000.0
-"""Specific force that no aircraft survives, m/s^2: 100 g."""
-
-LARGEST_CHANNEL = 1e5
-"""Raw channel value of no known unit: radians, fractions, PWM microseconds and motor speeds
-all stay below."""
-
-LARGEST_AIRSPEED = 1000.0
-"""Airspeed beyond any of these aircraft, m/s."""
-
-
-class Drop(StrEnum):
-    """Why a sample was dropped."""
-
-    NOT_FINITE = "not finite"
-    WRONG_LENGTH = "wrong number of values"
-    ZERO_STAMP = "zero or negative stamp"
-    OUTLYING_STAMP = "outlying stamp"
-    IMPLAUSIBLE = "implausibly large"
-    LATE = "late"
-    DUPLICATE = "repeated stamp"
-    CLOCK_MISMATCH = "stamp far from the Imu's"
-
-
-class State(StrEnum):
-    """What the identifier is doing, in a word."""
-
-    WAITING = "waiting"
-    LEARNING = "learning"
-    CONVERGED = "converged"
-    PAUSED = "paused"
-    FAULT = "fault"
 
 
 class OnlineIdentifier:
@@ -100,8 +71,6 @@ class OnlineIdentifier:
     ----------
     drops : dict
         For each stream, how many samples were dropped for which reason.
-    adapt : bool
-        Whether the coefficients may move; predictions go on while they may not.
     running_fit : RunningFit
         1-second prediction fit of the coefficients, of those saved, and of holding the rate.
 
@@ -115,7 +84,7 @@ class OnlineIdentifier:
         self.settings = settings
         self.structure = STRUCTURES[settings.structure]
         self.drops: dict[str, Counter[Drop]] = {
-            stream: Counter() for stream in (RATES, ACTUATORS, AIRSPEED)
+            stream: Counter() for stream in (RATES, ACTUATORS, AIRSPEED, ARMED)
         }
         self._initial = initial
         self._frame = BodyFrame(settings.imu)
@@ -128,7 +97,8 @@ class OnlineIdentifier:
         self._arm = np.array(settings.imu.lever_arm)
         self._sampler = Sampler(settings)
         self._guard = StampGuard(self._jump_ns)
-        self.adapt = settings.adapt_on_start
+        self._supervisor = Supervisor(settings, self.structure)
+        self._armed = SampleBuffer(1)
         self.reset()
 
     def reset(self) -> None:
@@ -173,6 +143,7 @@ class OnlineIdentifier:
                     setting.name, f"'{setting.name}' cannot change in flight: start anew"
                 )
         self.settings = settings
+        self._supervisor.settings = settings
         self._estimator.reconfigure(settings)
 
     def _begin(self, start: Start, delay: float) -> None:
@@ -187,7 +158,7 @@ class OnlineIdentifier:
         self._model = IdentifiedModel(self.structure, self._arm)
         self.running_fit = RunningFit(self._model)
         self._saved: FloatArray | None = None
-        self._quiet_time: FloatArray = np.zeros(3)
+        self._supervisor.reset()
         self.fault = ""
         self._learned_time = 0.0
         self.restart()
@@ -196,6 +167,8 @@ class OnlineIdentifier:
         """Start on a new time base: buffers and filters restart, the coefficients stay."""
         self._sampler.restart()
         self._speed.airspeed.clear()
+        self._armed.clear()
+        self._supervisor.restart()
         self._guard.reset()
         self._filter: StateVariableFilter | None = None
         self._paper = BackwardDifference(self.structure)
@@ -205,7 +178,32 @@ class OnlineIdentifier:
         self._due: deque[int] = deque()
         self._next_tick: int | None = None
         self._last_tick_ns = _NO_TICK
+        self._looked_ns = _NO_TICK
         self._newest_rates: FloatArray | None = None
+
+    # -- supervision -----------------------------------------------------------------------
+
+    @property
+    def adapt(self) -> bool:
+        """Whether the coefficients may move; predictions go on while they may not."""
+        return self._supervisor.adapt
+
+    @adapt.setter
+    def adapt(self, on: bool) -> None:
+        self._supervisor.adapt = on
+
+    def pauses(self) -> dict[str, str]:
+        """Return why each row that does not learn pauses, row to reason."""
+        return self._supervisor.pauses()
+
+    @property
+    def learning(self) -> BoolArray:
+        """Rows that learned at the last tick, shape (3,)."""
+        return self._supervisor.learning
+
+    def changed(self) -> list[Change]:
+        """Return the changes found in flight, the oldest first."""
+        return list(self._supervisor.changed)
 
     # -- the delay of the inputs -----------------------------------------------------------
 
@@ -289,15 +287,9 @@ class OnlineIdentifier:
     def _rates_problem(
         self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
     ) -> Drop | None:
-        if len(pqr) != 3 or len(force) != 3:
-            return Drop.WRONG_LENGTH
-        if not (math.isfinite(sum(pqr)) and math.isfinite(sum(force))):
-            return Drop.NOT_FINITE
-        if max(map(abs, pqr)) > LARGEST_GYRO_RATE or max(map(abs, force)) > LARGEST_FORCE:
-            return Drop.IMPLAUSIBLE
-        if t_ns <= 0:
-            return Drop.ZERO_STAMP
-        return None
+        problem = value_problem(pqr, 3, LARGEST_GYRO_RATE)
+        problem = problem or value_problem(force, 3, LARGEST_FORCE)
+        return Drop.ZERO_STAMP if problem is None and t_ns <= 0 else problem
 
     def _take_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
         if t_ns <= self._last_tick_ns:
@@ -349,30 +341,33 @@ class OnlineIdentifier:
         return problem
 
     def _actuators_problem(self, t_ns: int, values: Sequence[float]) -> Drop | None:
-        if len(values) != self._channels:
-            return Drop.WRONG_LENGTH
-        if not math.isfinite(sum(values)):
-            return Drop.NOT_FINITE
-        if max(map(abs, values)) > LARGEST_CHANNEL:
-            return Drop.IMPLAUSIBLE
+        problem = value_problem(values, self._channels, LARGEST_CHANNEL)
+        problem = problem or self._stamp_problem(t_ns)
+        if problem is Drop.CLOCK_MISMATCH:
+            self._count_mismatch(t_ns)
+        elif problem is None or problem is Drop.LATE:
+            self._mismatches = 0
+            self.fault = ""
+        return problem
+
+    def _stamp_problem(self, t_ns: int) -> Drop | None:
+        """Say what is wrong with a stamp beside those of the rates."""
         if t_ns <= 0:
             return Drop.ZERO_STAMP
         newest = self._guard.newest
         if newest is not None and abs(t_ns - newest) > self._jump_ns:
-            return self._mismatch(t_ns, newest)
-        self._mismatches = 0
-        self.fault = ""
+            return Drop.CLOCK_MISMATCH
         return Drop.LATE if t_ns <= self._last_tick_ns else None
 
-    def _mismatch(self, t_ns: int, newest: int) -> Drop:
+    def _count_mismatch(self, t_ns: int) -> None:
         self._mismatches += 1
-        if self._mismatches >= AGREEING_SAMPLES:
+        newest = self._guard.newest
+        if self._mismatches >= AGREEING_SAMPLES and newest is not None:
             self.fault = (
                 f"the actuators are stamped {(t_ns - newest) / SECOND_NS:+.1f} s from the Imu: "
                 "they run on different clocks. Play a bag with --clock and set use_sim_time, "
                 "or synchronise the autopilot's time"
             )
-        return Drop.CLOCK_MISMATCH
 
     def add_airspeed(self, t_ns: int, airspeed: float) -> Drop | None:
         """Take one sample of the true airspeed.
@@ -389,22 +384,40 @@ class OnlineIdentifier:
         Drop or None
             Why the sample was dropped, None if it was taken.
         """
-        newest = self._guard.newest
-        problem = None
-        if not math.isfinite(airspeed):
-            problem = Drop.NOT_FINITE
-        elif abs(airspeed) > LARGEST_AIRSPEED:
-            problem = Drop.IMPLAUSIBLE
-        elif t_ns <= 0:
-            problem = Drop.ZERO_STAMP
-        elif newest is not None and abs(t_ns - newest) > self._jump_ns:
-            problem = Drop.CLOCK_MISMATCH
-        elif t_ns <= self._last_tick_ns:
-            problem = Drop.LATE
+        problem = value_problem((airspeed,), 1, LARGEST_AIRSPEED) or self._stamp_problem(t_ns)
         if problem is None:
             self._speed.airspeed.append(t_ns, (airspeed,))
+            if self._next_tick is None:
+                self._speed.airspeed.forget_waiting(t_ns, self._lookback_ns)
         else:
             self.drops[AIRSPEED][problem] += 1
+        return problem
+
+    def add_armed(self, t_ns: int, armed: bool) -> Drop | None:
+        """Take word of whether the motors are armed.
+
+        Parameters
+        ----------
+        t_ns : int
+            Stamp, ns: it holds from then on. What comes late still counts, from the next
+            tick on: it may never be said again.
+        armed : bool
+            Whether they are.
+
+        Returns
+        -------
+        Drop or None
+            Why the word was dropped, None if it was taken.
+        """
+        problem = self._stamp_problem(t_ns)
+        if problem is Drop.LATE:
+            t_ns, problem = self._last_tick_ns + 1, None
+        if problem is None:
+            self._armed.append(t_ns, (float(armed),))
+            if self._next_tick is None:
+                self._armed.forget_waiting(t_ns, self._lookback_ns)
+        else:
+            self.drops[ARMED][problem] += 1
         return problem
 
     # -- ticks -----------------------------------------------------------------------------
@@ -449,11 +462,25 @@ class OnlineIdentifier:
         self.drops[AIRSPEED][Drop.DUPLICATE] += self._speed.update(t_ns)
         if len(self._sampler.rates.t):
             self._newest_rates = self._frame.to_body(self._sampler.rates.v[-1, :3])
+        self._look(t_ns)
         if self.settings.filter.method == "backward_difference":
             fed = self._paper_tick(t_ns)
         else:
             fed = self._filtered_tick()
         return self._estimate(t_ns, fed)
+
+    def _look(self, t_ns: int) -> None:
+        """Show the supervisor what came with this tick."""
+        self.drops[ARMED][Drop.DUPLICATE] += self._armed.merge(t_ns)
+        if len(self._armed.t):
+            self._supervisor.armed = bool(self._armed.v[-1, 0])
+            self._armed.trim(t_ns)
+        rates, raw = self._sampler.rates, self._sampler.raw_inputs.v
+        new = int(rates.t.searchsorted(self._looked_ns, side="right"))
+        if self.settings.filter.method == "backward_difference":
+            new, raw = len(rates.t), raw[:0]  # the paper knows no gates on the signals
+        self._looked_ns = t_ns
+        self._supervisor.look(t_ns * NS, rates.v[new:], raw, self._speed.newest)
 
     def _filtered_tick(self) -> bool:
         """Learn from the blocks that this tick completes; return whether there were any."""
@@ -504,11 +531,13 @@ class OnlineIdentifier:
         states = self._model.run(coefficients, block, leak)
         scale = self._speed.scale if self._speed.enabled else None
         regression = self._filter.apply(block, states, scale)
-        if self.adapt and self._speed.known:
-            self._learned_time += block.h * len(block.u)
-            self._estimator.update(regression)
-        learning = self._estimator.learning & self.adapt & self._speed.known
-        self._quiet_time = np.where(learning, 0.0, self._quiet_time + block.h * len(block.u))
+        time = block.h * len(block.u)
+        learns = self._speed.known and not self._supervisor.closed
+        if learns:
+            self._learned_time += time
+            allowed = self._supervisor.allow(regression, self._estimator.coefficients)
+            self._estimator.update(regression, allowed)
+        self._supervisor.follow(int(block.t_ns[-1]) * NS, self._estimator, learns, time)
 
     def _paper_tick(self, t_ns: int) -> bool:
         """Learn as the paper does: backward differences of the rates at the ticks."""
@@ -524,8 +553,10 @@ class OnlineIdentifier:
         self._model.euler(
             self._estimator.coefficients, x, u, force, dt, self.settings.model.leak_time
         )
-        if self.adapt:
-            self._estimator.update(regression)
+        learns = not self._supervisor.closed
+        if learns:
+            self._estimator.update(regression, np.ones(3, dtype=bool))
+        self._supervisor.follow(t_ns * NS, self._estimator, learns, dt)
         return True
 
     def _estimate(self, t_ns: int, fed: bool) -> Estimate:
@@ -533,11 +564,8 @@ class OnlineIdentifier:
         predicted = self._model.state
         coefficients = self._coefficients()
         sigma = self._estimator.sigma * self._speed.scale
-        age = float(self._quiet_time.max())
-        verdict = judge(
-            self.settings.supervision, self.structure, coefficients, sigma, self.running_fit, age
-        )
-        state, reason = self._state(fed, verdict)
+        verdict = self._supervisor.judge(t_ns * NS, coefficients, sigma, self.running_fit)
+        state, reason = self._waiting(fed) or self._supervisor.state(verdict)
         return Estimate(
             t_ns=t_ns,
             coefficients=coefficients,
@@ -545,29 +573,20 @@ class OnlineIdentifier:
             predicted_rates=self._frame.to_imu(predicted),
             prediction_error=self._frame.to_imu(newest - predicted),
             fit=self.running_fit.fit.copy(),
-            adapting=fed and self.adapt and bool(self._estimator.learning.any()),
-            usable=verdict.usable and state != State.FAULT,
+            adapting=fed and bool(self._supervisor.learning.any()),
+            usable=verdict.usable and state is not State.FAULT,
             state=state.value,
             reason=reason,
         )
 
-    def _state(self, fed: bool, verdict: Verdict) -> tuple[State, str]:
-        """Return the state word, and why it is not adapting or not usable."""
-        if self.fault:
-            return State.FAULT, self.fault
-        if self._estimator.problem:
-            return State.FAULT, self._estimator.problem
+    def _waiting(self, fed: bool) -> tuple[State, str] | None:
+        """Return state word and reason while something is wrong or missing; None if not."""
+        fault = self.fault or self._estimator.problem
+        if fault:
+            return State.FAULT, fault
         if not fed:
             return State.WAITING, f"waiting for {self._sampler.waiting_for or 'samples'}"
-        if not self._speed.known:
-            return State.WAITING, "waiting for airspeed"
-        if not self.adapt:
-            return State.PAUSED, "adaptation is switched off"
-        if not self._estimator.learning.any():
-            return State.PAUSED, "too little excitation"
-        if verdict.usable:
-            return State.CONVERGED, ""
-        return State.LEARNING, verdict.reason
+        return None if self._speed.known else (State.WAITING, "waiting for airspeed")
 
 
 _NO_FORCE = (0.0, 0.0, 0.0)

@@ -13,7 +13,12 @@ PREDICTION_TIME = 1.0
 """Length of a prediction, s, as in the score of record."""
 
 FIT_MEMORY = 30.0
-"""Time constant of the running fit, s."""
+"""Time constant of the running fit, s; half of its age while that is less, so that the first
+attempts are soon forgotten."""
+
+FAILED_PREDICTION = 4.0
+"""Squared error, relative to the signal's own variation, at which a prediction has failed: how
+much further it went astray tells nothing more. A fit of -100 percent."""
 
 WORST_FIT = -1000.0
 """Where the published fit ends, percent: below it the number says nothing more."""
@@ -44,7 +49,7 @@ class RunningFit:
         self.saved: FloatArray = np.zeros(3)
         self.predictions = 0
         self._blocks: list[Block] = []
-        self._time = 0.0
+        self._time = self._age = 0.0
         self._sums: FloatArray = np.zeros((6, 3))
 
     def restart(self) -> None:
@@ -87,13 +92,16 @@ class RunningFit:
         now[_HOLD] = ((x - second.x[0]) ** 2).sum(axis=0)
         if self._saved is not None:
             now[_SAVED] = self._error(second, self._saved)
-        self._sums = np.exp(-self._time / FIT_MEMORY) * self._sums + now
         self.predictions += 1
-        count, total, square = self._sums[_SPREAD]
-        spread = square - total * total / count
-        errors = self._sums[_SPREAD.stop :]
-        ratio = np.sqrt(np.divide(errors, spread, out=np.ones((3, 3)), where=spread > 0.0))
-        self.fit, self.hold, self.saved = np.maximum(100.0 * (1.0 - ratio), WORST_FIT)
+        self._age += self._time
+        keep = np.exp(-self._time / min(FIT_MEMORY, 0.5 * self._age))
+        sums = keep * self._sums + now
+        usual = _spread(sums) * len(x) / sums[0]
+        failed = FAILED_PREDICTION * np.maximum(_spread(now), usual)
+        errors = slice(_SPREAD.stop, None)
+        sums[errors] -= np.maximum(now[errors] - failed, 0.0)
+        self._sums = sums
+        self.fit, self.hold, self.saved = _fit(sums[errors], _spread(sums))
         if self._saved is None:
             self.saved = np.zeros(3)
 
@@ -103,3 +111,15 @@ class RunningFit:
         # A divergent prediction is clipped, as in the score of record; NaN fails the test too.
         predicted = np.where(np.abs(predicted) < LARGEST_RATE, predicted, LARGEST_RATE)
         return np.asarray(((second.x[1:] - predicted) ** 2).sum(axis=0))
+
+
+def _spread(sums: FloatArray) -> FloatArray:
+    """Sum of the squared deviations from the mean, shape (3,)."""
+    count, total, square = sums[_SPREAD]
+    return np.asarray(square - total * total / count)
+
+
+def _fit(errors: FloatArray, spread: FloatArray) -> FloatArray:
+    """Fit in percent from sums of squared errors of shape (k, 3)."""
+    ratio = np.divide(errors, spread, out=np.ones_like(errors), where=spread > 0.0)
+    return np.asarray(np.maximum(100.0 * (1.0 - np.sqrt(ratio)), WORST_FIT))

@@ -360,6 +360,15 @@ class ActuatorSettings:
         "straight line ('linear', for logged surface positions).",
         choices=("hold", "linear"),
     )
+    lower_limit: tuple[float, ...] = _setting(
+        (),
+        "",
+        "Raw value of each channel at its lower limit, N values: learning pauses there, where "
+        "the surface need not follow. Empty: no limits.",
+    )
+    upper_limit: tuple[float, ...] = _setting(
+        (), "", "Raw value of each channel at its upper limit, N values. Empty: no limits."
+    )
     timeout: float = _setting(
         0.5,
         "s",
@@ -506,6 +515,70 @@ class SupervisionSettings:
         "Time without excitation after which the coefficients count as stale; 0 for never.",
         low=0.0,
         high=1e6,
+        read_only=False,
+    )
+    min_excitation: float = _setting(
+        0.25,
+        "",
+        "Variance of an input, relative to its mean while learning, below which it counts as "
+        "quiet; a row whose inputs are all quiet pauses. 0 never pauses. Lower it if gentle "
+        "manoeuvres are not learned from.",
+        low=0.0,
+        high=1.0,
+        read_only=False,
+    )
+    min_motion: float = _setting(
+        0.04,
+        "rad/s",
+        "Swing of the rates over 2 s below which the aircraft counts as at rest, and learning "
+        "pauses; 0 for never. Raise it if the gyro's noise hides that the aircraft stands.",
+        low=0.0,
+        high=1.0,
+        read_only=False,
+    )
+    min_force_motion: float = _setting(
+        0.0,
+        "m/s^2",
+        "The same for the specific forces; 0 for never. Set it, to 0.3 or so, if a vehicle "
+        "standing on the ground turns its sensor.",
+        low=0.0,
+        high=100.0,
+        read_only=False,
+    )
+    min_airspeed: float = _setting(
+        0.0,
+        "m/s",
+        "Airspeed below which learning pauses, where there is one; 0 for never. Set it to "
+        "somewhat less than the stall speed.",
+        low=0.0,
+        high=400.0,
+        read_only=False,
+    )
+    max_rate: float = _setting(
+        34.9,
+        "rad/s",
+        "Range of the gyro, at which it is saturated and learning pauses; 0 for none. 34.9 is "
+        "2000 deg/s; see the sensor's data sheet.",
+        low=0.0,
+        high=100.0,
+        read_only=False,
+    )
+    stuck_time: float = _setting(
+        0.25,
+        "s",
+        "Time for which a signal of the Imu may repeat one value before it counts as stuck and "
+        "learning pauses; 0 for ever. Raise it for an Imu that rounds coarsely.",
+        low=0.0,
+        high=60.0,
+        read_only=False,
+    )
+    max_residual: float = _setting(
+        6.0,
+        "",
+        "Residual of a row, relative to its usual size, from which usable coefficients are kept "
+        "from learning; 0 for never. Lower it where knocks and landings spoil the estimate.",
+        low=0.0,
+        high=1000.0,
         read_only=False,
     )
 
@@ -696,6 +769,8 @@ def _check_consistency(settings: Settings) -> None:
         "initial_coefficients": (0, 3 * n),
         "actuators.scale": (0, channels),
         "actuators.trim": (0, channels),
+        "actuators.lower_limit": (0, channels),
+        "actuators.upper_limit": (0, channels),
         "actuators.mixing.de": (channels,),
         "actuators.mixing.dr": (channels,),
         "actuators.mixing.da": (channels,),

@@ -43,6 +43,8 @@ class SpeedScaling:
         Whether the scale is that of the airspeed flown.
     scale : (n,) array
         Factor of each regressor; one until there is an airspeed.
+    newest : float or None
+        Airspeed flown, m/s; None until there is one.
     """
 
     def __init__(self, settings: AirspeedSettings, structure: Structure) -> None:
@@ -54,12 +56,14 @@ class SpeedScaling:
         self._power[INPUT_COLUMNS] = 2.0
         self.known = not self.enabled
         self.scale: FloatArray = np.ones_like(self._power)
+        self.newest: float | None = None
 
     def update(self, t_ns: int) -> int:
         """Take the newest airspeed stamped at or before `t_ns`; return the duplicates."""
         duplicates = self.airspeed.merge(t_ns)
         if self.enabled and len(self.airspeed.t):
-            ratio = float(self.airspeed.v[-1, 0]) / self._reference
+            self.newest = float(self.airspeed.v[-1, 0])
+            ratio = self.newest / self._reference
             ratio = min(max(ratio, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
             self.scale = ratio**self._power
             self.known = True

@@ -1,17 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the coefficients can be trusted: one plain verdict."""
+"""Whether the coefficients may move, and how far to trust them: one plain verdict."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
+from uav_ident_ros.identification.estimators import Estimator
+from uav_ident_ros.identification.gates import (
+    LimitGate,
+    ResidualGate,
+    RestGate,
+    SensorGate,
+    grounded,
+)
+from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.running_fit import RunningFit
-from uav_ident_ros.identification.settings import SupervisionSettings
+from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     ROWS,
+    BoolArray,
     FloatArray,
     Structure,
 )
@@ -20,6 +31,25 @@ MIN_PREDICTIONS = 5
 """Predictions before the running fit counts."""
 
 AXES = ("p", "q", "r")
+
+RELEARNED_T_RATIO = 6.0
+"""Value over sigma from which a coefficient that has changed is known again."""
+
+RELEARNED_SIGMA = 2.0
+"""Or sigma, relative to what it was before the change."""
+
+SHORTEST_RELEARNING = 3.0
+"""But not sooner than this after the change was noticed, s."""
+
+
+class State(StrEnum):
+    """What the identifier is doing, in a word."""
+
+    WAITING = "waiting"
+    LEARNING = "learning"
+    CONVERGED = "converged"
+    PAUSED = "paused"
+    FAULT = "fault"
 
 
 @dataclass(frozen=True)
@@ -36,6 +66,175 @@ class Verdict:
 
     usable: bool
     reason: str = ""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A coefficient that was found changed in flight.
+
+    Parameters
+    ----------
+    name : str
+        Its name, ``pdot/da`` and so on.
+    t : float
+        When it was noticed, s of message time.
+    sigma : float
+        Its standard deviation before.
+    """
+
+    name: str
+    t: float
+    sigma: float
+
+
+class Supervisor:
+    """Decides whether to learn, and gives the verdict on what was learned.
+
+    Parameters
+    ----------
+    settings : Settings
+        Gates and thresholds.
+    structure : Structure
+        Names the coefficients.
+
+    Attributes
+    ----------
+    settings : Settings
+        The parameter; it may change between ticks.
+    adapt : bool
+        Whether learning is switched on.
+    armed : bool or None
+        Whether the motors are armed; None if nothing was heard of it.
+    closed : str
+        Why nothing is learned at this tick; empty if no gate is closed.
+    learning : (3,) bool array
+        Rows that learned from the last block.
+    changed : list of Change
+        The changes found in flight, the oldest first.
+    """
+
+    def __init__(self, settings: Settings, structure: Structure) -> None:
+        self.settings = settings
+        self.adapt = settings.adapt_on_start
+        self.armed: bool | None = None
+        self._structure = structure
+        self._limits = LimitGate(settings.actuators)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what is usual, and everything that was found."""
+        self.changed: list[Change] = []
+        self._relearning: dict[tuple[int, int], Change] = {}
+        self._residuals = ResidualGate()
+        self._within: BoolArray = np.ones(3, dtype=bool)
+        self.learning: BoolArray = np.zeros(3, dtype=bool)
+        self._quiet_time: FloatArray = np.zeros(3)
+        self._sigma: FloatArray | None = None
+        self._usable = False
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new stretch of signals; what was found stays."""
+        self._sensors = SensorGate()
+        self._rest = RestGate()
+        self.closed = ""
+
+    def look(self, t: float, samples: FloatArray, raw: FloatArray, airspeed: float | None) -> None:
+        """Look at the signals of a tick.
+
+        Parameters
+        ----------
+        t : float
+            Time of the tick, s.
+        samples : (k, 6) array
+            Rates, rad/s, and specific forces, m/s^2, that came with it, Imu axes.
+        raw : (j, N) array
+            Values of the channels that are still at work.
+        airspeed : float or None
+            True airspeed, m/s; None if there is none.
+        """
+        thresholds = self.settings.supervision
+        armed_told = self.settings.armed.type != ""
+        # Every gate sees every tick, whichever of them is closed.
+        reasons = (
+            "" if self.adapt else "adaptation is switched off",
+            grounded(self.armed, armed_told, airspeed, thresholds.min_airspeed),
+            self._sensors.check(t, samples, thresholds),
+            self._limits.check(raw),
+            self._rest.check(t, samples, thresholds),
+        )
+        self.closed = next(filter(None, reasons), "")
+
+    def allow(self, data: Regression, coefficients: FloatArray) -> BoolArray:
+        """Return which rows may learn from the samples of a tick, shape (3,).
+
+        Parameters
+        ----------
+        data : Regression
+            The samples.
+        coefficients : (3, n) array
+            What is known, of which `data` tells more.
+        """
+        limit = self.settings.supervision.max_residual
+        error = data.y - data.f @ coefficients.T
+        within = self._residuals.check(error, data.dt * len(error), limit)
+        # What is not good yet must be free to change at once.
+        self._within = within if self._usable else np.ones(3, dtype=bool)
+        return self._within
+
+    def follow(self, t: float, estimator: Estimator, learned: bool, dt: float) -> None:
+        """Take note of what the estimator made of a block of `dt` s that ends at `t` s."""
+        self.learning = estimator.learning & learned
+        self._quiet_time = np.where(self.learning, 0.0, self._quiet_time + dt)
+        if not learned:
+            return
+        for i, j in estimator.changes:
+            before = float("inf") if self._sigma is None else float(self._sigma[i, j])
+            change = Change(f"{ROWS[i]}/{self._structure.regressors[j]}", t, before)
+            self._relearning[i, j] = change
+            self.changed.append(change)
+            self._residuals.release(i)
+
+    def pauses(self) -> dict[str, str]:
+        """Return why each row that does not learn pauses: row to reason."""
+        if self.closed:
+            return dict.fromkeys(ROWS, self.closed)
+        return {
+            row: "too little excitation" if within else "residual far outside its usual size"
+            for row, learning, within in zip(ROWS, self.learning, self._within, strict=True)
+            if not learning
+        }
+
+    def judge(
+        self, t: float, coefficients: FloatArray, sigma: FloatArray, running: RunningFit
+    ) -> Verdict:
+        """Give the verdict on the coefficients at `t` s; parameters as in `judge`."""
+        self._sigma = sigma
+        for (i, j), change in list(self._relearning.items()):
+            enough = max(
+                RELEARNED_SIGMA * change.sigma, abs(float(coefficients[i, j])) / RELEARNED_T_RATIO
+            )
+            if t - change.t > SHORTEST_RELEARNING and sigma[i, j] <= enough:
+                del self._relearning[i, j]
+        if self._relearning:
+            names = ", ".join(change.name for change in self._relearning.values())
+            verdict = Verdict(False, f"{names} changed in flight and is learned anew")
+        else:
+            age = float(self._quiet_time.max())
+            thresholds = self.settings.supervision
+            verdict = judge(thresholds, self._structure, coefficients, sigma, running, age)
+        self._usable = verdict.usable
+        return verdict
+
+    def state(self, verdict: Verdict) -> tuple[State, str]:
+        """Return the state word, and why it is not learning or not usable."""
+        if self.closed:
+            return State.PAUSED, self.closed
+        if not self.learning.any():
+            return State.PAUSED, " and ".join(sorted(set(self.pauses().values())))
+        if verdict.usable:
+            return State.CONVERGED, ""
+        return State.LEARNING, verdict.reason
 
 
 def judge(

@@ -46,8 +46,8 @@ class Estimator(Protocol):
     def sigma(self) -> FloatArray:
         """Standard deviations, shape (3, n); 0 where a coefficient is not free."""
 
-    def update(self, data: Regression) -> None:
-        """Learn from the samples of a tick."""
+    def update(self, data: Regression, allowed: BoolArray) -> None:
+        """Learn from the samples of a tick in the rows that are allowed to, shape (3,)."""
 
     def reconfigure(self, settings: Settings) -> None:
         """Take over the settings that may change in flight."""
@@ -61,4 +61,4 @@ def make_estimator(settings: Settings, start: Start) -> Estimator:
     if settings.estimator == "gradient":
         return GradientEstimator(settings.gradient, start)
     instrumental = settings.estimator == "instrumental_variable"
-    return RecursiveRegression(start, settings.forgetting_time, instrumental=instrumental)
+    return RecursiveRegression(start, settings, instrumental=instrumental)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.excitation import QUIET_SHARE
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, BoolArray, FloatArray
 
@@ -37,6 +36,9 @@ MIN_HISTORY_RATIO = 4.0
 
 HISTORY_TIME = 30.0
 """Memory of a slope's usual size, s."""
+
+LIVELY_SHARE = 0.25
+"""Variance of an input, relative to its mean while learning, below which it shows no change."""
 
 CORRELATION_TIME = 1.0
 """Time after which residuals count as independent, s."""
@@ -119,7 +121,7 @@ class ChangeDetector:
         usual = np.sqrt(self._usual)
         alarm = (
             self._watched
-            & (share >= QUIET_SHARE)
+            & (share >= LIVELY_SHARE)
             & (t > MIN_T)
             & (size > MIN_CHANGE * np.abs(coefficients[:, INPUT_COLUMNS]))
             & (size > MIN_HISTORY_RATIO * usual)

@@ -20,11 +20,6 @@ WINDOW_TIME = 3.0
 LOOK_TIME = 0.25
 """Time between two looks at the window, s."""
 
-QUIET_SHARE = 0.25
-"""Share of its mean variance while learning below which an input is quiet: half the
-amplitude. Relative to the largest variance instead, one wild manoeuvre would close the gate
-for the rest of an ordinary flight."""
-
 
 class ExcitationGate:
     """Tells which rows see excitation.
@@ -33,9 +28,15 @@ class ExcitationGate:
     ----------
     free : (3, n) bool array
         Coefficients that move; a row watches the inputs that it has a coefficient for.
+    min_share : float
+        Share of its mean variance while learning below which an input is quiet. Relative to
+        the largest variance instead, one wild manoeuvre would close the gate for the rest of
+        an ordinary flight.
 
     Attributes
     ----------
+    min_share : float
+        The parameter; it may change at any time.
     share : (4,) array
         Variance of each input over the window, relative to its mean while learning.
     learning : (3,) bool array
@@ -44,7 +45,8 @@ class ExcitationGate:
         Regressors that are inputs and say nothing at present.
     """
 
-    def __init__(self, free: BoolArray) -> None:
+    def __init__(self, free: BoolArray, min_share: float) -> None:
+        self.min_share = min_share
         self._watched: BoolArray = free[:, INPUT_COLUMNS]
         self._window: deque[tuple[float, FloatArray]] = deque()
         self._window_time = 0.0
@@ -77,8 +79,8 @@ class ExcitationGate:
         total, square = np.add.reduce(sums)
         variance = np.maximum(square / time - (total / time) ** 2, 0.0)
         self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
-        self.quiet[INPUT_COLUMNS] = self.share < QUIET_SHARE
-        lively = self._watched & (self.share >= QUIET_SHARE)
+        self.quiet[INPUT_COLUMNS] = self.share < self.min_share
+        lively = self._watched & (self.share >= self.min_share)
         self.learning = lively.any(axis=1) | ~self._watched.any(axis=1)
         heard = (self._watched & self.learning[:, None]).any(axis=0)
         spent = np.where(heard, elapsed, 0.0)

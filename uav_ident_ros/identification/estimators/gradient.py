@@ -148,9 +148,10 @@ class GradientEstimator:
         distance = self.coefficients - self.information.solve()
         return np.where(self._start.free, np.hypot(self.information.sigma, distance), 0.0)
 
-    def update(self, data: Regression) -> None:
+    def update(self, data: Regression, allowed: BoolArray) -> None:
         """Take one step of the law over the time that the samples stand for."""
         dt = data.dt * len(data.y)
+        self.learning = allowed
         self._reference.accumulate(data, self.coefficients, self.learning)
         y, f = data.y[-1], data.f[-1]
         moved, step = gradient_step(
@@ -169,7 +170,8 @@ class GradientEstimator:
                 "'guarded'"
             )
         if (np.abs(moved) < LARGEST_COEFFICIENT).all():  # NaN fails too
-            self.coefficients = self._limit(moved)
+            moved = self._limit(moved)
+            self.coefficients = np.where(allowed[:, None], moved, self.coefficients)
         else:
             self.problem = (
                 "the gradient law has diverged and its coefficients are held at the last finite "

@@ -243,22 +243,31 @@ class Information:
         """Set one row to what a snapshot holds."""
         self.matrix[row] = snapshot.matrix[row]
         self.vector[row] = snapshot.vector[row]
+        self._scores[row] = snapshot.scores[row]
+        self._blocks[row] = snapshot.blocks[row]
 
     def release(self, row: int, column: int, shift: float) -> None:
         """Take out what is known of one coefficient, and of the constant, in one row.
 
         A Schur step removes the column's information and leaves that of the others as it is
-        with this one unknown; the vector is rebuilt for the coefficient moved by `shift`.
+        with this one unknown; the vector is rebuilt for the coefficient moved by `shift`. The
+        scores follow, so that the standard deviations tell what is left.
         """
         believed = self.columns.gather(self.solve() - self._start.values)[row]
-        matrix = self.matrix[row]
+        matrix, scores = self.matrix[row], self._scores[row]
         for j in np.flatnonzero(self.columns.used[row]):
             regressor = self.columns.index[row, j]
             if regressor == column:
                 believed[j] += shift
             if regressor in (column, CONSTANT_COLUMN) and matrix[j, j] > 0.0:
+                step = np.eye(len(matrix))
+                step[:, j] -= RELEASED_SHARE * matrix[:, j] / matrix[j, j]
+                # The share that is left has the scatter of so few blocks.
+                step[j, j] = np.sqrt(1.0 - RELEASED_SHARE)
+                scores[:] = step @ scores @ step.T
                 matrix -= RELEASED_SHARE * np.outer(matrix[:, j], matrix[j]) / matrix[j, j]
         self.vector[row] = matrix @ believed
+        self.sigma = self._compute_sigma()
 
     def _forget(self, keep: FloatArray) -> None:
         """Let old data count for `keep`, per row; what is quiet is not forgotten.

@@ -136,8 +136,8 @@ class RecursiveRegression:
     ----------
     start : Start
         Initial coefficients, their uncertainty, and which are free.
-    forgetting_time : float
-        Time constant of forgetting, s; 0 for never.
+    settings : Settings
+        Time constant of forgetting, and the excitation that a row needs.
     instrumental : bool
         Whether the instrumental variable gives the coefficients. If not, it only tells how
         far least squares is biased.
@@ -152,7 +152,8 @@ class RecursiveRegression:
         What the flight has told, least squares or instrumental variable.
     """
 
-    def __init__(self, start: Start, forgetting_time: float, *, instrumental: bool) -> None:
+    def __init__(self, start: Start, settings: Settings, *, instrumental: bool) -> None:
+        forgetting_time = settings.forgetting_time
         self.coefficients: FloatArray = start.values.copy()
         self.problem = ""
         self.learning: BoolArray = np.ones(3, dtype=bool)
@@ -163,7 +164,7 @@ class RecursiveRegression:
         self.information = (
             self._reference.information if instrumental else Information(start, forgetting_time)
         )
-        self._gate = ExcitationGate(start.free)
+        self._gate = ExcitationGate(start.free, settings.supervision.min_excitation)
         self._detector = ChangeDetector(start.free)
         self._snapshots: deque[Snapshot] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
         self._trials: dict[int, Trial] = {}
@@ -182,9 +183,9 @@ class RecursiveRegression:
         distance = self.coefficients - self._reference.information.solve()
         return np.where(self._start.free, np.hypot(sigma, distance), 0.0)
 
-    def update(self, data: Regression) -> None:
+    def update(self, data: Regression, allowed: BoolArray) -> None:
         """Add the samples of a tick and solve."""
-        self.learning = self._gate.update(data)
+        self.learning = self._gate.update(data) & allowed
         known = (self.coefficients, self.learning, self._gate.quiet)
         self._reference.accumulate(data, *known)
         if not self._instrumental:
@@ -204,6 +205,7 @@ class RecursiveRegression:
         """Take over the settings that may change in flight."""
         self._reference.information.forgetting_time = settings.forgetting_time
         self.information.forgetting_time = settings.forgetting_time
+        self._gate.min_share = settings.supervision.min_excitation
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""

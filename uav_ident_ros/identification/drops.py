@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which samples are dropped, and why: those that no working sensor can have sent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from enum import StrEnum
+
+LARGEST_GYRO_RATE = 100.0
+"""Rate that no gyro of an aircraft measures, rad/s: 5700 deg/s."""
+
+LARGEST_FORCE = 1000.0
+"""Specific force that no aircraft survives, m/s^2: 100 g."""
+
+LARGEST_CHANNEL = 1e5
+"""Raw channel value of no known unit: radians, fractions, PWM microseconds and motor speeds
+all stay below."""
+
+LARGEST_AIRSPEED = 1000.0
+"""Airspeed beyond any of these aircraft, m/s."""
+
+
+class Drop(StrEnum):
+    """Why a sample was dropped."""
+
+    NOT_FINITE = "not finite"
+    WRONG_LENGTH = "wrong number of values"
+    ZERO_STAMP = "zero or negative stamp"
+    OUTLYING_STAMP = "outlying stamp"
+    IMPLAUSIBLE = "implausibly large"
+    LATE = "late"
+    DUPLICATE = "repeated stamp"
+    CLOCK_MISMATCH = "stamp far from the Imu's"
+
+
+def value_problem(values: Sequence[float], count: int, largest: float) -> Drop | None:
+    """Return why a sample's values cannot be used; None if they can.
+
+    Parameters
+    ----------
+    values : sequence of floats
+        The values, any unit.
+    count : int
+        How many there must be.
+    largest : float
+        Magnitude that none may exceed.
+    """
+    if len(values) != count:
+        return Drop.WRONG_LENGTH
+    if not math.isfinite(sum(values)):
+        return Drop.NOT_FINITE
+    if max(map(abs, values)) > largest:
+        return Drop.IMPLAUSIBLE
+    return None

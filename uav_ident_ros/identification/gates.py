@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When not to learn: on the ground, and while the signals cannot be what they say.
+
+Each gate looks at the signals of a tick and gives the reason to pause, or none. Whether the
+inputs excite the aircraft at all is another question: `estimators.excitation`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from uav_ident_ros.identification.settings import ActuatorSettings, SupervisionSettings
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
+
+HOLD_TIME = 0.5
+"""Time for which bad signals echo in the filters, s: more than five of the default filter's
+time constants. It pauses for so long after the last bad sample."""
+
+REST_TIME = 2.0
+"""Time over which motion is looked for, s: a turning aircraft has moved by then."""
+
+LOOK_TIME = 0.25
+"""Time between two looks for motion, s."""
+
+SIGNALS = ("p", "q", "r", "ax", "ay", "az")
+"""What an Imu measures, in its own axes."""
+
+RESIDUAL_MEMORY = 10.0
+"""Memory of the usual size of the residuals, s."""
+
+
+class SensorGate:
+    """Closed while a signal of the Imu is saturated or stuck, and shortly after.
+
+    A gyro that works is never still: a signal that has moved and then repeats one value is
+    not measured any more.
+    """
+
+    def __init__(self) -> None:
+        self._last: FloatArray | None = None
+        self._constant_since: FloatArray = np.zeros(6)
+        self._moved: BoolArray = np.zeros(6, dtype=bool)
+        self._bad_until = -np.inf
+        self._reason = ""
+
+    def check(self, t: float, samples: FloatArray, settings: SupervisionSettings) -> str:
+        """Return why to pause; empty if there is no reason.
+
+        Parameters
+        ----------
+        t : float
+            Time of the tick, s.
+        samples : (k, 6) array
+            Rates, rad/s, and specific forces, m/s^2, that came with this tick, Imu axes.
+        settings : SupervisionSettings
+            Range of the gyro, and how long a signal may repeat itself.
+        """
+        if len(samples):
+            problem = self._saturated(samples, settings.max_rate)
+            problem = self._stuck(t, samples, settings.stuck_time) or problem
+            if problem:
+                self._reason, self._bad_until = problem, t + HOLD_TIME
+        return self._reason if t < self._bad_until else ""
+
+    def _saturated(self, samples: FloatArray, max_rate: float) -> str:
+        if max_rate <= 0.0:
+            return ""
+        largest = np.maximum.reduce(np.abs(samples[:, :3]))
+        if largest.max() < max_rate:
+            return ""
+        return f"the gyro is saturated: {SIGNALS[int(largest.argmax())]} reaches {max_rate:g} rad/s"
+
+    def _stuck(self, t: float, samples: FloatArray, stuck_time: float) -> str:
+        before = samples[:1] if self._last is None else self._last
+        changed = np.logical_or.reduce(samples != before)
+        self._last = samples[-1:]
+        self._moved |= changed
+        self._constant_since[changed] = t
+        stuck = self._moved & (t - self._constant_since > stuck_time)
+        if stuck_time <= 0.0 or not stuck.any():
+            return ""
+        signal = int(stuck.argmax())
+        return f"the Imu is stuck: {SIGNALS[signal]} has not changed for {stuck_time:g} s or more"
+
+
+class RestGate:
+    """Closed while nothing moves: on the ground, inputs have no effect to learn."""
+
+    def __init__(self) -> None:
+        self._ticks: deque[tuple[float, FloatArray]] = deque()
+        self._looked = -np.inf
+        self._reason = ""
+
+    def check(self, t: float, samples: FloatArray, settings: SupervisionSettings) -> str:
+        """Return why to pause; empty if there is no reason; parameters as in `SensorGate`."""
+        if len(samples):
+            self._ticks.append((t, np.add.reduce(samples) / len(samples)))
+        while self._ticks and t - self._ticks[0][0] > REST_TIME:
+            self._ticks.popleft()
+        # It opens at once, and closes when it next looks.
+        if self._ticks and (self._reason or t - self._looked >= LOOK_TIME):
+            self._looked = t
+            self._reason = self._at_rest(settings.min_motion, settings.min_force_motion)
+        return self._reason
+
+    def _at_rest(self, min_motion: float, min_force_motion: float) -> str:
+        means = np.concatenate([mean for _, mean in self._ticks]).reshape(-1, 6)
+        swing = np.maximum.reduce(means) - np.minimum.reduce(means)
+        if swing[:3].max() < min_motion:
+            return f"at rest: no rate has moved by {min_motion:g} rad/s"
+        if swing[3:].max() < min_force_motion:
+            return f"at rest: no specific force has moved by {min_force_motion:g} m/s^2"
+        return ""
+
+
+class LimitGate:
+    """Closed while a channel is at its limit: there the surface need not follow the command.
+
+    Parameters
+    ----------
+    settings : ActuatorSettings
+        The channels and their limits.
+    """
+
+    def __init__(self, settings: ActuatorSettings) -> None:
+        self._names: Sequence[int | str] = settings.channels
+        n = len(settings.channels)
+        self._low = np.array(settings.lower_limit or (-np.inf,) * n)
+        self._high = np.array(settings.upper_limit or (np.inf,) * n)
+        self._limited = bool(settings.lower_limit or settings.upper_limit)
+
+    def check(self, raw: FloatArray) -> str:
+        """Return why to pause; empty if there is no reason.
+
+        Parameters
+        ----------
+        raw : (k, N) array
+            Values of the channels that are still at work in the filters.
+        """
+        if not self._limited or not len(raw):
+            return ""
+        at_limit = np.logical_or.reduce((raw <= self._low) | (raw >= self._high))
+        if not at_limit.any():
+            return ""
+        return f"channel {self._names[int(at_limit.argmax())]} is at its limit"
+
+
+class ResidualGate:
+    """Keeps what is far from usual away from coefficients that were good.
+
+    The usual size is learned with the outliers clipped, so that a lasting change becomes
+    usual within seconds.
+    """
+
+    def __init__(self) -> None:
+        self._usual: FloatArray = np.zeros(3)
+        self._time: FloatArray = np.zeros(3)
+
+    def release(self, row: int) -> None:
+        """Learn anew what is usual in a row."""
+        self._time[row] = 0.0
+
+    def check(self, error: FloatArray, dt: float, max_residual: float) -> BoolArray:
+        """Return which rows are within what is usual, shape (3,).
+
+        Parameters
+        ----------
+        error : (m, 3) array
+            Residuals of the samples of a tick, rad/s^2.
+        dt : float
+            Time that the samples stand for, s.
+        max_residual : float
+            Residual, relative to its usual size, that is too much; 0 for none.
+        """
+        square = np.add.reduce(error * error) / len(error)
+        limit = np.full(3, np.inf)
+        if max_residual > 0.0:
+            known = self._time >= RESIDUAL_MEMORY
+            limit[known] = max_residual**2 * self._usual[known]
+        self._time = np.minimum(self._time + dt, RESIDUAL_MEMORY)
+        self._usual += dt / self._time * (np.minimum(square, limit) - self._usual)
+        return np.asarray(square <= limit)
+
+
+def grounded(
+    armed: bool | None, armed_told: bool, airspeed: float | None, min_airspeed: float
+) -> str:
+    """Return why it does not fly; empty if there is no reason to think so.
+
+    Parameters
+    ----------
+    armed : bool or None
+        Whether the motors are armed; None if nothing was heard of it.
+    armed_told : bool
+        Whether there is a topic that tells.
+    airspeed : float or None
+        True airspeed, m/s; None if there is none.
+    min_airspeed : float
+        Airspeed below which it does not fly, m/s.
+    """
+    if armed_told and not armed:
+        return "not armed" if armed is not None else "nothing was heard of being armed"
+    if airspeed is not None and airspeed < min_airspeed:
+        return f"not flying: the airspeed is below {min_airspeed:g} m/s"
+    return ""
