@@ -79,6 +79,7 @@ class Bag:
                 reader = _open(storage, self.path)
                 self._stack.callback(reader.close)
                 self._readers.append(reader)
+            self.damage: list[str] = []
             self.types = self._types()
             self.counts = self._counts()
         except BaseException:
@@ -141,6 +142,10 @@ class Bag:
             raise BagError(
                 f"bag '{self.path}' has no topic '{topic}'; it has {self.contents()}"
             ) from None
+
+    def with_types(self, types: Collection[str]) -> list[str]:
+        """Return the topics of some types that have messages."""
+        return [topic for topic, t in self.types.items() if t in types and self.counts[topic]]
 
     def contents(self) -> str:
         """List the topics with their types in one line."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from uav_ident_ros.identification.prediction import (
     window_errors,
 )
 from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import (
     ACTUATOR_TYPES,
     AIRSPEED_TYPES,
@@ -262,6 +263,8 @@ class OfflineRun:
         One per tick, in order.
     frame_id : str
         Frame of the rates.
+    frame_ids : set of str
+        Every frame that the rates have come in.
     fault : str
         How the messages contradict the settings; empty if they do not.
     """
@@ -271,6 +274,7 @@ class OfflineRun:
         self.identifier = OnlineIdentifier(inputs.settings, initial)
         self.estimates: list[Estimate] = []
         self.frame_id: str | None = None
+        self.frame_ids: set[str] = set()
         self._frame_fault = ""
         self._read_channels = ActuatorReader(inputs.settings.actuators)
         self._rates = Record(6)
@@ -342,6 +346,7 @@ class OfflineRun:
         t_ns, rates, force, frame_id = reading
         if frame_id != self.frame_id:
             self.frame_id = frame_id
+            self.frame_ids.add(frame_id)
             imu = self.inputs.settings.imu
             self._frame_fault = frame_fault(imu.convention, frame_id, imu.type)
         if self._frame_fault:
@@ -416,6 +421,21 @@ class OfflineRun:
             pairs = zip(self.estimates, self._contexts, strict=True)
             ticks = [estimate for estimate, other in pairs if other == context]
             yield Stretch(era, t_ns, rates, force, self.input_signal(era, delay), ticks)
+
+    def blocks(self, part: Stretch) -> Iterator[Block]:
+        """Yield the signals of a stretch on a uniform grid, a block for each part without gaps.
+
+        They are conditioned as in flight, with the trim and the delay of the stretch; the inputs
+        without the delay are there too.
+        """
+        settings = self.inputs.settings
+        actuators = replace(settings.actuators, estimate_delay=True, learn_trim_time=0.0)
+        sampler = Sampler(replace(settings, actuators=actuators))
+        sampler.delay = part.inputs.delay
+        sampler.input_map = self.identifier.input_map
+        sampler.rates.t, sampler.rates.v = self._rates.of_era(part.era)
+        sampler.raw_inputs.t, sampler.raw_inputs.v = self._actuators.of_era(part.era)
+        yield from sampler.blocks()
 
     def _window_errors(self) -> Iterator[tuple[TimeArray, WindowErrors]]:
         """Stamps and windows of every stretch of the flight."""

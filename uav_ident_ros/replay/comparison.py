@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from uav_ident_ros.replay.evidence import FIT_WINDOWS
 from uav_ident_ros.replay.job import Outcome
-from uav_ident_ros.replay.overview import FIT_WINDOWS, columns, fit_columns, fit_of, verdict
+from uav_ident_ros.replay.overview import columns, fit_columns, fit_of, verdict
 from uav_ident_ros.replay.summary import AXES
 
 HOLDING = "holding the rates"

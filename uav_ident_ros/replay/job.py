@@ -17,6 +17,10 @@ from uav_ident_ros.messages import MessageTypeError
 from uav_ident_ros.offline import OfflineRun, choose_inputs
 from uav_ident_ros.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.pictures import PictureError
+from uav_ident_ros.replay.advice import advise
+from uav_ident_ros.replay.evidence import measure
+from uav_ident_ros.replay.notes import notes_on
+from uav_ident_ros.replay.replayed import Replayed
 from uav_ident_ros.replay.results import write_results
 
 NODE_NAME = "/identifier"
@@ -102,18 +106,18 @@ def replay(job: Job, progress: Progress = lambda messages, _: messages) -> Outco
     """
     warnings: list[str] = []
     try:
-        run = _run(job, progress, warnings)
-        summary, table = write_results(
-            job.folder, job.name, run, run.score(), NODE_NAME, plot=job.plot
-        )
+        run, notes = _run(job, progress, warnings)
+        fits = run.score()
+        replayed = Replayed(job.name, run, fits, notes, advise(measure(run, fits)))
+        summary, table = write_results(job.folder, replayed, NODE_NAME, plot=job.plot)
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (*warnings, str(error)))
     status = USABLE if run.estimates[-1].usable else NOT_USABLE
     return Outcome(job, status, tuple(warnings), table, summary)
 
 
-def _run(job: Job, progress: Progress, warnings: list[str]) -> OfflineRun:
-    """Run the identifier over the bag."""
+def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:
+    """Run the identifier over the bag; return it, and what the bag is like."""
     values: dict[str, Any] = {}
     for file in job.params_files:
         values.update(load_parameters(file, job.node))
@@ -122,11 +126,12 @@ def _run(job: Job, progress: Progress, warnings: list[str]) -> OfflineRun:
         inputs = choose_inputs(bag, values, *topics)
         run = OfflineRun(inputs, _initial(inputs.settings))
         run.run(bag, progress)
+        notes = tuple(notes_on(bag, run))
     if run.fault:
         warnings.append(f"fault: {run.fault}")
     if not run.estimates:
         raise BagError(f"bag '{job.bag}': no tick came due: {_why_nothing(run)}")
-    return run
+    return run, notes
 
 
 def _initial(settings: Settings) -> CoefficientSet | None:

@@ -6,14 +6,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
+from uav_ident_ros.replay.evidence import FIT_WINDOWS
 from uav_ident_ros.replay.job import NO_RESULT, NOT_USABLE, USABLE, Outcome
 from uav_ident_ros.replay.summary import AXES
 
 VERDICTS = {USABLE: "usable", NOT_USABLE: "not usable", NO_RESULT: "no result"}
 LOWEST_SHOWN = -1000.0
 """Fit below which the number says nothing more, percent."""
-
-FIT_WINDOWS = "last_40_percent"
 
 
 def fit_of(outcome: Outcome) -> tuple[float | None, ...]:

@@ -12,21 +12,15 @@ import numpy as np
 from uav_ident_ros.bag_writer import BagWriteError
 from uav_ident_ros.coefficients_file import save_coefficients
 from uav_ident_ros.estimates_bag import write_estimates
-from uav_ident_ros.identification.prediction import PredictionFit
-from uav_ident_ros.offline import OfflineRun
 from uav_ident_ros.pictures import save_overview
+from uav_ident_ros.replay.evidence import FIT_WINDOWS
+from uav_ident_ros.replay.replayed import Replayed
 from uav_ident_ros.replay.summary import summarise
 from uav_ident_ros.replay.table import write_table
 
 
 def write_results(
-    folder: Path,
-    name: str,
-    run: OfflineRun,
-    fits: dict[str, PredictionFit],
-    node: str,
-    *,
-    plot: bool = False,
+    folder: Path, replayed: Replayed, node: str, *, plot: bool = False
 ) -> tuple[dict[str, Any], str]:
     """Write the bag of estimates, the summary, the table and the coefficients.
 
@@ -34,12 +28,8 @@ def write_results(
     ----------
     folder : Path
         Where to; made if it is not there.
-    name : str
-        Name of the flight.
-    run : OfflineRun
-        The replay, with at least one estimate.
-    fits : dict
-        Its score.
+    replayed : Replayed
+        The replay.
     node : str
         Node whose topics the bag of estimates has.
     plot : bool
@@ -55,8 +45,8 @@ def write_results(
     BagWriteError, CoefficientsFileError, PictureError
         If something cannot be written.
     """
-    summary = summarise(name, run, fits)
-    table = write_table(name, run, fits)
+    run = replayed.run
+    summary, table = summarise(replayed), write_table(replayed)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
@@ -67,14 +57,15 @@ def write_results(
     write_estimates(folder / "estimates", run.estimates, run.structure, node, run.frame_id or "")
     save_coefficients(run.result(), folder / "coefficients.yaml")
     if plot:
-        _draw(folder / "replay.png", name, run, fits)
+        _draw(folder / "replay.png", replayed)
     return summary, table
 
 
-def _draw(path: Path, name: str, run: OfflineRun, fits: dict[str, PredictionFit]) -> None:
+def _draw(path: Path, replayed: Replayed) -> None:
     """Draw the flight."""
+    run = replayed.run
     first_ns = run.estimates[0].t_ns
-    fit = fits["last_40_percent"]
+    fit = replayed.fits[FIT_WINDOWS]
     notes = [
         f"1-second prediction fit {model:.1f} %, holding the rates {hold:.1f} %"
         for model, hold in zip(fit.model, fit.hold, strict=True)
@@ -88,6 +79,6 @@ def _draw(path: Path, name: str, run: OfflineRun, fits: dict[str, PredictionFit]
         predicted=predicted,
         coefficients=np.array([estimate.coefficients for estimate in run.estimates]),
         structure=run.structure,
-        title=f"{name}: {run.inputs.settings.estimator}, {run.structure.name}",
+        title=f"{replayed.name}: {run.inputs.settings.estimator}, {run.structure.name}",
         notes=(notes[0], notes[1], notes[2]),
     )

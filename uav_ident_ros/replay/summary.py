@@ -7,20 +7,22 @@ import math
 from typing import Any
 
 from uav_ident_ros.identification.prediction import PredictionFit
-from uav_ident_ros.offline import Inputs, OfflineRun
+from uav_ident_ros.offline import Inputs
+from uav_ident_ros.replay.replayed import Replayed
 
 SUMMARY_VERSION = 1
 AXES = ("p", "q", "r")
 
 
-def summarise(name: str, run: OfflineRun, fits: dict[str, PredictionFit]) -> dict[str, Any]:
-    """Everything worth keeping about a replay, ready for JSON; the same for the same bag."""
+def summarise(replayed: Replayed) -> dict[str, Any]:
+    """Return everything worth keeping about a replay, ready for JSON."""
+    run = replayed.run
     last = run.estimates[-1]
     result = run.result()
     settings = run.inputs.settings
     return {
         "version": SUMMARY_VERSION,
-        "bag": name,
+        "bag": replayed.name,
         "ticks": len(run.estimates),
         "first_tick_ns": run.estimates[0].t_ns,
         "last_tick_ns": last.t_ns,
@@ -48,7 +50,9 @@ def summarise(name: str, run: OfflineRun, fits: dict[str, PredictionFit]) -> dic
             }
             for coefficient, index in zip(run.structure.names, run.structure.free, strict=True)
         },
-        "prediction_fit": {windows: _json_fit(fit) for windows, fit in fits.items()},
+        "notes": list(replayed.notes),
+        "advice": [advice._asdict() for advice in replayed.advice],
+        "prediction_fit": {windows: _json_fit(fit) for windows, fit in replayed.fits.items()},
         "settings": {key: _json_setting(v) for key, v in settings.values().items()},
     }
 

@@ -4,12 +4,18 @@
 from __future__ import annotations
 
 import math
+import textwrap
+from collections.abc import Iterator
 
 import numpy as np
 
 from uav_ident_ros.identification.prediction import PredictionFit
-from uav_ident_ros.offline import OfflineRun
+from uav_ident_ros.meanings import MEANINGS
+from uav_ident_ros.replay.replayed import Replayed
 from uav_ident_ros.replay.summary import AXES, streams
+
+WIDTH = 100
+"""Columns of the longest line."""
 
 _TITLES = {
     "last_40_percent": "over the last 40 % of the flight",
@@ -17,33 +23,44 @@ _TITLES = {
 }
 
 
-def write_table(name: str, run: OfflineRun, fits: dict[str, PredictionFit]) -> str:
-    """Results in words and columns."""
-    last = run.estimates[-1]
-    result = run.result()
-    settings = run.inputs.settings
-    seconds = (last.t_ns - run.estimates[0].t_ns) * 1e-9
-    lines = [
-        f"{name}: {seconds:.1f} s, {len(run.estimates)} ticks",
-        f"structure {settings.structure}, estimator {settings.estimator}",
-        f"state at the end: {last.state}{f' ({last.reason})' if last.reason else ''}",
+def write_table(replayed: Replayed) -> str:
+    """Return the results of a replay in words and columns."""
+    parts = [
+        _heading(replayed),
+        _coefficients(replayed),
+        *(_fit_lines(_TITLES[windows], fit) for windows, fit in replayed.fits.items()),
+        _verdict(replayed),
     ]
+    return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _heading(replayed: Replayed) -> Iterator[str]:
+    """Yield what was replayed, and how."""
+    run = replayed.run
+    last, settings = run.estimates[-1], run.inputs.settings
+    seconds = (last.t_ns - run.estimates[0].t_ns) * 1e-9
+    yield f"{replayed.name}: {seconds:.1f} s, {len(run.estimates)} ticks"
+    yield f"structure {settings.structure}, estimator {settings.estimator}"
+    yield f"state at the end: {last.state}{f' ({last.reason})' if last.reason else ''}"
     for stream, topic, msgtype in streams(run.inputs):
         refusals = run.refusals(stream)
         dropped = "".join(f", {count} {reason}" for reason, count in refusals.dropped.items())
-        lines.append(f"{stream}: {topic} ({msgtype}), {refusals.received} messages{dropped}")
+        yield f"{stream}: {topic} ({msgtype}), {refusals.received} messages{dropped}"
     if settings.actuators.estimate_delay:
         sigma = _sigma(run.identifier.delay_sigma)
-        lines.append(f"estimated delay of the inputs: {run.identifier.delay:.3f} s, sigma {sigma}")
+        yield f"estimated delay of the inputs: {run.identifier.delay:.3f} s, sigma {sigma}"
     if settings.airspeed.type:
-        lines.append(f"coefficients at the reference airspeed, {settings.airspeed.reference:g} m/s")
-    lines += ["", f"{'coefficient':<12}{'value':>12}{'sigma':>12}"]
-    for coefficient, index in zip(run.structure.names, run.structure.free, strict=True):
-        value, sigma = result.values[index], result.sigma[index]
-        lines.append(f"{coefficient:<12}{value:>+12.4g}{_sigma(sigma):>12}")
-    for windows, fit in fits.items():
-        lines += ["", *_fit_lines(_TITLES[windows], fit)]
-    return "\n".join(lines)
+        yield f"coefficients at the reference airspeed, {settings.airspeed.reference:g} m/s"
+
+
+def _coefficients(replayed: Replayed) -> Iterator[str]:
+    """Yield a row for each coefficient."""
+    structure, result = replayed.run.structure, replayed.run.result()
+    yield f"{'coefficient':<12}{'value':>12}{'sigma':>12}{'t-ratio':>10}  meaning"
+    for name, index in zip(structure.names, structure.free, strict=True):
+        value, sigma = float(result.values[index]), float(result.sigma[index])
+        numbers = f"{value:>+12.4g}{_sigma(sigma):>12}{_t_ratio(value, sigma):>10}"
+        yield f"{name:<12}{numbers}  {MEANINGS[name]}"
 
 
 def _sigma(sigma: float) -> str:
@@ -52,13 +69,37 @@ def _sigma(sigma: float) -> str:
     return f"{sigma:.2g}" if math.isfinite(sigma) else "unknown"
 
 
-def _fit_lines(title: str, fit: PredictionFit) -> list[str]:
+def _t_ratio(value: float, sigma: float) -> str:
+    """Return the magnitude in sigmas; a dash where the coefficient is fixed or unknown."""
+    return f"{abs(value) / sigma:.1f}" if 0.0 < sigma < math.inf else "-"
+
+
+def _fit_lines(title: str, fit: PredictionFit) -> Iterator[str]:
+    """Yield the fit of each axis beside the baselines."""
     header = f"1-second prediction fit {title} [%]"
     if not fit.windows:
-        return [f"{header}: no window to score"]
+        yield f"{header}: no window to score"
+        return
     rows = [("identified model", fit.model)]
     if np.isfinite(fit.held_force).any():
         rows.append(("  with ay, az held", fit.held_force))
     rows.append(("holding the rates", fit.hold))
-    lines = [f"{header}, {fit.windows} windows", f"{'':<20}" + "".join(f"{a:>9}" for a in AXES)]
-    return lines + [f"{row:<20}" + "".join(f"{v:>9.1f}" for v in values) for row, values in rows]
+    yield f"{header}, {fit.windows} windows"
+    yield f"{'':<20}" + "".join(f"{axis:>9}" for axis in AXES)
+    for row, values in rows:
+        yield f"{row:<20}" + "".join(f"{value:>9.1f}" for value in values)
+
+
+def _verdict(replayed: Replayed) -> Iterator[str]:
+    """Yield whether the model is usable, what the bag is like, and what to do."""
+    last = replayed.run.estimates[-1]
+    if last.usable:
+        yield "verdict: usable"
+    else:
+        yield f"verdict: not usable{f': {last.reason}' if last.reason else ''}"
+    for word, texts in (
+        ("note", replayed.notes),
+        ("advice", [advice.text for advice in replayed.advice]),
+    ):
+        for text in texts:
+            yield textwrap.fill(f"{word}: {text}", WIDTH, subsequent_indent="  ")

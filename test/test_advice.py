@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Advice: every piece is given when its threshold is passed, and not given when it is not."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.bags import Bag
+from uav_ident_ros.identification.delay import DelayEstimate
+from uav_ident_ros.identification.prediction import PredictionFit
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
+from uav_ident_ros.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
+from uav_ident_ros.offline import OfflineRun, Refusals, choose_inputs
+from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.replay.advice import (
+    ADVICE,
+    DELAY_OFF,
+    DROPPED_SHARE,
+    FORCE_POINTS,
+    FORCE_SHARE,
+    LARGEST_NOISE,
+    NOISE_SHARE,
+    SHORT_FLIGHT,
+    SIGN_SIGMAS,
+    SLOW_ACTUATORS,
+    SLOW_IMU,
+    advise,
+)
+from uav_ident_ros.replay.evidence import Evidence, gyro_noise, measure
+
+BAGS = Path(__file__).parent.parent / "bags"
+AUGMENTED = STRUCTURES["augmented"]
+JUST_ABOVE, JUST_BELOW = 1.01, 0.99
+
+
+def fit(model: Any = 80.0, hold: Any = -20.0, held_force: Any = 75.0) -> PredictionFit:
+    def axes(value: Any) -> Any:
+        return np.broadcast_to(np.asarray(value, dtype=float), 3)
+
+    return PredictionFit(axes(model), axes(hold), axes(held_force), 100, 20_000)
+
+
+def good() -> Evidence:
+    """A flight that leaves nothing to be desired."""
+    values = np.where(AUGMENTED.mask, 5.0, 0.0)
+    for name in ("pdot/p", "qdot/q", "rdot/r"):
+        values[AUGMENTED.index(name)] = -5.0
+    return Evidence(
+        settings=Settings(),
+        structure=AUGMENTED,
+        values=values,
+        sigma=np.where(AUGMENTED.mask, 0.1, 0.0),
+        fit=fit(),
+        duration=120.0,
+        rate_spread=np.full(3, 0.5),
+        gyro_noise=np.full(3, 0.01),
+        input_spread=np.full(4, 0.1),
+        imu_rate=200.0,
+        actuator_rate=50.0,
+        delay=DelayEstimate(0.03, 0.003, 0.5, 0.5, "sure"),
+        delay_in_use=0.03,
+        streams={"rates": Refusals(10_000, {})},
+    )
+
+
+def with_entry(array: Any, name: str, value: float) -> Any:
+    changed = array.copy()
+    changed[AUGMENTED.index(name)] = value
+    return changed
+
+
+def one_of_three(value: float, otherwise: float) -> Any:
+    return np.array([otherwise, value, otherwise])
+
+
+E = good()
+SURE = E.delay
+CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
+    # advice, what just misses it, what just gives it, what it says
+    "rudder known too little": (
+        "weak_excitation",
+        {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / 3.03)},
+        {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / 2.97)},
+        r"not enough rudder excitation: rdot/dr is known to 3\.0 sigma only \(3 needed\)",
+    ),
+    "rudder still": (
+        "weak_excitation",
+        {"input_spread": np.array([0.1, 1e-6, 0.1, 0.1])},
+        {"input_spread": np.array([0.1, 0.0, 0.1, 0.1])},
+        "the rudder never moved",
+    ),
+    "command leads": (
+        "wrong_delay",
+        {"delay": SURE, "delay_in_use": SURE.delay - DELAY_OFF * JUST_BELOW},
+        {"delay": replace(SURE, delay=0.08), "delay_in_use": 0.0},
+        r"the command seems to lead by 80 ms: set 'actuators\.delay' to 0\.080 \(0\.000 in use\)",
+    ),
+    "delay too long": (
+        "wrong_delay",
+        {"delay_in_use": SURE.delay + DELAY_OFF * JUST_BELOW},
+        {"delay_in_use": SURE.delay + DELAY_OFF * JUST_ABOVE},
+        "the delay in use seems to be 20 ms too long",
+    ),
+    "delay not sure": (
+        "wrong_delay",
+        {"delay": replace(SURE, confidence="low"), "delay_in_use": 0.2},
+        {"delay": SURE, "delay_in_use": 0.2},
+        "170 ms too long",
+    ),
+    "yaw needs ay": (
+        "row_needs_force",
+        {"force_share": {"pdot": 0.0, "rdot": FORCE_SHARE * JUST_BELOW}},
+        {"force_share": {"pdot": 0.0, "rdot": FORCE_SHARE * JUST_ABOVE}},
+        "the yaw row needs ay: it explains 15 %",
+    ),
+    "fit from forces": (
+        "leans_on_force",
+        {"fit": fit(held_force=80.0 - FORCE_POINTS * JUST_BELOW)},
+        {"fit": fit(held_force=[80.0, 80.0, 80.0 - FORCE_POINTS * JUST_ABOVE])},
+        r"in points: 20 of r \(ay\); whoever",
+    ),
+    "structure without forces": (
+        "leans_on_force",
+        {"fit": fit(held_force=np.nan)},
+        {"fit": fit(held_force=0.0)},
+        r"80 of p \(ay\), 80 of q \(az\), 80 of r \(ay\)",
+    ),
+    "noisy gyro": (
+        "noisy_gyro",
+        {"gyro_noise": one_of_three(LARGEST_NOISE * JUST_BELOW, 0.01)},
+        {"gyro_noise": one_of_three(LARGEST_NOISE * JUST_ABOVE, 0.01)},
+        r"gyro noise high: 0\.1 rad/s on q",
+    ),
+    "noisy for a gentle flight": (
+        "noisy_gyro",
+        {"rate_spread": one_of_three(0.01 / NOISE_SHARE * JUST_ABOVE, 0.5)},
+        {"rate_spread": one_of_three(0.01 / NOISE_SHARE * JUST_BELOW, 0.5)},
+        r"gyro noise high for so gentle a flight: 0\.01 rad/s on q, which moved by 0\.033 rad/s",
+    ),
+    "slow Imu": (
+        "slow_streams",
+        {"imu_rate": SLOW_IMU * JUST_ABOVE},
+        {"imu_rate": SLOW_IMU * JUST_BELOW},
+        "the Imu come at 49 Hz: 50 Hz at the least",
+    ),
+    "slow actuators": (
+        "slow_streams",
+        {"actuator_rate": SLOW_ACTUATORS * JUST_ABOVE},
+        {"actuator_rate": SLOW_ACTUATORS * JUST_BELOW},
+        "the actuators come at 24 Hz: 25 Hz",
+    ),
+    "no actuators have no rate": (
+        "slow_streams",
+        {"actuator_rate": 0.0},
+        {"actuator_rate": 1.0},
+        "at 1 Hz",
+    ),
+    "drops": (
+        "many_drops",
+        {"streams": {"rates": Refusals(10_000, {"late": round(10_000 * DROPPED_SHARE)})}},
+        {"streams": {"rates": Refusals(10_000, {"late": 90, "not finite": 11})}},
+        "101 of 10000 messages of the rates were dropped: 90 late, 11 not finite",
+    ),
+    "sign": (
+        "wrong_sign",
+        {
+            "values": with_entry(E.values, "rdot/r", 0.1 * SIGN_SIGMAS * JUST_BELOW),
+        },
+        {
+            "values": with_entry(E.values, "rdot/r", 0.1 * SIGN_SIGMAS * JUST_ABOVE),
+        },
+        r"yaw damping \(rdot/r\) is positive",
+    ),
+    "short": (
+        "short_flight",
+        {"duration": SHORT_FLIGHT * JUST_ABOVE},
+        {"duration": SHORT_FLIGHT * JUST_BELOW},
+        "59 s are a short flight",
+    ),
+    "holding is as good": (
+        "no_better_than_holding",
+        {"fit": fit(model=[80.0, 20.1, 80.0], hold=20.0, held_force=20.1)},
+        {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0, held_force=20.0)},
+        r"q is predicted no better \(20 %\) than by holding it \(20 %\)",
+    ),
+    "told apart": (
+        "not_told_apart",
+        {"collinear": (("qdot/1", "qdot/az"),)},
+        {"collinear": (("qdot/1", "qdot/az"), ("pdot/p", "pdot/da"))},
+        "only a combination is known of pdot/p and pdot/da: move",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_advice_both_ways(case: str) -> None:
+    name, missing, giving, words = CASES[case]
+    assert name not in {advice.name for advice in advise(replace(E, **missing))}
+    texts = [advice.text for advice in advise(replace(E, **giving)) if advice.name == name]
+    assert len(texts) == 1
+    assert re.search(words, texts[0]), texts[0]
+
+
+def test_a_good_flight_needs_no_advice() -> None:
+    assert advise(E) == ()
+
+
+def test_every_advice_is_tested() -> None:
+    assert {case[0] for case in CASES.values()} == {find.__name__ for find in ADVICE}
+
+
+def test_a_fixed_coefficient_is_no_weak_excitation() -> None:
+    fixed = with_entry(with_entry(E.sigma, "rdot/dr", 0.0), "pdot/p", 0.0)
+    assert advise(replace(E, sigma=fixed)) == ()
+    assert replace(E, sigma=fixed).t_ratio("rdot/dr") is None
+    assert E.t_ratio("rdot/xx") is None
+
+
+def test_every_coefficient_has_a_meaning() -> None:
+    assert set(MEANINGS) == {name for s in STRUCTURES.values() for name in s.names}
+    assert len(set(MEANINGS.values())) == len(MEANINGS)
+    assert set(INPUT_WORDS) == set(INPUTS)
+    for name, words in MEANINGS.items():
+        row, regressor = name.split("/")
+        if "power" not in words and regressor not in ("ay", "az"):
+            assert AXIS_WORDS[row] in words
+    assert MEANINGS["pdot/p"] == "roll damping"
+    assert MEANINGS["pdot/da"] == "aileron power"
+    assert MEANINGS["rdot/da"].startswith("adverse yaw")
+
+
+# --- what is measured --------------------------------------------------------------------------
+
+
+def test_gyro_noise_is_told_from_motion() -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 60.0, 1.0 / 200.0)
+    motion = 0.8 * np.sin(2.0 * np.pi * 2.0 * t)  # the fastest of the excitation
+    noise = np.array([0.0, 0.005, 0.1])
+    rates = motion[:, None] + noise * rng.standard_normal((len(t), 3))
+    rates[1000] += 5.0  # one glitch is no noise
+    found = gyro_noise(rates)
+    assert found[0] < 1e-3
+    np.testing.assert_allclose(found[1:], noise[1:], rtol=0.05)
+    assert not gyro_noise(rates[:3]).any()
+
+
+def evidence_of(name: str, changes: dict[str, Any], seconds: float = 60.0) -> Evidence:
+    """What is measured on the beginning of an example bag with changed parameters."""
+    values = load_parameters(BAGS / name / "identifier.yaml", "identifier")
+    with Bag(BAGS / name) as bag:
+        end_ns = bag.start_ns + round(seconds * 1e9)
+        run = OfflineRun(choose_inputs(bag, {**values, **changes}))
+        run.run(bag, lambda messages, _: (m for m in messages if m.log_ns < end_ns))
+    return measure(run, run.score())
+
+
+def test_what_is_measured_on_a_flight_of_known_truth() -> None:
+    e = evidence_of("multisine", {}, seconds=70.0)
+    assert e.duration == pytest.approx(70.0, abs=0.1)
+    assert e.imu_rate == pytest.approx(200.0)
+    assert e.actuator_rate == pytest.approx(50.0)
+    np.testing.assert_allclose(e.gyro_noise, 0.02, rtol=0.1)
+    assert e.delay.confidence == "sure"
+    assert e.delay.delay == pytest.approx(0.0, abs=0.01)
+    assert e.force_share == {}
+    assert [advice.name for advice in advise(e)] == []
+
+
+def test_a_delay_too_long_and_a_missing_regressor_are_found() -> None:
+    e = evidence_of("multisine", {"actuators.delay": 0.08})
+    assert e.delay_in_use - e.delay.delay == pytest.approx(0.08, abs=0.01)
+    assert "wrong_delay" in {advice.name for advice in advise(e)}
+
+    e = evidence_of("c172p", {"structure": "baseline"})
+    assert set(e.force_share) == {"pdot", "qdot", "rdot"}
+    assert min(e.force_share.values()) > 0.5
+    plant = evidence_of("multisine", {"structure": "baseline"})  # it has no flow angles
+    assert max(plant.force_share.values()) < 0.05
+
+
+def test_channels_that_do_not_move_are_found() -> None:
+    mixing = {"actuators.mixing.dr": [0.0, 0.0, 0.0, 0.0]}
+    e = evidence_of("multisine", mixing)
+    assert e.input_spread[INPUTS.index("dr")] == 0.0
+    texts = [advice.text for advice in advise(e)]
+    assert "the rudder never moved: nothing is known of what it does" in texts

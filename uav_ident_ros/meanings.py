@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each coefficient is on an aircraft, in words.
+
+The names are those of flight mechanics (Etkin and Reid, Dynamics of Flight, 1996); the products of
+rates carry the inertias that make them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+INPUT_WORDS: Mapping[str, str] = {
+    "de": "elevator",
+    "dr": "rudder",
+    "da": "aileron",
+    "dth": "throttle",
+}
+"""The inputs."""
+
+AXIS_WORDS: Mapping[str, str] = {"pdot": "roll", "qdot": "pitch", "rdot": "yaw"}
+"""The rows."""
+
+MEANINGS: Mapping[str, str] = {
+    "pdot/pq": "inertial coupling into roll (Ixz)",
+    "pdot/qr": "inertial coupling into roll (Iy - Iz)",
+    "pdot/p": "roll damping",
+    "pdot/r": "roll due to yaw rate",
+    "pdot/dr": "roll due to rudder",
+    "pdot/da": "aileron power",
+    "pdot/dth": "roll due to throttle (torque)",
+    "pdot/1": "roll offset of the trim",
+    "pdot/ay": "dihedral effect (ay stands for sideslip)",
+    "qdot/pr": "inertial coupling into pitch (Iz - Ix)",
+    "qdot/pp": "inertial coupling into pitch (-Ixz)",
+    "qdot/rr": "inertial coupling into pitch (Ixz)",
+    "qdot/q": "pitch damping",
+    "qdot/de": "elevator power",
+    "qdot/dth": "pitch due to throttle (thrust line)",
+    "qdot/1": "pitch offset of the trim",
+    "qdot/az": "pitch stiffness (az stands for angle of attack)",
+    "rdot/pq": "inertial coupling into yaw (Ix - Iy)",
+    "rdot/qr": "inertial coupling into yaw (-Ixz)",
+    "rdot/p": "yaw due to roll rate",
+    "rdot/r": "yaw damping",
+    "rdot/dr": "rudder power",
+    "rdot/da": "adverse yaw (yaw due to aileron)",
+    "rdot/dth": "yaw due to throttle (slipstream)",
+    "rdot/1": "yaw offset of the trim",
+    "rdot/ay": "weathercock stability (ay stands for sideslip)",
+}
+"""Every coefficient of every structure."""

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to do about a model, in words: each piece of advice is one function of what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
+
+from uav_ident_ros.identification.structure import INPUTS, ROWS
+from uav_ident_ros.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
+from uav_ident_ros.replay.evidence import ROW_FORCES, Evidence
+
+MAIN_DERIVATIVES: Mapping[str, str] = {"de": "qdot/de", "dr": "rdot/dr", "da": "pdot/da"}
+"""The derivative that each surface is there for; throttle has none that is worth its own flight."""
+
+STILL = 1e-9
+"""Standard deviation of an input below which it has not moved at all, in its own unit."""
+
+DELAY_OFF = 0.02
+"""Difference between the delay in use and the one measured that costs accuracy, s: the fit loses
+a point or two for each 10 ms."""
+
+FORCE_SHARE = 0.15
+"""Share of a row's residual that a specific force must explain to be worth a regressor."""
+
+FORCE_POINTS = 20.0
+"""Points of the fit that come from measured forces and that a planner without them will miss."""
+
+LARGEST_NOISE = 0.1
+"""Gyro noise from which the least-squares start suffers whatever is flown, rad/s: 6 deg/s."""
+
+NOISE_SHARE = 0.3
+"""Gyro noise as a share of the rates' own spread from which the flight is too gentle for it."""
+
+SLOW_IMU = 49.0
+"""Rate of the Imu, Hz: below 50 (less a little jitter) the roll mode falls between the samples."""
+
+SLOW_ACTUATORS = 24.0
+"""Rate of the actuators, Hz: below 25 it is a guess what they did in between."""
+
+DROPPED_SHARE = 0.01
+"""Share of dropped messages that is no accident."""
+
+SIGN_SIGMAS = 3.0
+"""Sigmas from which a wrong sign is no noise."""
+
+SHORT_FLIGHT = 60.0
+"""Duration below which cross couplings have hardly come, s."""
+
+DAMPING = ("pdot/p", "qdot/q", "rdot/r")
+AXES = ("p", "q", "r")
+
+
+class Advice(NamedTuple):
+    """A piece of advice.
+
+    Parameters
+    ----------
+    name : str
+        What it is about, for programs: the name of its function.
+    text : str
+        What was found and what to do, for people.
+    """
+
+    name: str
+    text: str
+
+
+def weak_excitation(e: Evidence) -> Iterator[str]:
+    """Name the surfaces that moved too little to know what they do."""
+    needed = e.settings.supervision.min_t_ratio
+    for name, derivative in MAIN_DERIVATIVES.items():
+        word, ratio = INPUT_WORDS[name], e.t_ratio(derivative)
+        if e.input_spread[INPUTS.index(name)] < STILL:
+            yield f"the {word} never moved: nothing is known of what it does"
+        elif ratio is not None and ratio < needed:
+            yield (
+                f"not enough {word} excitation: {derivative} is known to {ratio:.1f} sigma only "
+                f"({needed:g} needed); move the {word} more, and by itself"
+            )
+
+
+def wrong_delay(e: Evidence) -> Iterator[str]:
+    """Say that the flight shows another delay than the one in use."""
+    off = e.delay.delay - e.delay_in_use
+    if e.delay.confidence != "sure" or abs(off) <= DELAY_OFF:
+        return
+    if off > 0.0:
+        found = f"the command seems to lead by {1e3 * off:.0f} ms"
+    else:
+        found = f"the delay in use seems to be {-1e3 * off:.0f} ms too long"
+    yield (
+        f"{found}: set 'actuators.delay' to {e.delay.delay:.3f} ({e.delay_in_use:.3f} in use), "
+        "or 'actuators.estimate_delay' to true"
+    )
+
+
+def row_needs_force(e: Evidence) -> Iterator[str]:
+    """Name the rows that a specific force would explain, in a structure without it."""
+    for row, share in e.force_share.items():
+        if share > FORCE_SHARE:
+            yield (
+                f"the {AXIS_WORDS[row]} row needs {ROW_FORCES[row]}: it explains "
+                f"{100.0 * share:.0f} % of what is left over; set 'structure' to 'augmented'"
+            )
+
+
+def leans_on_force(e: Evidence) -> Iterator[str]:
+    """Name the axes whose fit comes from measured forces."""
+    points = [
+        f"{model - held:.0f} of {axis} ({ROW_FORCES[row]})"
+        for row, axis, model, held in zip(ROWS, AXES, e.fit.model, e.fit.held_force, strict=True)
+        if model - held > FORCE_POINTS
+    ]
+    if points:
+        yield (
+            f"measured specific forces carry a part of the fit, in points: {', '.join(points)}; "
+            "whoever predicts with this model must measure them too"
+        )
+
+
+def noisy_gyro(e: Evidence) -> Iterator[str]:
+    """Say where the gyro's noise is high by itself, or beside the rates that were flown."""
+    for axis, noise, spread in zip(AXES, e.gyro_noise, e.rate_spread, strict=True):
+        if noise > LARGEST_NOISE:
+            yield (
+                f"gyro noise high: {noise:.2g} rad/s on {axis}; damp the mounting, or let the "
+                "sensor filter it"
+            )
+        elif noise > NOISE_SHARE * spread:
+            yield (
+                f"gyro noise high for so gentle a flight: {noise:.2g} rad/s on {axis}, which "
+                f"moved by {spread:.2g} rad/s; excite it more"
+            )
+
+
+def slow_streams(e: Evidence) -> Iterator[str]:
+    """Name the messages that come too seldom."""
+    for word, rate, needed in (
+        ("Imu", e.imu_rate, SLOW_IMU),
+        ("actuators", e.actuator_rate, SLOW_ACTUATORS),
+    ):
+        if 0.0 < rate < needed:
+            yield f"the {word} come at {rate:.0f} Hz: {needed + 1.0:.0f} Hz at the least are needed"
+
+
+def many_drops(e: Evidence) -> Iterator[str]:
+    """Name the streams of which a part was not used."""
+    for stream, refusals in e.streams.items():
+        dropped = sum(refusals.dropped.values())
+        if dropped > DROPPED_SHARE * refusals.received:
+            reasons = ", ".join(f"{count} {why}" for why, count in refusals.dropped.items())
+            yield (
+                f"{dropped} of {refusals.received} messages of the {stream} were dropped: {reasons}"
+            )
+
+
+def wrong_sign(e: Evidence) -> Iterator[str]:
+    """Name the damping that drives the motion instead."""
+    for name in DAMPING:
+        ratio = e.t_ratio(name)
+        if ratio is not None and ratio > SIGN_SIGMAS and e.values[e.structure.index(name)] > 0.0:
+            yield (
+                f"{MEANINGS[name]} ({name}) is positive, which drives the motion: look at the "
+                "signs of the axes ('imu.convention', 'imu.rpy') and at 'actuators.delay'"
+            )
+
+
+def short_flight(e: Evidence) -> Iterator[str]:
+    """Say that the flight is over before the couplings have shown."""
+    if e.duration < SHORT_FLIGHT:
+        yield f"{e.duration:.0f} s are a short flight: two minutes of excitation are a good one"
+
+
+def no_better_than_holding(e: Evidence) -> Iterator[str]:
+    """Name the axes that the model predicts no better than no model at all."""
+    for axis, model, hold in zip(AXES, e.fit.model, e.fit.hold, strict=True):
+        if model <= hold:
+            yield (
+                f"{axis} is predicted no better ({model:.0f} %) than by holding it ({hold:.0f} %): "
+                "look at the delay, the signs and the channels first"
+            )
+
+
+def not_told_apart(e: Evidence) -> Iterator[str]:
+    """Name the coefficients of which only a combination is known, where a surface is among them."""
+    groups = [g for g in e.collinear if any(name in MAIN_DERIVATIVES.values() for name in g)]
+    if groups:
+        listed = "; ".join(" and ".join(group) for group in groups)
+        yield (
+            f"only a combination is known of {listed}: move the surface when the others are still"
+        )
+
+
+ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
+    no_better_than_holding,
+    wrong_sign,
+    wrong_delay,
+    weak_excitation,
+    row_needs_force,
+    leans_on_force,
+    noisy_gyro,
+    slow_streams,
+    many_drops,
+    short_flight,
+    not_told_apart,
+)
+"""All advice, the most urgent first."""
+
+
+def advise(evidence: Evidence) -> tuple[Advice, ...]:
+    """Return what there is to say about a replay, the most urgent first."""
+    return tuple(Advice(find.__name__, text) for find in ADVICE for text in find(evidence))

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a replayed flight measures of itself: the numbers that advice is drawn from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayBank, DelayEstimate
+from uav_ident_ros.identification.prediction import PredictionFit
+from uav_ident_ros.identification.regression import StateVariableFilter
+from uav_ident_ros.identification.samples import NS, TimeArray
+from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import (
+    INPUTS,
+    ROWS,
+    STRUCTURES,
+    FloatArray,
+    Structure,
+)
+from uav_ident_ros.offline import OfflineRun, Refusals, Stretch
+
+FULL = STRUCTURES["augmented"]
+FIT_WINDOWS = "last_40_percent"
+
+DELAY_BLOCK_TIME = 10.0
+"""The delays are compared this often, s: once a second, as in flight, takes ten times as long."""
+
+ROW_FORCES: Mapping[str, str] = {"pdot": "ay", "qdot": "az", "rdot": "ay"}
+"""The specific force that stands for the flow angle of each row."""
+
+_DIFFERENCE_NOISE = 20.0**0.5
+"""Standard deviation of the third difference of white noise, in units of that of the noise."""
+
+_NORMAL_MEDIAN = 0.6745
+"""Median of the magnitude of a normal deviate, in units of its standard deviation."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Measured quantities of a replay.
+
+    Parameters
+    ----------
+    settings : Settings
+        Settings in use.
+    structure : Structure
+        Structure of the coefficients.
+    values, sigma : (3, n) arrays
+        The result and its standard deviations.
+    fit : PredictionFit
+        Score of record over the last part of the flight.
+    duration : float
+        Time from the first to the last rates, s.
+    rate_spread : (3,) array
+        Standard deviation of p, q, r, rad/s.
+    gyro_noise : (3,) array
+        Standard deviation of what changes from sample to sample, rad/s.
+    input_spread : (4,) array
+        Standard deviation of de, dr, da, dth.
+    imu_rate, actuator_rate : float
+        Median rates of the messages, Hz; 0 if there are too few to tell.
+    delay : DelayEstimate
+        What the flight says about the delay.
+    delay_in_use : float
+        Delay that the identifier ended with, s.
+    force_share : mapping
+        For rows without their specific force: the share of what the row leaves unexplained that
+        it would explain.
+    collinear : tuple of tuple of str
+        Coefficients that the flight has not told apart.
+    streams : mapping
+        What became of the messages of each stream.
+    """
+
+    settings: Settings
+    structure: Structure
+    values: FloatArray
+    sigma: FloatArray
+    fit: PredictionFit
+    duration: float
+    rate_spread: FloatArray
+    gyro_noise: FloatArray
+    input_spread: FloatArray
+    imu_rate: float
+    actuator_rate: float
+    delay: DelayEstimate = NO_ESTIMATE
+    delay_in_use: float = 0.0
+    force_share: Mapping[str, float] = field(default_factory=dict)
+    collinear: tuple[tuple[str, ...], ...] = ()
+    streams: Mapping[str, Refusals] = field(default_factory=dict)
+
+    def t_ratio(self, name: str) -> float | None:
+        """Magnitude of a coefficient in sigmas; None if it is fixed or not of the structure."""
+        if name not in self.structure.names:
+            return None
+        index = self.structure.index(name)
+        sigma = float(self.sigma[index])
+        return abs(float(self.values[index])) / sigma if sigma > 0.0 else None
+
+
+def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
+    """Measure a replay that has at least one estimate."""
+    part = max(run.stretches(), key=lambda stretch: len(stretch.ticks))
+    result = run.result()
+    delay, shares = _from_blocks(run, part)
+    return Evidence(
+        settings=run.inputs.settings,
+        structure=run.structure,
+        values=result.values,
+        sigma=result.sigma,
+        fit=fits[FIT_WINDOWS],
+        duration=float(part.t_ns[-1] - part.t_ns[0]) * NS,
+        rate_spread=part.rates.std(axis=0),
+        gyro_noise=gyro_noise(part.rates),
+        input_spread=part.inputs.u.std(axis=0) if len(part.inputs.u) else np.zeros(len(INPUTS)),
+        imu_rate=_rate(part.t_ns),
+        actuator_rate=_rate(part.inputs.t_ns),
+        delay=delay,
+        delay_in_use=run.identifier.delay,
+        force_share=shares,
+        collinear=tuple(run.identifier.collinear()),
+        streams={name: run.refusals(name) for name in run.identifier.drops},
+    )
+
+
+def gyro_noise(rates: FloatArray) -> FloatArray:
+    """Estimate the white noise of evenly sampled rates (k, 3), same unit, from third differences.
+
+    An aircraft's motion hardly contributes to them at 50 Hz and more; vibration does.
+    """
+    if len(rates) < 4:
+        return np.zeros(rates.shape[1])
+    differences = np.abs(np.diff(rates, n=3, axis=0))
+    return np.asarray(np.median(differences, axis=0) / _NORMAL_MEDIAN / _DIFFERENCE_NOISE)
+
+
+def _rate(t_ns: TimeArray) -> float:
+    """Median rate of stamps, Hz; 0 if there are fewer than two."""
+    return 1.0 / (float(np.median(np.diff(t_ns))) * NS) if len(t_ns) > 1 else 0.0
+
+
+def _from_blocks(run: OfflineRun, part: Stretch) -> tuple[DelayEstimate, dict[str, float]]:
+    """Compare the delays, and find what the forces that are no regressors would explain."""
+    settings = run.inputs.settings
+    arm = np.array(settings.imu.lever_arm)
+    bank: DelayBank | None = None
+    moments = _Moments(settings.filter.cutoff, arm) if run.structure.size < FULL.size else None
+    for block in _pieces(run.blocks(part), DELAY_BLOCK_TIME):
+        if bank is None:
+            bank = DelayBank(block.h, arm)
+        bank.add(block)
+        if moments is not None:
+            moments.add(block)
+    estimate = NO_ESTIMATE if bank is None else bank.estimate
+    return estimate, {} if moments is None else moments.force_share(run.structure)
+
+
+def _pieces(blocks: Iterator[Block], seconds: float) -> Iterator[Block]:
+    """Cut blocks into pieces of some length."""
+    for block in blocks:
+        assert block.u_undelayed is not None
+        cells = max(1, round(seconds / block.h))
+        for k in range(0, len(block.u), cells):
+            inner, edges = slice(k, k + cells), slice(k, k + cells + 1)
+            yield replace(
+                block,
+                t_ns=block.t_ns[edges],
+                x=block.x[edges],
+                u=block.u[inner],
+                u_undelayed=block.u_undelayed[inner],
+                force=block.force[edges],
+                restarted=block.restarted and k == 0,
+            )
+
+
+class _Moments:
+    """Products of all filtered regressors and accelerations, summed over a flight."""
+
+    def __init__(self, cutoff: float, arm: FloatArray) -> None:
+        self._cutoff, self._arm = cutoff, arm
+        self._filter: StateVariableFilter | None = None
+        self._sum: FloatArray = np.zeros((FULL.size + len(ROWS),) * 2)
+
+    def add(self, block: Block) -> None:
+        if self._filter is None:
+            self._filter = StateVariableFilter(FULL, self._cutoff, block.h, self._arm)
+        data = self._filter.apply(block, block.x)
+        signals = np.hstack([data.f, data.y])
+        self._sum += signals.T @ signals
+
+    def force_share(self, structure: Structure) -> dict[str, float]:
+        """Share of each row's residual that its specific force would explain."""
+        shares = {}
+        for i, (row, force) in enumerate(ROW_FORCES.items()):
+            present = [*np.flatnonzero(structure.mask[i]), FULL.regressors.index("1")]
+            left = self._residual(i, present)
+            with_force = self._residual(i, [*present, FULL.regressors.index(force)])
+            shares[row] = 1.0 - with_force / left if left > 0.0 else 0.0
+        return shares
+
+    def _residual(self, row: int, columns: list[int]) -> float:
+        """Residual sum of squares of a row's acceleration on some columns."""
+        matrix, y = self._sum[np.ix_(columns, columns)], FULL.size + row
+        vector = self._sum[columns, y]
+        solution = np.linalg.lstsq(matrix, vector, rcond=None)[0]
+        return max(float(self._sum[y, y] - vector @ solution), 0.0)

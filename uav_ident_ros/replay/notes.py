@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bag is like: facts that explain a result, a line each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from uav_ident_ros.bags import Bag
+from uav_ident_ros.identification.samples import NS
+from uav_ident_ros.identification.settings import ACTUATOR_TYPES, AIRSPEED_TYPES, RATE_TYPES
+from uav_ident_ros.offline import OfflineRun
+
+MISSING_TIME = 1.0
+"""Time without actuators at the beginning or the end that is worth a word, s."""
+
+AIRSPEED_WORD = "airspeed"
+"""A topic with it in its name may be one; the types alone, numbers among them, say little."""
+
+
+def notes_on(bag: Bag, run: OfflineRun) -> Iterator[str]:
+    """Yield what there is to know about a bag that was replayed."""
+    yield from bag.damage
+    yield from _other_sensors(bag, run)
+    yield from _mixed_frames(run)
+    yield from _missing_actuators(run)
+
+
+def _other_sensors(bag: Bag, run: OfflineRun) -> Iterator[str]:
+    """Topics that might have been meant instead, and an airspeed that is not read."""
+    inputs = run.inputs
+    for name, taken, known in (
+        ("imu/data", inputs.rates_topic, RATE_TYPES),
+        ("actuators", inputs.actuators_topic, ACTUATOR_TYPES),
+    ):
+        others = [topic for topic in bag.with_types(known) if topic not in inputs.topics]
+        if others:
+            yield (
+                f"{taken} was read; the bag also has {', '.join(others)}: --topic {name}:="
+                f"{others[0]} reads that instead"
+            )
+    if not inputs.airspeed_topic:
+        for topic in bag.with_types(AIRSPEED_TYPES):
+            if AIRSPEED_WORD in topic:
+                yield (
+                    f"{topic} was not read: --topic airspeed:={topic} scales the coefficients "
+                    "with it"
+                )
+
+
+def _mixed_frames(run: OfflineRun) -> Iterator[str]:
+    """Two sensors on one topic."""
+    if len(run.frame_ids) > 1:
+        frames = ", ".join(f"'{frame}'" for frame in sorted(run.frame_ids))
+        yield (
+            f"{run.inputs.rates_topic} has messages of several frames, {frames}: if these are "
+            "two sensors, record them on two topics"
+        )
+
+
+def _missing_actuators(run: OfflineRun) -> Iterator[str]:
+    """Actuators that start late or stop early."""
+    parts = list(run.stretches())
+    if not any(len(part.inputs.t_ns) for part in parts):
+        yield f"{run.inputs.actuators_topic} has no messages that could be used: nothing is learned"
+        return
+    first, last = parts[0], parts[-1]
+    if len(first.inputs.t_ns):
+        late = int(first.inputs.t_ns[0] - first.t_ns[0]) * NS
+        if late > MISSING_TIME:
+            yield f"the actuators start {late:.1f} s after the Imu: nothing is learned before"
+    if len(last.inputs.t_ns):
+        early = int(last.t_ns[-1] - last.inputs.t_ns[-1]) * NS
+        if early > MISSING_TIME:
+            yield f"the actuators stop {early:.1f} s before the Imu: nothing is learned after"
