@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`import_log`: a PX4 or ArduPilot log, or a table, as a bag with the standard topics."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from uav_ident_ros.import_logs import dataflash, px4_log
+from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
+from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError
+from uav_ident_ros.import_logs.stamps import describe, doubts
+
+USAGE_ERROR = 2
+"""Exit status for bad input."""
+
+WIDTH = 100
+
+_DESCRIPTION = """\
+Turn a PX4 log (.ulg), an ArduPilot dataflash log (.bin) or a table (.csv with a column map) into
+an MCAP bag with /imu/data, /actuators (named channels) and, if there is one, /airspeed, and write
+identifier.yaml beside it, the parameters that fit. What was read from the log and what was assumed
+is said in words, on the screen and in that file."""
+
+_EPILOG = f"""\
+examples:
+  import_log flight.ulg
+  import_log flight.bin --output bags/flight --trim neutral
+  import_log flight.csv --columns columns.yaml
+
+a column map, for a table with the columns t, p, q ...:
+{textwrap.indent(EXAMPLE, "  ")}"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaint is one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(USAGE_ERROR, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    result = _Parser(
+        prog="import_log",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    add = result.add_argument
+    add("log", type=Path, metavar="LOG", help="log file; its first bytes tell what it is")
+    add("--output", type=Path, metavar="DIR", help="folder of the new bag (default: LOG's name)")
+    add("--columns", type=Path, metavar="FILE", help="column map of a table")
+    add("--rates-topic", metavar="NAME",
+        help="PX4 topic or ArduPilot message of the rates (default: raw and fast)")  # fmt: skip
+    add("--actuators-topic", metavar="NAME",
+        help="PX4 topic or ArduPilot message of the commands (default: nearest to the "
+             "actuators that is fast enough)")  # fmt: skip
+    add("--instance", type=int, metavar="I", help="instance of these topics, inertial unit (0)")
+    add("--trim", choices=("flight", "neutral", "learn"), default="flight",
+        help="trim of the channels: median in flight, rest position, or learnt by the "
+             "identifier from steady flight (flight)")  # fmt: skip
+    add("--airspeed", action="store_true", help="scale the coefficients with the airspeed")
+    return result
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; the return value is the exit status: 2 for bad input."""
+    options = parser().parse_args(arguments)
+    try:
+        from uav_ident_ros.bag_writer import BagWriteError
+    except ImportError as error:
+        print(f"import_log: {error.name} is not installed: pip install rosbags", file=sys.stderr)
+        return USAGE_ERROR
+    try:
+        import_log(options)
+    except (ImportLogError, BagWriteError) as error:
+        print(f"import_log: {error}", file=sys.stderr)
+        return USAGE_ERROR
+    return 0
+
+
+def import_log(options: argparse.Namespace) -> None:
+    """Read the log, write the bag and say what was done.
+
+    Raises
+    ------
+    ImportLogError, BagWriteError
+        If the log cannot be used or the bag cannot be written.
+    """
+    from uav_ident_ros.import_logs.writing import findings_by_title, write_import
+
+    folder = options.output or Path(options.log.stem)
+    if folder.exists():
+        raise ImportLogError(f"'{folder}' exists already: choose another --output")
+    log = read_log(options)
+    if options.airspeed and log.airspeed is None:
+        raise ImportLogError(f"log '{log.path}' has no airspeed: leave --airspeed out")
+    _say_streams(log)
+    path = write_import(log, folder, options.trim, options.airspeed)
+    print(f"{log.path.name}: {log.title}")
+    for title, sentences in findings_by_title(log.findings):
+        print(f"\n{title}")
+        for sentence in sentences:
+            print(textwrap.fill(sentence, WIDTH, initial_indent="  - ", subsequent_indent="    "))
+    print(f"\nwritten to {folder}; next: replay {folder} --params-file {path}")
+
+
+def read_log(options: argparse.Namespace) -> FlightLog:
+    """Read the log with the reader that its first bytes ask for.
+
+    Raises
+    ------
+    ImportLogError
+        If it is of no known kind or cannot be used.
+    """
+    path: Path = options.log
+    start = _first_bytes(path)
+    choice = (options.rates_topic, options.actuators_topic, options.instance)
+    if start.startswith(px4_log.MAGIC):
+        from uav_ident_ros.import_logs.px4 import read_px4
+
+        return read_px4(path, *choice)
+    if start.startswith(dataflash.MAGIC):
+        from uav_ident_ros.import_logs.ardupilot import read_ardupilot
+
+        return read_ardupilot(path, *choice)
+    if options.columns is not None:
+        from uav_ident_ros.import_logs.csv_table import read_csv
+
+        if any(value is not None for value in choice):
+            raise ImportLogError(
+                f"table '{path}': the column map names its columns; leave --rates-topic, "
+                "--actuators-topic and --instance out"
+            )
+        return read_csv(path, load_column_map(options.columns))
+    if path.suffix.lower() in (".csv", ".txt", ".tsv"):
+        raise ImportLogError(
+            f"table '{path}': say what its columns mean with --columns FILE. It begins with: "
+            f"{start.decode(errors='replace').splitlines()[0]}"
+        )
+    raise ImportLogError(
+        f"log '{path}' is of no known kind: it begins neither like a PX4 ULog nor like an "
+        "ArduPilot dataflash log; a table needs --columns"
+    )
+
+
+FIRST_BYTES = 400
+"""Enough for the header line of a table, too."""
+
+
+def _first_bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            start = file.read(FIRST_BYTES)
+    except OSError as error:
+        raise ImportLogError(f"log '{path}' cannot be read: {error.strerror}") from None
+    if not start:
+        raise ImportLogError(f"log '{path}' is empty")
+    return start
+
+
+def _say_streams(log: FlightLog) -> None:
+    """Add to the findings what the stamps tell."""
+    streams = [("rates", log.rates.t_ns), ("actuators", log.actuators.t_ns)]
+    if log.airspeed is not None:
+        streams.append(("airspeed", log.airspeed.t_ns))
+    for name, t_ns in streams:
+        log.findings.read.append(f"{name}: {describe(t_ns)}")
+        log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(t_ns)]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

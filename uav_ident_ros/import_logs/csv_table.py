@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables (`.csv`) with one row per instant: columns as a column map explains them."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+from collections.abc import Iterator
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.column_map import ColumnMap
+from uav_ident_ros.import_logs.flight_log import (
+    Actuators,
+    Airspeed,
+    BoolArray,
+    Findings,
+    FlightLog,
+    ImportLogError,
+    Rates,
+)
+
+COMMENT = "#"
+"""Lines that begin with it are skipped."""
+
+EMPTY = ("", "nan", "NaN", "NA", "null")
+"""Cells without a value: the stream has no sample in this row."""
+
+
+def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
+    """Read a table.
+
+    A row gives a sample of the rates if it has all three, one of the actuators if it has any
+    channel, and so on: streams of different rates fit into one table with empty cells.
+
+    Parameters
+    ----------
+    path : Path
+        Table with a header line.
+    columns : ColumnMap
+        What its columns mean.
+
+    Raises
+    ------
+    ImportLogError
+        If it cannot be read, a column is missing, a cell is no number, or there are no samples.
+    """
+    findings = Findings()
+    t_ns, table = _read_table(path, columns, findings)
+    part = {name: table[:, i] for i, name in enumerate(columns.columns[1:])}
+
+    def stream(names: tuple[str, ...]) -> FloatArray:
+        return np.column_stack([part[name] for name in names])
+
+    rates = stream(columns.rates)
+    there = np.isfinite(rates).all(axis=1)
+    _require(there, path, "rates", columns.rates)
+    force = stream(columns.force)[there] * columns.force_factor if columns.force else None
+    if force is None:
+        findings.lost.append("there is no accelerometer: ay and az are zero")
+    actuators = stream(tuple(columns.channels))
+    commanded = np.isfinite(actuators).any(axis=1)
+    _require(commanded, path, "actuators", tuple(columns.channels))
+    airspeed = None
+    if columns.airspeed:
+        speed = part[columns.airspeed] * columns.airspeed_factor
+        known = np.isfinite(speed)
+        airspeed = Airspeed(f"column '{columns.airspeed}'", t_ns[known], speed[known])
+    findings.read.append(
+        f"units and axes from the column map: rates in body axes {columns.axes}, times "
+        f"{columns.rates_factor:.6g} to rad/s; channels "
+        + ", ".join(f"{c.name} ({c.meaning})" for c in columns.channels.values())
+    )
+    findings.assumed.append(
+        "the stamp of a row is that of all its values, unfiltered; the table does not say when it "
+        "flew"
+    )
+    return FlightLog(
+        path,
+        "table",
+        Rates("table", t_ns[there], rates[there] * columns.rates_factor, force, columns.axes),
+        Actuators("table", t_ns[commanded], actuators[commanded], tuple(columns.channels.values())),
+        findings,
+        airspeed,
+        columns.lever_arm,
+    )
+
+
+def _require(rows: BoolArray, path: Path, what: str, names: tuple[str, ...]) -> None:
+    if not rows.any():
+        raise ImportLogError(f"table '{path}' has no {what}: columns {', '.join(names)} are empty")
+
+
+def _read_table(path: Path, columns: ColumnMap, findings: Findings) -> tuple[TimeArray, FloatArray]:
+    """Return the stamps, ns, and the columns of the map but the first, NaN where empty."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = _rows(file, columns.delimiter)
+            _, header = next(rows, (0, []))
+            places = _places(path, [cell.strip() for cell in header], columns)
+            return _convert(path, rows, places, columns, findings)
+    except OSError as error:
+        raise ImportLogError(f"table '{path}' cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ImportLogError(f"table '{path}' is not text in UTF-8") from None
+    except csv.Error as error:
+        raise ImportLogError(f"table '{path}' is no table: {error}") from None
+
+
+def _rows(file: Iterator[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the line number and cells of each row, without comments and empty lines."""
+    reader = csv.reader(file, delimiter=delimiter)
+    for cells in reader:
+        if any(cells) and not cells[0].lstrip().startswith(COMMENT):
+            yield reader.line_num, cells
+
+
+def _places(path: Path, header: list[str], columns: ColumnMap) -> list[int]:
+    """Return the position of every column of the map."""
+    if not header:
+        raise ImportLogError(f"table '{path}' is empty: a header line is needed")
+    for name in columns.columns:
+        if name not in header:
+            near = difflib.get_close_matches(name, header, n=1)
+            hint = f" (did you mean '{near[0]}'?)" if near else ""
+            raise ImportLogError(
+                f"table '{path}' has no column '{name}'{hint}; it has {', '.join(header)}"
+            )
+    return [header.index(name) for name in columns.columns]
+
+
+def _convert(
+    path: Path,
+    rows: Iterator[tuple[int, list[str]]],
+    places: list[int],
+    columns: ColumnMap,
+    findings: Findings,
+) -> tuple[TimeArray, FloatArray]:
+    """Turn the cells into numbers."""
+    t_ns: list[int] = []
+    values: list[list[float]] = []
+    short: list[int] = []
+    widest = max(places)
+    for line, cells in rows:
+        if len(cells) <= widest:
+            short.append(line)
+            continue
+        # Decimals keep the nanoseconds of a time since 1970, which a float does not.
+        t_ns.append(_stamp(path, line, cells[places[0]], columns))
+        values.append([_number(path, line, cells[place]) for place in places[1:]])
+    if not values:
+        raise ImportLogError(f"table '{path}' has no complete row below its header")
+    if short:
+        findings.lost.append(
+            f"{len(short)} rows have too few cells and were left out, the first in line {short[0]}"
+        )
+    return np.array(t_ns, dtype=np.int64), np.array(values)
+
+
+def _stamp(path: Path, line: int, cell: str, columns: ColumnMap) -> int:
+    try:
+        return int((Decimal(cell.strip()) * columns.time_ns).to_integral_value())
+    except (InvalidOperation, ValueError, OverflowError):
+        raise ImportLogError(
+            f"table '{path}', line {line}: the time is '{cell.strip()}', which is no number"
+        ) from None
+
+
+def _number(path: Path, line: int, cell: str) -> float:
+    text = cell.strip()
+    if text in EMPTY:
+        return float("nan")
+    try:
+        return float(text)
+    except ValueError:
+        raise ImportLogError(f"table '{path}', line {line}: '{text}' is no number") from None

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every reader of a log gives: streams of samples, channels with a meaning, findings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.structure import FloatArray
+
+Effect = tuple[float, float, float, float]
+"""Share of a channel in de, dr, da, dth; see `Channel`."""
+
+Column = NDArray[Any]
+"""Values of one field, in the type of the log."""
+
+BoolArray = NDArray[np.bool_]
+
+NO_EFFECT: Effect = (0.0, 0.0, 0.0, 0.0)
+
+NS_PER_S = 1_000_000_000
+NS_PER_US = 1_000
+
+
+class ImportLogError(Exception):
+    """A log cannot be imported; the message names the file and what is there instead."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One raw channel of the actuators and what it does.
+
+    Parameters
+    ----------
+    name : str
+        Name in the bag.
+    effect : tuple of 4 floats
+        Weights of the scaled channel in de (positive pitches down), dr (yaws left), da (rolls
+        right), dth: a column of the mixing matrix.
+    meaning : str
+        What moves, in words, and where that is written.
+    scale : float
+        Factor from the raw deviation to full deflections (surfaces) or full throttle.
+    neutral : float
+        Raw value at rest: a centred surface, a stopped motor.
+    unit : str
+        Unit of the raw value.
+    trim : float, optional
+        Raw value in trimmed flight, where it is known.
+    """
+
+    name: str
+    effect: Effect
+    meaning: str
+    scale: float = 1.0
+    neutral: float = 0.0
+    unit: str = "normalised"
+    trim: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Rates:
+    """Samples of the gyro and the accelerometer, in one set of axes.
+
+    Parameters
+    ----------
+    source : str
+        Where in the log they are from.
+    t_ns : (n,) int array
+        Stamps, ns, in the order of the log.
+    rates : (n, 3) array
+        Angular velocity, rad/s.
+    force : (n, 3) array or None
+        Specific force, m/s^2; None if there is no accelerometer.
+    convention : str
+        ``frd`` or ``flu``.
+    """
+
+    source: str
+    t_ns: TimeArray
+    rates: FloatArray
+    force: FloatArray | None
+    convention: str = "frd"
+
+
+@dataclass(frozen=True, eq=False)
+class Actuators:
+    """Samples of every channel that was logged.
+
+    Parameters
+    ----------
+    source : str
+        Where in the log they are from.
+    t_ns : (m,) int array
+        Stamps, ns: from when on the values apply.
+    values : (m, C) array
+        Raw values.
+    channels : tuple of Channel
+        The C channels; those without effect are recorded, but not used.
+    """
+
+    source: str
+    t_ns: TimeArray
+    values: FloatArray
+    channels: tuple[Channel, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Airspeed:
+    """Samples of the airspeed.
+
+    Parameters
+    ----------
+    source : str
+        Where in the log they are from.
+    t_ns : (m,) int array
+        Stamps, ns.
+    values : (m,) array
+        True airspeed, m/s.
+    """
+
+    source: str
+    t_ns: TimeArray
+    values: FloatArray
+
+
+@dataclass
+class Findings:
+    """What there is to say about an import, a sentence each.
+
+    Parameters
+    ----------
+    read : list of str
+        What the log itself says.
+    assumed : list of str
+        What it does not say and was taken for granted.
+    lost : list of str
+        What is missing, damaged or doubtful.
+    """
+
+    read: list[str] = field(default_factory=list)
+    assumed: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class FlightLog:
+    """A log in the project's own terms.
+
+    Parameters
+    ----------
+    path : Path
+        The log file.
+    title : str
+        What wrote it: ``PX4``, ``ArduPilot`` and so on, with versions.
+    rates : Rates
+        The rates.
+    actuators : Actuators
+        The actuators.
+    findings : Findings
+        What there is to say about it.
+    airspeed : Airspeed, optional
+        The airspeed.
+    lever_arm : tuple of 3 floats
+        Accelerometer from the centre of gravity, m, FRD.
+    flown : list of pairs of int, optional
+        Start and end of every stretch in the air, or armed, ns; None if the log does not say.
+    """
+
+    path: Path
+    title: str
+    rates: Rates
+    actuators: Actuators
+    findings: Findings
+    airspeed: Airspeed | None = None
+    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    flown: list[tuple[int, int]] | None = None
+
+    def in_flight(self, t_ns: TimeArray) -> BoolArray:
+        """Whether each stamp lies in a stretch of flight; everywhere if there is none known."""
+        if not self.flown:
+            return np.ones(len(t_ns), dtype=bool)
+        inside = [(start <= t_ns) & (t_ns <= end) for start, end in self.flown]
+        return np.asarray(np.logical_or.reduce(inside))
+
+
+def unique_names(names: list[str]) -> list[str]:
+    """Return the names with ``_2``, ``_3`` ... behind those that occur again."""
+    seen: dict[str, int] = {}
+    result = []
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        result.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+    return result

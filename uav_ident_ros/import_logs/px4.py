@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PX4 logs (`.ulg`): rates, commands, airspeed and what the log says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.flight_log import (
+    Airspeed,
+    Findings,
+    FlightLog,
+    ImportLogError,
+    Rates,
+)
+from uav_ident_ros.import_logs.orientation import board_to_body, describe_rotation
+from uav_ident_ros.import_logs.px4_actuators import read_actuators
+from uav_ident_ros.import_logs.px4_log import Px4Log, Topic
+from uav_ident_ros.import_logs.stamps import interpolate, intervals
+
+ENOUGH_RATE = 20.0
+"""Slowest rates the identifier works with, Hz."""
+
+ARMED = 2
+"""vehicle_status.arming_state of an armed vehicle, in old and new logs."""
+
+RELATIVE_STAMP_INVALID = 0x7FFFFFFF
+"""sensor_combined: there is no accelerometer sample."""
+
+MOST_GYROS = 4
+
+EXPLAINING = ("CA_", "PWM_", "SENS_BOARD_", "CAL_GYRO", "CAL_ACC", "EKF2_IMU_POS_")
+"""First letters of the parameters that an import is based on."""
+
+
+def read_px4(
+    path: Path,
+    rates_topic: str | None = None,
+    actuators_topic: str | None = None,
+    instance: int | None = None,
+) -> FlightLog:
+    """Read a PX4 log.
+
+    Parameters
+    ----------
+    path : Path
+        ULog file.
+    rates_topic, actuators_topic : str, optional
+        Topics to take in place of the best ones.
+    instance : int, optional
+        Instance of these topics; 0 if left out.
+
+    Raises
+    ------
+    ImportLogError
+        If the file cannot be read, or has no rates or no actuators.
+    """
+    log = Px4Log(path)
+    findings = Findings(lost=list(log.damage))
+    rates = _read_rates(log, findings, rates_topic, instance)
+    actuators = read_actuators(log, findings, actuators_topic, instance)
+    flown = _flown(log, findings)
+    lever_arm = _lever_arm(log, findings)
+    airspeed = _airspeed(log, findings)
+    for t, name, value in log.changes(EXPLAINING):
+        findings.lost.append(
+            f"{name} became {value:g} at {t:.1f} s: the value at the start is used"
+        )
+    if dropouts := log.dropouts:
+        findings.lost.append(
+            f"the logger lost messages {len(dropouts)} times, together {sum(dropouts):.3g} s, at "
+            f"most {max(dropouts):.3g} s (dropouts)"
+        )
+    findings.read.append("stamps are the autopilot's time since its start, not the time of day")
+    return FlightLog(path, log.title, rates, actuators, findings, airspeed, lever_arm, flown)
+
+
+# --- rates --------------------------------------------------------------------------------------
+
+
+def _read_rates(log: Px4Log, findings: Findings, wanted: str | None, instance: int | None) -> Rates:
+    """Read the topic asked for, or the first that is fast enough, or the fastest."""
+    if wanted is not None and wanted not in RATES_READERS:
+        raise ImportLogError(
+            f"log '{log.path}': '{wanted}' is no topic of rates: there are "
+            f"{', '.join(RATES_READERS)}"
+        )
+    topics = {
+        name: log.topic(name, instance or 0) for name in ([wanted] if wanted else RATES_READERS)
+    }
+    usable = {name: topic for name, topic in topics.items() if topic is not None}
+    if not usable:
+        raise ImportLogError(
+            f"log '{log.path}' has no gyro ({', '.join(topics)}); it has {log.contents()}"
+        )
+    fast = [name for name, topic in usable.items() if topic.rate >= ENOUGH_RATE]
+    name = fast[0] if fast else max(usable, key=lambda n: usable[n].rate)
+    topic = usable[name]
+    if not fast:
+        findings.lost.append(f"{name} has {topic.rate:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed")
+    rates = RATES_READERS[name](log, topic, findings)
+    others = [n for n in usable if n != name]
+    gyros = log.instances("sensor_gyro")
+    if others or len(gyros) > 1:
+        findings.read.append(
+            "other rates in the log, not used: "
+            + (", ".join(f"{n} at {usable[n].rate:.4g} Hz" for n in others) or "none")
+            + (f"; {len(gyros)} instances of sensor_gyro" if len(gyros) > 1 else "")
+        )
+    return rates
+
+
+def _from_sensor_combined(log: Px4Log, topic: Topic, findings: Findings) -> Rates:
+    """Calibrated mean rates over each gyro period, in the body's axes."""
+    findings.read.append(
+        "rates: sensor_combined, calibrated means over the gyro's period, before PX4's low-pass, "
+        "in body axes forward-right-down"
+    )
+    _say_orientation(log, findings, "PX4 has turned sensor_combined by it")
+    force = topic.vector("accelerometer_m_s2")
+    relative = topic.column("accelerometer_timestamp_relative")
+    valid = relative != RELATIVE_STAMP_INVALID
+    if not valid.any():
+        findings.lost.append("there is no valid accelerometer sample: ay and az are zero")
+        return Rates(topic.name, topic.stamp_ns, topic.vector("gyro_rad"), None)
+    if not valid.all():
+        findings.lost.append(f"{int((~valid).sum())} accelerometer samples are invalid: held over")
+        last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))
+        force = force[last]
+    offset = float(np.median(relative[valid])) * 1e-3
+    if offset:
+        findings.read.append(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
+    return Rates(topic.name, topic.stamp_ns, topic.vector("gyro_rad"), force)
+
+
+def _from_sensor_gyro(log: Px4Log, topic: Topic, findings: Findings) -> Rates:
+    """Uncalibrated rates of one gyro, in the board's axes: offset and rotation applied here."""
+    raw = np.column_stack([topic.column(axis) for axis in "xyz"]).astype(float)
+    if "timestamp_sample" not in topic:
+        findings.assumed.append(
+            "sensor_gyro without timestamp_sample (before v1.11) is calibrated, filtered and "
+            "turned into body axes by its driver"
+        )
+        return Rates(topic.name, topic.stamp_ns, raw, _force_at(log, topic, findings))
+    matrix = board_to_body(_rotation_number(log), _board_offsets(log))
+    if matrix is None:
+        raise ImportLogError(
+            f"log '{log.path}': SENS_BOARD_ROT is {_rotation_number(log)}, which is not known: "
+            "--rates-topic sensor_combined or vehicle_angular_velocity needs no rotation"
+        )
+    offset = _gyro_offset(log, topic, findings)
+    _say_orientation(log, findings, "applied here to sensor_gyro, which is in the board's axes")
+    findings.read.append(
+        f"rates: {topic.name}, unfiltered, stamped when sampled (timestamp_sample)"
+    )
+    force = _force_at(log, topic, findings)
+    return Rates(topic.name, topic.sample_ns, (raw - offset) @ matrix.T, force)
+
+
+def _from_angular_velocity(log: Px4Log, topic: Topic, findings: Findings) -> Rates:
+    """Take the rates that PX4 controls with."""
+    cutoff = log.parameters.get("IMU_GYRO_CUTOFF")
+    findings.read.append(
+        "rates: vehicle_angular_velocity, in body axes forward-right-down, stamped when sampled"
+    )
+    findings.lost.append(
+        "vehicle_angular_velocity is low-passed"
+        + (f" at {cutoff:g} Hz (IMU_GYRO_CUTOFF)" if cutoff else "")
+        + " and notched by PX4: it comes late, which counts as a further delay of the inputs"
+    )
+    return Rates(topic.name, topic.sample_ns, topic.vector("xyz"), _force_at(log, topic, findings))
+
+
+RATES_READERS: dict[str, Callable[[Px4Log, Topic, Findings], Rates]] = {
+    "sensor_combined": _from_sensor_combined,
+    "sensor_gyro": _from_sensor_gyro,
+    "vehicle_angular_velocity": _from_angular_velocity,
+}
+"""Readers by topic, the preferred first."""
+
+
+def _force_at(log: Px4Log, rates: Topic, findings: Findings) -> FloatArray | None:
+    """Specific force in body axes at the stamps of the rates, from another topic."""
+    for name, field in (("sensor_combined", "accelerometer_m_s2"), ("vehicle_acceleration", "xyz")):
+        topic = log.topic(name)
+        if topic is not None and topic.rate >= ENOUGH_RATE:
+            findings.read.append(f"specific force: {name}, interpolated to the stamps of the rates")
+            return interpolate(rates.sample_ns, topic.sample_ns, topic.vector(field))
+    findings.lost.append("there is no accelerometer at a useful rate: ay and az are zero")
+    return None
+
+
+def _rotation_number(log: Px4Log) -> int:
+    return int(log.parameters.get("SENS_BOARD_ROT", 0))
+
+
+def _board_offsets(log: Px4Log) -> tuple[float, float, float]:
+    x, y, z = (float(log.parameters.get(f"SENS_BOARD_{a}_OFF", 0.0)) for a in "XYZ")
+    return x, y, z
+
+
+def _say_orientation(log: Px4Log, findings: Findings, consequence: str) -> None:
+    if "SENS_BOARD_ROT" not in log.parameters:
+        findings.assumed.append(f"the log has no SENS_BOARD_ROT: rotation none ({consequence})")
+        return
+    number = _rotation_number(log)
+    offsets = _board_offsets(log)
+    fine = ", fine offsets {:.2f} {:.2f} {:.2f} deg".format(*offsets) if any(offsets) else ""
+    findings.read.append(
+        f"board orientation: SENS_BOARD_ROT {number}, {describe_rotation(number)}{fine}; "
+        f"{consequence}"
+    )
+
+
+def _gyro_offset(log: Px4Log, topic: Topic, findings: Findings) -> FloatArray:
+    """Calibrated offset of the gyro with this device number, rad/s, board axes."""
+    device = int(topic.column("device_id")[0]) if "device_id" in topic else 0
+    for i in range(MOST_GYROS):
+        if device and int(log.parameters.get(f"CAL_GYRO{i}_ID", 0)) == device:
+            findings.read.append(f"gyro offset: CAL_GYRO{i}_XOFF, YOFF, ZOFF, subtracted")
+            return np.array([log.parameters.get(f"CAL_GYRO{i}_{a}OFF", 0.0) for a in "XYZ"])
+    findings.assumed.append("no CAL_GYROi_ID is this gyro's: its offset is taken as zero")
+    return np.zeros(3)
+
+
+# --- the rest -----------------------------------------------------------------------------------
+
+
+def _lever_arm(log: Px4Log, findings: Findings) -> tuple[float, float, float]:
+    x, y, z = (float(log.parameters.get(f"EKF2_IMU_POS_{a}", 0.0)) for a in "XYZ")
+    if any((x, y, z)):
+        findings.read.append(f"accelerometer at {x:g} {y:g} {z:g} m (EKF2_IMU_POS_X, Y, Z)")
+    else:
+        findings.assumed.append("the accelerometer is at the centre of gravity (EKF2_IMU_POS_* 0)")
+    return x, y, z
+
+
+def _airspeed(log: Px4Log, findings: Findings) -> Airspeed | None:
+    """Find the true airspeed: validated by PX4 (newer logs) or as measured."""
+    for name in ("airspeed_validated", "airspeed"):
+        topic = log.topic(name)
+        if topic is not None and "true_airspeed_m_s" in topic:
+            speed = topic.column("true_airspeed_m_s").astype(float)
+            if np.isfinite(speed).any():
+                findings.read.append(f"true airspeed: {name}.true_airspeed_m_s")
+                return Airspeed(name, topic.stamp_ns, speed)
+    return None
+
+
+def _flown(log: Px4Log, findings: Findings) -> list[tuple[int, int]] | None:
+    """Stretches in the air, else those armed; None if the log says neither."""
+    landed = log.topic("vehicle_land_detected")
+    status = log.topic("vehicle_status")
+    if status is not None:
+        armed = status.column("arming_state") == ARMED
+        if not armed.any():
+            findings.lost.append(
+                "the vehicle was never armed (vehicle_status.arming_state): nothing moved by its "
+                "actuators, so no model can come of this log"
+            )
+            return []
+    if landed is not None and "landed" in landed:
+        stretches = intervals(
+            landed.stamp_ns, landed.column("landed") == 0, log.end_ns, log.start_ns
+        )
+        findings.read.append(_say_stretches("in the air", "vehicle_land_detected", stretches))
+        return stretches
+    if status is not None:
+        stretches = intervals(status.stamp_ns, armed, log.end_ns, log.start_ns)
+        findings.read.append(_say_stretches("armed", "vehicle_status.arming_state", stretches))
+        return stretches
+    findings.assumed.append("the log does not say when it flew: all of it counts as flight")
+    return None
+
+
+def _say_stretches(state: str, source: str, stretches: list[tuple[int, int]]) -> str:
+    seconds = sum(end - start for start, end in stretches) * 1e-9
+    return f"{state} for {seconds:.1f} s in {len(stretches)} stretch(es) ({source})"

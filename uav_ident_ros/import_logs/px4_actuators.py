@@ -1,0 +1,404 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which topic of a PX4 log tells what the actuators did, and what each channel means.
+
+Newer logs (v1.13 on, control allocation): `actuator_motors` and `actuator_servos`, whose
+meaning is in the parameters ``CA_*``, and before the allocation `vehicle_torque_setpoint` and
+`vehicle_thrust_setpoint`. Older ones (mixer files): `actuator_controls_0`, before the mixer,
+and `actuator_outputs`, behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.flight_log import (
+    NO_EFFECT,
+    Actuators,
+    Channel,
+    Effect,
+    Findings,
+    ImportLogError,
+    unique_names,
+)
+from uav_ident_ros.import_logs.mixing import from_torques, on_a_circle, rotor_effects
+from uav_ident_ros.import_logs.px4_log import Px4Log, Topic
+from uav_ident_ros.import_logs.stamps import join
+
+ENOUGH_RATE = 20.0
+"""Commands slower than this, Hz, are thinned out too much to identify from if there are others:
+PX4 logs the motors at 10 Hz by default, while it commands them at several hundred."""
+
+MULTIROTOR, FIXED_WING = 0, 1
+HYBRIDS = (2, 3, 4)
+"""CA_AIRFRAME of the VTOLs, which fly with two sets of actuators in turn."""
+
+SURFACES = {
+    1: "left_aileron",
+    2: "right_aileron",
+    3: "elevator",
+    4: "rudder",
+    5: "left_elevon",
+    6: "right_elevon",
+    7: "left_vtail",
+    8: "right_vtail",
+    9: "left_flap",
+    10: "right_flap",
+    11: "airbrake",
+    12: "custom_surface",
+    13: "left_atail",
+    14: "right_atail",
+    15: "aileron",
+    16: "steering_wheel",
+    17: "left_spoiler",
+    18: "right_spoiler",
+}
+"""CA_SV_CSi_TYPE."""
+
+WITHOUT_TORQUE = (9, 10, 11, 16, 17, 18)
+"""Types whose torques PX4 itself takes as zero, whatever CA_SV_CSi_TRQ_* says."""
+
+CONTROL_GROUP = (
+    ("roll", from_torques(1.0, 0.0, 0.0)),
+    ("pitch", from_torques(0.0, 1.0, 0.0)),
+    ("yaw", from_torques(0.0, 0.0, 1.0)),
+    ("thrust", from_torques(0.0, 0.0, 0.0, 1.0)),
+    ("flaps", NO_EFFECT),
+    ("spoilers", NO_EFFECT),
+    ("airbrakes", NO_EFFECT),
+    ("landing_gear", NO_EFFECT),
+    ("collective_tilt", NO_EFFECT),
+)
+"""Control group 0, by index (actuator_controls.msg)."""
+
+MOTOR_FUNCTION, SERVO_FUNCTION = 101, 201
+"""Output functions of the first motor and the first servo (PWM_MAIN_FUNCn)."""
+
+FUNCTIONS_OF_A_KIND = 16
+QUADROTOR = 2
+"""MAV_TYPE of a quadrotor."""
+
+QUAD_X_ANGLES, QUAD_X_MOMENTS = (45.0, -135.0, -45.0, 135.0), (1.0, 1.0, -1.0, -1.0)
+"""PX4's quad x: arms clockwise from the nose, deg, and sense of rotation (1: counter-clockwise)."""
+
+PWM_MIN, PWM_MAX = 1000.0, 2000.0
+"""Pulse widths of no and full command where no parameter says, us."""
+
+
+def read_actuators(
+    log: Px4Log, findings: Findings, wanted: str | None, instance: int | None
+) -> Actuators:
+    """Read the commands from the topic asked for, or from the best there is.
+
+    Raises
+    ------
+    ImportLogError
+        If there is none, or the one asked for is missing or cannot be interpreted.
+    """
+    if wanted is not None and wanted not in READERS:
+        raise ImportLogError(
+            f"log '{log.path}': '{wanted}' is no topic of actuators: there are {', '.join(READERS)}"
+        )
+    found = {name: log.topic(name, instance or 0) for name in ([wanted] if wanted else READERS)}
+    usable = {name: topic for name, topic in found.items() if topic is not None}
+    if not usable:
+        raise ImportLogError(
+            f"log '{log.path}' has no actuators ({', '.join(found)}); it has {log.contents()}"
+        )
+    name = wanted or _choose(log, usable, findings)
+    actuators = READERS[name](log, findings, instance or 0)
+    others = [n for n in usable if n != name and n not in actuators.source]
+    findings.read.append(f"actuators: {actuators.source}")
+    if others:
+        findings.read.append(f"other actuator topics, not used: {', '.join(others)}")
+    _say_delay(usable[name], findings)
+    return actuators
+
+
+def _choose(log: Px4Log, usable: dict[str, Topic], findings: Findings) -> str:
+    """Name the best topic: nearest to the actuators, unless it is logged too slowly."""
+    candidates = list(usable)
+    explained = [n for n in candidates if n not in ALLOCATED or _explained(log, n)]
+    hybrid = log.parameters.get("CA_AIRFRAME") in HYBRIDS
+    if hybrid and "vehicle_torque_setpoint" in usable:
+        findings.assumed.append(
+            "a VTOL: the setpoints of instance 0 (hover) are read; --instance 1 reads forward "
+            "flight"
+        )
+        return "vehicle_torque_setpoint"
+    candidates = explained or candidates
+    fast = [n for n in candidates if usable[n].rate >= ENOUGH_RATE]
+    chosen = fast[0] if fast else max(candidates, key=lambda n: usable[n].rate)
+    for name in candidates[: candidates.index(chosen)]:
+        findings.lost.append(
+            f"{name} is logged at {usable[name].rate:.0f} Hz only (PX4's default profile); "
+            f"{chosen}, at {usable[chosen].rate:.0f} Hz, knows nothing of saturation. The profiles "
+            "'high rate' and 'system identification' of SDLOG_PROFILE log all of it"
+        )
+    return chosen
+
+
+ALLOCATED = ("actuator_motors", "actuator_servos")
+
+
+def _explained(log: Px4Log, name: str) -> bool:
+    """Whether the parameters say what the allocated actuators are."""
+    count = "CA_ROTOR_COUNT" if name == "actuator_motors" else "CA_SV_CS_COUNT"
+    return log.parameters.get(count, 0) > 0
+
+
+def _say_delay(topic: Topic, findings: Findings) -> None:
+    delay = topic.publication_delay
+    if delay is None:
+        return
+    findings.read.append(
+        f"commands count from their publication (timestamp), in the median {delay * 1e3:.2f} ms "
+        "after the gyro sample they answer (timestamp_sample)"
+    )
+
+
+# --- control allocation -----------------------------------------------------------------------
+
+
+def _allocated(log: Px4Log, findings: Findings, instance: int) -> Actuators:
+    """Motors and servos behind the control allocation."""
+    streams = []
+    channels: list[Channel] = []
+    sources = []
+    for name, describe in (("actuator_motors", _motors), ("actuator_servos", _servos)):
+        topic = log.topic(name, instance)
+        if topic is None:
+            continue
+        values = topic.vector("control", topic.size("control"))
+        in_use = ~np.isnan(values).all(axis=0)
+        every = describe(log, findings, values.shape[1])
+        channels += [c for c, used in zip(every, in_use, strict=True) if used]
+        streams.append((topic.stamp_ns, values[:, in_use]))
+        sources.append(topic.name)
+    t_ns, values = streams[0] if len(streams) == 1 else join(streams[0], streams[1])
+    if not any(any(c.effect) for c in channels):
+        raise ImportLogError(
+            f"log '{log.path}': no parameter (CA_ROTOR*, CA_SV_CS*) says what "
+            f"{' and '.join(sources)} move; try --actuators-topic vehicle_torque_setpoint"
+        )
+    return Actuators(" and ".join(sources), t_ns, values, tuple(channels))
+
+
+def _motors(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
+    """Meaning of the entries of actuator_motors."""
+    get = log.parameters.get
+    rotors = min(int(get("CA_ROTOR_COUNT", 0)), count)
+    airframe = get("CA_AIRFRAME")
+    effects: list[Effect] = [NO_EFFECT] * count
+    if rotors and airframe == MULTIROTOR:
+        positions = np.array([[_rotor(log, i, "PX"), _rotor(log, i, "PY")] for i in range(rotors)])
+        moments = [_rotor(log, i, "KM", 0.05) for i in range(rotors)]
+        thrusts = [_rotor(log, i, "CT", 6.5) for i in range(rotors)]
+        effects[:rotors] = rotor_effects(positions, moments, thrusts)
+        findings.read.append(
+            f"{rotors} rotors: positions, senses of rotation and thrusts from CA_ROTORi_PX, PY, "
+            "KM, CT"
+        )
+        findings.assumed.append(
+            "thrust is taken as proportional to the command about its trim: a constant factor if "
+            "THR_MDL_FAC is not"
+        )
+    elif rotors and airframe == FIXED_WING:
+        effects[:rotors] = [(0.0, 0.0, 0.0, 1.0 / rotors)] * rotors
+        findings.read.append(
+            f"{rotors} motor(s) of a fixed wing (CA_AIRFRAME 1): dth is their mean"
+        )
+    elif rotors:
+        findings.assumed.append(
+            f"CA_AIRFRAME {airframe}: what the motors turn is not known here, they are only "
+            "recorded"
+        )
+    return [
+        Channel(f"motor_{i + 1}", effect, f"motor {i + 1}, 0 to 1")
+        for i, effect in enumerate(effects)
+    ]
+
+
+def _rotor(log: Px4Log, index: int, what: str, default: float = 0.0) -> float:
+    return float(log.parameters.get(f"CA_ROTOR{index}_{what}", default))
+
+
+def _servos(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
+    """Meaning of the entries of actuator_servos: first the control surfaces."""
+    get = log.parameters.get
+    surfaces = min(int(get("CA_SV_CS_COUNT", 0)), count)
+    types = [int(get(f"CA_SV_CS{i}_TYPE", 0)) for i in range(surfaces)]
+    names = [SURFACES.get(kind, f"surface_type_{kind}") for kind in types]
+    names += [f"servo_{i + 1}" for i in range(surfaces, count)]
+    channels = []
+    for i, name in enumerate(unique_names(names)):
+        torques = [float(get(f"CA_SV_CS{i}_TRQ_{axis}", 0.0)) for axis in "RPY"]
+        turns = i < surfaces and types[i] not in WITHOUT_TORQUE
+        trim = float(get(f"CA_SV_CS{i}_TRIM", 0.0)) if i < surfaces else 0.0
+        words = ", ".join(
+            f"{a} {t:g}" for a, t in zip(("roll", "pitch", "yaw"), torques, strict=True) if t
+        )
+        meaning = (
+            f"CA_SV_CS{i}_TYPE {types[i]}, torques {words or 'none'}" if i < surfaces else "servo"
+        )
+        effect = from_torques(torques[0], torques[1], torques[2]) if turns else NO_EFFECT
+        channels.append(Channel(name, effect, meaning, neutral=trim))
+    if surfaces:
+        findings.read.append(
+            f"{surfaces} control surfaces, types and torques from CA_SV_CSi_TYPE and _TRQ_R, _P, "
+            f"_Y: {', '.join(names[:surfaces])}"
+        )
+    return channels
+
+
+# --- before the allocation or the mixer ---------------------------------------------------------
+
+
+def _setpoints(log: Px4Log, findings: Findings, instance: int) -> Actuators:
+    """Torque and thrust asked of the control allocation."""
+    torque = log.topic("vehicle_torque_setpoint", instance)
+    thrust = log.topic("vehicle_thrust_setpoint", instance)
+    if torque is None:
+        raise ImportLogError(
+            f"log '{log.path}' has no vehicle_torque_setpoint of instance {instance}"
+        )
+    channels = [
+        Channel("roll_torque", from_torques(1.0, 0.0, 0.0), "torque setpoint, right positive"),
+        Channel("pitch_torque", from_torques(0.0, 1.0, 0.0), "torque setpoint, up positive"),
+        Channel("yaw_torque", from_torques(0.0, 0.0, 1.0), "torque setpoint, right positive"),
+    ]
+    findings.assumed.append(
+        "the allocation delivers the torques asked for: setpoints know no saturation"
+    )
+    stream = (torque.stamp_ns, torque.vector("xyz"))
+    if thrust is None:
+        findings.lost.append("there is no vehicle_thrust_setpoint: dth is zero throughout")
+        return Actuators(torque.name, *stream, tuple(channels))
+    forces = thrust.vector("xyz")
+    upward = _lifts(log, forces, findings)
+    channels += [
+        Channel("thrust_x", NO_EFFECT if upward else (0.0, 0.0, 0.0, 1.0), "thrust forward"),
+        Channel("thrust_y", NO_EFFECT, "thrust right"),
+        Channel("thrust_z", (0.0, 0.0, 0.0, -1.0) if upward else NO_EFFECT, "thrust down"),
+    ]
+    t_ns, values = join(stream, (thrust.stamp_ns, forces))
+    return Actuators(f"{torque.name} and {thrust.name}", t_ns, values, tuple(channels))
+
+
+def _lifts(log: Px4Log, forces: FloatArray, findings: Findings) -> bool:
+    """Whether the thrust that counts points up rather than forward."""
+    airframe = log.parameters.get("CA_AIRFRAME")
+    if airframe in (MULTIROTOR, FIXED_WING):
+        return airframe == MULTIROTOR
+    up, ahead = (float(np.nanmean(np.abs(forces[:, axis]))) for axis in (2, 0))
+    findings.assumed.append(
+        f"dth is the {'upward' if up >= ahead else 'forward'} thrust: it is larger"
+    )
+    return up >= ahead
+
+
+def _controls(log: Px4Log, findings: Findings, instance: int) -> Actuators:
+    """Control group 0 of logs before v1.13 or so."""
+    topic = log.topic("actuator_controls_0", instance)
+    assert topic is not None  # the caller has looked
+    values = topic.vector("control", topic.size("control"))
+    channels = tuple(
+        Channel(name, effect, f"control group 0, index {i}, before the mixer")
+        for i, (name, effect) in enumerate(CONTROL_GROUP[: values.shape[1]])
+    )
+    findings.read.append(
+        "controls 0 to 3 are roll, pitch, yaw (-1 to 1, right, up, right positive) and thrust (0 "
+        "to 1)"
+    )
+    findings.assumed.append(
+        "the mixer delivers what it is asked for: its file is not in the log, and controls know no "
+        "saturation"
+    )
+    return Actuators(topic.name, topic.stamp_ns, values, channels)
+
+
+# --- pulse widths -------------------------------------------------------------------------------
+
+
+def _outputs(log: Px4Log, findings: Findings, instance: int) -> Actuators:
+    """Pulse widths at the pins, with functions from PWM_*_FUNCn, or a quadrotor's old mixer."""
+    topic = log.topic("actuator_outputs", instance)
+    assert topic is not None  # the caller has looked
+    count = int(np.max(topic.column("noutputs"))) or topic.size("output")
+    values = topic.vector("output", topic.size("output"))[:, :count]
+    prefix = "PWM_AUX" if instance else "PWM_MAIN"
+    functions = [int(log.parameters.get(f"{prefix}_FUNC{i + 1}", 0)) for i in range(count)]
+    if any(functions):
+        channels = _by_function(log, findings, functions, prefix)
+        findings.assumed.append(f"instance {instance} of actuator_outputs are the pins {prefix}")
+    elif log.parameters.get("MAV_TYPE") == QUADROTOR:
+        channels = _quad_x(log, findings, count)
+    else:
+        raise ImportLogError(
+            f"log '{log.path}': no parameter {prefix}_FUNCn says what the actuator_outputs move; "
+            "try --actuators-topic actuator_controls_0"
+        )
+    return Actuators(topic.name, topic.stamp_ns, values, tuple(channels))
+
+
+def _by_function(
+    log: Px4Log, findings: Findings, functions: list[int], prefix: str
+) -> list[Channel]:
+    """Meaning of pins whose functions are parameters."""
+    motors = _motors(log, findings, FUNCTIONS_OF_A_KIND)
+    servos = _servos(log, findings, FUNCTIONS_OF_A_KIND)
+    reversed_pins = int(log.parameters.get(f"{prefix}_REV", 0))
+    channels = []
+    for i, function in enumerate(functions):
+        low = float(log.parameters.get(f"{prefix}_MIN{i + 1}", PWM_MIN))
+        high = float(log.parameters.get(f"{prefix}_MAX{i + 1}", PWM_MAX))
+        sign = -1.0 if reversed_pins >> i & 1 else 1.0
+        where = f"{prefix}_FUNC{i + 1} {function}, {low:g} to {high:g} us"
+        if MOTOR_FUNCTION <= function < MOTOR_FUNCTION + FUNCTIONS_OF_A_KIND:
+            kind, scale = motors[function - MOTOR_FUNCTION], sign / (high - low)
+            neutral = low if sign > 0 else high
+        elif SERVO_FUNCTION <= function < SERVO_FUNCTION + FUNCTIONS_OF_A_KIND:
+            kind, scale = servos[function - SERVO_FUNCTION], 2.0 * sign / (high - low)
+            neutral = (low + high) / 2.0
+        else:
+            kind, scale, neutral = Channel(f"output_{i + 1}", NO_EFFECT, ""), 1.0, 0.0
+        channels.append(Channel(kind.name, kind.effect, where, scale, neutral, "us"))
+    names = unique_names([channel.name for channel in channels])
+    return [_renamed(c, name) for c, name in zip(channels, names, strict=True)]
+
+
+def _renamed(channel: Channel, name: str) -> Channel:
+    return Channel(
+        name, channel.effect, channel.meaning, channel.scale, channel.neutral, channel.unit
+    )
+
+
+def _quad_x(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
+    """Take a quadrotor in X: the mixer file is not in an old log."""
+    low = float(log.parameters.get("PWM_MIN", PWM_MIN))
+    high = float(log.parameters.get("PWM_MAX", PWM_MAX))
+    effects = rotor_effects(on_a_circle(QUAD_X_ANGLES), QUAD_X_MOMENTS, [1.0] * 4)
+    findings.assumed.append(
+        "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear right) "
+        "on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
+    )
+    findings.read.append(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
+    return [
+        Channel(f"motor_{i + 1}", effects[i], "output of quad x", 1.0 / (high - low), low, "us")
+        if i < len(effects)
+        else Channel(f"output_{i + 1}", NO_EFFECT, "not a motor", unit="us")
+        for i in range(count)
+    ]
+
+
+READERS: dict[str, Callable[[Px4Log, Findings, int], Actuators]] = {
+    "actuator_motors": _allocated,
+    "actuator_servos": _allocated,
+    "vehicle_torque_setpoint": _setpoints,
+    "actuator_controls_0": _controls,
+    "actuator_outputs": _outputs,
+}
+"""Readers by topic, nearest to the actuators first; the pulse widths, whose meaning is the least
+certain, last."""

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the stamps of a stream tell: its rate, its gaps, and how to join two streams."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.flight_log import NS_PER_S, BoolArray
+
+GAP_INTERVALS = 3.0
+"""An interval of more than so many median ones is a gap: jitter stays below, a lost sample or
+two hardly matter."""
+
+SHORTEST_GAP = 0.02
+"""A gap shorter than this is not worth a word, s."""
+
+JOIN_NS = 200_000
+"""Samples of two topics this close, ns, are of one cycle of the controller: the fastest run at
+1 kHz or so, and what is published in one cycle is some microseconds apart."""
+
+
+def rate(t_ns: TimeArray) -> float:
+    """Rate of a stream, Hz, from its median interval; 0 if there is none."""
+    steps = np.diff(t_ns)
+    steps = steps[steps > 0]
+    return float(NS_PER_S / np.median(steps)) if len(steps) else 0.0
+
+
+def describe(t_ns: TimeArray) -> str:
+    """Say how many samples a stream has, over which time, at which rate."""
+    if not len(t_ns):
+        return "no samples"
+    seconds = float(np.max(t_ns) - np.min(t_ns)) / NS_PER_S
+    return f"{len(t_ns)} samples over {seconds:.1f} s at {rate(t_ns):.4g} Hz"
+
+
+def doubts(t_ns: TimeArray) -> list[str]:
+    """Say what is wrong with the stamps of a stream: gaps, repetitions, steps back."""
+    steps = np.diff(t_ns)
+    result = []
+    if back := int((steps < 0).sum()):
+        result.append(f"{back} stamps are earlier than the one before")
+    if same := int((steps == 0).sum()):
+        result.append(f"{same} stamps repeat the one before")
+    ahead = steps[steps > 0]
+    limit = (
+        max(GAP_INTERVALS * float(np.median(ahead)), SHORTEST_GAP * NS_PER_S) if len(ahead) else 0
+    )
+    gaps = np.flatnonzero(steps > limit)
+    if len(gaps):
+        longest = int(gaps[np.argmax(steps[gaps])])
+        result.append(
+            f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of more than {limit / NS_PER_S:.3g} s, "
+            f"together {float(steps[gaps].sum()) / NS_PER_S:.3g} s, the longest "
+            f"{float(steps[longest]) / NS_PER_S:.3g} s at {float(t_ns[longest]) / NS_PER_S:.2f} s"
+        )
+    return result
+
+
+def intervals(
+    t_ns: TimeArray, active: BoolArray, end_ns: int, start_ns: int | None = None
+) -> list[tuple[int, int]]:
+    """Stretches in which a logged state holds; each value counts until the next.
+
+    Parameters
+    ----------
+    t_ns : (k,) int array
+        Stamps of the state, ns.
+    active : (k,) bool array
+        Whether it holds.
+    end_ns : int
+        End of the log, ns.
+    start_ns : int, optional
+        Start of the log: the first value counts from there.
+    """
+    result: list[tuple[int, int]] = []
+    stamps = [int(t) for t in t_ns]
+    if stamps and start_ns is not None:
+        stamps[0] = min(stamps[0], start_ns)
+    for start, end, holds in zip(stamps, [*stamps[1:], end_ns], active, strict=True):
+        if not holds or end < start:
+            continue
+        if result and result[-1][1] == start:
+            result[-1] = (result[-1][0], end)
+        else:
+            result.append((start, end))
+    return result
+
+
+def join(
+    first: tuple[TimeArray, FloatArray], second: tuple[TimeArray, FloatArray]
+) -> tuple[TimeArray, FloatArray]:
+    """Put two streams side by side; each value is held until its stream's next.
+
+    Stamps of one controller cycle (closer than `JOIN_NS`) become one, the later. Before the
+    first sample of a stream its values are NaN.
+
+    Parameters
+    ----------
+    first, second : pair of (k,) int array and (k, C) array
+        Stamps, ns, rising, and values.
+
+    Returns
+    -------
+    pair of (n,) int array and (n, C1 + C2) array
+        Stamps and values of both.
+    """
+    every = np.union1d(first[0], second[0])
+    last_of_cycle = np.append(np.diff(every) > JOIN_NS, True)
+    t_ns = every[last_of_cycle]
+    return t_ns, np.hstack([hold(t_ns, *first), hold(t_ns, *second)])
+
+
+def hold(t_ns: TimeArray, samples_ns: TimeArray, values: FloatArray) -> FloatArray:
+    """Return the last value at or before each time, NaN before the first, (n, C)."""
+    index = np.searchsorted(samples_ns, t_ns, side="right") - 1
+    held = np.array(values[np.maximum(index, 0)], dtype=float)
+    held[index < 0] = np.nan
+    return held
+
+
+def interpolate(t_ns: TimeArray, samples_ns: TimeArray, values: FloatArray) -> FloatArray:
+    """Return the columns of (k, C) values at other times, joined by straight lines, (n, C)."""
+    origin = int(samples_ns[0])
+    at, known = (t_ns - origin).astype(float), (samples_ns - origin).astype(float)
+    return np.column_stack([np.interp(at, known, column) for column in values.T])

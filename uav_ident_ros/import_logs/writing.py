@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An imported log as a bag with the standard topics, and the parameters that fit it beside it."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_ident_ros.bag_writer import BagWriteError, BagWriter, header, message_class, qos
+from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.import_logs.flight_log import Channel, Findings, FlightLog
+from uav_ident_ros.parameter_file import load_parameters
+
+IMU_TOPIC, IMU_TYPE = "/imu/data", "sensor_msgs/msg/Imu"
+ACTUATORS_TOPIC, ACTUATORS_TYPE = "/actuators", "sensor_msgs/msg/JointState"
+AIRSPEED_TOPIC, AIRSPEED_TYPE = "/airspeed", "geometry_msgs/msg/TwistStamped"
+
+FRAME_IDS = {"frd": "base_link_frd", "flu": "base_link"}
+"""Frame of the Imu's header; the identifier takes the suffix as the convention."""
+
+PARAMETER_FILE = "identifier.yaml"
+
+NOT_MEASURED = np.array([-1.0, *[0.0] * 8])
+"""Covariance that says that there is no such measurement (sensor_msgs/Imu)."""
+
+UNKNOWN = np.zeros(9)
+"""Covariance that is not known (sensor_msgs/Imu)."""
+
+TRIMS = ("flight", "neutral", "learn")
+"""Where the trim comes from: the median in flight, the channels' rest positions, or the identifier
+itself, from the first steady stretch."""
+
+LEARN_TRIM_TIME = 2.0
+"""Length of that stretch, s."""
+
+COMMENT_WIDTH = 96
+
+Entry = tuple[int, str, Any]
+
+
+def write_import(log: FlightLog, folder: Path, trim: str, use_airspeed: bool) -> Path:
+    """Write the bag and the parameter file.
+
+    Parameters
+    ----------
+    log : FlightLog
+        The log.
+    folder : Path
+        Folder of the new bag; must not exist.
+    trim : str
+        One of `TRIMS`.
+    use_airspeed : bool
+        Switch the scaling with the airspeed on.
+
+    Returns
+    -------
+    Path
+        The parameter file.
+
+    Raises
+    ------
+    BagWriteError
+        If the folder exists or cannot be written.
+    """
+    parameters = fitting_parameters(log, trim, use_airspeed)
+    with BagWriter(folder) as bag:
+        bag.topic(IMU_TOPIC, IMU_TYPE, qos(500, reliable=False))
+        bag.topic(ACTUATORS_TOPIC, ACTUATORS_TYPE, qos(10))
+        streams = [_actuator_entries(log), _imu_entries(log)]
+        if log.airspeed is not None:
+            bag.topic(AIRSPEED_TOPIC, AIRSPEED_TYPE, qos(10))
+            streams.append(_airspeed_entries(log))
+        # At equal times the actuators come first, as the command precedes its effect.
+        for log_ns, topic, message in heapq.merge(*streams, key=lambda entry: entry[0]):
+            bag.write(topic, log_ns, message)
+    path = folder / PARAMETER_FILE
+    try:
+        path.write_text(_parameter_text(log, parameters, use_airspeed), encoding="utf-8")
+    except OSError as error:
+        raise BagWriteError(f"cannot write to '{path}': {error.strerror}") from None
+    Settings.from_values(load_parameters(path, "/identifier"))  # what was written can be used
+    return path
+
+
+# --- bag ----------------------------------------------------------------------------------------
+
+
+def _log_times(t_ns: TimeArray) -> list[int]:
+    """Log times that never step back, as a recorder's, whatever the stamps do."""
+    return [int(t) for t in np.maximum.accumulate(t_ns)]
+
+
+def _imu_entries(log: FlightLog) -> Iterator[Entry]:
+    imu, vector = message_class(IMU_TYPE), message_class("geometry_msgs/msg/Vector3")
+    quaternion = message_class("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0)
+    rates = log.rates
+    frame_id = FRAME_IDS[rates.convention]
+    force = np.zeros_like(rates.rates) if rates.force is None else rates.force
+    columns = (_log_times(rates.t_ns), rates.t_ns.tolist(), rates.rates.tolist(), force.tolist())
+    for log_ns, t_ns, pqr, f in zip(*columns, strict=True):
+        yield (
+            log_ns,
+            IMU_TOPIC,
+            imu(
+                header=header(t_ns, frame_id),
+                orientation=quaternion,
+                orientation_covariance=NOT_MEASURED,
+                angular_velocity=vector(*pqr),
+                angular_velocity_covariance=UNKNOWN,
+                linear_acceleration=vector(*f),
+                linear_acceleration_covariance=NOT_MEASURED if rates.force is None else UNKNOWN,
+            ),
+        )
+
+
+def _actuator_entries(log: FlightLog) -> Iterator[Entry]:
+    joint_state = message_class(ACTUATORS_TYPE)
+    actuators = log.actuators
+    names = [channel.name for channel in actuators.channels]
+    empty = np.zeros(0)
+    columns = (_log_times(actuators.t_ns), actuators.t_ns.tolist(), actuators.values)
+    for log_ns, t_ns, values in zip(*columns, strict=True):
+        position = np.ascontiguousarray(values, dtype=float)
+        message = joint_state(
+            header=header(t_ns), name=names, position=position, velocity=empty, effort=empty
+        )
+        yield log_ns, ACTUATORS_TOPIC, message
+
+
+def _airspeed_entries(log: FlightLog) -> Iterator[Entry]:
+    vector, twist = (message_class(f"geometry_msgs/msg/{name}") for name in ("Vector3", "Twist"))
+    stamped = message_class(AIRSPEED_TYPE)
+    still = vector(x=0.0, y=0.0, z=0.0)
+    airspeed = log.airspeed
+    assert airspeed is not None  # the caller has looked
+    columns = (_log_times(airspeed.t_ns), airspeed.t_ns.tolist(), airspeed.values.tolist())
+    for log_ns, t_ns, speed in zip(*columns, strict=True):
+        motion = twist(linear=vector(x=speed, y=0.0, z=0.0), angular=still)
+        yield log_ns, AIRSPEED_TOPIC, stamped(header=header(t_ns), twist=motion)
+
+
+# --- parameters ---------------------------------------------------------------------------------
+
+
+def used_channels(log: FlightLog) -> list[tuple[int, Channel]]:
+    """Column and channel of everything that moves the aircraft."""
+    return [(i, c) for i, c in enumerate(log.actuators.channels) if any(c.effect)]
+
+
+def fitting_parameters(log: FlightLog, trim: str, use_airspeed: bool) -> dict[str, Any]:
+    """Parameters of the identifier that fit the bag, by dotted name."""
+    channels = [channel for _, channel in used_channels(log)]
+    values: dict[str, Any] = {
+        "imu.type": IMU_TYPE,
+        "imu.convention": log.rates.convention,
+        "imu.lever_arm": list(log.lever_arm),
+        "actuators.type": ACTUATORS_TYPE,
+        "actuators.channels": [channel.name for channel in channels],
+        "actuators.scale": [channel.scale for channel in channels],
+        "actuators.trim": trim_values(log, trim),
+        "actuators.estimate_delay": True,
+    }
+    if trim == "learn":
+        values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
+    for i, name in enumerate(INPUTS):
+        values[f"actuators.mixing.{name}"] = [channel.effect[i] for channel in channels]
+    if use_airspeed and log.airspeed is not None:
+        values["airspeed.type"] = AIRSPEED_TYPE
+        values["airspeed.reference"] = reference_speed(log)
+    return values
+
+
+def trim_values(log: FlightLog, trim: str) -> list[float]:
+    """Raw value of each used channel in trimmed flight."""
+    inside = log.in_flight(log.actuators.t_ns)
+    result = []
+    for column, channel in used_channels(log):
+        raw = log.actuators.values[inside, column]
+        raw = raw[np.isfinite(raw)]
+        if channel.trim is not None:
+            result.append(channel.trim)
+        elif trim == "flight" and len(raw):
+            result.append(float(np.median(raw)))
+        else:
+            result.append(channel.neutral)
+    return result
+
+
+def reference_speed(log: FlightLog) -> float:
+    """Median airspeed in flight, m/s, within what the setting allows."""
+    airspeed = log.airspeed
+    assert airspeed is not None  # the caller has looked
+    inside = airspeed.values[log.in_flight(airspeed.t_ns)]
+    inside = inside[np.isfinite(inside) & (inside > 0.0)]
+    return round(float(np.clip(np.median(inside), 1.0, 400.0)), 3) if len(inside) else 20.0
+
+
+def _parameter_text(log: FlightLog, parameters: dict[str, Any], use_airspeed: bool) -> str:
+    """Return the parameter file, with everything that was found out as comments."""
+    lines = [
+        "# SPDX-License-Identifier: Apache-2.0",
+        *_comment(f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."),
+    ]
+    for title, sentences in findings_by_title(log.findings):
+        lines.append(f"# {title}:")
+        for sentence in sentences:
+            lines += _comment(sentence, "- ", "  ")
+    lines += ["/**:", "  ros__parameters:"]
+    lines += [f"    {name}: {_yaml(value)}" for name, value in parameters.items()]
+    if log.airspeed is not None and not use_airspeed:
+        lines += [
+            "    # The bag has an airspeed; these lines scale the coefficients with it:",
+            f"    # airspeed.type: {_yaml(AIRSPEED_TYPE)}",
+            f"    # airspeed.reference: {_yaml(reference_speed(log))}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def findings_by_title(findings: Findings) -> list[tuple[str, list[str]]]:
+    """Return the findings under their headings, those that are empty left out."""
+    titled = [
+        ("From the log", findings.read),
+        ("Assumed", findings.assumed),
+        ("Missing or doubtful", findings.lost),
+    ]
+    return [(title, sentences) for title, sentences in titled if sentences]
+
+
+def _comment(text: str, first: str = "", other: str = "") -> list[str]:
+    return textwrap.wrap(
+        text,
+        COMMENT_WIDTH,
+        initial_indent=f"# {first}",
+        subsequent_indent=f"# {other}",
+        break_on_hyphens=False,
+    )
+
+
+def _yaml(value: Any) -> str:
+    """YAML that ROS's own parser reads with the right type: words in quotes, floats as floats."""
+    if isinstance(value, list):
+        return f"[{', '.join(_yaml(entry) for entry in value)}]"
+    if isinstance(value, float):
+        return repr(float(value) + 0.0)  # no -0.0
+    return json.dumps(value)
