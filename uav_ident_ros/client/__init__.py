@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""For controllers: what `identifier` publishes, as a model that a control loop can use.
+
+There is no estimator in here, and but for `subscribe` no ROS. In a node::
+
+    from uav_ident_ros.client import CoefficientSource, Fallback, subscribe
+
+    source = CoefficientSource(Fallback.LAST_GOOD, nominal=my_aircraft)
+    subscribe(self, source)                     # identifier/coefficients_named
+
+    model = source.model(now_ns)                # refused: Refusal, with the reason
+    answer = model.invert(wanted, rates, limits)    # inputs that give wanted pdot, qdot, rdot
+"""
+
+from uav_ident_ros.client.coefficients import Coefficients, MessageError
+from uav_ident_ros.client.history import History
+from uav_ident_ros.client.model import AttitudeModel, Inversion, Refusal
+from uav_ident_ros.client.source import CoefficientSource, Fallback
+from uav_ident_ros.client.subscription import subscribe
+
+__all__ = [
+    "AttitudeModel",
+    "CoefficientSource",
+    "Coefficients",
+    "Fallback",
+    "History",
+    "Inversion",
+    "MessageError",
+    "Refusal",
+    "subscribe",
+]

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One message of ``~/coefficients_named`` as plain values, and what of it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import (
+    CONSTANT,
+    INPUT_COLUMNS,
+    PRODUCT_COLUMNS,
+    RATE_COLUMNS,
+    ROWS,
+    STRUCTURES,
+    BoolArray,
+    FloatArray,
+    Structure,
+)
+
+FIT_NAMES = ("fit/p", "fit/q", "fit/r")
+USABLE_NAME = "verdict/usable"
+
+MIN_T_RATIO = 3.0
+"""Value over sigma from which on a coefficient is known."""
+
+MAX_SHARE = 0.1
+"""A small coefficient is known too if its sigma is below this share of the largest known one
+of its kind in its row: a cross coupling that is surely small."""
+
+SECOND_NS = 1_000_000_000
+
+
+class MessageError(ValueError):
+    """A message does not hold coefficients; the text says what is wrong."""
+
+
+class _Stamp(Protocol):
+    sec: int
+    nanosec: int
+
+
+class _Header(Protocol):
+    stamp: _Stamp
+
+
+class NamedMessage(Protocol):
+    """What is read of a sensor_msgs/msg/JointState, whoever decoded it."""
+
+    header: _Header
+    name: Sequence[str]
+    position: Sequence[float]
+    effort: Sequence[float]
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """Coefficients of ``xdot = A f(x, u)`` with their uncertainty and the verdict.
+
+    Parameters
+    ----------
+    structure : Structure
+        Names the rows and columns.
+    values : (3, n) array
+        A, SI units, body axes forward-right-down.
+    sigma : (3, n) array
+        Standard deviations; 0 for what is fixed or absent.
+    usable : bool
+        The identifier's verdict on the whole.
+    fit : (3,) array
+        Fit of its 1-second predictions of p, q, r, percent.
+    t_ns : int
+        Message time at which they were valid, ns.
+    """
+
+    structure: Structure
+    values: FloatArray
+    sigma: FloatArray
+    usable: bool = True
+    fit: FloatArray | None = None
+    t_ns: int = 0
+
+    @classmethod
+    def from_message(cls, message: NamedMessage) -> Coefficients:
+        """Read a message of ``~/coefficients_named``.
+
+        Raises
+        ------
+        MessageError
+            If entries are missing, of no known structure, or not finite.
+        """
+        count = len(message.name)
+        if not len(message.position) == len(message.effort) == count:
+            raise MessageError(
+                f"{count} names, {len(message.position)} positions and {len(message.effort)} "
+                "efforts: coefficients_named has as many of each"
+            )
+        value = dict(zip(message.name, map(float, message.position), strict=True))
+        sigma = dict(zip(message.name, map(float, message.effort), strict=True))
+        structure = _structure_of(value.keys() - {*FIT_NAMES, USABLE_NAME})
+        missing = [name for name in (*FIT_NAMES, USABLE_NAME) if name not in value]
+        if missing:
+            raise MessageError(f"there is no entry '{missing[0]}': is this coefficients_named?")
+        values, sigmas = (_matrix(structure, entries) for entries in (value, sigma))
+        if not (np.isfinite(values).all() and (sigmas >= 0.0).all()):
+            raise MessageError("a coefficient is not finite, or its sigma is negative or NaN")
+        stamp = message.header.stamp
+        return cls(
+            structure=structure,
+            values=values,
+            sigma=sigmas,
+            usable=value[USABLE_NAME] == 1.0,
+            fit=np.array([value[name] for name in FIT_NAMES]),
+            t_ns=int(stamp.sec) * SECOND_NS + int(stamp.nanosec),
+        )
+
+    @classmethod
+    def from_file(cls, path: Path | str) -> Coefficients:
+        """Read a coefficients file, as `replay` and the identifier's `~/save` write it.
+
+        Raises
+        ------
+        CoefficientsFileError
+            If it cannot be used.
+        """
+        from uav_ident_ros.coefficients_file import load_coefficients
+
+        loaded = load_coefficients(path)
+        return cls(STRUCTURES[loaded.structure], loaded.values, loaded.sigma, t_ns=loaded.t_ns)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coefficients, ``pdot/pq`` and so on, row-major."""
+        return self.structure.names
+
+    def age(self, now_ns: int) -> float:
+        """Age at message time `now_ns`, s."""
+        return (now_ns - self.t_ns) / SECOND_NS
+
+    @cached_property
+    def known(self) -> BoolArray:
+        """Which coefficients may be acted on, shape (3, n); absent ones count as known zeros.
+
+        Known is what is `MIN_T_RATIO` sigma from zero, or surely small: with a sigma below
+        `MAX_SHARE` of the largest known coefficient of its kind (rate products, rates, inputs,
+        forces) in its row.
+        """
+        size = np.abs(self.values)
+        clear = (size > 0.0) & (size >= MIN_T_RATIO * self.sigma)
+        known = clear | (self.sigma == 0.0)
+        for columns in self._kinds():
+            largest = np.where(clear[:, columns], size[:, columns], 0.0).max(axis=1, keepdims=True)
+            known[:, columns] |= self.sigma[:, columns] <= MAX_SHARE * largest
+        return np.asarray(known | ~self.structure.mask)
+
+    def _kinds(self) -> list[slice]:
+        kinds = [PRODUCT_COLUMNS, RATE_COLUMNS, INPUT_COLUMNS]
+        if CONSTANT in self.structure.regressors:
+            start = INPUT_COLUMNS.stop
+            kinds += [slice(start, start + 1), slice(start + 1, self.structure.size)]
+        return kinds
+
+
+def _structure_of(names: set[str]) -> Structure:
+    """Return the structure that has just these coefficients."""
+    for structure in STRUCTURES.values():
+        if set(structure.names) == names:
+            return structure
+    raise MessageError(
+        f"{len(names)} coefficients of no known structure: there are {', '.join(STRUCTURES)}, "
+        f"with entries like '{ROWS[0]}/p'"
+    )
+
+
+def _matrix(structure: Structure, entries: dict[str, float]) -> FloatArray:
+    out = np.zeros(structure.mask.shape)
+    for name, index in zip(structure.names, structure.free, strict=True):
+        out[index] = entries[name]
+    return out

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which coefficients a controller acts on: the newest, the last good or the author's own."""
+
+from __future__ import annotations
+
+import dataclasses
+from enum import Enum
+
+import numpy as np
+
+from uav_ident_ros.client.coefficients import SECOND_NS, Coefficients, NamedMessage
+from uav_ident_ros.client.history import History
+from uav_ident_ros.client.model import AttitudeModel, Refusal
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
+
+MAX_AGE = 0.5
+"""Age at which coefficients count as stale, s: ten ticks missed."""
+
+
+class Fallback(Enum):
+    """What to act on while the newest coefficients must not be used.
+
+    After a surface has lost its effect the verdict falls until its derivative is learned anew, and
+    then the last good set is the one from before the fault. Its derivative is too large, so that
+    too little deflection is asked for: a loop with integral action is slow with it, but stable.
+    The nominal set knows no more of the fault; it serves who distrusts what was learned.
+    """
+
+    REFUSE = "refuse"
+    LAST_GOOD = "last good"
+    NOMINAL = "nominal"
+
+
+class CoefficientSource:
+    """Keeps the coefficients that arrive and gives the model that may be acted on.
+
+    Single coefficients that are not known (see `Coefficients.known`) are never acted on, whatever
+    the verdict: those of the fallback replace them, one by one, and what the fallback does not
+    know either is left out.
+
+    Parameters
+    ----------
+    fallback : Fallback
+        The caller's choice; there is no default on purpose.
+    nominal : Coefficients, optional
+        The author's own set: for `Fallback.NOMINAL`, and under `Fallback.LAST_GOOD` what is
+        good before anything was identified.
+    heed_verdict : bool
+        Whether ``verdict/usable`` must be 1. It judges by the predictions of the last 30 s, and
+        after a fault it lags behind the coefficients: a loop that tolerates some error may
+        rather keep to the newest ones, each as far as its own sigma allows.
+    max_age : float
+        Age at which coefficients are stale, s of message time.
+    delay : float
+        Use only what is at least so old, s. In lock-step with a simulation it makes the choice
+        independent of the machine; 0 in flight.
+
+    Raises
+    ------
+    ValueError
+        If the fallback is `Fallback.NOMINAL` and there is no nominal set.
+    """
+
+    def __init__(
+        self,
+        fallback: Fallback,
+        nominal: Coefficients | None = None,
+        *,
+        heed_verdict: bool = True,
+        max_age: float = MAX_AGE,
+        delay: float = 0.0,
+    ) -> None:
+        if fallback is Fallback.NOMINAL and nominal is None:
+            raise ValueError("Fallback.NOMINAL needs the nominal coefficients")
+        self.fallback = fallback
+        self._nominal = nominal
+        self._heed_verdict = heed_verdict
+        self._max_age = max_age
+        self._delay_ns = round(delay * SECOND_NS)
+        self._history: History[Coefficients] = History()
+        self._good = nominal  # the last good value of each coefficient
+        self._chosen: tuple[Coefficients | None, AttitudeModel | None] = (None, None)
+
+    def take(self, message: NamedMessage) -> Coefficients:
+        """Take a message of ``~/coefficients_named``.
+
+        Raises
+        ------
+        MessageError
+            If it holds no coefficients; what was taken before stays.
+        """
+        coefficients = Coefficients.from_message(message)
+        self.add(coefficients)
+        return coefficients
+
+    def add(self, coefficients: Coefficients) -> None:
+        """Take coefficients that were decoded elsewhere."""
+        self._history.add(coefficients.t_ns, coefficients)
+
+    def newest(self, now_ns: int) -> Coefficients | None:
+        """Newest coefficients that count at message time `now_ns`; None before the first."""
+        return self._history.at(now_ns - self._delay_ns)
+
+    def refusal(self, now_ns: int) -> str:
+        """Why the newest coefficients must not be used; empty if they may."""
+        newest = self.newest(now_ns)
+        if newest is None:
+            return "there are no coefficients yet"
+        if newest.age(now_ns - self._delay_ns) > self._max_age:
+            return f"the coefficients are more than {self._max_age:g} s old"
+        if self._heed_verdict and not newest.usable:
+            return "the identifier's verdict is 'not usable'"
+        return ""
+
+    def model(self, now_ns: int) -> AttitudeModel:
+        """Return what may be acted on at message time `now_ns`.
+
+        Raises
+        ------
+        Refusal
+            If the newest coefficients are refused, and the fallback is empty.
+        """
+        reason = self.refusal(now_ns)
+        chosen = self._spare() if reason else self.newest(now_ns)
+        if chosen is None:
+            raise Refusal(reason)
+        before, model = self._chosen
+        if before is not chosen or model is None:
+            model = self._stand_in(chosen) if reason else self._merge(chosen)
+            self._chosen = (chosen, model)
+        return model
+
+    def _spare(self) -> Coefficients | None:
+        match self.fallback:
+            case Fallback.LAST_GOOD:
+                return self._good
+            case Fallback.NOMINAL:
+                return self._nominal
+        return None
+
+    def _stand_in(self, spare: Coefficients) -> AttitudeModel:
+        source = "nominal" if spare is self._nominal else "last good"
+        return _model(spare, spare.values, spare.known, source)
+
+    def _merge(self, newest: Coefficients) -> AttitudeModel:
+        """Replace what is not known, and remember what is."""
+        spare, values, known, sigma = self._spare(), newest.values, newest.known, newest.sigma
+        replaced: tuple[str, ...] = ()
+        if spare is not None and spare.structure is newest.structure:
+            from_spare = ~known & spare.known
+            values = np.where(from_spare, spare.values, values)
+            sigma = np.where(from_spare, spare.sigma, sigma)
+            replaced = _names(newest, from_spare)
+            known = known | from_spare
+        self._good = dataclasses.replace(newest, values=values, sigma=sigma, usable=True)
+        return _model(newest, values, known, "identified", replaced)
+
+
+def _names(coefficients: Coefficients, which: BoolArray) -> tuple[str, ...]:
+    structure = coefficients.structure
+    pairs = zip(structure.names, structure.free, strict=True)
+    return tuple(name for name, index in pairs if which[index])
+
+
+def _model(
+    coefficients: Coefficients,
+    values: FloatArray,
+    known: BoolArray,
+    source: str,
+    replaced: tuple[str, ...] = (),
+) -> AttitudeModel:
+    return AttitudeModel(
+        structure=coefficients.structure,
+        values=np.where(known, values, 0.0),
+        known=known,
+        t_ns=coefficients.t_ns,
+        source=source,
+        replaced=replaced,
+        left_out=_names(coefficients, ~known),
+    )

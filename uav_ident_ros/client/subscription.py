@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one line of ROS that a controller needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from uav_ident_ros.client.coefficients import Coefficients, MessageError
+from uav_ident_ros.client.source import CoefficientSource
+
+TOPIC = "identifier/coefficients_named"
+"""Where the identifier of the node's own namespace publishes."""
+
+DEPTH = 10
+"""Depth of the queue: ticks that come in a burst, after a pause, are not lost."""
+
+
+def subscribe(
+    node: Any,
+    source: CoefficientSource,
+    topic: str = TOPIC,
+    callback: Callable[[Coefficients], None] | None = None,
+) -> Any:
+    """Feed `source` from a topic.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Owner of the subscription.
+    source : CoefficientSource
+        What takes the messages.
+    topic : str
+        The topic; remappings apply.
+    callback : callable, optional
+        Called with the coefficients of each message.
+
+    Returns
+    -------
+    rclpy.subscription.Subscription
+        The subscription: reliable and latched, so that the last coefficients come at once.
+    """
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+    from sensor_msgs.msg import JointState
+
+    def take(message: JointState) -> None:
+        try:
+            coefficients = source.take(message)
+        except MessageError as error:
+            node.get_logger().error(f"{topic}: {error}", throttle_duration_sec=5.0)
+            return
+        if callback is not None:
+            callback(coefficients)
+
+    latched = QoSProfile(
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+    return node.create_subscription(JointState, topic, take, latched)

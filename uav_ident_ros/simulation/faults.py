@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can go wrong with an aircraft in the loop, as short commands.
+
+    aileron effect 0.5     half of its effect about trim; 0 is a surface lost, -1 reversed
+    elevator jams          stands still where it is
+    rudder jams -0.05      stands still at that deflection from trim, rad
+    pitch inertia 1.3      ballast fore and aft (roll: on the wings), by that factor
+    turbulence 4           JSBSim's, 0 (calm) to 7
+    repaired               every surface as it was; ballast and weather stay
+
+With a time in front, ``90.0: aileron effect 0.5``, it happens then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.aircraft import FOOT, MAX_TURBULENCE, Aircraft, start_turbulence
+from uav_ident_ros.simulation.errors import SimulationError
+
+SURFACE_NAMES = ("elevator", "rudder", "aileron", "throttle")
+"""Names of the channels, in the order of de, dr, da, dth."""
+
+FORMS = (
+    "'SURFACE effect FACTOR', 'SURFACE jams [DEFLECTION]', 'roll|pitch inertia FACTOR', "
+    "'turbulence SEVERITY', 'repaired'"
+)
+
+GRAVITY_FT = 32.174049
+"""Weight of a slug, lbf."""
+
+INCHES_PER_FOOT = 12.0
+
+BALLAST_AXES = {"roll": ("Y", "inertia/ixx-slugs_ft2"), "pitch": ("X", "inertia/iyy-slugs_ft2")}
+"""Where the ballast goes and the inertia that it raises."""
+
+BALLAST_ARM = 3.3 / FOOT
+"""Distance of each ballast from the centre of gravity, ft: near nose and tail of a light
+aircraft, so that its mass hardly changes."""
+
+INERTIA_TOLERANCE = 0.005
+"""Largest misfit of the inertia read back, relative."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault.
+
+    Parameters
+    ----------
+    kind : str
+        ``effect``, ``jams``, ``inertia``, ``turbulence`` or ``repaired``.
+    what : str
+        Surface or axis; empty if it needs none.
+    value : float or None
+        Factor, deflection or severity.
+    time : float
+        When, s after the first sample; -inf for at once.
+    """
+
+    kind: str
+    what: str = ""
+    value: float | None = None
+    time: float = -math.inf
+
+
+def parse_fault(text: str) -> Fault:
+    """Read a command, with or without a time.
+
+    Raises
+    ------
+    SimulationError
+        If it is none; the message says what would be.
+    """
+    before, colon, command = text.rpartition(":")
+    words = command.split()
+    try:
+        time = float(before) if colon else -math.inf
+        match words:
+            case ["repaired"]:
+                return Fault("repaired", time=time)
+            case ["turbulence", severity]:
+                return Fault("turbulence", value=_within(severity, 0, MAX_TURBULENCE), time=time)
+            case [axis, "inertia", factor] if axis in BALLAST_AXES:
+                return Fault("inertia", axis, _within(factor, 1.0, 3.0), time)
+            case [surface, "effect", factor] if surface in SURFACE_NAMES:
+                return Fault("effect", surface, _within(factor, -2.0, 2.0), time)
+            case [surface, "jams"] if surface in SURFACE_NAMES:
+                return Fault("jams", surface, time=time)
+            case [surface, "jams", deflection] if surface in SURFACE_NAMES:
+                return Fault("jams", surface, _within(deflection, -1.0, 1.0), time)
+    except ValueError as error:
+        raise SimulationError(f"fault '{text}': {error}") from None
+    raise SimulationError(
+        f"fault '{text}' is none of {FORMS}; surfaces are {', '.join(SURFACE_NAMES)}"
+    )
+
+
+def _within(text: str, low: float, high: float) -> float:
+    value = float(text)
+    if not low <= value <= high:  # NaN fails too
+        raise ValueError(f"{text} is not within {low:g} to {high:g}")
+    return value
+
+
+class Faults:
+    """State of an aircraft's faults.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        Whose mass and weather they change.
+    trim : (4,) array
+        Surfaces in trimmed flight: an effect is lost about them.
+    seed : int
+        Seed of the turbulence.
+    scheduled : sequence of Fault
+        Those that come at a time of their own.
+    """
+
+    def __init__(
+        self, aircraft: Aircraft, trim: FloatArray, seed: int = 0, scheduled: Sequence[Fault] = ()
+    ) -> None:
+        self._aircraft, self._trim, self._seed = aircraft, trim, seed
+        self._scheduled = sorted(scheduled, key=lambda fault: fault.time)
+        self._effect = np.ones(4)
+        self._jammed = np.full(4, np.nan)
+        self._ballasts: list[int] = []
+
+    def due(self, time: float) -> list[Fault]:
+        """Apply what is scheduled until `time` (s) and return it."""
+        found = []
+        while self._scheduled and self._scheduled[0].time <= time:
+            found.append(self._scheduled.pop(0))
+            self.apply(found[-1])
+        return found
+
+    def apply(self, fault: Fault) -> None:
+        """Let it happen now.
+
+        Raises
+        ------
+        SimulationError
+            If this aircraft cannot have it.
+        """
+        index = SURFACE_NAMES.index(fault.what) if fault.what in SURFACE_NAMES else 0
+        match fault.kind:
+            case "repaired":
+                self._effect[:] = 1.0
+                self._jammed[:] = np.nan
+            case "effect":
+                self._effect[index] = fault.value
+            case "jams":
+                now = self._aircraft.surfaces[index]
+                at = now if fault.value is None else self._trim[index] + fault.value
+                self._jammed[index] = at
+            case "turbulence":
+                start_turbulence(self._aircraft.fdm, round(fault.value or 0.0), self._seed)
+            case "inertia":
+                add_ballast(self._aircraft.fdm, fault.what, fault.value or 1.0)
+
+    def surfaces(self, commanded: FloatArray) -> FloatArray:
+        """Return what the surfaces do when `commanded`, shape (4,)."""
+        moved = self._trim + self._effect * (commanded - self._trim)
+        return np.where(np.isnan(self._jammed), moved, self._jammed)
+
+
+def add_ballast(fdm: Any, axis: str, factor: float) -> None:
+    """Multiply an inertia by `factor`, with equal masses on both sides of the centre of gravity.
+
+    JSBSim computes the inertias itself and silently ignores a write to them; so its empty point
+    masses are loaded, and what they did is read back.
+
+    Raises
+    ------
+    SimulationError
+        If the aircraft has no two empty point masses, or the inertia is not what it should be.
+    """
+    direction, name = BALLAST_AXES[axis]
+    pair = _empty_point_masses(fdm)[-2:]
+    if len(pair) < 2:
+        raise SimulationError(
+            f"'{axis} inertia {factor:g}': this JSBSim aircraft has no two empty point masses"
+        )
+    wanted = factor * fdm[name]
+    weight = (wanted - fdm[name]) / (2.0 * BALLAST_ARM**2) * GRAVITY_FT
+    for index, side in zip(pair, (1.0, -1.0), strict=True):
+        for letter in "XYZ":
+            centre = fdm[f"inertia/cg-{letter.lower()}-in"]
+            offset = side * BALLAST_ARM * INCHES_PER_FOOT if letter == direction else 0.0
+            fdm[f"inertia/pointmass-location-{letter}-inches[{index}]"] = centre + offset
+    for index in pair:
+        fdm[f"inertia/pointmass-weight-lbs[{index}]"] = weight
+    fdm.run()  # the masses count from the next step on
+    if abs(fdm[name] - wanted) > INERTIA_TOLERANCE * wanted:
+        raise SimulationError(
+            f"'{axis} inertia {factor:g}': JSBSim says {fdm[name]:.0f} slug ft^2 where "
+            f"{wanted:.0f} are wanted"
+        )
+
+
+def _empty_point_masses(fdm: Any) -> list[int]:
+    manager, found, index = fdm.get_property_manager(), [], 0
+    while manager.hasNode(f"inertia/pointmass-weight-lbs[{index}]"):
+        if fdm[f"inertia/pointmass-weight-lbs[{index}]"] == 0.0:
+            found.append(index)
+        index += 1
+    return found

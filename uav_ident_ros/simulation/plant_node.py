@@ -1,0 +1,347 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node `simulated_plant`: a JSBSim aircraft for controllers to fly.
+
+It publishes the Imu and what the actuators were told, and takes commands. In step
+(``lock_step``) it is the source of /clock and waits, after each Imu sample, for the command that
+answers it, so that a flight comes out the same on any machine, and as fast as the loop allows.
+Otherwise it flies in real time, stamped with the wall clock, and waits for nobody.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import Quaternion, Vector3, Vector3Stamped
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Header, String
+
+from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback, subscribe
+from uav_ident_ros.messages import NS_PER_S, header_ns
+from uav_ident_ros.player import to_stamp
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, parse_fault
+from uav_ident_ros.simulation.flight import EPOCH_NS
+from uav_ident_ros.simulation.flight_record import FlightRecord
+from uav_ident_ros.simulation.live_aircraft import LiveAircraft, Sample
+from uav_ident_ros.simulation.noise import FRAME_IDS, FRD_TO_FLU, Sensors
+from uav_ident_ros.startup import REFUSALS, USAGE_ERROR, explain, start
+
+PATIENCE = 2.0
+"""In step: wall-clock seconds that an answer may take before the flight goes on without it."""
+
+START_PATIENCE = 60.0
+"""Wall-clock seconds in which whoever is waited for must have appeared."""
+
+COEFFICIENTS_WITHIN_NS = 200_000_000
+"""In step: how far the newest coefficients may lie behind the newest Imu sample, ns."""
+
+NUDGE_AFTER = 0.02
+"""Wall-clock seconds without coefficients after which /clock goes on a step by itself: the
+identifier's timer may have fired just before the samples that it needed arrived."""
+
+CLOCK_AHEAD_NS = 100_000_000
+"""How far /clock may get ahead of the Imu that way, ns: two periods of that timer."""
+
+RELIABLE = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
+
+PARAMETERS: dict[str, Any] = {
+    "aircraft": "c172p",
+    "rate": 100.0,  # of the Imu and of the commands, Hz
+    "delay": 0.02,  # from the stamp of a sample to the surface that its command moves, s
+    "gyro_noise": 0.005,  # rms of a sample, rad/s
+    "gyro_bias": [0.002, -0.001, 0.001],  # FRD, rad/s
+    "accelerometer_noise": 0.05,  # rms of a sample, m/s^2
+    "seed": 0,
+    "duration": 0.0,  # s; 0 for ever
+    "lock_step": True,
+    "faults": [""],  # as in uav_ident_ros/simulation/faults.py, with times
+    "wait_for_identifier": True,  # in step: for its coefficients too
+    "record_file": "",  # NumPy archive that is written at the end
+}
+"""Parameters and their defaults."""
+
+
+class PlantNode(Node):
+    """The node: an aircraft, its messages, and the waiting for the others.
+
+    Raises
+    ------
+    SimulationError
+        If the aircraft or a fault is not possible.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("simulated_plant")
+        for name, default in PARAMETERS.items():
+            self.declare_parameter(name, default)
+        rate = self._value("rate")
+        sensors = Sensors(
+            rate=rate,
+            gyro_noise=self._value("gyro_noise"),
+            gyro_bias=tuple(self._value("gyro_bias")),
+            accelerometer_noise=self._value("accelerometer_noise"),
+        )
+        faults = [parse_fault(text) for text in self._value("faults") if text]
+        self._aircraft = LiveAircraft(
+            self._value("aircraft"), sensors, self._value("delay"), faults, self._value("seed")
+        )
+        self._lock_step: bool = self._value("lock_step")
+        self._period_ns = round(NS_PER_S / rate)
+        self._start_ns = EPOCH_NS if self._lock_step else time.time_ns()
+        self._now_ns = self._clock_ns = self._start_ns
+        self._record = FlightRecord()
+        self._commands: dict[int, np.ndarray] = {}
+        self._reference: tuple[int, np.ndarray] | None = None
+        self._coefficients_ns = 0
+        self._identifier_silent = not self._value("wait_for_identifier")
+        self.missed = 0
+        self._connect()
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self)
+
+    def _value(self, name: str) -> Any:
+        return self.get_parameter(name).value
+
+    def _connect(self) -> None:
+        self._clock = self.create_publisher(Clock, "/clock", RELIABLE) if self._lock_step else None
+        self._imu = self.create_publisher(Imu, "imu/data", RELIABLE)
+        self._actuators = self.create_publisher(JointState, "actuators", RELIABLE)
+        self.create_subscription(JointState, "command", self._on_command, RELIABLE)
+        self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, RELIABLE)
+        self.create_subscription(String, "~/fault", self._on_fault, RELIABLE)
+        subscribe(self, CoefficientSource(Fallback.REFUSE), callback=self._on_coefficients)
+
+    # -- messages in -----------------------------------------------------------------------
+
+    def _on_command(self, message: JointState) -> None:
+        surfaces = np.array(message.position[:3])
+        if surfaces.shape == (3,) and np.isfinite(surfaces).all():
+            self._commands[header_ns(message)] = surfaces
+        else:
+            self.get_logger().error(
+                f"command {list(message.position)}: elevator, rudder and aileron are wanted, rad"
+            )
+
+    def _on_reference(self, message: Vector3Stamped) -> None:
+        vector = message.vector
+        self._reference = header_ns(message), np.array([vector.x, vector.y, vector.z])
+
+    def _on_coefficients(self, coefficients: Coefficients) -> None:
+        if self._identifier_silent and self._value("wait_for_identifier"):
+            self.get_logger().info("the identifier is back")
+            self._identifier_silent = False
+        self._coefficients_ns = coefficients.t_ns
+        self._record.add_estimate((coefficients.t_ns - self._start_ns) / NS_PER_S, coefficients)
+
+    def _on_fault(self, message: String) -> None:
+        try:
+            fault = parse_fault(message.data)
+            if math.isfinite(fault.time):
+                raise SimulationError(f"fault '{message.data}': on the topic it happens at once")
+            self._aircraft.faults.apply(fault)
+        except SimulationError as error:
+            self.get_logger().error(str(error))
+        else:
+            self._say(fault)
+
+    def _say(self, fault: Fault) -> None:
+        value = "" if fault.value is None else f" {fault.value:g}"
+        what = f"{fault.what} {fault.kind}".strip()
+        self.get_logger().warning(f"fault at {self._aircraft.time:.2f} s: {what}{value}")
+
+    # -- flying ----------------------------------------------------------------------------
+
+    def fly(self) -> None:
+        """Fly until `duration` is over.
+
+        Raises
+        ------
+        SimulationError
+            If the aircraft is lost, or nobody appears to fly it.
+        """
+        if self._lock_step:
+            self._wait_for_everyone()
+        began = time.monotonic()
+        duration = self._value("duration") or math.inf
+        try:
+            while rclpy.ok() and self._aircraft.time < duration:
+                self._one_interval(began)
+        finally:
+            if path := self._value("record_file"):
+                self._record.save(Path(path))
+        speed = self._aircraft.time / (time.monotonic() - began)
+        self.get_logger().info(
+            f"flew {self._aircraft.time:.1f} s at {speed:.1f} times real time; "
+            f"{self.missed} samples without an answer"
+        )
+
+    def _one_interval(self, began: float) -> None:
+        self._now_ns = self._start_ns + round(self._aircraft.time * NS_PER_S)
+        sample = self._aircraft.sample()
+        self._advance_clock(self._now_ns)
+        self._imu.publish(_imu_message(self._now_ns, sample))
+        if self._lock_step:
+            self._wait_for_answers()
+        else:
+            self._spin_until(began + (self._now_ns + self._period_ns - self._start_ns) / NS_PER_S)
+        self._answer(sample)
+        for fault in self._aircraft.advance():
+            self._say(fault)
+
+    def _answer(self, sample: Sample) -> None:
+        """Let the actuators follow the newest command, and say what they were told."""
+        newest = max(self._commands, default=0)
+        if newest < self._now_ns:
+            self.missed += 1
+        self._aircraft.command(self._commands[newest] if newest else None)
+        self._commands = {newest: self._commands[newest]} if newest else {}
+        outputs = self._aircraft.outputs
+        self._actuators.publish(
+            JointState(
+                header=Header(stamp=to_stamp(self._now_ns)),
+                name=list(SURFACE_NAMES),
+                position=outputs.tolist(),
+            )
+        )
+        self._record.add(sample, outputs, self._reference[1] if self._reference else None)
+
+    # -- waiting ---------------------------------------------------------------------------
+
+    def _advance_clock(self, t_ns: int) -> None:
+        if (self._clock is not None and t_ns > self._clock_ns) or t_ns == self._start_ns:
+            self._clock_ns = t_ns
+            if self._clock is not None:
+                self._clock.publish(Clock(clock=to_stamp(t_ns)))
+
+    def _spin_until(self, end: float) -> None:
+        """Listen until a monotonic time."""
+        while (left := end - time.monotonic()) > 0.0 and rclpy.ok():
+            self._executor.spin_once(timeout_sec=left)
+
+    def _wait(self, condition: Callable[[], bool], patience: float) -> bool:
+        """Listen until `condition` holds; return whether it does."""
+        end = time.monotonic() + patience
+        while not condition():
+            if time.monotonic() > end or not rclpy.ok():
+                return False
+            self._executor.spin_once(timeout_sec=NUDGE_AFTER)
+        return True
+
+    def _wait_for_everyone(self) -> None:
+        """Listen until there is a controller, and an identifier if one is waited for."""
+
+        def listeners() -> int:
+            return self._imu.get_subscription_count()
+
+        def ready() -> bool:
+            commanded = self.count_publishers("command") > 0 and listeners() > 0
+            if self._identifier_silent:
+                return commanded
+            identified = self.count_publishers("identifier/coefficients_named") > 0
+            heard = self._clock is not None and self._clock.get_subscription_count() > 0
+            return commanded and identified and heard and listeners() > 1
+
+        if not self._wait(ready, START_PATIENCE):
+            raise SimulationError(
+                f"waited {START_PATIENCE:g} s in vain for a controller on 'command'"
+                + ("" if self._identifier_silent else " and an identifier")
+            )
+        self._spin_until(time.monotonic() + 1.0)  # until they know this node too
+
+    def _wait_for_answers(self) -> None:
+        """Listen until the newest sample is answered and the coefficients are not far behind."""
+
+        def answered() -> bool:
+            if self._reference is not None and self._reference[0] < self._now_ns:
+                return False
+            return self._now_ns in self._commands
+
+        if not self._wait(answered, PATIENCE):
+            self.get_logger().error(
+                f"no command for the sample of {self._aircraft.time:.2f} s within "
+                f"{PATIENCE:g} s: the last one holds",
+                throttle_duration_sec=10.0,
+            )
+        wanted = self._now_ns - COEFFICIENTS_WITHIN_NS
+        if not self._identifier_silent and wanted > self._start_ns + COEFFICIENTS_WITHIN_NS:
+            self._wait_for_coefficients(wanted)
+
+    def _wait_for_coefficients(self, wanted_ns: int) -> None:
+        end = time.monotonic() + PATIENCE
+        while self._coefficients_ns < wanted_ns and rclpy.ok():
+            if time.monotonic() > end:
+                self._identifier_silent = True
+                self.get_logger().warning(
+                    f"no coefficients any more at {self._aircraft.time:.2f} s: going on without"
+                )
+                return
+            if not self._wait(lambda: self._coefficients_ns >= wanted_ns, NUDGE_AFTER):
+                self._advance_clock(
+                    min(self._clock_ns + self._period_ns, self._now_ns + CLOCK_AHEAD_NS)
+                )
+
+
+def _imu_message(t_ns: int, sample: Sample) -> Imu:
+    """Imu message in REP-103 axes; its orientation is true, as an AHRS would have it."""
+    message = Imu(header=Header(stamp=to_stamp(t_ns), frame_id=FRAME_IDS["flu"]))
+    message.angular_velocity = _vector(sample.measured_rates * FRD_TO_FLU)
+    message.linear_acceleration = _vector(sample.measured_force * FRD_TO_FLU)
+    roll, pitch, yaw = sample.attitude.tolist()
+    message.orientation = quaternion(roll, -pitch, 0.5 * math.pi - yaw)
+    return message
+
+
+def _vector(values: np.ndarray) -> Vector3:
+    return Vector3(x=float(values[0]), y=float(values[1]), z=float(values[2]))
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """Orientation from the angles of REP-103, rad: about x, then y, then z of the world."""
+    (sr, cr), (sp, cp), (sy, cy) = (
+        (math.sin(0.5 * angle), math.cos(0.5 * angle)) for angle in (roll, pitch, yaw)
+    )
+    return Quaternion(
+        w=cr * cp * cy + sr * sp * sy,
+        x=sr * cp * cy - cr * sp * sy,
+        y=cr * sp * cy + sr * cp * sy,
+        z=cr * cp * sy - sr * sp * cy,
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node; the return value is the exit status: 2 if it was started wrongly."""
+    argv = sys.argv if args is None else args
+    try:
+        start(argv)
+        node = PlantNode()
+    except (*REFUSALS, SimulationError) as error:
+        print(f"simulated_plant: {explain(error, argv)}", file=sys.stderr)
+        rclpy.try_shutdown()
+        return USAGE_ERROR
+    status = 0
+    try:
+        node.fly()
+    except SimulationError as error:
+        node.get_logger().error(str(error))
+        status = 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node `rate_reference`: rates for a controller to follow, as in normal flight.
+
+It banks to one side and the other and pitches up and down, by random amounts at random times, and
+asks for the rates that lead there; nothing is added to excite anything.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import Vector3, Vector3Stamped
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Header
+
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.messages import NS_PER_S, header_ns
+from uav_ident_ros.simulation.flight import GRAVITY
+
+ANGLE_GAIN = 1.0
+"""Rate of an angle per rad of its error, 1/s."""
+
+SMOOTHING = 0.3
+"""Time constant of these rates, s: a pilot's hand, not a step."""
+
+MAX_RATES = (0.35, 0.1)
+"""Largest rates of bank and pitch angle, rad/s: 20 and 6 deg/s."""
+
+STEADY_TIME = 2.0
+"""Time of straight flight at the start, s."""
+
+LEAST_BANK = 0.4
+"""Smallest bank as a fraction of the largest."""
+
+
+class Manoeuvres:
+    """Bank and pitch angles to fly, and the rates that lead there.
+
+    Parameters
+    ----------
+    bank, pitch : float
+        Largest bank angle, and largest change of the pitch angle, rad.
+    hold : (2,) tuple
+        Shortest and longest time between changes, s.
+    airspeed : float
+        For coordinated turns, m/s.
+    seed : int
+        Seed of the angles and times.
+    """
+
+    def __init__(
+        self, bank: float, pitch: float, hold: tuple[float, float], airspeed: float, seed: int
+    ) -> None:
+        self._bank, self._pitch, self._hold, self._airspeed = bank, pitch, hold, airspeed
+        self._rng = np.random.default_rng(seed)
+        self._target = [0.0, 0.0]  # bank, pitch beyond the first
+        self._next = [STEADY_TIME, STEADY_TIME]
+        self._side = 1.0
+        self._level: float | None = None
+        self._rates: FloatArray = np.zeros(2)
+
+    def rates(self, time: float, roll: float, pitch: float, dt: float) -> FloatArray:
+        """Return p, q, r to follow, rad/s, FRD.
+
+        Parameters
+        ----------
+        time : float
+            After the first call, s.
+        roll, pitch : float
+            Attitude, rad, FRD.
+        dt : float
+            Time since the last call, s.
+        """
+        if self._level is None:
+            self._level = pitch
+        self._choose(time)
+        error = np.array([self._target[0] - roll, self._level + self._target[1] - pitch])
+        wanted = np.clip(ANGLE_GAIN * error, np.negative(MAX_RATES), MAX_RATES)
+        self._rates = self._rates + min(1.0, dt / SMOOTHING) * (wanted - self._rates)
+        return body_rates(self._rates, roll, pitch, GRAVITY / self._airspeed * math.tan(roll))
+
+    def _choose(self, time: float) -> None:
+        for i in range(2):
+            if time >= self._next[i]:
+                self._next[i] = time + self._rng.uniform(*self._hold)
+                if i == 0:
+                    size = self._bank * self._rng.uniform(LEAST_BANK, 1.0)
+                    self._target[0], self._side = self._side * size, -self._side
+                else:
+                    self._target[1] = self._pitch * self._rng.uniform(-1.0, 1.0)
+
+
+def body_rates(angle_rates: FloatArray, roll: float, pitch: float, turn: float) -> FloatArray:
+    """Body rates p, q, r from those of bank, pitch (angle_rates) and heading (turn), rad/s."""
+    bank_rate, pitch_rate = angle_rates
+    return np.array(
+        [
+            bank_rate - turn * math.sin(pitch),
+            pitch_rate * math.cos(roll) + turn * math.cos(pitch) * math.sin(roll),
+            -pitch_rate * math.sin(roll) + turn * math.cos(pitch) * math.cos(roll),
+        ]
+    )
+
+
+class RateReference(Node):
+    """The node: answers each Imu message with a reference of the same stamp."""
+
+    def __init__(self) -> None:
+        super().__init__("rate_reference")
+        value = {
+            name: self.declare_parameter(name, default).value
+            for name, default in {
+                "bank": 0.5,  # rad
+                "pitch": 0.08,  # rad
+                "hold": [2.5, 5.0],  # s
+                "airspeed": 53.0,  # m/s
+                "seed": 0,
+            }.items()
+        }
+        low, high = value.pop("hold")
+        self._manoeuvres = Manoeuvres(hold=(low, high), **value)
+        self._first_ns = self._last_ns = 0
+        reliable = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
+        best_effort = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._publisher = self.create_publisher(Vector3Stamped, "rate_reference", reliable)
+        self.create_subscription(Imu, "imu/data", self._on_imu, best_effort)
+
+    def _on_imu(self, message: Imu) -> None:
+        t_ns = header_ns(message)
+        if not self._last_ns < t_ns:
+            self._first_ns = self._last_ns = t_ns
+        self._first_ns = self._first_ns or t_ns
+        q = message.orientation
+        roll = math.atan2(2.0 * (q.w * q.x + q.y * q.z), 1.0 - 2.0 * (q.x**2 + q.y**2))
+        pitch = -math.asin(max(-1.0, min(1.0, 2.0 * (q.w * q.y - q.z * q.x))))  # FLU to FRD
+        since, dt = (t_ns - self._first_ns) / NS_PER_S, (t_ns - self._last_ns) / NS_PER_S
+        self._last_ns = t_ns
+        p, q_, r = self._manoeuvres.rates(since, roll, pitch, dt).tolist()
+        self._publisher.publish(
+            Vector3Stamped(
+                header=Header(stamp=message.header.stamp, frame_id="base_link_frd"),
+                vector=Vector3(x=p, y=q_, z=r),
+            )
+        )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node; the return value is the exit status."""
+    rclpy.init(args=sys.argv if args is None else args)
+    node = RateReference()
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
