@@ -59,8 +59,8 @@ class SensorGate:
             Range of the gyro, and how long a signal may repeat itself.
         """
         if len(samples):
-            problem = self._saturated(samples, settings.max_rate)
-            problem = self._stuck(t, samples, settings.stuck_time) or problem
+            problem = self._stuck(t, samples, settings.stuck_time)
+            problem = self._saturated(samples, settings.max_rate) or problem
             if problem:
                 self._reason, self._bad_until = problem, t + HOLD_TIME
         return self._reason if t < self._bad_until else ""

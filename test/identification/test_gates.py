@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pauses learning, what it protects, and what is said about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from flying import AMPLITUDES, Message, give, messages, plant_flight, run, settings
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import SettingsError
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+from uav_ident_ros.simulation.plant import CoefficientChange
+
+STRUCTURE = "throttle_coupled"
+
+Alter = Callable[[float, Message], Message]
+
+
+def measured(duration: float = 30.0, **changes: Any) -> Measurements:
+    return measure(plant_flight(duration, **changes), Sensors(gyro_noise=0.02), seed=2)
+
+
+@pytest.fixture(scope="module")
+def excited() -> Measurements:
+    return measured()
+
+
+def altered(measurements: Measurements, alter: Alter) -> list[Message]:
+    """Messages with the rates altered; `alter` is given the time since the start, s."""
+    stream = messages(measurements)
+    start = stream[0].t_ns
+    return [alter((m.t_ns - start) * 1e-9, m) if m.stream == "rates" else m for m in stream]
+
+
+def with_rates(message: Message, rates: np.ndarray[Any, Any]) -> Message:
+    return message._replace(values=(*rates.tolist(), *message.values[3:]))
+
+
+def identifier(measurements: Measurements, **changes: Any) -> OnlineIdentifier:
+    return OnlineIdentifier(settings(measurements, **{"structure": STRUCTURE, **changes}))
+
+
+def since(estimates: list[Estimate], begin: float, end: float) -> list[Estimate]:
+    """Estimates from `begin` to `end` s after the first one."""
+    first = estimates[0].t_ns
+    return [e for e in estimates if begin <= (e.t_ns - first) * 1e-9 < end]
+
+
+def test_a_control_check_on_the_ground_teaches_nothing(excited: Measurements) -> None:
+    rng = np.random.default_rng(3)
+
+    def stand(t: float, m: Message) -> Message:
+        return with_rates(m, rng.normal(0.0, 0.01, 3)) if t < 10.0 else m
+
+    stream = altered(excited, stand)
+    estimates = run(identifier(excited), stream)
+    standing = since(estimates, 1.0, 9.0)
+    assert {e.reason for e in standing} == {"at rest: no rate has moved by 0.04 rad/s"}
+    assert {e.state for e in standing} == {"paused"}
+    assert not any(e.coefficients.any() for e in standing)
+    assert all(e.adapting for e in since(estimates, 10.5, 30.0))
+    assert estimates[-1].usable
+    ungated = run(identifier(excited, supervision__min_motion=0.0), stream)
+    assert since(ungated, 1.0, 9.0)[-1].coefficients.any()
+
+
+def test_a_force_that_never_moves_is_the_ground_too(excited: Measurements) -> None:
+    # The simulated accelerometer sees noise alone.
+    estimates = run(identifier(excited, supervision__min_force_motion=5.0), messages(excited))
+    assert {e.reason for e in since(estimates, 1.0, 30.0)} == {
+        "at rest: no specific force has moved by 5 m/s^2"
+    }
+
+
+def test_a_saturated_gyro_pauses_and_half_a_second_more(excited: Measurements) -> None:
+    def clip(t: float, m: Message) -> Message:
+        if not 20.0 <= t < 21.0:
+            return m
+        return with_rates(m, np.array([4.0, *m.values[1:3]]))
+
+    estimates = run(identifier(excited, supervision__max_rate=4.0), altered(excited, clip))
+    paused = since(estimates, 20.1, 21.4)
+    assert {e.reason for e in paused} == {"the gyro is saturated: p reaches 4 rad/s"}
+    before = since(estimates, 19.0, 19.9)[-1]
+    np.testing.assert_array_equal(paused[-1].coefficients, paused[0].coefficients)
+    np.testing.assert_allclose(paused[-1].coefficients, before.coefficients, rtol=0.05, atol=0.5)
+    assert all(e.adapting for e in since(estimates, 21.7, 30.0))
+
+
+def test_a_stuck_gyro_is_named_and_not_learned_from(excited: Measurements) -> None:
+    def freeze(t: float, m: Message) -> Message:
+        if not 20.0 <= t < 26.0:
+            return m
+        return with_rates(m, np.array([m.values[0], 0.123, m.values[2]]))
+
+    stream = altered(excited, freeze)
+    estimates = run(identifier(excited), stream)
+    assert {e.reason for e in since(estimates, 20.4, 26.0)} == {
+        "the Imu is stuck: q has not changed for 0.25 s or more"
+    }
+    healthy = run(identifier(excited), messages(excited))[-1]
+    np.testing.assert_allclose(
+        estimates[-1].coefficients[1], healthy.coefficients[1], rtol=0.1, atol=0.5
+    )
+    ungated = run(identifier(excited, supervision__stuck_time=0.0), stream)[-1]
+    assert abs(ungated.coefficients[1, 8] / healthy.coefficients[1, 8] - 1.0) > 0.1
+
+
+def test_a_rate_that_never_moved_is_not_stuck() -> None:
+    flight = plant_flight(12.0, segments=(Segment("multisine", amplitudes={"de": 0.1}, seed=1),))
+    exact = measure(flight, Sensors(gyro_noise=0.0), seed=2)
+    estimates = run(identifier(exact), messages(exact))
+    assert not any("stuck" in e.reason for e in estimates)
+
+
+def test_sticks_at_their_limit_pause(excited: Measurements) -> None:
+    raw = np.array([m.values for m in messages(excited) if m.stream == "actuators"])
+    high = raw.max(axis=0) + 1.0
+    high[0] = np.quantile(raw[:, 0], 0.99)
+    limits = {
+        "actuators__lower_limit": tuple((raw.min(axis=0) - 1.0).tolist()),
+        "actuators__upper_limit": tuple(high.tolist()),
+    }
+    estimates = run(identifier(excited, **limits), messages(excited))
+    names = settings(excited).actuators.channels
+    said = {e.reason for e in estimates if e.state == "paused"}
+    assert f"channel {names[0]} is at its limit" in said
+    assert any(e.adapting for e in estimates)
+
+
+def test_limits_must_fit_the_channels(excited: Measurements) -> None:
+    with pytest.raises(SettingsError, match=r"'actuators\.upper_limit' has 2 values: 4 are needed"):
+        settings(excited, actuators__upper_limit=(1.0, 1.0))
+
+
+def test_armed_decides_if_there_is_a_topic_that_tells(excited: Measurements) -> None:
+    told = identifier(excited, armed__type="std_msgs/msg/Bool")
+    stream = messages(excited)
+    third = len(stream) // 3
+    deaf = run(told, stream[:third])
+    assert {e.reason for e in deaf[5:]} == {"nothing was heard of being armed"}
+    told.add_armed(stream[third].t_ns, False)
+    disarmed = run(told, stream[third : 2 * third])
+    assert {e.reason for e in disarmed[5:]} == {"not armed"}
+    # Said late, but said once only: it must count all the same.
+    assert told.add_armed(disarmed[-1].t_ns - 1, True) is None
+    armed = run(told, stream[2 * third :])
+    assert all(e.adapting for e in armed)
+    untold = identifier(excited)
+    untold.add_armed(stream[0].t_ns, False)
+    assert run(untold, stream[:third])[-1].adapting
+
+
+def test_below_flying_speed_nothing_is_learned(excited: Measurements) -> None:
+    slow = identifier(excited, airspeed__type="std_msgs/msg/Float64", supervision__min_airspeed=8.0)
+    stream = messages(excited)
+    half = len(stream) // 2
+    slow.add_airspeed(stream[0].t_ns, 3.0)
+    assert {e.reason for e in run(slow, stream[:half])[5:]} == {
+        "not flying: the airspeed is below 8 m/s"
+    }
+    slow.add_airspeed(stream[half].t_ns, 20.0)
+    assert run(slow, stream[half:])[-1].adapting
+
+
+def test_a_knock_is_kept_from_good_coefficients(excited: Measurements) -> None:
+    def knock(t: float, m: Message) -> Message:
+        if not 20.0 <= t < 20.4:
+            return m
+        shake = 6.0 * np.sin(2.0 * np.pi * 5.0 * (t - 20.0)) * np.array([1.0, -1.0, 1.0])
+        return with_rates(m, np.array(m.values[:3]) + shake)
+
+    stream = altered(excited, knock)
+    sigma = run(identifier(excited), messages(excited))[-1]
+    gated, ungated = (
+        run(identifier(excited, supervision__max_residual=ratio), stream) for ratio in (6.0, 0.0)
+    )
+    kept = since(gated, 20.15, 20.3)
+    assert {e.reason for e in kept} == {"residual far outside its usual size"}
+    assert since(gated, 24.0, 25.0)[-1].adapting
+
+    def moved(estimates: list[Estimate]) -> float:
+        return float(np.abs(estimates[-1].coefficients - sigma.coefficients).max())
+
+    assert moved(gated) < 0.5 * moved(ungated)
+
+
+def test_a_halved_elevator_is_named_and_not_usable_until_learned_anew() -> None:
+    halved = measured(80.0, changes=(CoefficientChange(45.0, {"qdot/de": 0.5}),))
+    flown = identifier(halved)
+    estimates = run(flown, messages(halved))
+    (change,) = flown.changed()
+    noticed = change.t - estimates[0].t_ns * 1e-9
+    assert (change.name, 45.0 < noticed < 52.0) == ("qdot/de", True)
+    before = since(estimates, 40.0, 45.0)[-1]
+    assert before.usable
+    dropped = since(estimates, noticed + 0.1, noticed + 2.9)
+    assert {(e.usable, e.reason) for e in dropped} == {
+        (False, "qdot/de changed in flight and is learned anew")
+    }
+    assert dropped[0].sigma[1, 8] > 1.5 * before.sigma[1, 8]
+    last = estimates[-1]
+    assert last.usable
+    assert last.coefficients[1, 8] == pytest.approx(0.5 * before.coefficients[1, 8], rel=0.1)
+
+
+def test_a_pause_is_told_row_by_row() -> None:
+    amplitudes = {k: v for k, v in AMPLITUDES.items() if k != "de"}
+    part = measured(
+        30.0,
+        segments=(
+            Segment("multisine", duration=15.0, amplitudes=AMPLITUDES, seed=1),
+            Segment("multisine", start=15.0, amplitudes=amplitudes | {"dth": 0.0}, seed=2),
+        ),
+    )
+    flown = identifier(part)
+    stream = messages(part)
+    estimates = []
+    for message in stream:
+        give(flown, message)
+        while (due := flown.due()) is not None:
+            estimates.append(flown.update(due))
+    assert flown.pauses() == {"qdot": "too little excitation"}
+    assert flown.learning.tolist() == [True, False, True]
