@@ -140,7 +140,9 @@ def _truth(path: Path) -> dict[str, float]:
 
 def node_command(flight: Flight) -> list[str]:
     """Return the command line of the node for a flight."""
-    command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
+    # A recorded flight must neither start from the vehicle's state file nor end up in it.
+    command = [sys.executable, "-m", "uav_ident_ros.node"]
+    command += ["--ros-args", "-p", "state_file:=none"]
     if flight.parameter_file is not None:
         command += ["--params-file", str(flight.parameter_file)]
     settings = flight.inputs.settings

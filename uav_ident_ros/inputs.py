@@ -12,8 +12,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
 from uav_ident_ros.airspeed import AIRSPEED
+from uav_ident_ros.armed import ARMED
 from uav_ident_ros.diagnostics import InputMonitor
-from uav_ident_ros.identification.identifier import Drop, OnlineIdentifier
+from uav_ident_ros.identification.drops import Drop
+from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.messages import (
     RATES,
     ActuatorReader,
@@ -28,6 +30,7 @@ from uav_ident_ros.notices import Throttle, without_sources
 RATES_TOPIC = "imu/data"
 ACTUATORS_TOPIC = "actuators"
 AIRSPEED_TOPIC = "airspeed"
+ARMED_TOPIC = "armed"
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 
@@ -214,4 +217,12 @@ def airspeed_input(node: Node, identifier: OnlineIdentifier, warnings: Throttle)
     type_name = identifier.settings.airspeed.type
     return ArrayInput(
         node, type_name, AIRSPEED_TOPIC, AIRSPEED[type_name], identifier.add_airspeed, warnings
+    )
+
+
+def armed_input(node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> ArrayInput:
+    """Subscribe to whether the vehicle is armed; parameters as in `ArrayInput`."""
+    type_name = identifier.settings.armed.type
+    return ArrayInput(
+        node, type_name, ARMED_TOPIC, ARMED[type_name], identifier.add_armed, warnings
     )

@@ -23,20 +23,29 @@ from std_srvs.srv import SetBool, Trigger
 from uav_ident_ros import diagnostics
 from uav_ident_ros.coefficients_file import load_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
-from uav_ident_ros.identification.identifier import ACTUATORS, AIRSPEED, RATES, OnlineIdentifier
+from uav_ident_ros.identification.identifier import (
+    ACTUATORS,
+    AIRSPEED,
+    ARMED,
+    RATES,
+    OnlineIdentifier,
+)
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.inputs import (
     ACTUATORS_TOPIC,
     AIRSPEED_TOPIC,
+    ARMED_TOPIC,
     RATES_TOPIC,
+    ArrayInput,
     RatesInput,
     actuator_input,
     airspeed_input,
+    armed_input,
 )
+from uav_ident_ros.memory import Memory
 from uav_ident_ros.notices import OnChange, Throttle
 from uav_ident_ros.outputs import RELIABLE, Outputs
-from uav_ident_ros.parameters import declare, settings_of
-from uav_ident_ros.saving import Saver, default_path
+from uav_ident_ros.parameters import Changes, declare, settings_of
 from uav_ident_ros.startup import REFUSALS, USAGE_ERROR, explain, start
 
 DIAGNOSTICS_PERIOD = 1.0
@@ -44,6 +53,8 @@ DIAGNOSTICS_PERIOD = 1.0
 
 SILENT_AFTER = 2.0
 """Seconds without a message, or without progress of /clock, that are worth a word."""
+
+TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC, ARMED_TOPIC)
 
 
 class IdentifierNode(Node):
@@ -57,25 +68,36 @@ class IdentifierNode(Node):
 
     def __init__(self) -> None:
         super().__init__("identifier")
-        settings = settings_of(self, (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC))
+        settings = settings_of(self, TOPICS)
         self.identifier = OnlineIdentifier(settings, initial_coefficients(settings))
         declare(self, settings)
-        warnings = Throttle(self.get_logger().warning)
-        self._rates = RatesInput(self, self.identifier, warnings)
-        self._actuators = actuator_input(self, self.identifier, warnings)
-        self._monitors = {RATES: self._rates.monitor, ACTUATORS: self._actuators.monitor}
-        if settings.airspeed.type:
-            self._airspeed = airspeed_input(self, self.identifier, warnings)
-            self._monitors[AIRSPEED] = self._airspeed.monitor
+        self._changes = Changes(self, settings, self.identifier.reconfigure)
+        self._inputs = self._subscribe(settings)
         self._outputs = Outputs(self, self.identifier.structure)
         self._estimate: Estimate | None = None
         self._meter = diagnostics.TickMeter()
-        self._saver = Saver(default_path(self.get_fully_qualified_name()))
         self._clock_seen = (0, time.monotonic())
+        self._memory = Memory(self.identifier, self.get_fully_qualified_name(), self.get_logger())
+        self._memory.start()
         self._offer_services()
         self._watch_time(settings)
 
     # -- wiring ----------------------------------------------------------------------------
+
+    def _subscribe(self, settings: Settings) -> dict[str, RatesInput | ArrayInput]:
+        """Subscribe to the inputs; the optional ones only if their type is set."""
+        warnings = Throttle(self.get_logger().warning)
+        to = (self, self.identifier, warnings)
+        self._rates = RatesInput(*to)
+        inputs: dict[str, RatesInput | ArrayInput] = {
+            RATES: self._rates,
+            ACTUATORS: actuator_input(*to),
+        }
+        if settings.airspeed.type:
+            inputs[AIRSPEED] = airspeed_input(*to)
+        if settings.armed.type:
+            inputs[ARMED] = armed_input(*to)
+        return inputs
 
     def _offer_services(self) -> None:
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -136,6 +158,7 @@ class IdentifierNode(Node):
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.identifier.reset()
+        self._memory.forget()
         self._estimate = None
         response.success = True
         response.message = "started cold"
@@ -143,16 +166,12 @@ class IdentifierNode(Node):
         return response
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        estimate = self._estimate
-        if estimate is None:
-            response.success = False
-            response.message = "there is no estimate to save yet"
-            return response
-        response.success, response.message = self._saver.save(
-            self.identifier.coefficient_set(estimate.t_ns)
-        )
-        log = self.get_logger()
-        (log.info if response.success else log.error)(response.message)
+        response.success, response.message = self._memory.save(self._estimate)
+        # rclpy allows one severity for a line of the source.
+        if response.success:
+            self.get_logger().info(response.message)
+        else:
+            self.get_logger().error(response.message)
         return response
 
     def _on_adapt(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -166,6 +185,7 @@ class IdentifierNode(Node):
 
     def _on_diagnostics(self) -> None:
         self._check_clock()
+        self._memory.attend(self._estimate, time.monotonic())
         state, reason = self._state()
         line = f"{state}: {reason}" if reason else state
         if self._said.changed(line):
@@ -209,11 +229,13 @@ class IdentifierNode(Node):
                     "--clock, or set use_sim_time to false"
                 )
             return "/clock stands still"
-        for monitor in self._monitors.values():
+        for stream, source in self._inputs.items():
+            monitor = source.monitor
             age = monitor.age()
             if age is None:
                 return f"no message on '{monitor.topic}' yet"
-            if age > SILENT_AFTER:
+            # Whether it is armed, some say only when it changes.
+            if age > SILENT_AFTER and stream != ARMED:
                 return f"no message on '{monitor.topic}' for more than {SILENT_AFTER:g} s"
         return ""
 
@@ -237,9 +259,13 @@ class IdentifierNode(Node):
         if self._estimate is not None:
             groups[""] += diagnostics.estimate_values(self._estimate)
             groups[""] += diagnostics.knowledge_values(self.identifier)
-        for stream, monitor in self._monitors.items():
-            groups[stream] = list(monitor.values(self.identifier.drops[stream]))
+        for stream, source in self._inputs.items():
+            groups[stream] = list(source.monitor.values(self.identifier.drops[stream]))
         return groups
+
+    def finish(self) -> None:
+        """Keep what was learned: the program ends, and it was asked to."""
+        self._memory.finish(self._estimate)
 
 
 def initial_coefficients(settings: Settings) -> CoefficientSet | None:
@@ -300,6 +326,7 @@ def main(args: list[str] | None = None) -> int:
         return USAGE_ERROR
     try:
         spin(node)
+        node.finish()
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -122,14 +122,10 @@ def _check_qos(name: str, value: object, topics: Sequence[str]) -> None:
 
 
 def declare(node: Node, settings: Settings) -> None:
-    """Declare every setting as a parameter of `node`, with its present value.
-
-    Every later change is checked against the same declaration.
-    """
+    """Declare every setting as a parameter of `node`, with its present value."""
     values = settings.values()
     for setting in declarations():
         _declare_one(node, setting, values[setting.name])
-    node.add_on_set_parameters_callback(check_change)
 
 
 def _declare_one(node: Node, setting: Setting, value: Any) -> None:
@@ -187,15 +183,52 @@ def _constraints(setting: Setting) -> str:
     return ""
 
 
-def check_change(parameters: list[Parameter]) -> SetParametersResult:
-    """Judge a change at run time: refused with the reason unless the declaration allows it."""
-    known = {setting.name: setting for setting in declarations()}
-    for parameter in parameters:
-        setting = known.get(parameter.name)
-        if setting is None:
-            continue
+class Changes:
+    """Judges changes of parameters at run time, and passes on those that are allowed.
+
+    The node's services run between its ticks, and so does what is done here. Parameters that
+    are set atomically come together, and are judged and applied as one.
+
+    Parameters
+    ----------
+    node : Node
+        Its parameters are declared.
+    settings : Settings
+        The settings in use.
+    apply : callable
+        Takes the settings after a change.
+    """
+
+    def __init__(self, node: Node, settings: Settings, apply: Callable[[Settings], object]) -> None:
+        self._settings = settings
+        self._apply = apply
+        self._log = node.get_logger()
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._follow)
+
+    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Refuse with the reason what the declaration does not allow."""
         try:
-            setting.check(parameter.value)
+            self._changed(parameters)
         except SettingsError as error:
             return SetParametersResult(successful=False, reason=str(error))
-    return SetParametersResult(successful=True)
+        return SetParametersResult(successful=True)
+
+    def _follow(self, parameters: list[Parameter]) -> None:
+        """Apply what was judged and set."""
+        settings = self._changed(parameters)
+        before, after = self._settings.values(), settings.values()
+        for name, value in after.items():
+            if value != before[name]:
+                self._log.info(f"'{name}' is now {value}")
+        if settings != self._settings:
+            self._settings = settings
+            self._apply(settings)
+
+    def _changed(self, parameters: list[Parameter]) -> Settings:
+        """Return the settings with the parameters as they are to be."""
+        known = {setting.name: setting for setting in declarations()}
+        given = {p.name: p.value for p in parameters if p.name in known}
+        for name, value in given.items():
+            known[name].check(value)
+        return Settings.from_values({**self._settings.values(), **given})

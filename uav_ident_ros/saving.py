@@ -3,27 +3,20 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from pathlib import Path
 
-from uav_ident_ros.coefficients_file import CoefficientsFileError, save_coefficients
+from uav_ident_ros.coefficients_file import CoefficientsFileError, Notes, save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
 
 ANSWER_WITHIN = 0.02
 """Seconds that a service call may wait for the disk: less than half a tick."""
 
+FINISH_WITHIN = 10.0
+"""Seconds that the end of the program may wait for a disk that hangs."""
 
-def default_path(node_name: str) -> Path:
-    """Return where a node keeps its coefficients unless told otherwise.
-
-    Parameters
-    ----------
-    node_name : str
-        Full name of the node: two vehicles never share a file.
-    """
-    home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
-    return home / "uav_ident_ros" / f"{node_name.strip('/').replace('/', '.')}.yaml"
+ASIDE = ".refused"
+"""Added to the name of a file that could not be used, before another takes its place."""
 
 
 class Saver:
@@ -33,14 +26,23 @@ class Saver:
     ----------
     path : Path
         The file; its folder is made.
+
+    Attributes
+    ----------
+    written : CoefficientSet or None
+        What was written last.
+    set_aside : bool
+        Whether the file that is there is none of ours, and is kept under another name.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.written: CoefficientSet | None = None
+        self.set_aside = False
         self._thread: threading.Thread | None = None
         self._problem = ""
 
-    def save(self, coefficients: CoefficientSet) -> tuple[bool, str]:
+    def save(self, coefficients: CoefficientSet, notes: Notes) -> tuple[bool, str]:
         """Begin to write `coefficients`.
 
         Returns
@@ -48,23 +50,48 @@ class Saver:
         (bool, str)
             Whether they are written or being written, and a line that says which.
         """
-        if self._thread is not None and self._thread.is_alive():
+        if self._busy():
             return False, f"still writing '{self.path}'"
-        self._thread = threading.Thread(target=self._write, args=(coefficients,))
+        self._thread = threading.Thread(target=self._write, args=(coefficients, notes))
         self._thread.start()
         self._thread.join(ANSWER_WITHIN)
-        if self._thread.is_alive():
+        if self._busy():
             return True, f"writing '{self.path}'"
-        if self._problem:
-            return False, self._problem
-        return True, f"saved to '{self.path}'"
+        return self._outcome()
 
-    def _write(self, coefficients: CoefficientSet) -> None:
+    def finish(self, coefficients: CoefficientSet, notes: Notes) -> tuple[bool, str]:
+        """Write `coefficients` at the end of the program; values as of `save`."""
+        if self._thread is not None:
+            self._thread.join(FINISH_WITHIN)
+        if self._busy():
+            return False, f"the disk does not answer: '{self.path}' keeps what it held"
+        self._write(coefficients, notes)
+        return self._outcome()
+
+    def problem(self) -> str:
+        """Return what went wrong with the last file, once; empty if nothing did."""
+        if self._busy():
+            return ""
+        problem, self._problem = self._problem, ""
+        return problem
+
+    def _busy(self) -> bool:
+        return self._thread is not None and self._thread.is_alive()
+
+    def _outcome(self) -> tuple[bool, str]:
+        problem = self.problem()
+        return (False, problem) if problem else (True, f"saved to '{self.path}'")
+
+    def _write(self, coefficients: CoefficientSet, notes: Notes) -> None:
         self._problem = ""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            save_coefficients(coefficients, self.path)
+            if self.set_aside and self.path.is_file():
+                self.path.replace(self.path.with_name(self.path.name + ASIDE))
+            self.set_aside = False
+            save_coefficients(coefficients, self.path, notes)
+            self.written = coefficients
         except CoefficientsFileError as error:
             self._problem = str(error)
         except OSError as error:
-            self._problem = f"cannot make the folder of '{self.path}': {error.strerror}"
+            self._problem = f"cannot write '{self.path}': {error.strerror}"

@@ -24,7 +24,6 @@ def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         "ROS_DOMAIN_ID": str(1 + os.getpid() % HIGHEST_DOMAIN),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_LOG_DIR": str(tmp_path_factory.mktemp("log")),
-        "ROS_HOME": str(tmp_path_factory.mktemp("home")),
         "ROS_PYTHON_CHECK_FIELDS": "1",
         "RCUTILS_LOGGING_BUFFERED_STREAM": "0",
     }
@@ -35,7 +34,15 @@ def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture
-def start_node() -> Iterator[StartNode]:
+def ros_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the nodes of one test keep their coefficients: none starts from another test's."""
+    home = tmp_path / "ros_home"
+    monkeypatch.setenv("ROS_HOME", str(home))
+    return home
+
+
+@pytest.fixture
+def start_node(ros_home: Path) -> Iterator[StartNode]:
     """Start the node; it is ended after the test."""
     started: list[NodeProcess] = []
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -74,7 +73,7 @@ def test_adapt_switches_learning_off_and_on(
 
 
 def test_save_writes_what_is_published(
-    flight: Recording, start_node: StartNode, make_player: MakePlayer
+    flight: Recording, start_node: StartNode, make_player: MakePlayer, ros_home: Path
 ) -> None:
     start_node(parameter_file=flight.parameter_file)
     player = make_player(flight, clock=False)
@@ -85,7 +84,7 @@ def test_save_writes_what_is_published(
     player.play_in_step(flight.messages)
     answer = call(player, Trigger, f"{NODE}/save", Trigger.Request())
     assert answer.success, answer.message
-    path = Path(os.environ["ROS_HOME"]) / "uav_ident_ros" / "identifier.yaml"
+    path = ros_home / "uav_ident_ros" / "identifier.yaml"
     assert str(path) in answer.message
     player.wait_until(path.exists, "the file")
     saved = load_coefficients(path)
@@ -95,14 +94,14 @@ def test_save_writes_what_is_published(
 
 
 def test_it_starts_from_a_file_that_it_saved(
-    flight: Recording, start_node: StartNode, make_player: MakePlayer, tmp_path: Path
+    flight: Recording, start_node: StartNode, make_player: MakePlayer, ros_home: Path
 ) -> None:
     start_node(parameter_file=flight.parameter_file)
     player = make_player(flight, clock=False)
     player.wait_for_node()
     player.play_in_step(flight.messages)
     call(player, Trigger, f"{NODE}/save", Trigger.Request())
-    saved = Path(os.environ["ROS_HOME"]) / "uav_ident_ros" / "identifier.yaml"
+    saved = ros_home / "uav_ident_ros" / "identifier.yaml"
     player.wait_until(saved.exists, "the file")
     learned = player.outputs.coefficients[-1].data
     start_node(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,7 +18,9 @@ from rclpy.parameter import Parameter
 from uav_ident_ros import parameter_template
 from uav_ident_ros.identification.settings import Settings, declarations
 from uav_ident_ros.parameter_file import load_parameters
-from uav_ident_ros.parameters import declare, settings_of
+from uav_ident_ros.parameters import Changes, declare, settings_of
+
+RCLPY_REASON = re.compile("Wrong parameter type, expected|Static parameter cannot be undeclared")
 
 SHIPPED = ROOT / "config" / "identifier.yaml"
 
@@ -74,11 +77,42 @@ def test_every_parameter_is_declared_with_its_value_and_described(context: Conte
 
 def test_change_at_run_time_is_judged_by_the_declaration(context: Context) -> None:
     node = make_node(context)
-    declare(node, settings_of(node, ()))
+    settings = settings_of(node, ())
+    declare(node, settings)
+    applied: list[Settings] = []
+    Changes(node, settings, applied.append)
     for setting in declarations():
-        (result,) = node.set_parameters([Parameter(setting.name, value=-12345)])
-        assert not result.successful, setting.name
-        assert setting.name in result.reason
+        for wrong in (-12345, None, "basline", [math.nan]):
+            (result,) = node.set_parameters([Parameter(setting.name, value=wrong)])
+            assert not result.successful, (setting.name, wrong)
+            # rclpy looks at the type by itself, and does not say whose.
+            assert setting.name in result.reason or RCLPY_REASON.match(result.reason)
+    assert applied == []
+
+
+def test_change_that_is_allowed_is_applied_and_a_set_of_them_only_whole(context: Context) -> None:
+    node = make_node(context)
+    settings = settings_of(node, ())
+    declare(node, settings)
+    applied: list[Settings] = []
+    Changes(node, settings, applied.append)
+    (result,) = node.set_parameters([Parameter("forgetting_time", value=60.0)])
+    assert result.successful, result.reason
+    assert applied[-1].forgetting_time == 60.0
+    both = [Parameter("model.leak_time", value=2.0), Parameter("forgetting_time", value=-1.0)]
+    result = node.set_parameters_atomically(both)
+    assert not result.successful
+    assert "forgetting_time out of range Min: 0.0" in result.reason
+    assert node.get_parameter("model.leak_time").value == settings.model.leak_time
+    assert len(applied) == 1
+    both[1] = Parameter("supervision.min_fit", value=40.0)
+    assert node.set_parameters_atomically(both).successful
+    assert len(applied) == 2
+    assert (applied[1].model.leak_time, applied[1].supervision.min_fit) == (2.0, 40.0)
+    assert applied[1].forgetting_time == 60.0
+    (result,) = node.set_parameters([Parameter("filter.cutoff", value=20.0)])
+    assert not result.successful
+    assert "filter.cutoff" in result.reason
 
 
 def test_qos_override_changes_the_subscription(context: Context, tmp_path: Path) -> None:

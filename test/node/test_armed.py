@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The optional armed topic."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace as Message
+
+import pytest
+from node_process import StartNode
+from rclpy.serialization import serialize_message
+from recordings import MakePlayer, recording
+from std_msgs.msg import Bool
+
+from uav_ident_ros import bags
+from uav_ident_ros.armed import ARMED
+from uav_ident_ros.identification.settings import ARMED_TYPES
+
+TOPIC = "/armed"
+HEADER = Message(stamp=Message(sec=3, nanosec=5))
+
+
+@pytest.mark.parametrize(
+    ("name", "message", "wanted"),
+    [
+        ("std_msgs/msg/Bool", Message(data=True), (None, True)),
+        ("mavros_msgs/msg/State", Message(header=HEADER, armed=True), (3_000_000_005, True)),
+        ("mavros_msgs/msg/State", Message(header=HEADER, armed=False), (3_000_000_005, False)),
+        ("px4_msgs/msg/VehicleStatus", Message(timestamp=7, arming_state=2), (7_000, True)),
+        ("px4_msgs/msg/VehicleStatus", Message(timestamp=7, arming_state=1), (7_000, False)),
+        ("px4_msgs/msg/ActuatorArmed", Message(timestamp=7, armed=True), (7_000, True)),
+    ],
+)
+def test_every_type_is_read(name: str, message: object, wanted: tuple[int | None, bool]) -> None:
+    assert ARMED[name](message) == wanted
+
+
+def test_the_types_are_those_of_the_settings() -> None:
+    assert tuple(ARMED) == ARMED_TYPES
+
+
+def test_node_learns_only_while_armed(start_node: StartNode, make_player: MakePlayer) -> None:
+    plain = recording("multisine", 6.0)
+    start_node(
+        parameter_file=plain.parameter_file,
+        parameters={"armed.type": "std_msgs/msg/Bool"},
+        sim_time=True,  # an unstamped message is stamped on arrival
+    )
+    flight = replace(plain, types={**plain.types, TOPIC: "std_msgs/msg/Bool"})
+    player = make_player(flight)
+    player.wait_for_node()
+
+    def part(begin: float, end: float, armed: bool) -> list[bags.Message]:
+        start_ns = flight.messages[0].log_ns
+        chosen = [m for m in flight.messages if begin <= (m.log_ns - start_ns) * 1e-9 < end]
+        word = bags.Message(TOPIC, chosen[0].log_ns, serialize_message(Bool(data=armed)))
+        return [word, *chosen]
+
+    player.play_in_step(part(0.0, 2.0, armed=False))
+    assert {tuple(m.data) for m in player.outputs.coefficients} == {
+        tuple(player.outputs.coefficients[0].data)
+    }
+    player.wait_until(
+        lambda: any("armed" in s.message for s in player.outputs.status), "the reason"
+    )
+    player.play_in_step(part(2.0, 4.0, armed=True))
+    learned = player.outputs.coefficients[-1].data
+    assert learned != player.outputs.coefficients[0].data
+    player.play_in_step(part(4.0, 6.0, armed=False))
+    assert player.outputs.coefficients[-1].data == player.outputs.coefficients[-20].data

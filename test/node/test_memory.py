@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The state file: what is started from, what is refused and why, and when it is written."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy.logging
+from node_process import StartNode, wait_for
+from recordings import NODE, MakePlayer, Recording, recording
+from std_srvs.srv import Trigger
+from test_operation import call
+
+from uav_ident_ros.coefficients_file import Notes, load_with_notes, save_coefficients
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.memory import Memory, in_words, state_path
+
+STRUCTURE = STRUCTURES["augmented"]
+NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
+
+
+def coefficients(value: float, structure: str = "augmented") -> CoefficientSet:
+    mask = STRUCTURES[structure].mask
+    return CoefficientSet(structure, mask * value, mask * 0.1 * abs(value), 5)
+
+
+def estimate(identifier: OnlineIdentifier, *, usable: bool) -> Estimate:
+    shown = identifier.coefficient_set()
+    return Estimate(
+        t_ns=1_000_000_000,
+        coefficients=shown.values,
+        sigma=shown.sigma,
+        predicted_rates=np.zeros(3),
+        prediction_error=np.zeros(3),
+        fit=np.zeros(3),
+        adapting=True,
+        usable=usable,
+        state="learning",
+        reason="",
+    )
+
+
+class Vehicle:
+    """An identifier with a memory, as the node has them."""
+
+    def __init__(self, path: Path, **settings: object) -> None:
+        given = {name.replace("__", "."): value for name, value in settings.items()}
+        self.identifier = OnlineIdentifier(Settings.from_values({"state_file": str(path), **given}))
+        log = rclpy.logging.get_logger("test_memory")
+        self.memory = Memory(self.identifier, NODE, log)
+
+    @property
+    def values(self) -> np.ndarray:
+        return self.identifier.coefficient_set().values
+
+    def learn(self, value: float) -> None:
+        """Stand for what a flight would have taught."""
+        self.identifier.resume(coefficients(value))
+
+    def estimate(self, *, usable: bool) -> Estimate:
+        return estimate(self.identifier, usable=usable)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "state" / "identifier.yaml"
+
+
+def write(path: Path, values: CoefficientSet, **notes: object) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_coefficients(values, path, Notes(**notes))
+
+
+def test_every_node_has_a_file_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_HOME", "/home/pilot/.ros")
+    folder = "/home/pilot/.ros/uav_ident_ros"
+    assert state_path(Settings(), "/identifier") == Path(f"{folder}/identifier.yaml")
+    assert state_path(Settings(), "/a/identifier") == Path(f"{folder}/a.identifier.yaml")
+    assert state_path(replace(Settings(), state_file="none"), "/identifier") is None
+
+
+def test_what_was_saved_is_started_from(path: Path) -> None:
+    first = Vehicle(path)
+    first.memory.start()
+    first.learn(3.5)
+    assert first.memory.save(first.estimate(usable=False))[0]
+    second = Vehicle(path)
+    second.memory.start()
+    assert np.array_equal(second.values, first.values)
+    second.identifier.reset()
+    assert not second.values.any(), "a reset goes back to the configured start"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda text: text[: len(text) // 2], "line "),
+        (lambda text: "", "it is empty"),
+        (lambda text: "\x00\x01" * 500, "state file|special characters"),
+        (lambda text: "[" * 5000, "nested too deeply"),
+        (lambda text: "# " + "x" * 2_000_000, "more than any such file"),
+        (lambda text: text.replace("uav_ident_ros/coefficients", "other"), "the format is 'other'"),
+        (lambda text: text.replace("version: 1", "version: 7"), "version 7 is not known"),
+        (lambda text: re.sub("value: 2.0", "value: .nan", text, count=1), "not a finite number"),
+        (lambda text: re.sub("value: 2.0", "value: 2.0e9", text, count=1), "beyond 1e\\+06"),
+        (lambda text: re.sub("saved: .*", "saved: yesterday", text), "saved is 'yesterday'"),
+        (
+            lambda text: re.sub("saved: .*", "saved: 2026-01-01T00:00:00Z", text),
+            "saved 60 days ago",
+        ),
+        (lambda text: text.replace('"[]"', '"[2.0, 1.0, 1.0, 1.0]"'), "'actuators.scale'"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_what_cannot_be_used_is_named_and_kept_aside(
+    path: Path, capfd: pytest.CaptureFixture[str], spoil: Callable[[str], str], reason: str
+) -> None:
+    write(path, coefficients(2.0), saved=NOW, learned_with={"actuators.scale": "[]"})
+    spoiled = spoil(path.read_text())
+    path.write_text(spoiled)
+    vehicle = Vehicle(path)
+    vehicle.memory.start(NOW)
+    said = capfd.readouterr().err
+    assert re.search(f"starting cold: .*'{re.escape(str(path))}'.*{reason}", said), said
+    assert not vehicle.values.any()
+    vehicle.learn(1.0)
+    assert vehicle.memory.save(vehicle.estimate(usable=True))[0]
+    assert path.with_name("identifier.yaml.refused").read_text() == spoiled
+    assert np.array_equal(load_with_notes(path)[0].values, vehicle.values)
+
+
+def test_another_structure_is_refused(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write(path, coefficients(2.0, "baseline"), saved=NOW)
+    vehicle = Vehicle(path)
+    vehicle.memory.start(NOW)
+    assert "it is for structure 'baseline'" in capfd.readouterr().err
+    assert not vehicle.values.any()
+
+
+@pytest.mark.parametrize("kind", ["folder", "pipe"])
+def test_what_is_no_file_is_refused(
+    path: Path, kind: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path.parent.mkdir()
+    path.mkdir() if kind == "folder" else os.mkfifo(path)
+    vehicle = Vehicle(path)
+    vehicle.memory.start()
+    assert f"'{path}'" in capfd.readouterr().err
+    assert not vehicle.values.any()
+    vehicle.learn(1.0)
+    if kind == "folder":
+        assert not vehicle.memory.save(vehicle.estimate(usable=True))[0]
+
+
+def test_age_is_that_of_the_computers_clock(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The message time is 5 ns, as simulated time may be: it says nothing."""
+    day = timedelta(days=1)
+    for age, started in ((day, True), (6 * day, True), (8 * day, False)):
+        write(path, coefficients(2.0), saved=NOW - age)
+        vehicle = Vehicle(path)
+        vehicle.memory.start(NOW)
+        assert vehicle.values.any() == started, age
+    vehicle = Vehicle(path, state_max_age=0.0)
+    vehicle.memory.start(NOW)
+    assert vehicle.values.any(), "0 stands for never too old"
+    capfd.readouterr()
+    write(path, coefficients(2.0), saved=NOW + day)
+    vehicle = Vehicle(path)
+    vehicle.memory.start(NOW)
+    assert vehicle.values.any()
+    assert "the computer's clock is 24 h behind" in capfd.readouterr().err
+
+
+def test_a_file_without_a_time_has_that_of_the_disk(path: Path) -> None:
+    for age, started in ((1, True), (8, False)):
+        write(path, coefficients(2.0))
+        moment = (NOW - timedelta(days=age)).timestamp()
+        os.utime(path, (moment, moment))
+        vehicle = Vehicle(path)
+        vehicle.memory.start(NOW)
+        assert vehicle.values.any() == started
+
+
+def test_usable_coefficients_are_saved_by_themselves(path: Path) -> None:
+    vehicle = Vehicle(path, save_period=10.0)
+    vehicle.memory.start()
+    vehicle.learn(1.0)
+    vehicle.memory.attend(vehicle.estimate(usable=False), now=0.0)
+    assert not path.exists()
+    for now, value, wanted in ((1.0, 1.0, 1.0), (10.5, 2.0, 1.0), (11.5, 3.0, 3.0)):
+        vehicle.learn(value)
+        vehicle.memory.attend(vehicle.estimate(usable=True), now)
+        assert wait_for(path.exists)
+        held = load_with_notes(path)[0].values
+        assert held[STRUCTURE.mask].max() == wanted
+
+
+def test_at_the_end_usable_coefficients_are_not_lost_to_others(path: Path) -> None:
+    vehicle = Vehicle(path)
+    vehicle.memory.start()
+    vehicle.memory.finish(vehicle.estimate(usable=False))
+    assert not path.exists(), "nothing was learned"
+    vehicle.learn(1.0)
+    vehicle.memory.finish(vehicle.estimate(usable=False))
+    assert load_with_notes(path)[1].usable is False
+    vehicle.learn(2.0)
+    vehicle.memory.finish(vehicle.estimate(usable=True))
+    assert load_with_notes(path)[1].usable is True
+    next_flight = Vehicle(path)
+    next_flight.memory.start()
+    next_flight.learn(3.0)
+    next_flight.memory.finish(next_flight.estimate(usable=False))
+    assert load_with_notes(path)[0].values.max() == 2.0
+    next_flight.identifier.reset()
+    next_flight.memory.forget()
+    next_flight.memory.finish(next_flight.estimate(usable=False))
+    assert load_with_notes(path)[0].values.max() == 2.0, "nothing was learned since"
+    next_flight.learn(4.0)
+    next_flight.memory.finish(next_flight.estimate(usable=False))
+    assert load_with_notes(path)[0].values.max() == 4.0
+
+
+def test_what_a_killed_process_left_is_removed(path: Path) -> None:
+    write(path, coefficients(2.0), saved=NOW)
+    gone, running = 2**22 + 1, os.getpid()  # the first is above every process number
+    for process in (gone, running):
+        path.with_name(f".identifier.yaml.{process}.tmp").write_text("half")
+    Vehicle(path).memory.start(NOW)
+    left = sorted(p.name for p in path.parent.iterdir())
+    assert left == [f".identifier.yaml.{running}.tmp", "identifier.yaml"]
+
+
+def test_spans_are_said_in_words() -> None:
+    spans = (1.2, 90.0, 130.0, 7300.0, 200_000.0)
+    words = ["1 s", "90 s", "2 min", "2 h", "2 days"]
+    assert [in_words(timedelta(seconds=s)) for s in spans] == words
+
+
+# --- through the node --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def flight() -> Recording:
+    return recording("multisine", 5.0)
+
+
+def test_the_node_goes_on_where_it_was_ended(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer, ros_home: Path
+) -> None:
+    initial = ros_home / "initial.yaml"
+    write(initial, coefficients(0.5))
+    node = start_node(parameter_file=flight.parameter_file)
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    player.play_in_step(flight.messages)
+    learned = player.outputs.coefficients[-1].data
+    assert node.end(signal.SIGTERM) == 0
+    path = ros_home / "uav_ident_ros" / "identifier.yaml"
+    assert f"saved to '{path}'" in node.log
+    parameters = {"initial_coefficients_file": str(initial)}
+    again = start_node(parameter_file=flight.parameter_file, parameters=parameters)
+    other = make_player(flight, clock=False)
+    other.wait_for_node()
+    assert f"started from '{path}', saved" in again.log
+    other.play_in_step(flight.messages[:1500])
+    assert other.outputs.coefficients[0].data == learned, "the state file wins"
+    assert call(other, Trigger, f"{NODE}/reset", Trigger.Request()).success
+    other.play_in_step(flight.messages[:1500])
+    mask = STRUCTURE.mask.ravel()
+    assert (np.array(other.outputs.coefficients[0].data)[mask] == 0.5).all()
+
+
+def test_the_node_starts_cold_beside_a_damaged_file(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer, ros_home: Path
+) -> None:
+    path = ros_home / "uav_ident_ros" / "identifier.yaml"
+    path.parent.mkdir(parents=True)
+    path.write_text("format: uav_ident_ros/coefficients\nversion: 1\nstruct")
+    node = start_node(parameter_file=flight.parameter_file)
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    assert f"starting cold: coefficients file '{path}': line 3" in node.log
+    player.play_in_step(flight.messages[:1500])
+    assert not np.any(player.outputs.coefficients[0].data)
+    assert node.end(signal.SIGINT) == 0
+    assert path.with_name("identifier.yaml.refused").exists()
+
+
+def test_without_a_state_file_nothing_is_written_or_read(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer, ros_home: Path
+) -> None:
+    node = start_node(parameter_file=flight.parameter_file, parameters={"state_file": "none"})
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    player.play_in_step(flight.messages[:1500])
+    answer = call(player, Trigger, f"{NODE}/save", Trigger.Request())
+    assert not answer.success
+    assert "'state_file' is 'none'" in answer.message
+    assert node.end(signal.SIGINT) == 0
+    assert not ros_home.exists()

@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node remembers between flights: the state file, when it is written and believed."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+from uav_ident_ros.coefficients_file import (
+    CoefficientsFileError,
+    Notes,
+    load_with_notes,
+    remove_leftovers,
+)
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import NO_FILE, Settings, SettingsError
+from uav_ident_ros.saving import Saver
+
+MEANING = (
+    "imu.convention",
+    "imu.rpy",
+    "actuators.type",
+    "actuators.field",
+    "actuators.channels",
+    "actuators.scale",
+    "actuators.mixing.de",
+    "actuators.mixing.dr",
+    "actuators.mixing.da",
+    "actuators.mixing.dth",
+    "airspeed.reference",
+)
+"""Settings that say what a coefficient means: with others it is a coefficient of something
+else."""
+
+SHORTEST_PERIOD = 1.0
+"""Shortest interval between two files that are written by themselves, s."""
+
+
+def state_path(settings: Settings, node_name: str) -> Path | None:
+    """Return where a node keeps its coefficients; None if it keeps none.
+
+    Parameters
+    ----------
+    settings : Settings
+        ``state_file`` may name the place.
+    node_name : str
+        Full name of the node: two vehicles never share a file by themselves.
+    """
+    if settings.state_file == NO_FILE:
+        return None
+    if settings.state_file:
+        return Path(settings.state_file).expanduser().absolute()
+    home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
+    return home / "uav_ident_ros" / f"{node_name.strip('/').replace('/', '.')}.yaml"
+
+
+@dataclass(frozen=True)
+class Recalled:
+    """What a state file held.
+
+    Parameters
+    ----------
+    coefficients : CoefficientSet
+        As they were saved.
+    notes : Notes
+        What was noted with them.
+    age : timedelta
+        Time since they were saved, by the computer's clock; negative if that was set back.
+    """
+
+    coefficients: CoefficientSet
+    notes: Notes
+    age: timedelta
+
+
+def recall(path: Path, settings: Settings, now: datetime) -> Recalled | None:
+    """Read a state file and check that it is of this aircraft and not too old.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    settings : Settings
+        What it must fit.
+    now : datetime
+        Time of the computer, with its zone. Message time may be simulated: it tells no age.
+
+    Returns
+    -------
+    Recalled or None
+        None if there is no file.
+
+    Raises
+    ------
+    CoefficientsFileError
+        If it cannot be used; the message names it and why.
+    """
+    try:
+        modified = path.stat().st_mtime
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise CoefficientsFileError(f"state file '{path}': {error.strerror}") from None
+    coefficients, notes = load_with_notes(path, settings.structure)
+    # A file that was made by hand, or by replay, tells no time: that of the disk then.
+    age = now - (notes.saved or datetime.fromtimestamp(modified, UTC))
+    if 0.0 < settings.state_max_age < age.total_seconds():
+        raise CoefficientsFileError(
+            f"state file '{path}': it was saved {in_words(age)} ago, and 'state_max_age' is "
+            f"{in_words(timedelta(seconds=settings.state_max_age))}"
+        )
+    meaning = _meaning(settings)
+    for name, value in notes.learned_with.items():
+        if meaning.get(name, value) != value:
+            raise CoefficientsFileError(
+                f"state file '{path}': it was learned with '{name}' {value}, which is now "
+                f"{meaning[name]}"
+            )
+    return Recalled(coefficients, notes, age)
+
+
+def _meaning(settings: Settings) -> dict[str, str]:
+    values = settings.values()
+    return {name: json.dumps(values[name]) for name in MEANING}
+
+
+def in_words(span: timedelta) -> str:
+    """Say how long a span is, in its largest unit."""
+    seconds = span.total_seconds()
+    for name, length in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if abs(seconds) >= 2.0 * length:
+            return f"{seconds / length:.0f} {name}"
+    return f"{seconds:.0f} s"
+
+
+class Memory:
+    """Keeps the state file of a node.
+
+    It is written when asked for, at the end, and at intervals while the coefficients are
+    usable. Coefficients that are not usable never replace usable ones by themselves.
+
+    Parameters
+    ----------
+    identifier : OnlineIdentifier
+        Whose coefficients are kept.
+    node_name : str
+        Full name of the node.
+    log : RcutilsLogger
+        Takes what is read, refused and written.
+    """
+
+    def __init__(self, identifier: OnlineIdentifier, node_name: str, log: RcutilsLogger) -> None:
+        self._identifier = identifier
+        self._log = log
+        path = state_path(identifier.settings, node_name)
+        self._saver = Saver(path) if path is not None else None
+        self._holds_usable = False
+        self._known = identifier.coefficient_set()
+        """What needs no saving: what the file holds, or what is there at a cold start."""
+        self._last_save: float | None = None
+
+    def start(self, now: datetime | None = None) -> None:
+        """Start warm if there is a good state file; if there is a bad one, say why not."""
+        if self._saver is None:
+            return
+        path = self._saver.path
+        try:
+            remove_leftovers(path)
+            recalled = recall(path, self._identifier.settings, now or datetime.now(UTC))
+            if recalled is None:
+                return self._check_place(path)
+            self._identifier.resume(recalled.coefficients, recalled.notes.delay)
+        except (CoefficientsFileError, SettingsError, OSError) as error:
+            self._saver.set_aside = True
+            self._log.warning(f"starting cold: {_named(error, path)}")
+            return None
+        self._holds_usable = bool(recalled.notes.usable)
+        self._known = recalled.coefficients
+        if recalled.age < timedelta(0):
+            self._log.warning(
+                f"the computer's clock is {in_words(-recalled.age)} behind the state file "
+                f"'{path}': its age cannot be judged"
+            )
+        self._log.info(f"started from '{path}', saved {in_words(recalled.age)} ago")
+        return None
+
+    def _check_place(self, path: Path) -> None:
+        """Say before the flight, not after it, that nothing can be written there."""
+        place = next(folder for folder in path.parents if folder.exists())
+        if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+            self._log.warning(f"cannot write '{path}': nothing can be written in '{place}'")
+
+    def forget(self) -> None:
+        """After a reset, let whatever is learned from now on replace the file."""
+        self._holds_usable = False
+        self._known = self._identifier.coefficient_set()
+
+    def save(self, estimate: Estimate | None) -> tuple[bool, str]:
+        """Write the coefficients now, whatever they are worth.
+
+        Returns
+        -------
+        (bool, str)
+            Whether they are written or being written, and a line that says which.
+        """
+        if self._saver is None:
+            return False, f"there is no file to save to: 'state_file' is '{NO_FILE}'"
+        if estimate is None:
+            return False, "there is no estimate to save yet"
+        done, line = self._saver.save(*self._content(estimate))
+        if done:
+            self._holds_usable = estimate.usable
+        self.look()
+        return done, line
+
+    def attend(self, estimate: Estimate | None, now: float) -> None:
+        """Save usable coefficients when it is time; to be called about once a second.
+
+        Parameters
+        ----------
+        estimate : Estimate or None
+            The newest.
+        now : float
+            Monotonic time, s.
+        """
+        self.look()
+        period = self._identifier.settings.save_period
+        if self._saver is None or period == 0.0 or estimate is None or not estimate.usable:
+            return
+        if self._last_save is not None and now - self._last_save < max(period, SHORTEST_PERIOD):
+            return
+        self._last_save = now
+        if self._changed(estimate):
+            done, line = self.save(estimate)
+            if not done:
+                self._log.error(line)
+
+    def look(self) -> None:
+        """Take note of what the thread has written, or could not write."""
+        if self._saver is None:
+            return
+        problem = self._saver.problem()
+        if problem:
+            self._log.error(problem)
+        written = self._saver.written
+        if written is not None and written is not self._known:
+            self._known = written
+            self._identifier.note_saved(written)
+
+    def finish(self, estimate: Estimate | None) -> None:
+        """Write what was learned, at the end of the program."""
+        if self._saver is None or estimate is None or not self._changed(estimate):
+            return
+        if self._holds_usable and not estimate.usable:
+            return
+        _, line = self._saver.finish(*self._content(estimate))
+        # The context is gone: no /rosout any more.
+        print(f"identifier: {line}", file=sys.stderr)
+
+    def _changed(self, estimate: Estimate) -> bool:
+        """Whether there is more to write than the file holds."""
+        values = self._identifier.coefficient_set(estimate.t_ns).values
+        return not np.array_equal(values, self._known.values)
+
+    def _content(self, estimate: Estimate) -> tuple[CoefficientSet, Notes]:
+        identifier = self._identifier
+        notes = Notes(
+            saved=datetime.now(UTC),
+            usable=estimate.usable,
+            delay=identifier.delay,
+            learned_with=_meaning(identifier.settings),
+        )
+        return identifier.coefficient_set(estimate.t_ns), notes
+
+
+def _named(error: Exception, path: Path) -> str:
+    """Return the line of an error, with the file."""
+    line = error.strerror or str(error) if isinstance(error, OSError) else str(error)
+    return line if str(path) in line else f"state file '{path}': {line}"
