@@ -56,6 +56,18 @@ def declare_arguments() -> list[DeclareLaunchArgument]:
             description="Topic of the actuator array, relative to the namespace unless it"
             " starts with /",
         ),
+        DeclareLaunchArgument(
+            "airspeed_topic",
+            default_value="airspeed",
+            description="Topic of the true airspeed; read only if the parameter airspeed.type"
+            " names its type",
+        ),
+        DeclareLaunchArgument(
+            "armed_topic",
+            default_value="armed",
+            description="Topic that says whether the vehicle is armed; read only if the parameter"
+            " armed.type names its type",
+        ),
     ]
 
 
@@ -74,6 +86,8 @@ def generate_launch_description() -> LaunchDescription:
         remappings=[
             ("imu/data", LaunchConfiguration("imu_topic")),
             ("actuators", LaunchConfiguration("actuators_topic")),
+            ("airspeed", LaunchConfiguration("airspeed_topic")),
+            ("armed", LaunchConfiguration("armed_topic")),
         ],
         ros_arguments=["--log-level", LaunchConfiguration("log_level")],
         output="screen",

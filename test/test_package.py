@@ -37,7 +37,7 @@ ROSDEP_KEYS = {
 }
 # Development extras without a rosdep key: allowed only inside a function, so that the module
 # loads without them.
-OPTIONAL = {"jsbsim", "padasip", "pyulog"}
+OPTIONAL = {"jsbsim", "padasip", "pymavlink", "pyulog"}
 # What a companion computer need not have: the node must never import these. PyYAML is not
 # among them: rclpy itself imports it.
 OFFLINE_ONLY = {"matplotlib", "rich", "rosbags", "scipy", "tqdm"} | OPTIONAL
@@ -262,7 +262,7 @@ def test_every_source_file_names_its_licence():
 def test_no_file_holds_a_path_of_this_machine():
     machine = [str(path) for path in (ROOT, Path.home()) if len(path.parts) > 1]
     forbidden = re.compile(
-        rb"(?<![\w.])(?:"
+        rb"(?<![\w.<])(?:"  # </root> is no path
         + b"|".join([rb"/(?:home|Users)/\w+", *(re.escape(name).encode() for name in machine)])
         + rb")(?![\w-])"
     )
@@ -299,6 +299,28 @@ def test_launch_arguments_are_declared_and_used():
     assert len(declared) == len(set(declared))
     assert set(declared) == used
     assert {"params_file", "namespace", "use_sim_time", "log_level"} <= used
+
+
+def test_launch_can_rename_every_input():
+    """Each remap's left side is a topic of the node, its right side an argument of that default."""
+    (node,) = launch_calls("Node")
+    (remappings,) = (word.value for word in node.keywords if word.arg == "remappings")
+    arguments = {
+        ast.literal_eval(pair.elts[0]): ast.literal_eval(pair.elts[1].args[0])
+        for pair in remappings.elts
+    }
+    inputs = constants_of(ROOT / PACKAGE / "inputs.py")
+    topics = {value for name, value in inputs.items() if name.endswith("_TOPIC")}
+    assert len(topics) == 4
+    assert set(arguments) == topics
+    defaults = {
+        ast.literal_eval(call.args[0]): word.value
+        for call in launch_calls("DeclareLaunchArgument")
+        for word in call.keywords
+        if word.arg == "default_value"
+    }
+    for topic, argument in arguments.items():
+        assert ast.literal_eval(defaults[argument]) == topic
 
 
 def test_launch_file_starts_what_the_package_installs():
