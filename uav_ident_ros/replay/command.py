@@ -49,7 +49,9 @@ def main(args: list[str] | None = None) -> int:
 
 def _job(options: argparse.Namespace, bag: Path, name: str, folder: Path) -> Job:
     files = (options.params_file,) if options.params_file else ()
-    return Job(bag, name, folder, files, options.node, topics(options), options.plot)
+    return Job(
+        bag, name, folder, files, options.node, topics(options), options.plot, options.report
+    )
 
 
 def _one(options: argparse.Namespace) -> int:

@@ -65,6 +65,8 @@ class Evidence:
         Median rates of the messages, Hz; 0 if there are too few to tell.
     delay : DelayEstimate
         What the flight says about the delay.
+    delays, delay_residual : (J,) and (J, 3) arrays
+        Delays tried, s, and the residual sums of squares of the rows with each; empty if none was.
     delay_in_use : float
         Delay that the identifier ended with, s.
     force_share : mapping
@@ -88,6 +90,8 @@ class Evidence:
     imu_rate: float
     actuator_rate: float
     delay: DelayEstimate = NO_ESTIMATE
+    delays: FloatArray = field(default_factory=lambda: np.zeros(0))
+    delay_residual: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     delay_in_use: float = 0.0
     force_share: Mapping[str, float] = field(default_factory=dict)
     collinear: tuple[tuple[str, ...], ...] = ()
@@ -106,7 +110,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Measure a replay that has at least one estimate."""
     part = max(run.stretches(), key=lambda stretch: len(stretch.ticks))
     result = run.result()
-    delay, shares = _from_blocks(run, part)
+    bank, shares = _from_blocks(run, part)
     return Evidence(
         settings=run.inputs.settings,
         structure=run.structure,
@@ -119,7 +123,9 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         input_spread=part.inputs.u.std(axis=0) if len(part.inputs.u) else np.zeros(len(INPUTS)),
         imu_rate=_rate(part.t_ns),
         actuator_rate=_rate(part.inputs.t_ns),
-        delay=delay,
+        delay=NO_ESTIMATE if bank is None else bank.estimate,
+        delays=np.zeros(0) if bank is None else bank.delays,
+        delay_residual=np.zeros((0, 3)) if bank is None else bank.residual,
         delay_in_use=run.identifier.delay,
         force_share=shares,
         collinear=tuple(run.identifier.collinear()),
@@ -143,7 +149,7 @@ def _rate(t_ns: TimeArray) -> float:
     return 1.0 / (float(np.median(np.diff(t_ns))) * NS) if len(t_ns) > 1 else 0.0
 
 
-def _from_blocks(run: OfflineRun, part: Stretch) -> tuple[DelayEstimate, dict[str, float]]:
+def _from_blocks(run: OfflineRun, part: Stretch) -> tuple[DelayBank | None, dict[str, float]]:
     """Compare the delays, and find what the forces that are no regressors would explain."""
     settings = run.inputs.settings
     arm = np.array(settings.imu.lever_arm)
@@ -155,8 +161,7 @@ def _from_blocks(run: OfflineRun, part: Stretch) -> tuple[DelayEstimate, dict[st
         bank.add(block)
         if moments is not None:
             moments.add(block)
-    estimate = NO_ESTIMATE if bank is None else bank.estimate
-    return estimate, {} if moments is None else moments.force_share(run.structure)
+    return bank, {} if moments is None else moments.force_share(run.structure)
 
 
 def _pieces(blocks: Iterator[Block], seconds: float) -> Iterator[Block]:

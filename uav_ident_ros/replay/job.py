@@ -22,6 +22,7 @@ from uav_ident_ros.replay.evidence import measure
 from uav_ident_ros.replay.notes import notes_on
 from uav_ident_ros.replay.replayed import Replayed
 from uav_ident_ros.replay.results import write_results
+from uav_ident_ros.report.page import write_report
 
 NODE_NAME = "/identifier"
 
@@ -61,8 +62,8 @@ class Job:
         Node whose sections of the files count.
     topics : mapping
         Topics to read, by stream (``rates``, ``actuators``, ``airspeed``); the others are found.
-    plot : bool
-        Whether to draw the picture too.
+    plot, report : bool
+        Whether to draw the picture, and to write the report, too.
     """
 
     bag: Path
@@ -72,6 +73,7 @@ class Job:
     node: str = NODE_NAME
     topics: Mapping[str, str] = field(default_factory=dict)
     plot: bool = False
+    report: bool = False
 
 
 @dataclass(frozen=True)
@@ -108,8 +110,11 @@ def replay(job: Job, progress: Progress = lambda messages, _: messages) -> Outco
     try:
         run, notes = _run(job, progress, warnings)
         fits = run.score()
-        replayed = Replayed(job.name, run, fits, notes, advise(measure(run, fits)))
+        evidence = measure(run, fits)
+        replayed = Replayed(job.name, run, fits, notes, advise(evidence))
         summary, table = write_results(job.folder, replayed, NODE_NAME, plot=job.plot)
+        if job.report:
+            write_report(job.folder / "report.html", job.bag, run, summary, evidence)
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (*warnings, str(error)))
     status = USABLE if run.estimates[-1].usable else NOT_USABLE

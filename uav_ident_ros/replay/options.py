@@ -123,6 +123,11 @@ def _add_output(result: argparse.ArgumentParser) -> None:
         "--plot", action="store_true", help="also write replay.png: rates and coefficients"
     )
     group.add_argument(
+        "--report",
+        action="store_true",
+        help="also write report.html: everything on one page, for any browser",
+    )
+    group.add_argument(
         "--jobs",
         type=_positive,
         default=os.cpu_count() or 1,

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A real browser for the tests of the report: Chromium, headless, over its DevTools pipe."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--hide-scrollbars", "--remote-debugging-pipe",
+)  # fmt: skip
+
+PATIENCE = 60.0
+"""Time for an answer on a busy machine, s."""
+
+
+class Browser:
+    """A page in a browser of its own; a context manager.
+
+    Parameters
+    ----------
+    profile : Path
+        An empty folder.
+
+    Attributes
+    ----------
+    events : list of dict
+        What the page did since it was opened: requests, console messages, errors.
+    """
+
+    def __init__(self, profile: Path) -> None:
+        assert CHROMIUM is not None
+        commands, self._commands = os.pipe()
+        self._answers, answers = os.pipe()
+        # Chromium reads its commands from descriptor 3 and answers on 4.
+        shell = f'exec "$0" "$@" 3<&{commands} 4>&{answers}'
+        self._process = subprocess.Popen(
+            ["bash", "-c", shell, CHROMIUM, *FLAGS, f"--user-data-dir={profile}", "about:blank"],
+            pass_fds=(commands, answers),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(commands)
+        os.close(answers)
+        self._unread = b""
+        self._count = 0
+        self._session: str | None = None
+        self.events: list[dict[str, Any]] = []
+        targets = self.call("Target.getTargets")["targetInfos"]
+        page = next(target["targetId"] for target in targets if target["type"] == "page")
+        attached = self.call("Target.attachToTarget", targetId=page, flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Network", "Runtime", "Log"):
+            self.call(f"{domain}.enable")
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        os.close(self._commands)  # the end of the pipe is the end of the browser
+        try:
+            self._process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        os.close(self._answers)
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Ask the browser for something and wait for the answer."""
+        self._count += 1
+        message = {"id": self._count, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._commands, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self._read()
+            if answer.get("id") == self._count:
+                assert "error" not in answer, answer
+                return answer["result"]
+            self.events.append(answer)
+
+    def _read(self) -> dict[str, Any]:
+        while b"\0" not in self._unread:
+            data = os.read(self._answers, 1 << 20)
+            assert data, "the browser has gone"
+            self._unread += data
+        message, _, self._unread = self._unread.partition(b"\0")
+        return json.loads(message)
+
+    def open(self, page: Path, width: int, height: int = 900, scheme: str = "light") -> None:
+        """Open a file in a window of a width, on a screen like a telephone's below 600."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 600,
+        )
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.call("Emulation.setEmulatedMedia", features=features)
+        self.events.clear()
+        self.call("Page.navigate", url=page.resolve().as_uri())
+        deadline = time.monotonic() + PATIENCE
+        while self.value("document.readyState") != "complete":
+            assert time.monotonic() < deadline, "the page does not load"
+            time.sleep(0.02)
+
+    def value(self, expression: str) -> Any:
+        """Evaluate JavaScript in the page."""
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def screenshot(self, **clip: float) -> bytes:
+        """Return a PNG of the whole page, or of x, y, width, height of it."""
+        area = {"clip": {**clip, "scale": 1}} if clip else {}
+        answer = self.call("Page.captureScreenshot", captureBeyondViewport=True, **area)
+        return base64.b64decode(answer["data"])
+
+    def pdf(self) -> bytes:
+        """Print the page, on the paper that its style sheet asks for."""
+        answer = self.call("Page.printToPDF", preferCSSPageSize=True, printBackground=False)
+        return base64.b64decode(answer["data"])

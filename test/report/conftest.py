@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One report of a committed bag, for all tests of the report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from uav_ident_ros.replay import main
+
+BAGS = Path(__file__).parents[2] / "bags"
+
+
+@pytest.fixture(scope="session")
+def replayed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a replay with a report."""
+    folder = tmp_path_factory.mktemp("replayed")
+    bag = BAGS / "c172p"
+    parameters = ["--params-file", str(bag / "identifier.yaml")]
+    assert main([str(bag), *parameters, "--output", str(folder), "--report"]) == 0
+    return folder

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`report.html`: everything is there, with the replay's numbers, and it needs nothing else."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from html_page import Node, parse
+
+import uav_ident_ros
+from uav_ident_ros.bag_writer import BagWriter
+from uav_ident_ros.bags import Bag
+from uav_ident_ros.identification.settings import declarations
+from uav_ident_ros.meanings import MEANINGS
+from uav_ident_ros.replay import main
+
+BAGS = Path(__file__).parents[2] / "bags"
+REAL_FLIGHT = BAGS.parent.parent / "shared" / "bags" / "thor75_auto"
+SECOND_NS = 1_000_000_000
+LARGEST_FILE = 3_000_000
+"""Bytes: small enough for an e-mail."""
+
+SECTIONS = [
+    "fit", "rates", "coefficients", "inputs", "delay", "messages", "settings", "origin",
+]  # fmt: skip
+CHARTS = [
+    "rates-p", "rates-q", "rates-r", "coefficients-pdot", "coefficients-qdot",
+    "coefficients-rdot", "spectra", "coverage", "delay-curve",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def text(replayed: Path) -> str:
+    return (replayed / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(text: str) -> Node:
+    return parse(text)
+
+
+@pytest.fixture(scope="module")
+def summary(replayed: Path) -> dict[str, Any]:
+    return json.loads((replayed / "summary.json").read_text(encoding="utf-8"))
+
+
+def exact(cell: Node) -> float | None:
+    """The number behind a cell; None if it shows none."""
+    found = list(cell.all("data"))
+    return float(found[0].attributes["value"]) if found else None
+
+
+def table(page: Node, caption: str) -> Node:
+    (found,) = [t for t in page.all("table") if t.one("caption").text.startswith(caption)]
+    return found
+
+
+# --- what is there ---------------------------------------------------------------------------
+
+
+def test_every_section_and_chart_is_there_and_linked(page: Node) -> None:
+    assert [section.attributes["id"] for section in page.all("section")] == SECTIONS
+    assert [figure.attributes["id"] for figure in page.all("figure")] == CHARTS
+    assert [a.attributes["href"] for a in page.one("nav").all("a")] == [f"#{s}" for s in SECTIONS]
+    assert page.one("h1").text == "c172p"
+
+
+def test_the_page_says_what_it_is_to_whoever_cannot_see_it(page: Node) -> None:
+    assert page.one("html").attributes["lang"] == "en"
+    assert page.one("meta", name="viewport").attributes["content"].startswith("width=device-width")
+    for figure in page.all("figure"):
+        assert figure.one("h3").text
+        assert {svg.attributes["class"] for svg in figure.all("svg")} == {"wide", "narrow"}
+        for svg in figure.all("svg"):
+            assert svg.attributes["role"] == "img"
+            assert len(svg.attributes["aria-label"]) > 20
+    for found in page.all("table"):
+        assert found.one("caption").text
+        for heading in found.all("th"):
+            assert heading.attributes["scope"] in ("row", "col")
+
+
+def test_charts_show_data(page: Node) -> None:
+    for figure in page.all("figure"):
+        for svg in figure.all("svg"):
+            longest = max(len(path.attributes["d"].split()) for path in svg.all("path"))
+            assert longest > 60 or list(svg.all("image")), figure.attributes["id"]
+            assert not re.search("nan|inf", "".join(p.attributes["d"] for p in svg.all("path")))
+
+
+# --- numbers ---------------------------------------------------------------------------------
+
+
+def test_coefficients_are_those_of_the_summary(page: Node, summary: dict[str, Any]) -> None:
+    rows = table(page, "Coefficients").rows()
+    assert [row[0].text for row in rows] == list(summary["coefficients"])
+    for name, value, sigma, ratio, meaning in rows:
+        entry = summary["coefficients"][name.text]
+        assert exact(value) == entry["value"]
+        assert exact(sigma) == entry["sigma"]
+        assert exact(ratio) == pytest.approx(abs(entry["value"]) / entry["sigma"])
+        assert float(value.text.replace("−", "-")) == pytest.approx(entry["value"], rel=1e-3)
+        assert meaning.text == MEANINGS[name.text]
+
+
+@pytest.mark.parametrize(
+    "caption, windows", [("Last 40 %", "last_40_percent"), ("After 30 s", "after_30_s")]
+)
+def test_fits_are_those_of_the_summary(
+    page: Node, summary: dict[str, Any], caption: str, windows: str
+) -> None:
+    found = table(page, caption)
+    fit = summary["prediction_fit"][windows]
+    assert f"{fit['windows']} windows" in found.one("caption").text
+    rows = {row[0].text: [exact(cell) for cell in row[1:]] for row in found.rows()}
+    shown = ("identified model, 1 s", "the same with ay, az held", "holding the rates for 1 s")
+    for start, key in zip(shown, ("model", "model_with_ay_az_held", "hold"), strict=True):
+        (values,) = [values for name, values in rows.items() if name.startswith(start)]
+        assert values == list(fit[key].values())
+
+
+def test_cards_show_the_fit_beside_holding(page: Node, summary: dict[str, Any]) -> None:
+    fit = summary["prediction_fit"]["last_40_percent"]
+    cards = list(page.one("ul", class_="cards").all("li"))
+    for axis, card in zip("pqr", cards, strict=True):
+        assert [exact(part) for part in card.all("span") if part.attributes.get("class")][:1] == [
+            fit["model"][axis]
+        ]
+        assert exact(card.one("span", class_="beside")) == fit["hold"][axis]
+
+
+def test_one_tick_ahead_is_better_than_holding(page: Node) -> None:
+    rows = {row[0].text: row[1:] for row in table(page, "Last 40 %").rows()}
+    model, hold = (
+        rows["identified model, one tick (0.05 s) ahead"],
+        rows["holding the rates for one tick"],
+    )
+    for a, b in zip(model, hold, strict=True):
+        assert exact(a) > exact(b)
+
+
+def test_verdict_and_advice_are_those_of_the_summary(page: Node, summary: dict[str, Any]) -> None:
+    verdict = page.one("div", class_="verdict usable" if summary["usable"] else "verdict")
+    assert summary["state"] in verdict.text
+    assert summary["reason"] in verdict.text
+    said = [item.text for item in page.one("header").all("li") if not list(item.all("a"))]
+    expected = [entry["text"] for entry in summary["advice"]] + summary["notes"]
+    assert expected
+    assert [text.lower() for text in said] == [f"{text.lower()}." for text in expected]
+
+
+def test_messages_and_settings_are_those_of_the_summary(
+    page: Node, summary: dict[str, Any]
+) -> None:
+    for row in table(page, "Messages").rows():
+        entry = summary["inputs"][row[0].text]
+        assert [cell.text for cell in row[1:3]] == [entry["topic"], entry["type"]]
+        assert exact(row[3]) == entry["received"]
+    changed = table(page, "Settings that differ").rows()
+    kept = table(page, "Settings at").rows()
+    given = yaml.safe_load((BAGS / "c172p" / "identifier.yaml").read_text())
+    assert {row[0].text for row in changed} <= set(given["/**"]["ros__parameters"])
+    assert sorted(row[0].text for row in changed + kept) == sorted(s.name for s in declarations())
+
+
+def test_origin_names_the_bag_by_its_hash(page: Node) -> None:
+    ((name, size, digest),) = table(page, "Bag").rows()
+    content = (BAGS / "c172p" / "c172p.mcap").read_bytes()
+    assert (name.text, size.text) == ("c172p.mcap", str(len(content)))
+    assert digest.text == hashlib.sha256(content).hexdigest()
+    versions = {row[0].text: row[1].text for row in table(page, "Software").rows()}
+    assert versions["uav_ident_ros"] == uav_ident_ros.__version__
+    assert versions["numpy"] == np.__version__
+
+
+# --- a file of its own -----------------------------------------------------------------------
+
+
+def test_nothing_is_loaded_from_anywhere(text: str, page: Node) -> None:
+    assert "http" not in text
+    assert "@import" not in text
+    tags = {node.tag for node in page.all()}
+    assert not tags & {"script", "link", "iframe", "object", "embed", "base", "form"}
+    for node in page.all():
+        for name, value in node.attributes.items():
+            assert not name.startswith("on")
+            if name in ("src", "href", "srcset", "action", "data"):
+                assert value.startswith(("#", "data:image/png;base64,")), value
+    for target in re.findall(r"url\(([^)]*)\)", text):
+        assert target.startswith("#")
+
+
+def test_names_on_the_page_are_unique_and_what_is_referred_to_exists(text: str, page: Node) -> None:
+    names = [n.attributes["id"] for n in page.all() if "id" in n.attributes]
+    assert len(names) == len(set(names))
+    referred = set(re.findall(r"url\(#([^)]+)\)", text))
+    referred |= {
+        n.attributes["href"][1:] for n in page.all() if n.attributes.get("href", "").startswith("#")
+    }
+    assert referred <= set(names)
+
+
+def test_colours_come_from_the_style_sheet_alone(text: str) -> None:
+    body = text.split("</style>")[1]
+    assert not re.findall(r"(?:fill|stroke|color):\s*#\w+", body)
+    used = set(re.findall(r"var\(--(\w+)\)", body))
+    defined = set(re.findall(r"--(\w+):#", text.split("</style>")[0]))
+    assert {"ahead", "tick", "measured"} <= used
+    assert used <= defined
+
+
+def test_it_is_small(replayed: Path) -> None:
+    assert (replayed / "report.html").stat().st_size < LARGEST_FILE
+
+
+def test_the_same_bag_gives_the_same_bytes(replayed: Path, tmp_path: Path) -> None:
+    bag = BAGS / "c172p"
+    parameters = ["--params-file", str(bag / "identifier.yaml")]
+    assert main([str(bag), *parameters, "--output", str(tmp_path), "--report"]) == 0
+    assert (tmp_path / "report.html").read_bytes() == (replayed / "report.html").read_bytes()
+
+
+# --- other flights ---------------------------------------------------------------------------
+
+
+def excerpt(target: Path, seconds: float, jump_ns: int = 0) -> Path:
+    """Copy the start of a bag; from half of it on every stamp is `jump_ns` later."""
+    topics = ("/imu/data", "/actuators")
+    with Bag(BAGS / "multisine") as bag, BagWriter(target) as writer:
+        for topic in topics:
+            writer.topic(topic, bag.types[topic])
+        decoders = {topic: bag.decoder(topic) for topic in topics}
+        for topic, log_ns, data in bag.messages(topics):
+            since = log_ns - bag.start_ns
+            if since > seconds * SECOND_NS:
+                break
+            message = decoders[topic](data)
+            if since > 0.5 * seconds * SECOND_NS:
+                message.header.stamp.sec += jump_ns // SECOND_NS
+            writer.write(topic, log_ns, message)
+    return target
+
+
+def report_of(bag: Path, output: Path) -> Node:
+    parameters = ["--params-file", str(BAGS / "multisine" / "identifier.yaml")]
+    assert main([str(bag), *parameters, "--output", str(output), "--report"]) in (0, 1)
+    return parse((output / "report.html").read_text(encoding="utf-8"))
+
+
+def test_a_flight_too_short_to_judge_has_a_report_too(tmp_path: Path) -> None:
+    page = report_of(excerpt(tmp_path / "bag", 1.5), tmp_path / "out")
+    assert page.one("div", class_="verdict").text.startswith("Not usable: only ")
+    assert all(exact(cell) is None for cell in table(page, "After 30 s").rows()[0][1:])
+    shown = [figure.attributes["id"] for figure in page.all("figure")]
+    assert "rates-p" in shown
+    assert "spectra" not in shown
+    assert "delay-curve" not in shown
+    assert page.one("section", id="delay").one("p").text.startswith("Too little")
+
+
+def test_two_time_bases_are_shown_one_after_the_other(tmp_path: Path) -> None:
+    page = report_of(excerpt(tmp_path / "bag", 40.0, jump_ns=86_400 * SECOND_NS), tmp_path / "out")
+    labels = [t.text for t in page.one("figure", id="rates-p").all("text")]
+    seconds = [float(label) for label in labels if re.fullmatch(r"\d+", label)]
+    assert 30.0 <= max(seconds) <= 50.0
+
+
+def test_any_name_of_a_bag_is_text(tmp_path: Path) -> None:
+    name = "a <b> & \"c\" 'd'"
+    page = report_of(excerpt(tmp_path / name, 3.0), tmp_path / "out")
+    assert page.one("h1").text == name
+    assert not list(page.all("b"))
+
+
+@pytest.mark.skipif(not REAL_FLIGHT.exists(), reason="recorded flights are not here")
+def test_a_real_flight_has_a_report(tmp_path: Path) -> None:
+    assert main([str(REAL_FLIGHT), "--output", str(tmp_path), "--report"]) in (0, 1)
+    page = parse((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert [figure.attributes["id"] for figure in page.all("figure")] == CHARTS
+    (line,) = [p.text for p in page.all("p") if p.text.startswith("Least residual at")]
+    delay = float(re.findall(r"at (\d+) ms", line)[0])
+    assert 50.0 <= delay <= 90.0
+    assert (tmp_path / "report.html").stat().st_size < LARGEST_FILE

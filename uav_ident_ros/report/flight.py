@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The flight as the report shows it: everything measured and estimated, on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.prediction import InputSignal
+from uav_ident_ros.identification.samples import NS, TimeArray
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import BoolArray, FloatArray, Structure
+from uav_ident_ros.offline import OfflineRun, Stretch
+
+PAUSE_BETWEEN = 1.0
+"""Shown between two time bases, s: how far apart they really were is unknown or days."""
+
+AXES = ("p", "q", "r")
+"""Rates about the body axes, in the order of every array here."""
+
+
+class Clock:
+    """Seconds since the first rates, over every time base of the flight.
+
+    Parameters
+    ----------
+    spans : dict
+        First and last stamp of each time base, ns, by its number.
+    """
+
+    def __init__(self, spans: dict[int, tuple[int, int]]) -> None:
+        self._origin: dict[int, tuple[int, float]] = {}
+        self.restarts: list[float] = []
+        """Where a new time base begins, s."""
+        end = 0.0
+        for era, (first_ns, last_ns) in sorted(spans.items()):
+            start = end + PAUSE_BETWEEN if self._origin else 0.0
+            if self._origin:
+                self.restarts.append(start)
+            self._origin[era] = (first_ns, start)
+            end = start + (last_ns - first_ns) * NS
+
+    def seconds(self, era: int, t_ns: TimeArray) -> FloatArray:
+        """Return the time of stamps of a time base, s, same shape."""
+        first_ns, start = self._origin[era]
+        return np.asarray(start + (t_ns - first_ns) * NS)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What was measured and estimated, in order of time; rates in rad/s, body axes FRD.
+
+    Parameters
+    ----------
+    name : str
+        Name of the bag.
+    structure : Structure
+        Structure of the estimates.
+    settings : Settings
+        All settings.
+    stretches : list of Stretch
+        The flight as the offline run gives it.
+    clock : Clock
+        Time of the stamps, s.
+    estimates : list of Estimate
+        One per tick.
+    tick_t : (K,) array
+        Times of the ticks, s.
+    """
+
+    name: str
+    structure: Structure
+    settings: Settings
+    stretches: Sequence[Stretch]
+    clock: Clock
+    estimates: Sequence[Estimate]
+    tick_t: FloatArray
+
+    @cached_property
+    def time_bases(self) -> list[Stretch]:
+        """The last stretch of every time base: each rate is in one of them."""
+        return list({part.era: part for part in self.stretches}.values())
+
+    @cached_property
+    def t(self) -> FloatArray:
+        """Times of the gyro samples, s, shape (N,)."""
+        return np.concatenate([self.clock.seconds(p.era, p.t_ns) for p in self.time_bases])
+
+    @cached_property
+    def rates(self) -> FloatArray:
+        """Measured p, q, r, shape (N, 3)."""
+        return np.concatenate([part.rates for part in self.time_bases])
+
+    @cached_property
+    def force(self) -> FloatArray:
+        """Measured ay, az, m/s^2, shape (N, 2)."""
+        return np.concatenate([part.force for part in self.time_bases])
+
+    @cached_property
+    def u(self) -> FloatArray:
+        """Inputs de, dr, da, dth at the gyro samples, delayed and lagged, shape (N, 4)."""
+        return np.concatenate([_inputs_at(part.inputs, part.t_ns) for part in self.time_bases])
+
+    @cached_property
+    def coefficients(self) -> FloatArray:
+        """Coefficients of the ticks, shape (K, 3, n)."""
+        return np.array([estimate.coefficients for estimate in self.estimates])
+
+    @cached_property
+    def sigma(self) -> FloatArray:
+        """Their standard deviations, shape (K, 3, n)."""
+        return np.array([estimate.sigma for estimate in self.estimates])
+
+    @cached_property
+    def usable(self) -> BoolArray:
+        """Which ticks a controller could have used, shape (K,)."""
+        return np.array([estimate.usable for estimate in self.estimates])
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time to show, s."""
+        return 0.0, float(max(self.t[-1], self.tick_t[-1]))
+
+
+def _inputs_at(inputs: InputSignal, t_ns: TimeArray) -> FloatArray:
+    if not len(inputs.t_ns):
+        return np.zeros((len(t_ns), 4))
+    return inputs.at(t_ns)
+
+
+def collect(name: str, run: OfflineRun) -> Flight:
+    """Bring a finished run, with one estimate at least, onto one clock."""
+    parts = list(run.stretches())
+    clock = Clock({part.era: (int(part.t_ns[0]), int(part.t_ns[-1])) for part in parts})
+    ticks = [(part.era, estimate) for part in parts for estimate in part.ticks]
+    seconds = [
+        clock.seconds(part.era, np.array([e.t_ns for e in part.ticks], dtype=np.int64))
+        for part in parts
+    ]
+    tick_t = np.concatenate(seconds)
+    # A delay that moves and comes back makes stretches that overlap.
+    order = np.argsort(tick_t, kind="stable")
+    return Flight(
+        name=name,
+        structure=run.structure,
+        settings=run.inputs.settings,
+        stretches=parts,
+        clock=clock,
+        estimates=[ticks[i][1] for i in order],
+        tick_t=tick_t[order],
+    )
