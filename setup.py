@@ -43,6 +43,9 @@ setup(
     # here would break every machine that has them from apt.
     install_requires=["setuptools", "numpy"],
     extras_require={
+        # import_log: the reader of each kind of log (tables need none)
+        "ardupilot": ["pymavlink", "pyyaml", "rosbags"],
+        "px4": ["pyulog", "pyyaml", "rosbags"],
         "monitor": ["rich"],
         "replay": ["pyyaml", "matplotlib", "rosbags"],
         # colcon decides by this extra whether `colcon test` runs pytest
@@ -52,6 +55,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"identifier = {PACKAGE}.node:main",
+            f"import_log = {PACKAGE}.import_logs.cli:main",
             f"monitor = {PACKAGE}.monitor.cli:main",
             f"replay = {PACKAGE}.replay:main",
             f"simulate = {PACKAGE}.simulation.cli:main",

@@ -166,6 +166,7 @@ def check_options(page: Path, name: str, words: list[str]) -> None:
         assert words[0] == "--ros-args"
         return
     module = {
+        "import_log": "uav_ident_ros.import_logs.cli",
         "monitor": "uav_ident_ros.monitor.cli",
         "replay": "uav_ident_ros.replay",
         "simulate": "uav_ident_ros.simulation.cli",

@@ -66,6 +66,7 @@ def parser() -> argparse.ArgumentParser:
         help="trim of the channels: median in flight, rest position, or learnt by the "
              "identifier from steady flight (flight)")  # fmt: skip
     add("--airspeed", action="store_true", help="scale the coefficients with the airspeed")
+    add("--flight-only", action="store_true", help="leave out what was logged on the ground")
     return result
 
 
@@ -101,6 +102,8 @@ def import_log(options: argparse.Namespace) -> None:
     log = read_log(options)
     if options.airspeed and log.airspeed is None:
         raise ImportLogError(f"log '{log.path}' has no airspeed: leave --airspeed out")
+    if options.flight_only:
+        log = log.only_flight()
     _say_streams(log)
     path = write_import(log, folder, options.trim, options.airspeed)
     print(f"{log.path.name}: {log.title}")

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +187,33 @@ class FlightLog:
             return np.ones(len(t_ns), dtype=bool)
         inside = [(start <= t_ns) & (t_ns <= end) for start, end in self.flown]
         return np.asarray(np.logical_or.reduce(inside))
+
+    def only_flight(self) -> FlightLog:
+        """Return the log without what is known to be on the ground.
+
+        Raises
+        ------
+        ImportLogError
+            If the log does not say when it flew, or never did.
+        """
+        if not self.flown:
+            reason = "it never flew" if self.flown is not None else "it does not say when it flew"
+            raise ImportLogError(f"log '{self.path}': {reason}: leave --flight-only out")
+        rates, actuators, airspeed = self.rates, self.actuators, self.airspeed
+        keep = self.in_flight(rates.t_ns)
+        force = None if rates.force is None else rates.force[keep]
+        rates = replace(rates, t_ns=rates.t_ns[keep], rates=rates.rates[keep], force=force)
+        keep = self.in_flight(actuators.t_ns)
+        actuators = replace(actuators, t_ns=actuators.t_ns[keep], values=actuators.values[keep])
+        if airspeed is not None:
+            keep = self.in_flight(airspeed.t_ns)
+            airspeed = replace(airspeed, t_ns=airspeed.t_ns[keep], values=airspeed.values[keep])
+        if not len(rates.t_ns) or not len(actuators.t_ns):
+            raise ImportLogError(
+                f"log '{self.path}' has no samples in flight: leave --flight-only out"
+            )
+        self.findings.lost.append("what was logged on the ground is left out (--flight-only)")
+        return replace(self, rates=rates, actuators=actuators, airspeed=airspeed)
 
 
 def unique_names(names: list[str]) -> list[str]:

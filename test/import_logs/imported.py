@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated flight to put into logs, and what comes out of an imported bag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_ident_ros.bags import Bag
+from uav_ident_ros.import_logs.cli import main
+from uav_ident_ros.messages import header_ns
+from uav_ident_ros.offline import OfflineRun, choose_inputs
+from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.simulation.definition import build_measurements
+from uav_ident_ros.simulation.noise import Measurements
+
+EXCITED = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
+
+
+def flight(duration: float = 30.0, **sensors: Any) -> Measurements:
+    """A plant of the paper's structure under multisines, in the axes of the autopilots."""
+    definition = {
+        "plant": "small_uav",
+        "duration": duration,
+        "rate": 1000.0,
+        "actuator_rate": 50.0,
+        "inputs": [{"kind": "multisine", "start": 1.0, "amplitudes": EXCITED}],
+        "force": {"rms": 0.3, "correlation_time": 0.5},
+        "seed": 3,
+        "sensors": {"gyro_noise": 0.01, "accelerometer_noise": 0.05, "convention": "frd"} | sensors,
+    }
+    return build_measurements("flight", definition)
+
+
+def run(arguments: list[str], capsys: Any) -> str:
+    """Import a log; return what was printed."""
+    status = main(arguments)
+    printed = capsys.readouterr()
+    assert status == 0, printed.err
+    return str(printed.out)
+
+
+def refusal(arguments: list[str], capsys: Any) -> str:
+    """Import a log that is refused; return the one line that says why."""
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert not printed.out
+    (line,) = printed.err.splitlines()
+    assert line.startswith("import_log: ")
+    return str(line)
+
+
+@dataclass
+class Contents:
+    """Samples of an imported bag: stamps, ns, and values of each topic."""
+
+    imu_t_ns: np.ndarray
+    rates: np.ndarray
+    force: np.ndarray
+    frame_ids: set[str]
+    actuator_t_ns: np.ndarray
+    actuators: np.ndarray
+    names: list[str]
+    airspeed: np.ndarray
+    log_ns: np.ndarray
+
+    def column(self, name: str) -> np.ndarray:
+        return self.actuators[:, self.names.index(name)]
+
+
+def contents(path: Path) -> Contents:
+    """Read a bag through the project's own reader."""
+    with Bag(path) as bag:
+        decode = {topic: bag.decoder(topic) for topic in bag.types}
+        rows = [(topic, log, decode[topic](data)) for topic, log, data in bag.messages(bag.types)]
+    imu = [m for topic, _, m in rows if topic == "/imu/data"]
+    commands = [m for topic, _, m in rows if topic == "/actuators"]
+    airspeed = [m for topic, _, m in rows if topic == "/airspeed"]
+
+    def vectors(field: str) -> np.ndarray:
+        return np.array([[getattr(getattr(m, field), axis) for axis in "xyz"] for m in imu])
+
+    return Contents(
+        np.array([header_ns(m) for m in imu]),
+        vectors("angular_velocity"),
+        vectors("linear_acceleration"),
+        {m.header.frame_id for m in imu},
+        np.array([header_ns(m) for m in commands]),
+        np.array([m.position for m in commands]),
+        list(commands[0].name),
+        np.array([m.twist.linear.x for m in airspeed]),
+        np.array([log for _, log, _ in rows]),
+    )
+
+
+def parameters(folder: Path) -> dict[str, Any]:
+    """Parameters that were written beside an imported bag."""
+    return dict(load_parameters(folder / "identifier.yaml", "/identifier"))
+
+
+@dataclass
+class Result:
+    """Coefficients at the end of a replay, their sigma, (3, n), and what was dropped."""
+
+    values: np.ndarray
+    sigma: np.ndarray
+    dropped: dict[str, int]
+    names: tuple[str, ...]
+    free: np.ndarray
+
+
+def replayed(path: Path, values: dict[str, Any]) -> Result:
+    """What the identifier makes of a bag with these parameters."""
+    with Bag(path) as bag:
+        offline = OfflineRun(choose_inputs(bag, values))
+        offline.run(bag, lambda messages, _: messages)
+    last = offline.estimates[-1]
+    dropped = offline.refusals("rates").dropped | offline.refusals("actuators").dropped
+    return Result(
+        last.coefficients, last.sigma, dropped, offline.structure.names, offline.structure.free
+    )

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ArduPilot logs of different vehicles mean. All are encoded by pymavlink's own writer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dataflash_writing import DataflashWriter
+from imported import contents, parameters, refusal, run
+
+from uav_ident_ros.simulation.channels import QUADROTOR
+
+START, STEP, COUNT = 20_000_000, 4000, 300
+IMU_US = START + STEP * np.arange(COUNT)
+COMMAND_US = IMU_US[::5]
+RATES = np.random.default_rng(1).normal(size=(COUNT, 3)).astype(np.float32).astype(float)
+FORCE = np.tile(np.array([0.25, -0.5, -9.75]), (COUNT, 1))
+PULSES = np.random.default_rng(2).integers(1200, 1800, (len(COMMAND_US), 4))
+
+
+def imu(instance: int = 0, factor: float = 1.0) -> list:
+    return [
+        (int(t), "IMU", (instance, *pqr, *force))
+        for t, pqr, force in zip(IMU_US, factor * RATES, FORCE, strict=True)
+    ]
+
+
+def rcou(t_us: np.ndarray = COMMAND_US, pulses: np.ndarray = PULSES) -> list:
+    return [(int(t), "RCOU", tuple(map(int, p))) for t, p in zip(t_us, pulses, strict=True)]
+
+
+def servos(*functions: int, **others: float) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for i, function in enumerate(functions, 1):
+        values |= {f"SERVO{i}_FUNCTION": function, f"SERVO{i}_MIN": 1100, f"SERVO{i}_MAX": 1900}
+        values |= {f"SERVO{i}_TRIM": 1500, f"SERVO{i}_REVERSED": 0}
+    return values | others
+
+
+PLANE = servos(4, 19, 70, 21, AHRS_ORIENTATION=8)
+
+
+def write(tmp_path: Path, rows: list, values: dict[str, float]) -> Path:
+    writer = DataflashWriter(tmp_path)
+    writer.add_parameters(values)
+    writer.add_rows(rows)
+    return writer.write(tmp_path / "flight.bin")
+
+
+def imported(tmp_path: Path, capsys, rows: list, values: dict[str, float], *options: str):
+    log = write(tmp_path, rows, values)
+    said = run([str(log), "--output", str(tmp_path / "bag"), *options], capsys)
+    return contents(tmp_path / "bag"), parameters(tmp_path / "bag"), " ".join(said.split())
+
+
+def mixing(values: dict) -> np.ndarray:
+    return np.array([values[f"actuators.mixing.{u}"] for u in ("de", "dr", "da", "dth")])
+
+
+# --- outputs ------------------------------------------------------------------------------------
+
+
+def test_a_plane_with_reversed_servos(tmp_path: Path, capsys) -> None:
+    values = PLANE | {"SERVO2_REVERSED": 1, "SERVO2_TRIM": 1480, "SERVO4_MIN": 1000}
+    bag, found, said = imported(tmp_path, capsys, imu() + rcou(), values, "--trim", "neutral")
+    assert bag.names[:4] == ["aileron", "elevator", "throttle", "rudder"]
+    np.testing.assert_array_equal(bag.actuators, PULSES)
+    np.testing.assert_allclose(
+        found["actuators.scale"], [2 / 800, -2 / 800, 1 / 800, 2 / 900], rtol=1e-12
+    )
+    np.testing.assert_allclose(found["actuators.trim"], [1500, 1480, 1100, 1500])
+    np.testing.assert_allclose(
+        mixing(found), [[0, -1, 0, 0], [0, 0, 0, -1], [1, 0, 0, 0], [0, 0, 1, 0]]
+    )
+    assert "SERVO2_FUNCTION 19, 1100 1480 1900 us, reversed" in said
+    assert "elevator: one unit is half of 1100 to 1900 us to either side" in said
+    assert "AHRS_ORIENTATION 8, roll 180 deg" in said
+
+
+def demands(values: dict, aileron: float, elevator: float, rudder: float, tail: bool) -> np.ndarray:
+    """Inputs that the identifier sees when Plane's mixer is asked for these (-1 to 1)."""
+    one, two = (rudder, elevator) if tail else (aileron, elevator)
+    # channel_function_mixer: elevator minus and plus the other, halved (MIXING_GAIN).
+    minus, plus = 0.5 * (two - one), 0.5 * (two + one)
+    left, right = (plus, minus) if tail else (minus, plus)
+    pulses = 1500.0 + 400.0 * np.array([left, right])
+    scaled = np.array(values["actuators.scale"][:2]) * (pulses - 1500.0)
+    return mixing(values)[:, :2] @ scaled
+
+
+def test_elevons_give_back_half_of_what_was_asked_of_each(tmp_path: Path, capsys) -> None:
+    _, values, _ = imported(tmp_path, capsys, imu() + rcou(), servos(77, 78, 70))
+    np.testing.assert_allclose(demands(values, 0.0, 0.5, 0.0, False), [-0.25, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(demands(values, 0.5, 0.0, 0.0, False), [0, 0, 0.25, 0], atol=1e-12)
+
+
+def test_a_v_tail_pitches_up_and_yaws_right(tmp_path: Path, capsys) -> None:
+    _, values, _ = imported(tmp_path, capsys, imu() + rcou(), servos(79, 80, 4))
+    np.testing.assert_allclose(demands(values, 0.0, 0.5, 0.0, True), [-0.25, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(demands(values, 0.0, 0.0, 0.5, True), [0, -0.25, 0, 0], atol=1e-12)
+
+
+def test_two_servos_of_one_function_are_averaged(tmp_path: Path, capsys) -> None:
+    bag, values, _ = imported(tmp_path, capsys, imu() + rcou(), servos(4, 4, 19, 70))
+    assert bag.names[:2] == ["aileron", "aileron_2"]
+    np.testing.assert_allclose(mixing(values)[2], [0.5, 0.5, 0.0, 0.0])
+
+
+def test_a_quadrotor_mixes_as_in_the_simulation(tmp_path: Path, capsys) -> None:
+    frame = {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000}
+    _, values, said = imported(tmp_path, capsys, imu() + rcou(), servos(33, 34, 35, 36) | frame)
+    np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
+    np.testing.assert_allclose(values["actuators.scale"], 0.001)
+    np.testing.assert_allclose(values["actuators.trim"], np.median(PULSES, axis=0))
+    assert "quad x with ArduPilot's motor order" in said
+
+
+@pytest.mark.parametrize(("frame", "count"), [((2, 1), 6), ((3, 1), 8), ((4, 1), 8), ((1, 0), 4)])
+def test_frames_are_balanced(tmp_path: Path, capsys, frame, count: int) -> None:
+    """Collective turns nothing, and the three moments are independent of each other."""
+    pulses = np.random.default_rng(3).integers(1200, 1800, (len(COMMAND_US), count))
+    values = servos(*range(33, 33 + count)) | {"FRAME_CLASS": frame[0], "FRAME_TYPE": frame[1]}
+    _, found, _ = imported(tmp_path, capsys, imu() + rcou(pulses=pulses), values)
+    rows = mixing(found)
+    gram = rows @ rows.T
+    np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=1e-12)
+    np.testing.assert_allclose(np.abs(rows).sum(axis=1), [2.0, 2.0, 2.0, 1.0])
+
+
+def test_an_unknown_frame_is_refused_with_a_way_out(tmp_path: Path, capsys) -> None:
+    log = write(tmp_path, imu() + rcou(), servos(33, 34, 35) | {"FRAME_CLASS": 7})
+    said = refusal([str(log), "--output", str(tmp_path / "bag")], capsys)
+    assert "FRAME_CLASS 7" in said
+    assert "--actuators-topic RATE" in said
+
+
+def test_slow_pulses_give_way_to_the_controls_before_the_mixer(tmp_path: Path, capsys) -> None:
+    slow = rcou(COMMAND_US[::10], PULSES[::10])
+    asked = np.array([0.1, -0.2, 0.3, 0.4])
+    rates = [
+        (int(t), "RATE", (0, 0, asked[0], 0, 0, asked[1], 0, 0, asked[2], 0, 0, asked[3]))
+        for t in COMMAND_US
+    ]
+    bag, values, said = imported(tmp_path, capsys, imu() + slow + rates, servos(33, 34, 35, 36))
+    assert "RCOU is logged at 5 Hz only" in said
+    assert bag.names == ["roll", "pitch", "yaw", "throttle"]
+    np.testing.assert_allclose(bag.actuators, np.tile(asked, (len(COMMAND_US), 1)), rtol=1e-6)
+    np.testing.assert_allclose(mixing(values) @ asked, [0.2, -0.3, 0.1, 0.4])
+
+
+def test_aetr_on_request(tmp_path: Path, capsys) -> None:
+    rows = [(int(t), "AETR", (450.0, -900.0, 60.0, 225.0)) for t in COMMAND_US]
+    bag, values, _ = imported(
+        tmp_path, capsys, imu() + rcou() + rows, PLANE, "--actuators-topic", "AETR"
+    )
+    u = mixing(values) @ (np.array(values["actuators.scale"]) * bag.actuators[0])
+    np.testing.assert_allclose(u, [0.2, -0.05, 0.1, 0.6])
+
+
+# --- rates --------------------------------------------------------------------------------------
+
+
+def test_raw_rates_are_preferred_and_stamped_when_sampled(tmp_path: Path, capsys) -> None:
+    raw = [
+        (int(t) + 900, "GYR", (0, int(t), *pqr)) for t, pqr in zip(IMU_US, 2.0 * RATES, strict=True)
+    ]
+    raw += [(int(t) + 900, "ACC", (0, int(t), *f)) for t, f in zip(IMU_US, FORCE, strict=True)]
+    bag, _, said = imported(tmp_path, capsys, imu() + raw + rcou(), PLANE)
+    np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
+    np.testing.assert_array_equal(bag.rates, 2.0 * RATES)
+    np.testing.assert_array_equal(bag.force, FORCE)
+    assert "not used: IMU at 250 Hz" in said
+    assert "low-passed" not in said
+
+
+def test_the_unit_can_be_chosen(tmp_path: Path, capsys) -> None:
+    rows = imu(0) + imu(1, 3.0) + rcou()
+    bag, _, said = imported(tmp_path, capsys, rows, PLANE, "--instance", "1")
+    np.testing.assert_allclose(bag.rates, 3.0 * RATES, rtol=1e-6)
+    assert "units [0, 1] of IMU" in said
+
+
+# --- the rest -----------------------------------------------------------------------------------
+
+
+def test_trim_airspeed_lever_arm_and_lost_messages(tmp_path: Path, capsys) -> None:
+    pulses = PULSES.copy()
+    pulses[:30] = 1100  # on the ground
+    armed_us = int(COMMAND_US[30])
+    rows = [
+        (START, "ARM", (0,)),
+        (armed_us, "ARM", (1,)),
+        (armed_us, "CTUN", (0, 0, 0, 0, 0, 0, 0, 0, 0, 1.25)),
+        (int(IMU_US[-1]), "DSF", (7,)),
+        *((int(t), "ARSP", (0, 16.0)) for t in COMMAND_US[30:]),
+    ]
+    values = PLANE | {"INS_POS1_X": 0.1, "INS_POS1_Z": -0.05}
+    bag, found, said = imported(
+        tmp_path, capsys, imu() + rcou(pulses=pulses) + rows, values, "--airspeed"
+    )
+    np.testing.assert_allclose(found["actuators.trim"], np.median(pulses[30:], axis=0))
+    np.testing.assert_allclose(bag.airspeed, 20.0)
+    assert found["airspeed.reference"] == 20.0
+    np.testing.assert_allclose(found["imu.lever_arm"], [0.1, 0.0, -0.05], rtol=1e-6)
+    assert "the logger lost 7 messages" in said
+    assert "ARSP.Airspeed times CTUN.E2T" in said
+
+
+def test_a_parameter_that_changes_is_told(tmp_path: Path, capsys) -> None:
+    writer = DataflashWriter(tmp_path)
+    writer.add_parameters(PLANE)
+    writer.add_rows(imu() + rcou())
+    writer.add("PARM", 25_000_000, b"SERVO1_TRIM", 1520.0, float("nan"))
+    log = writer.write(tmp_path / "flight.bin")
+    said = " ".join(run([str(log), "--output", str(tmp_path / "bag")], capsys).split())
+    assert "SERVO1_TRIM became 1520 at 25.0 s: the first value is used" in said

@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What PX4 logs of different ages and vehicles mean. All but the last are written by pyulog."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from imported import contents, parameters, refusal, replayed, run
+from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
+
+from uav_ident_ros.identification.frames import rotation
+from uav_ident_ros.simulation.channels import ELEVON, QUADROTOR
+
+SAMPLE = Path(__file__).resolve().parents[3] / "shared" / "logs" / "px4_quad_sample.ulg"
+
+START, STEP = 100_000_000_000, 5_000_000
+COUNT = 400
+IMU_NS = START + STEP * np.arange(COUNT)
+COMMAND_NS = IMU_NS[::4]
+RATES = np.random.default_rng(1).normal(size=(COUNT, 3))
+FORCE = np.tile([0.1, -0.2, -9.8], (COUNT, 1))
+
+QUAD_X = {
+    "CA_AIRFRAME": 0,
+    "CA_ROTOR_COUNT": 4,
+    # Front right, rear left, front left, rear right.
+    **{f"CA_ROTOR{i}_PX": x for i, x in enumerate((0.15, -0.15, 0.15, -0.15))},
+    **{f"CA_ROTOR{i}_PY": y for i, y in enumerate((0.25, -0.25, -0.25, 0.25))},
+    **{f"CA_ROTOR{i}_KM": k for i, k in enumerate((0.05, 0.05, -0.05, -0.05))},
+}
+
+
+def noise(columns: int) -> np.ndarray:
+    return np.random.default_rng(2).uniform(-0.5, 0.5, (len(COMMAND_NS), columns))
+
+
+def combined() -> dict:
+    return {("sensor_combined", 0): sensor_combined(IMU_NS, RATES, FORCE)}
+
+
+def imported(tmp_path: Path, capsys, topics: dict, values: dict, *options: str):
+    """Write a log, import it; return what is in the bag, the parameters and what was said."""
+    log = write_ulog(tmp_path / "flight.ulg", topics, values)
+    said = run([str(log), "--output", str(tmp_path / "bag"), *options], capsys)
+    return contents(tmp_path / "bag"), parameters(tmp_path / "bag"), " ".join(said.split())
+
+
+def mixing(values: dict) -> np.ndarray:
+    return np.array([values[f"actuators.mixing.{u}"] for u in ("de", "dr", "da", "dth")])
+
+
+# --- channels -----------------------------------------------------------------------------------
+
+
+def test_rotors_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:
+    topics = combined() | {
+        ("actuator_motors", 0): commands(COMMAND_NS, padded(0.5 + 0.1 * noise(4), 12), "control")
+    }
+    bag, values, said = imported(tmp_path, capsys, topics, QUAD_X)
+    assert bag.names == values["actuators.channels"] == ["motor_1", "motor_2", "motor_3", "motor_4"]
+    np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
+    np.testing.assert_allclose(values["actuators.trim"], np.median(bag.actuators, axis=0))
+    assert "4 rotors" in said
+
+
+def test_the_ready_configuration_of_the_same_vehicle_mixes_alike(tmp_path: Path, capsys) -> None:
+    from uav_ident_ros.parameter_file import load_parameters
+
+    topics = combined() | {
+        ("actuator_motors", 0): commands(COMMAND_NS, padded(0.5 + 0.1 * noise(4), 12), "control")
+    }
+    _, values, _ = imported(tmp_path, capsys, topics, QUAD_X)
+    ready = load_parameters(
+        Path(__file__).resolve().parents[2] / "config" / "px4_quadrotor.yaml", "/identifier"
+    )
+    np.testing.assert_allclose(mixing(values), mixing(dict(ready)), atol=1e-12)
+
+
+def test_elevons_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:
+    """PX4 counts trailing edge up as positive, the simulation down."""
+    surfaces = noise(2)
+    topics = combined() | {
+        ("actuator_servos", 0): commands(COMMAND_NS, padded(surfaces, 8), "control"),
+        ("actuator_motors", 0): commands(COMMAND_NS, padded(0.5 + noise(1), 12), "control"),
+    }
+    airframe = {
+        "CA_AIRFRAME": 1, "CA_ROTOR_COUNT": 1, "CA_SV_CS_COUNT": 2,
+        "CA_SV_CS0_TYPE": 5, "CA_SV_CS0_TRQ_R": -0.5, "CA_SV_CS0_TRQ_P": 0.5,
+        "CA_SV_CS1_TYPE": 6, "CA_SV_CS1_TRQ_R": 0.5, "CA_SV_CS1_TRQ_P": 0.5,
+        "CA_SV_CS1_TRIM": 0.1,
+    }  # fmt: skip
+    bag, values, _ = imported(tmp_path, capsys, topics, airframe, "--trim", "neutral")
+    assert bag.names == ["motor_1", "left_elevon", "right_elevon"]
+    expected = ELEVON.mixing[:, [3, 0, 1]] * [1.0, -1.0, -1.0]
+    np.testing.assert_allclose(mixing(values), expected * [[1], [0], [1], [1]], atol=1e-12)
+    np.testing.assert_allclose(values["actuators.trim"], [0.0, 0.0, 0.1])
+
+
+def test_flaps_are_recorded_but_not_used(tmp_path: Path, capsys) -> None:
+    topics = combined() | {
+        ("actuator_servos", 0): commands(COMMAND_NS, padded(noise(3), 8), "control")
+    }
+    airframe = {
+        "CA_AIRFRAME": 1, "CA_SV_CS_COUNT": 3,
+        "CA_SV_CS0_TYPE": 1, "CA_SV_CS0_TRQ_R": -0.5,
+        "CA_SV_CS1_TYPE": 2, "CA_SV_CS1_TRQ_R": 0.5,
+        "CA_SV_CS2_TYPE": 9, "CA_SV_CS2_TRQ_R": 0.7,
+    }  # fmt: skip
+    bag, values, _ = imported(tmp_path, capsys, topics, airframe)
+    assert bag.names == ["left_aileron", "right_aileron", "left_flap"]
+    assert values["actuators.channels"] == ["left_aileron", "right_aileron"]
+    np.testing.assert_allclose(mixing(values)[2], [-0.5, 0.5])
+
+
+def test_pulse_widths_by_the_functions_of_their_pins(tmp_path: Path, capsys) -> None:
+    widths = 1500.0 + 400.0 * noise(3)
+    count = np.full(len(COMMAND_NS), 3, np.uint32)
+    topics = combined() | {
+        ("actuator_outputs", 0): {
+            "timestamp": stamps(COMMAND_NS), "noutputs": count,
+            "output": np.hstack([widths, np.zeros((len(widths), 13))]).astype(np.float32),
+        }
+    }  # fmt: skip
+    pins = {
+        "PWM_MAIN_FUNC1": 201, "PWM_MAIN_MIN1": 1100, "PWM_MAIN_MAX1": 1900,
+        "PWM_MAIN_FUNC2": 101, "PWM_MAIN_MIN2": 1000, "PWM_MAIN_MAX2": 1950,
+        "PWM_MAIN_FUNC3": 402, "PWM_MAIN_REV": 1,
+        "CA_AIRFRAME": 1, "CA_ROTOR_COUNT": 1,
+        "CA_SV_CS_COUNT": 1, "CA_SV_CS0_TYPE": 3, "CA_SV_CS0_TRQ_P": 1.0,
+    }  # fmt: skip
+    bag, values, _ = imported(tmp_path, capsys, topics, pins, "--trim", "neutral")
+    assert bag.names == ["elevator", "motor_1", "output_3"]
+    np.testing.assert_array_equal(bag.actuators, widths.astype(np.float32))
+    assert values["actuators.channels"] == ["elevator", "motor_1"]
+    np.testing.assert_allclose(values["actuators.scale"], [-2.0 / 800.0, 1.0 / 950.0])
+    np.testing.assert_allclose(values["actuators.trim"], [1500.0, 1000.0])
+    np.testing.assert_allclose(mixing(values), [[-1, 0], [0, 0], [0, 0], [0, 1]])
+
+
+def test_motors_and_servos_of_one_cycle_are_one_message(tmp_path: Path, capsys) -> None:
+    """PX4 publishes the two some microseconds apart."""
+    motors, servos = 0.5 + noise(1), noise(1)
+    topics = combined() | {
+        ("actuator_motors", 0): commands(COMMAND_NS, padded(motors, 12), "control"),
+        ("actuator_servos", 0): commands(COMMAND_NS + 30_000, padded(servos, 8), "control"),
+    }
+    airframe = {
+        "CA_AIRFRAME": 1, "CA_ROTOR_COUNT": 1, "CA_SV_CS_COUNT": 1,
+        "CA_SV_CS0_TYPE": 4, "CA_SV_CS0_TRQ_Y": 1.0,
+    }  # fmt: skip
+    bag, _, _ = imported(tmp_path, capsys, topics, airframe)
+    np.testing.assert_array_equal(bag.actuator_t_ns, COMMAND_NS + 30_000)
+    np.testing.assert_array_equal(bag.actuators, np.hstack([motors, servos]).astype(np.float32))
+
+
+def test_a_vtol_has_two_sets_of_setpoints(tmp_path: Path, capsys) -> None:
+    topics = combined() | {
+        ("vehicle_torque_setpoint", i): commands(COMMAND_NS, noise(3) + i, "xyz") for i in (0, 1)
+    }
+    airframe = {"CA_AIRFRAME": 2}
+    bag, _, said = imported(tmp_path, capsys, topics, airframe)
+    assert "--instance 1 reads forward flight" in said
+    np.testing.assert_array_equal(bag.actuators, noise(3).astype(np.float32))
+    options = ["--instance", "1", "--rates-topic", "sensor_combined", "--output"]
+    log = str(tmp_path / "flight.ulg")
+    assert "no gyro" in refusal([log, *options, str(tmp_path / "forward")], capsys)
+
+
+# --- rates --------------------------------------------------------------------------------------
+
+TORQUES = {("vehicle_torque_setpoint", 0): commands(COMMAND_NS, noise(3), "xyz")}
+
+
+def raw_gyro(instance: int, values: np.ndarray) -> dict:
+    x, y, z = values.astype(np.float32).T
+    return {
+        ("sensor_gyro", instance): {
+            "timestamp": stamps(IMU_NS) + np.uint64(700),
+            "timestamp_sample": stamps(IMU_NS),
+            "device_id": np.full(COUNT, 4711, np.uint32),
+            "x": x, "y": y, "z": z,
+        }
+    }  # fmt: skip
+
+
+def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(tmp_path: Path, capsys) -> None:
+    """Board on its side (roll 90, yaw 90), with a fine offset, second gyro of two."""
+    offset = np.array([0.01, -0.02, 0.03])
+    board = rotation(*np.radians([1.5, -1.0, 0.5])) @ rotation(*np.radians([90.0, 0.0, 90.0]))
+    in_the_board = RATES @ board + offset  # body to board is the transpose
+    topics = TORQUES | raw_gyro(0, RATES * 0.0) | raw_gyro(1, in_the_board)
+    topics[("vehicle_torque_setpoint", 1)] = TORQUES["vehicle_torque_setpoint", 0]
+    values = {
+        "CA_AIRFRAME": 1, "SENS_BOARD_ROT": 18, "SENS_BOARD_X_OFF": 1.5,
+        "SENS_BOARD_Y_OFF": -1.0, "SENS_BOARD_Z_OFF": 0.5, "CAL_GYRO2_ID": 4711,
+        "CAL_GYRO2_XOFF": 0.01, "CAL_GYRO2_YOFF": -0.02, "CAL_GYRO2_ZOFF": 0.03,
+    }  # fmt: skip
+    bag, _, said = imported(tmp_path, capsys, topics, values, "--instance", "1")
+    np.testing.assert_allclose(bag.rates, RATES, atol=1e-6)
+    np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)  # when sampled, not when published
+    assert "SENS_BOARD_ROT 18, roll 90 deg yaw 90 deg, fine offsets 1.50 -1.00 0.50" in said
+    assert "CAL_GYRO2_XOFF" in said
+    assert "2 instances of sensor_gyro" in said
+    assert "ay and az are zero" in said
+
+
+def test_filtered_rates_are_the_last_resort_and_said_to_be_filtered(tmp_path: Path, capsys) -> None:
+    velocity = commands(IMU_NS + 400_000, RATES, "xyz", delay_us=400)
+    acceleration = {"timestamp": stamps(IMU_NS), "xyz": FORCE.astype(np.float32)}
+    topics = TORQUES | {
+        ("vehicle_angular_velocity", 0): velocity,
+        ("vehicle_acceleration", 0): acceleration,
+    }
+    bag, _, said = imported(tmp_path, capsys, topics, {"IMU_GYRO_CUTOFF": 40.0})
+    assert "low-passed at 40 Hz (IMU_GYRO_CUTOFF)" in said
+    np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)
+    np.testing.assert_array_equal(bag.rates, RATES.astype(np.float32))
+    np.testing.assert_allclose(bag.force, FORCE, rtol=1e-6)
+    topics |= combined()
+    said = run(
+        [str(write_ulog(tmp_path / "both.ulg", topics, {})), "--output", str(tmp_path / "both")],
+        capsys,
+    )
+    assert "rates: sensor_combined" in said
+    assert "not used: vehicle_angular_velocity at 200 Hz" in said
+
+
+def test_an_invalid_accelerometer_is_no_measurement(tmp_path: Path, capsys) -> None:
+    topics = combined() | TORQUES
+    topics["sensor_combined", 0]["accelerometer_timestamp_relative"][:] = 0x7FFFFFFF
+    _, _, said = imported(tmp_path, capsys, topics, {})
+    assert "no valid accelerometer sample: ay and az are zero" in said
+
+
+# --- the rest -----------------------------------------------------------------------------------
+
+
+def status(t_ns: np.ndarray, field: str, values: list[int]) -> dict:
+    return {"timestamp": stamps(t_ns), field: np.array(values, np.uint8)}
+
+
+def test_the_trim_is_that_of_the_flight_not_of_the_ground(tmp_path: Path, capsys) -> None:
+    motors = np.zeros((len(COMMAND_NS), 4))
+    motors[70:90] = 0.6
+    landed = status(START + np.array([0, 1_400_000_000, 1_790_000_000]), "landed", [1, 0, 1])
+    armed = status(START + np.array([0, 1_000_000_000]), "arming_state", [1, 2])
+    topics = combined() | {
+        ("actuator_motors", 0): commands(COMMAND_NS, padded(motors, 12), "control"),
+        ("vehicle_land_detected", 0): landed,
+        ("vehicle_status", 0): armed,
+    }
+    _, values, said = imported(tmp_path, capsys, topics, QUAD_X)
+    np.testing.assert_allclose(values["actuators.trim"], 0.6, rtol=1e-6)
+    assert "in the air for 0.4 s in 1 stretch(es)" in said
+
+
+@pytest.mark.parametrize("name", ["airspeed_validated", "airspeed"])
+def test_airspeed(tmp_path: Path, capsys, name: str) -> None:
+    speed = {
+        "timestamp": stamps(COMMAND_NS),
+        "true_airspeed_m_s": np.linspace(14.0, 16.0, len(COMMAND_NS)).astype(np.float32),
+    }
+    topics = combined() | TORQUES | {(name, 0): speed}
+    bag, values, _ = imported(tmp_path, capsys, topics, {})
+    np.testing.assert_array_equal(bag.airspeed, speed["true_airspeed_m_s"])
+    assert "airspeed.type" not in values
+    text = (tmp_path / "bag" / "identifier.yaml").read_text()
+    assert '# airspeed.type: "geometry_msgs/msg/TwistStamped"' in text
+    run([str(tmp_path / "flight.ulg"), "--airspeed", "--output", str(tmp_path / "scaled")], capsys)
+    assert parameters(tmp_path / "scaled")["airspeed.reference"] == pytest.approx(15.0)
+
+
+def test_the_lever_arm_and_learnt_trim(tmp_path: Path, capsys) -> None:
+    values = {"EKF2_IMU_POS_X": 0.05, "EKF2_IMU_POS_Z": -0.02}
+    _, found, _ = imported(tmp_path, capsys, combined() | TORQUES, values, "--trim", "learn")
+    np.testing.assert_allclose(found["imu.lever_arm"], [0.05, 0.0, -0.02], rtol=1e-6)
+    assert found["actuators.learn_trim_time"] == 2.0
+
+
+def test_gaps_and_dropouts_are_told(tmp_path: Path, capsys) -> None:
+    kept = np.r_[0:101, 131:COUNT]
+    topics = TORQUES | {
+        ("sensor_combined", 0): sensor_combined(IMU_NS[kept], RATES[kept], FORCE[kept])
+    }
+    dropouts = ((100_500_000, 150), (100_600_000, 20))
+    log = write_ulog(tmp_path / "gaps.ulg", topics, {}, dropouts)
+    said = " ".join(run([str(log), "--output", str(tmp_path / "bag")], capsys).split())
+    assert "the logger lost messages 2 times, together 0.17 s, at most 0.15 s" in said
+    assert "1 gap of more than 0.02 s, together 0.155 s, the longest 0.155 s at 100.50 s" in said
+
+
+@pytest.mark.skipif(not SAMPLE.exists(), reason="../shared/logs/px4_quad_sample.ulg is not there")
+class TestRecordedLog:
+    """A real log of 2016, in the old format. The vehicle was moved about by hand, disarmed."""
+
+    def test_everything_is_in_the_bag(self, tmp_path: Path, capsys) -> None:
+        from pyulog import ULog
+
+        said = " ".join(run([str(SAMPLE), "--output", str(tmp_path / "bag")], capsys).split())
+        log = ULog(str(SAMPLE))
+        gyro = log.get_dataset("sensor_combined").data
+        controls = log.get_dataset("actuator_controls_0").data
+        bag = contents(tmp_path / "bag")
+        np.testing.assert_array_equal(bag.imu_t_ns // 1000, gyro["timestamp"])
+        np.testing.assert_array_equal(bag.rates[:, 1], gyro["gyro_rad[1]"])
+        np.testing.assert_array_equal(bag.force[:, 2], gyro["accelerometer_m_s2[2]"])
+        np.testing.assert_array_equal(bag.actuator_t_ns // 1000, controls["timestamp"])
+        np.testing.assert_array_equal(bag.column("pitch"), controls["control[1]"])
+        assert "17070 samples over 68.9 s at 250 Hz" in said
+        assert "never armed" in said
+        assert "SENS_BOARD_ROT 0, none, fine offsets -1.50 1.19 0.00 deg" in said
+        assert "the logger lost messages 4 times" in said
+
+    def test_nothing_is_learnt_from_it(self, tmp_path: Path, capsys) -> None:
+        """Motors that stand still turn nothing: every control derivative must admit it."""
+        run([str(SAMPLE), "--output", str(tmp_path / "bag")], capsys)
+        found = replayed(tmp_path / "bag", parameters(tmp_path / "bag"))
+        assert not found.dropped
+        powers = [found.names.index(name) for name in ("pdot/da", "qdot/de", "rdot/dr")]
+        where = tuple(np.array([found.free[i] for i in powers]).T)
+        assert (np.abs(found.values[where]) < 3.0 * found.sigma[where]).all()
+
+    def test_its_pulse_widths_are_a_quadrotor_at_rest(self, tmp_path: Path, capsys) -> None:
+        arguments = [str(SAMPLE), "--actuators-topic", "actuator_outputs", "--trim", "neutral"]
+        said = run([*arguments, "--output", str(tmp_path / "bag")], capsys)
+        assert "a quadrotor in X" in said
+        values = parameters(tmp_path / "bag")
+        np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
+        np.testing.assert_allclose(values["actuators.scale"], 1.0 / (1950.0 - 1075.0))
+        assert values["actuators.trim"] == [1075.0] * 4
+        assert (contents(tmp_path / "bag").actuators[:, :4] == 900.0).all()

@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged, foreign and incomplete files: one line that names the file and what is there."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dataflash_writing import DataflashWriter
+from imported import contents, refusal, run
+from ulog_writing import commands, sensor_combined, write_ulog
+
+from uav_ident_ros.identification.settings import Settings
+
+IMU_NS = 5_000_000 * np.arange(1, 2001)
+VALUES = np.random.default_rng(1).normal(size=(len(IMU_NS), 3))
+COMMANDS = commands(IMU_NS[::4], VALUES[::4], "xyz")
+RATES = sensor_combined(IMU_NS, VALUES, VALUES)
+GOOD = {("sensor_combined", 0): RATES, ("vehicle_torque_setpoint", 0): COMMANDS}
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> list[str]:
+    return ["--output", str(tmp_path / "bag")]
+
+
+def plane_log(tmp_path: Path, *left_out: str) -> Path:
+    writer = DataflashWriter(tmp_path)
+    writer.add_parameters({"SERVO1_FUNCTION": 4, "SERVO2_FUNCTION": 19})
+    rows = [(int(t) // 1000, "IMU", (0, *v, *v)) for t, v in zip(IMU_NS, VALUES, strict=True)]
+    rows += [(int(t) // 1000, "RCOU", (1500, 1500 + i % 9)) for i, t in enumerate(IMU_NS[::4])]
+    writer.add_rows([row for row in rows if row[1] not in left_out])
+    return writer.write(tmp_path / "plane.bin")
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+def test_no_file(tmp_path: Path, capsys, out) -> None:
+    assert "'nowhere.ulg' cannot be read: No such file" in refusal(["nowhere.ulg", *out], capsys)
+
+
+def test_a_folder(tmp_path: Path, capsys, out) -> None:
+    assert "Is a directory" in refusal([str(tmp_path), *out], capsys)
+
+
+@pytest.mark.parametrize("name", ["flight.ulg", "flight.bin", "flight.csv"])
+def test_an_empty_file(tmp_path: Path, capsys, out, name: str) -> None:
+    (tmp_path / name).write_bytes(b"")
+    assert f"{name}' is empty" in refusal([str(tmp_path / name), *out], capsys)
+
+
+@pytest.mark.parametrize("name", ["flight.ulg", "flight.bin"])
+def test_a_foreign_file(tmp_path: Path, capsys, out, name: str) -> None:
+    (tmp_path / name).write_bytes(bytes(range(256)) * 40)
+    assert "of no known kind" in refusal([str(tmp_path / name), *out], capsys)
+
+
+def test_the_output_is_not_overwritten(tmp_path: Path, capsys, out) -> None:
+    (tmp_path / "bag").mkdir()
+    log = write_ulog(tmp_path / "good.ulg", GOOD, {})
+    assert "exists already" in refusal([str(log), *out], capsys)
+    assert not list((tmp_path / "bag").iterdir())
+
+
+# --- ULog ---------------------------------------------------------------------------------------
+
+
+def test_a_ulog_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out) -> None:
+    whole = write_ulog(tmp_path / "good.ulg", GOOD, {}).read_bytes()
+    cut = tmp_path / "cut.ulg"
+    cut.write_bytes(whole[: len(whole) // 2 + 5])
+    said = run([str(cut), *out], capsys)
+    assert "cut off at its end" in said
+    found = contents(tmp_path / "bag")
+    np.testing.assert_array_equal(found.imu_t_ns, IMU_NS[: len(found.imu_t_ns)])
+    assert 800 < len(found.imu_t_ns) < 1200
+
+
+def test_a_whole_ulog_is_not_called_damaged(tmp_path: Path, capsys, out) -> None:
+    said = run([str(write_ulog(tmp_path / "good.ulg", GOOD, {})), *out], capsys)
+    assert "cut off" not in said
+    assert "damaged" not in said
+
+
+@pytest.mark.parametrize("size", [10, 16])
+def test_a_ulog_with_nothing_but_a_header(tmp_path: Path, capsys, out, size: int) -> None:
+    whole = write_ulog(tmp_path / "good.ulg", GOOD, {}).read_bytes()
+    (tmp_path / "short.ulg").write_bytes(whole[:size])
+    said = refusal([str(tmp_path / "short.ulg"), *out], capsys)
+    assert "short.ulg'" in said
+    assert "no readable ULog file" in said or "no topics at all" in said
+
+
+def test_a_ulog_with_garbage_inside_says_so(tmp_path: Path, capsys, out) -> None:
+    whole = bytearray(write_ulog(tmp_path / "good.ulg", GOOD, {}).read_bytes())
+    middle = len(whole) // 2
+    whole[middle : middle + 2000] = np.random.default_rng(5).bytes(2000)
+    (tmp_path / "bad.ulg").write_bytes(whole)
+    said = run([str(tmp_path / "bad.ulg"), *out], capsys)
+    assert "damaged" in said or "cut off" in said
+
+
+def test_a_ulog_without_gyro_or_actuators(tmp_path: Path, capsys, out) -> None:
+    for key, what in (
+        (("sensor_combined", 0), "gyro"),
+        (("vehicle_torque_setpoint", 0), "actuators"),
+    ):
+        log = write_ulog(tmp_path / "part.ulg", {k: v for k, v in GOOD.items() if k != key}, {})
+        said = refusal([str(log), *out], capsys)
+        assert f"has no {what}" in said
+        other = next(k for k in GOOD if k != key)[0]
+        assert f"it has {other}" in said
+
+
+def test_topics_that_are_none(tmp_path: Path, capsys, out) -> None:
+    log = str(write_ulog(tmp_path / "good.ulg", GOOD, {}))
+    said = refusal([log, "--rates-topic", "sensor_mag", *out], capsys)
+    assert "there are sensor_combined, sensor_gyro, vehicle_angular_velocity" in said
+    said = refusal([log, "--actuators-topic", "servos", *out], capsys)
+    assert "actuator_motors" in said
+    said = refusal([log, "--actuators-topic", "actuator_controls_0", *out], capsys)
+    assert "has no actuators (actuator_controls_0)" in said
+
+
+def test_motors_without_geometry_are_refused_on_request_and_passed_over_else(
+    tmp_path: Path, capsys, out
+) -> None:
+    topics = GOOD | {("actuator_motors", 0): commands(IMU_NS[::4], VALUES[::4], "control")}
+    log = str(write_ulog(tmp_path / "good.ulg", topics, {}))
+    said = refusal([log, "--actuators-topic", "actuator_motors", *out], capsys)
+    assert "no parameter (CA_ROTOR*, CA_SV_CS*)" in said
+    assert "actuators: vehicle_torque_setpoint" in run([log, *out], capsys)
+
+
+def test_an_airspeed_that_is_not_there(tmp_path: Path, capsys, out) -> None:
+    log = write_ulog(tmp_path / "good.ulg", GOOD, {})
+    assert "has no airspeed" in refusal([str(log), "--airspeed", *out], capsys)
+
+
+# --- dataflash ----------------------------------------------------------------------------------
+
+
+def test_a_dataflash_log_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out) -> None:
+    whole = plane_log(tmp_path).read_bytes()
+    (tmp_path / "cut.bin").write_bytes(whole[: len(whole) // 2 + 5])
+    run([str(tmp_path / "cut.bin"), *out], capsys)
+    found = contents(tmp_path / "bag")
+    np.testing.assert_array_equal(found.imu_t_ns, IMU_NS[: len(found.imu_t_ns)])
+    assert 700 < len(found.imu_t_ns) < 1300
+
+
+def test_a_dataflash_log_with_garbage_inside_says_so(tmp_path: Path, capsys, out) -> None:
+    whole = bytearray(plane_log(tmp_path).read_bytes())
+    middle = len(whole) // 2
+    whole[middle : middle + 1000] = bytes(1000)
+    (tmp_path / "bad.bin").write_bytes(whole)
+    said = run([str(tmp_path / "bad.bin"), *out], capsys)
+    assert "damaged, pymavlink left out what it could not read" in " ".join(said.split())
+
+
+@pytest.mark.parametrize(("left_out", "what"), [("IMU", "gyro"), ("RCOU", "actuators")])
+def test_a_dataflash_log_without_one_of_both(
+    tmp_path: Path, capsys, out, left_out: str, what: str
+) -> None:
+    said = refusal([str(plane_log(tmp_path, left_out)), *out], capsys)
+    assert f"has no {what}" in said
+    assert "it has" in said and "PARM" in said
+
+
+def test_outputs_without_functions(tmp_path: Path, capsys, out) -> None:
+    writer = DataflashWriter(tmp_path)
+    writer.add_rows(
+        [(int(t) // 1000, "IMU", (0, *v, *v)) for t, v in zip(IMU_NS, VALUES, strict=True)]
+        + [(int(t) // 1000, "RCOU", (1500, 1500)) for t in IMU_NS[::4]]
+    )
+    said = refusal([str(writer.write(tmp_path / "flight.bin")), *out], capsys)
+    assert "no SERVOn_FUNCTION names a surface or a motor" in said
+
+
+# --- tables -------------------------------------------------------------------------------------
+
+COLUMNS = """\
+time: {column: t}
+axes: frd
+rates: {columns: [p, q, r], unit: rad/s}
+channels:
+  elevator: {column: de, de: 1.0}
+"""
+TABLE = "t,p,q,r,de\n" + "".join(f"{0.01 * i:.2f},0.1,0.2,0.3,{0.01 * i}\n" for i in range(300))
+
+
+def table(tmp_path: Path, text: str = TABLE, columns: str = COLUMNS) -> list[str]:
+    (tmp_path / "flight.csv").write_text(text, encoding="utf-8")
+    (tmp_path / "columns.yaml").write_text(columns, encoding="utf-8")
+    return [str(tmp_path / "flight.csv"), "--columns", str(tmp_path / "columns.yaml")]
+
+
+def test_a_table_without_a_map(tmp_path: Path, capsys, out) -> None:
+    said = refusal([table(tmp_path)[0], *out], capsys)
+    assert "--columns FILE" in said
+    assert "t,p,q,r,de" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (TABLE.replace("t,p,q,r,de", "t,p,q,r,elevator"), "no column 'de'; it has t, p, q, r"),
+        (TABLE.replace("t,p,q,r,de", "t,p,q,R,de"), "no column 'r'"),
+        (TABLE.replace("1.00,0.1", "1.00,fast"), "line 102: 'fast' is no number"),
+        (TABLE.replace("1.00,0.1", "noon,0.1"), "line 102: the time is 'noon'"),
+        ("t,p,q,r,de\n", "no complete row"),
+        ("t,p,q,r,de\n1.0,,,,0.5\n", "has no rates: columns p, q, r are empty"),
+        ("t,p,q,r,de\n1.0,1,2,3,\n", "has no actuators: columns de are empty"),
+        ("# nothing\n\n", "is empty: a header line is needed"),
+    ],
+)
+def test_tables_that_cannot_be_used(tmp_path: Path, capsys, out, text: str, reason: str) -> None:
+    said = refusal([*table(tmp_path, text), *out], capsys)
+    assert "flight.csv'" in said
+    assert reason in said
+
+
+def test_a_table_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out) -> None:
+    said = run([*table(tmp_path, TABLE[:-12]), *out], capsys)
+    assert "1 rows have too few cells and were left out, the first in line 301" in said
+    assert len(contents(tmp_path / "bag").imu_t_ns) == 299
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (("time:", "tyme:"), "no entry 'tyme': did you mean 'time'?"),
+        (("unit: rad/s", "unit: rpm"), "'rates.unit' is 'rpm': allowed are rad/s, deg/s"),
+        ((", unit: rad/s", ""), "'rates.unit' is missing"),
+        (("axes: frd\n", ""), "'axes' is missing: allowed are frd, flu"),
+        (("[p, q, r]", "[p, q]"), "three columns x, y, z are needed"),
+        (("de: 1.0", "de: up"), "'channels.elevator.de' is 'up': a finite number is needed"),
+        ((", de: 1.0", ""), "no channel says what it moves"),
+        (("de: 1.0", "dq: 1.0"), "no entry 'channels.elevator.dq'"),
+        (("time: {column: t}", "time: {"), "is no YAML"),
+    ],
+)
+def test_maps_that_cannot_be_used(tmp_path: Path, capsys, out, change, reason: str) -> None:
+    said = refusal([*table(tmp_path, columns=COLUMNS.replace(*change)), *out], capsys)
+    assert "columns.yaml'" in said
+    assert reason in said
+
+
+def test_the_example_of_the_help_is_a_good_map(tmp_path: Path) -> None:
+    from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
+
+    (tmp_path / "columns.yaml").write_text(EXAMPLE, encoding="utf-8")
+    assert load_column_map(tmp_path / "columns.yaml").airspeed == "tas"
+
+
+# --- without the libraries ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("missing", "extra"), [("pyulog", "px4"), ("pymavlink", "ardupilot")])
+def test_a_missing_reader_names_its_extra(tmp_path: Path, missing: str, extra: str) -> None:
+    make = {
+        "pyulog": lambda: write_ulog(tmp_path / "a.ulg", GOOD, {}),
+        "pymavlink": lambda: plane_log(tmp_path),
+    }
+    program = (
+        f"import sys; sys.modules['{missing}'] = None\n"
+        "from uav_ident_ros.import_logs.cli import main\n"
+        f"sys.exit(main([{str(make[missing]())!r}, '--output', {str(tmp_path / 'bag')!r}]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert f"{missing} is not installed" in line
+    assert f"uav_ident_ros[{extra}]" in line
+
+
+def test_every_message_type_and_default_is_one_the_settings_know() -> None:
+    from uav_ident_ros.import_logs import writing
+
+    Settings.from_values(
+        {
+            "imu.type": writing.IMU_TYPE,
+            "actuators.type": writing.ACTUATORS_TYPE,
+            "airspeed.type": writing.AIRSPEED_TYPE,
+        }
+    )

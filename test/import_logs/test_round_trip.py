@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated flight written into a log of each kind and imported back: the same samples, to what
+the format can hold, and the same coefficients."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dataflash_writing import DataflashWriter
+from imported import contents, flight, parameters, replayed, run
+from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
+
+from uav_ident_ros.simulation.channels import PWM
+from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.recording import parameters as original_parameters
+from uav_ident_ros.simulation.recording import write_bag
+
+PUBLICATION_DELAY = 300
+"""us."""
+
+FIXED_WING = {
+    "CA_AIRFRAME": 1,
+    "CA_ROTOR_COUNT": 1,
+    "CA_SV_CS_COUNT": 3,
+    "CA_SV_CS0_TYPE": 3,
+    "CA_SV_CS0_TRQ_P": 1.0,
+    "CA_SV_CS1_TYPE": 4,
+    "CA_SV_CS1_TRQ_Y": 1.0,
+    "CA_SV_CS2_TYPE": 15,
+    "CA_SV_CS2_TRQ_R": 1.0,
+    "SENS_BOARD_ROT": 0,
+}
+
+PLANE = {
+    "SERVO1_FUNCTION": 19, "SERVO1_REVERSED": 0,
+    "SERVO2_FUNCTION": 21, "SERVO2_REVERSED": 1,
+    "SERVO3_FUNCTION": 4, "SERVO3_REVERSED": 0,
+    "SERVO4_FUNCTION": 70, "SERVO4_REVERSED": 0,
+    "AHRS_ORIENTATION": 0, "INS_GYRO_FILTER": 20.0,
+    **{f"SERVO{i}_{limit}": value for i in range(1, 5)
+       for limit, value in (("MIN", 1000), ("TRIM", 1500), ("MAX", 2000))},
+}  # fmt: skip
+
+PLAIN_SIGNS = np.array([-1.0, -1.0, 1.0, 1.0])
+"""Elevator, rudder, aileron, throttle of the simulation in the signs of the autopilots."""
+
+
+@pytest.fixture(scope="module")
+def measured() -> Measurements:
+    return flight()
+
+
+def px4_topics(measured: Measurements, *actuators: tuple[str, np.ndarray, str]) -> dict:
+    columns = sensor_combined(measured.imu_t_ns, measured.rates, measured.specific_force)
+    topics = {("sensor_combined", 0): columns}
+    for name, values, field in actuators:
+        topics[name, 0] = commands(measured.actuator_t_ns, values, field, PUBLICATION_DELAY)
+    return topics
+
+
+def allocated(measured: Measurements) -> dict:
+    values = measured.actuators * PLAIN_SIGNS
+    return px4_topics(
+        measured,
+        ("actuator_motors", padded(values[:, 3:], 12), "control"),
+        ("actuator_servos", padded(values[:, :3], 8), "control"),
+    )
+
+
+def same_inputs(folder: Path, trim: dict[str, float]) -> dict:
+    """Generated parameters, with the simulation's own trim in place of the flight's median."""
+    values = parameters(folder)
+    values["actuators.trim"] = [trim[name] for name in values["actuators.channels"]]
+    values["actuators.estimate_delay"] = False
+    return values
+
+
+def original(measured: Measurements, folder: Path):
+    write_bag(measured, folder)
+    return replayed(folder, original_parameters(measured))
+
+
+def assert_same_rates(measured: Measurements, imported, dtype: type) -> None:
+    np.testing.assert_array_equal(imported.imu_t_ns, measured.imu_t_ns)
+    np.testing.assert_array_equal(imported.rates, measured.rates.astype(dtype))
+    np.testing.assert_array_equal(imported.force, measured.specific_force.astype(dtype))
+    assert imported.frame_ids == {measured.frame_id} == {"base_link_frd"}
+    assert (np.diff(imported.log_ns) >= 0).all()
+
+
+def assert_same_coefficients(
+    found, expected, tolerance: float, sigma_tolerance: float = 1e-3
+) -> None:
+    """Values within a fraction of their sigma."""
+    assert not found.dropped
+    free = expected.sigma > 0.0
+    difference = np.abs(found.values - expected.values)[free] / expected.sigma[free]
+    assert difference.max() < tolerance
+    np.testing.assert_allclose(found.sigma[free], expected.sigma[free], rtol=sigma_tolerance)
+
+
+TRIM_MOTOR = {"motor_1": 0.5, "elevator": 0.0, "rudder": 0.0, "aileron": 0.0}
+
+
+def test_new_px4_log(tmp_path: Path, measured: Measurements, capsys) -> None:
+    log = write_ulog(tmp_path / "new.ulg", allocated(measured), FIXED_WING)
+    said = run([str(log), "--output", str(tmp_path / "new")], capsys)
+    imported = contents(tmp_path / "new")
+    assert_same_rates(measured, imported, np.float32)
+    np.testing.assert_array_equal(imported.actuator_t_ns, measured.actuator_t_ns)
+    assert imported.names == ["motor_1", "elevator", "rudder", "aileron"]
+    raw = (measured.actuators * PLAIN_SIGNS).astype(np.float32)
+    np.testing.assert_array_equal(imported.actuators, raw[:, [3, 0, 1, 2]])
+    assert "0.30 ms after the gyro sample" in said
+    found = replayed(tmp_path / "new", same_inputs(tmp_path / "new", TRIM_MOTOR))
+    assert_same_coefficients(found, original(measured, tmp_path / "original"), 1e-3)
+
+
+def test_the_generated_parameters_need_no_help(tmp_path: Path, measured, capsys) -> None:
+    """As a user runs it: the delay estimated, the trim the median of the flight."""
+    log = write_ulog(tmp_path / "new.ulg", allocated(measured), FIXED_WING)
+    run([str(log), "--output", str(tmp_path / "new")], capsys)
+    found = replayed(tmp_path / "new", parameters(tmp_path / "new"))
+    truth = measured.flight.coefficients
+    powers = [found.names.index(name) for name in ("pdot/da", "qdot/de", "rdot/dr")]
+    where = tuple(np.array([found.free[i] for i in powers]).T)
+    np.testing.assert_allclose(found.values[where], truth[where], rtol=0.1)
+
+
+def test_old_px4_log(tmp_path: Path, measured: Measurements, capsys) -> None:
+    values = (measured.actuators * PLAIN_SIGNS)[:, [2, 0, 1, 3]]
+    controls = np.hstack([values, np.zeros((len(values), 4))])
+    topics = px4_topics(measured, ("actuator_controls_0", controls, "control"))
+    log = write_ulog(tmp_path / "old.ulg", topics, {})
+    run([str(log), "--output", str(tmp_path / "old")], capsys)
+    imported = contents(tmp_path / "old")
+    assert_same_rates(measured, imported, np.float32)
+    np.testing.assert_array_equal(imported.actuators, controls.astype(np.float32))
+    assert parameters(tmp_path / "old")["actuators.channels"] == ["roll", "pitch", "yaw", "thrust"]
+    trim = {"roll": 0.0, "pitch": 0.0, "yaw": 0.0, "thrust": 0.5}
+    found = replayed(tmp_path / "old", same_inputs(tmp_path / "old", trim))
+    assert_same_coefficients(found, original(measured, tmp_path / "original"), 1e-3)
+
+
+def test_px4_setpoints_stand_in_for_thinned_out_motors(tmp_path: Path, measured, capsys) -> None:
+    """PX4's default profile logs the actuators at 10 Hz and the setpoints at 50 Hz."""
+    topics = allocated(measured)
+    for name in ("actuator_motors", "actuator_servos"):
+        topics[name, 0] = {field: v[::5] for field, v in topics[name, 0].items()}
+    torque = (measured.actuators * PLAIN_SIGNS)[:, [2, 0, 1]]
+    thrust = np.zeros((len(torque), 3))
+    thrust[:, 0] = measured.actuators[:, 3]
+    topics |= px4_topics(
+        measured,
+        ("vehicle_torque_setpoint", torque, "xyz"),
+        ("vehicle_thrust_setpoint", thrust, "xyz"),
+    )
+    log = write_ulog(tmp_path / "default.ulg", topics, FIXED_WING)
+    said = run([str(log), "--output", str(tmp_path / "default")], capsys)
+    assert "actuator_motors is logged at 10 Hz only" in " ".join(said.split())
+    imported = contents(tmp_path / "default")
+    np.testing.assert_array_equal(imported.actuators[:, :3], torque.astype(np.float32))
+    trim = {"roll_torque": 0.0, "pitch_torque": 0.0, "yaw_torque": 0.0, "thrust_x": 0.5}
+    found = replayed(tmp_path / "default", same_inputs(tmp_path / "default", trim))
+    assert_same_coefficients(found, original(measured, tmp_path / "original"), 1e-3)
+
+
+def test_ardupilot_log(tmp_path: Path, capsys) -> None:
+    """Rates are single floats, commands whole microseconds: of 1000 for the whole range."""
+    measured = flight(channels="pwm")
+    writer = DataflashWriter(tmp_path)
+    writer.add("MSG", 0, b"ArduPlane V4.5.0 (test)".ljust(64, b"\0"))
+    writer.add_parameters(PLANE)
+    pulses = np.rint(measured.actuators)
+    writer.add_rows(
+        [(int(t), "IMU", (0, *pqr, *force)) for t, pqr, force in
+         zip(stamps(measured.imu_t_ns), measured.rates, measured.specific_force, strict=True)]
+        + [(int(t), "RCOU", tuple(int(v) for v in row)) for t, row in
+           zip(stamps(measured.actuator_t_ns), pulses, strict=True)]
+    )  # fmt: skip
+    log = writer.write(tmp_path / "plane.bin")
+    said = run([str(log), "--output", str(tmp_path / "plane")], capsys)
+    assert "ArduPlane V4.5.0" in said
+    assert "low-passed at 20 Hz (INS_GYRO_FILTER)" in " ".join(said.split())
+    imported = contents(tmp_path / "plane")
+    assert_same_rates(measured, imported, np.float32)
+    np.testing.assert_array_equal(imported.actuator_t_ns, measured.actuator_t_ns)
+    assert imported.names == ["elevator", "rudder", "aileron", "throttle"]
+    np.testing.assert_array_equal(imported.actuators, pulses)
+
+    trim = dict(zip(imported.names, measured.channel_trim, strict=True))
+    values = same_inputs(tmp_path / "plane", trim)
+    # One unit of a surface is its full deflection here, 500 us, and 0.5 rad in the simulation.
+    full = 500.0 * np.abs(PWM.mixing).sum(axis=1)
+    for row, name in enumerate(("de", "dr", "da")):
+        weights = np.array(values[f"actuators.mixing.{name}"])
+        values[f"actuators.mixing.{name}"] = (weights * full[row]).tolist()
+    found = replayed(tmp_path / "plane", values)
+    exact = dataclasses.replace(measured, actuators=pulses)
+    assert_same_coefficients(found, original(exact, tmp_path / "whole_microseconds"), 1e-3)
+    # The rounding itself, 0.3 us rms of 50, costs less than the noise of the gyro does.
+    assert_same_coefficients(found, original(measured, tmp_path / "original"), 1.0, 0.25)
+
+
+def csv_of(measured: Measurements, path: Path) -> Path:
+    """Both streams in one table, with empty cells where a stream has no sample."""
+    rows: dict[int, list[str]] = {}
+    for t, pqr, force in zip(
+        measured.imu_t_ns, measured.rates, measured.specific_force, strict=True
+    ):
+        rows[int(t)] = [*(repr(float(v)) for v in (*pqr, *force)), *[""] * 4]
+    for t, values in zip(measured.actuator_t_ns, measured.actuators, strict=True):
+        row = rows.setdefault(int(t), [""] * 10)
+        row[6:] = [repr(float(v)) for v in values]
+    lines = ["t,p,q,r,ax,ay,az,elevator,rudder,aileron,throttle"]
+    for t, cells in sorted(rows.items()):
+        lines.append(",".join([f"{t // 10**9}.{t % 10**9:09d}", *cells]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+COLUMNS = """\
+time: {column: t, unit: s}
+axes: frd
+rates: {columns: [p, q, r], unit: rad/s}
+specific_force: {columns: [ax, ay, az]}
+channels:
+  elevator: {trim: 0.0, de: 1.0}
+  rudder: {trim: 0.0, dr: 1.0}
+  aileron: {trim: 0.0, da: 1.0}
+  throttle: {trim: 0.5, dth: 1.0}
+"""
+
+
+def test_table(tmp_path: Path, measured: Measurements, capsys) -> None:
+    """Decimals hold everything: the same to the bit, nanoseconds since 1970 included."""
+    table = csv_of(measured, tmp_path / "flight.csv")
+    (tmp_path / "columns.yaml").write_text(COLUMNS, encoding="utf-8")
+    arguments = [str(table), "--columns", str(tmp_path / "columns.yaml")]
+    run([*arguments, "--output", str(tmp_path / "table")], capsys)
+    imported = contents(tmp_path / "table")
+    assert_same_rates(measured, imported, np.float64)
+    np.testing.assert_array_equal(imported.actuator_t_ns, measured.actuator_t_ns)
+    np.testing.assert_array_equal(imported.actuators, measured.actuators)
+    values = parameters(tmp_path / "table") | {"actuators.estimate_delay": False}
+    found = replayed(tmp_path / "table", values)
+    expected = original(measured, tmp_path / "original")
+    np.testing.assert_array_equal(found.values, expected.values)
+    np.testing.assert_array_equal(found.sigma, expected.sigma)
+
+
+def test_tables_of_other_units(tmp_path: Path, measured: Measurements, capsys) -> None:
+    """Degrees, g, knots, milliseconds: the same flight to rounding."""
+    lines = ["ms;P;Q;R;X;Y;Z;kn;s1"]
+    for t, pqr, force in zip(
+        measured.imu_t_ns, measured.rates, measured.specific_force, strict=True
+    ):
+        cells = [*np.degrees(pqr), *(force / 9.80665), 20.0 / (1852.0 / 3600.0), 1500.0]
+        lines.append(
+            ";".join([str((t - measured.imu_t_ns[0]) // 1_000_000), *map(repr, map(float, cells))])
+        )
+    (tmp_path / "flight.csv").write_text("\n".join(lines), encoding="utf-8")
+    (tmp_path / "columns.yaml").write_text(
+        "delimiter: ';'\n"
+        "time: {column: ms, unit: ms}\n"
+        "axes: flu\n"
+        "rates: {columns: [P, Q, R], unit: deg/s}\n"
+        "specific_force: {columns: [X, Y, Z], unit: g}\n"
+        "airspeed: {column: kn, unit: kn}\n"
+        "lever_arm: [0.1, 0.0, -0.05]\n"
+        "channels:\n  tail: {column: s1, scale: 0.002, neutral: 1500.0, de: 1.0}\n",
+        encoding="utf-8",
+    )
+    run(
+        [str(tmp_path / "flight.csv"), "--columns", str(tmp_path / "columns.yaml"), "--airspeed",
+         "--output", str(tmp_path / "bag")], capsys
+    )  # fmt: skip
+    imported = contents(tmp_path / "bag")
+    np.testing.assert_allclose(imported.rates, measured.rates, rtol=1e-12)
+    np.testing.assert_allclose(imported.force, measured.specific_force, rtol=1e-12)
+    np.testing.assert_allclose(imported.airspeed, 20.0, rtol=1e-12)
+    np.testing.assert_array_equal(imported.imu_t_ns, measured.imu_t_ns - measured.imu_t_ns[0])
+    assert imported.frame_ids == {"base_link"}
+    values = parameters(tmp_path / "bag")
+    assert values["imu.convention"] == "flu"
+    assert values["imu.lever_arm"] == [0.1, 0.0, -0.05]
+    assert values["airspeed.type"] == "geometry_msgs/msg/TwistStamped"
+    assert math.isclose(values["airspeed.reference"], 20.0)
+    assert values["actuators.trim"] == [1500.0]
+    assert values["actuators.mixing.de"] == [1.0]
