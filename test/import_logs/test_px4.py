@@ -161,11 +161,14 @@ def test_a_vtol_has_two_sets_of_setpoints(tmp_path: Path, capsys) -> None:
     }
     airframe = {"CA_AIRFRAME": 2}
     bag, _, said = imported(tmp_path, capsys, topics, airframe)
-    assert "--instance 1 reads forward flight" in said
+    assert "of --actuators-instance 1 those of forward flight" in said
     np.testing.assert_array_equal(bag.actuators, noise(3).astype(np.float32))
-    options = ["--instance", "1", "--rates-topic", "sensor_combined", "--output"]
-    log = str(tmp_path / "flight.ulg")
-    assert "no gyro" in refusal([log, *options, str(tmp_path / "forward")], capsys)
+    forward = tmp_path / "forward"
+    options = ["--actuators-instance", "1", "--output", str(forward)]
+    run([str(tmp_path / "flight.ulg"), *options], capsys)
+    np.testing.assert_array_equal(contents(forward).actuators, (noise(3) + 1).astype(np.float32))
+    options = ["--actuators-instance", "2", "--output", str(tmp_path / "none")]
+    assert "no actuators" in refusal([str(tmp_path / "flight.ulg"), *options], capsys)
 
 
 # --- rates --------------------------------------------------------------------------------------
@@ -191,13 +194,12 @@ def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(tmp_path: Path, capsy
     board = rotation(*np.radians([1.5, -1.0, 0.5])) @ rotation(*np.radians([90.0, 0.0, 90.0]))
     in_the_board = RATES @ board + offset  # body to board is the transpose
     topics = TORQUES | raw_gyro(0, RATES * 0.0) | raw_gyro(1, in_the_board)
-    topics[("vehicle_torque_setpoint", 1)] = TORQUES["vehicle_torque_setpoint", 0]
     values = {
         "CA_AIRFRAME": 1, "SENS_BOARD_ROT": 18, "SENS_BOARD_X_OFF": 1.5,
         "SENS_BOARD_Y_OFF": -1.0, "SENS_BOARD_Z_OFF": 0.5, "CAL_GYRO2_ID": 4711,
         "CAL_GYRO2_XOFF": 0.01, "CAL_GYRO2_YOFF": -0.02, "CAL_GYRO2_ZOFF": 0.03,
     }  # fmt: skip
-    bag, _, said = imported(tmp_path, capsys, topics, values, "--instance", "1")
+    bag, _, said = imported(tmp_path, capsys, topics, values, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, RATES, atol=1e-6)
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)  # when sampled, not when published
     assert "SENS_BOARD_ROT 18, roll 90 deg yaw 90 deg, fine offsets 1.50 -1.00 0.50" in said
@@ -254,6 +256,15 @@ def test_the_trim_is_that_of_the_flight_not_of_the_ground(tmp_path: Path, capsys
     _, values, said = imported(tmp_path, capsys, topics, QUAD_X)
     np.testing.assert_allclose(values["actuators.trim"], 0.6, rtol=1e-6)
     assert "in the air for 0.4 s in 1 stretch(es)" in said
+
+    log, only = str(tmp_path / "flight.ulg"), tmp_path / "only"
+    run([log, "--flight-only", "--output", str(only)], capsys)
+    bag = contents(only)
+    for t_ns in (bag.imu_t_ns, bag.actuator_t_ns):
+        assert t_ns[0] == START + 1_400_000_000
+        assert t_ns[-1] <= START + 1_790_000_000
+    assert (bag.actuators == np.float32(0.6)).all()
+    np.testing.assert_array_equal(bag.rates, RATES[280 : 280 + len(bag.rates)].astype(np.float32))
 
 
 @pytest.mark.parametrize("name", ["airspeed_validated", "airspeed"])
@@ -330,4 +341,6 @@ class TestRecordedLog:
         np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
         np.testing.assert_allclose(values["actuators.scale"], 1.0 / (1950.0 - 1075.0))
         assert values["actuators.trim"] == [1075.0] * 4
+        flight_only = [str(SAMPLE), "--flight-only", "--output", str(tmp_path / "flight")]
+        assert "it never flew: leave --flight-only out" in refusal(flight_only, capsys)
         assert (contents(tmp_path / "bag").actuators[:, :4] == 900.0).all()

@@ -12,6 +12,7 @@ from uav_ident_ros.import_logs.ardupilot_outputs import PINS, READERS, read_outp
 from uav_ident_ros.import_logs.dataflash import DataflashLog, Messages
 from uav_ident_ros.import_logs.flight_log import (
     Airspeed,
+    Choice,
     Findings,
     FlightLog,
     ImportLogError,
@@ -53,33 +54,28 @@ TYPES = (
 GYRO_FIELDS, FORCE_FIELDS = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
 
 
-def read_ardupilot(
-    path: Path,
-    rates_topic: str | None = None,
-    actuators_topic: str | None = None,
-    instance: int | None = None,
-) -> FlightLog:
+def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     """Read an ArduPilot dataflash log.
 
     Parameters
     ----------
     path : Path
         Dataflash file.
-    rates_topic, actuators_topic : str, optional
-        Message types to take in place of the best ones.
-    instance : int, optional
-        Which inertial unit; 0 if left out.
+    choice : Choice
+        What to take in place of the best.
 
     Raises
     ------
     ImportLogError
         If the file cannot be read, or has no rates or no actuators.
     """
+    if choice.actuators_instance:
+        raise ImportLogError(f"log '{path}': ArduPilot logs one set of actuators, instance 0")
     log = DataflashLog(path, tuple(dict.fromkeys(TYPES)))
     findings = Findings(lost=list(log.damage))
-    unit = instance or 0
-    rates = _read_rates(log, findings, rates_topic, unit)
-    actuators = read_outputs(log, findings, actuators_topic)
+    unit = choice.rates_instance
+    rates = _read_rates(log, findings, choice.rates_topic, unit)
+    actuators = read_outputs(log, findings, choice.actuators_topic)
     flown = _flown(log, findings)
     lever_arm = _lever_arm(log, findings, unit)
     airspeed = _airspeed(log, findings)

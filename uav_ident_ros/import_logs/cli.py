@@ -12,7 +12,7 @@ from typing import NoReturn
 
 from uav_ident_ros.import_logs import dataflash, px4_log
 from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
-from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError
+from uav_ident_ros.import_logs.flight_log import Choice, FlightLog, ImportLogError
 from uav_ident_ros.import_logs.stamps import describe, doubts
 
 USAGE_ERROR = 2
@@ -61,7 +61,10 @@ def parser() -> argparse.ArgumentParser:
     add("--actuators-topic", metavar="NAME",
         help="PX4 topic or ArduPilot message of the commands (default: nearest to the "
              "actuators that is fast enough)")  # fmt: skip
-    add("--instance", type=int, metavar="I", help="instance of these topics, inertial unit (0)")
+    add("--rates-instance", type=int, default=0, metavar="I", help="which gyro, of several (0)")
+    add("--actuators-instance", type=int, default=0, metavar="I",
+        help="which set of commands, of several: a PX4 VTOL's hover 0, forward flight 1 "
+             "(0)")  # fmt: skip
     add("--trim", choices=("flight", "neutral", "learn"), default="flight",
         help="trim of the channels: median in flight, rest position, or learnt by the "
              "identifier from steady flight (flight)")  # fmt: skip
@@ -124,22 +127,27 @@ def read_log(options: argparse.Namespace) -> FlightLog:
     """
     path: Path = options.log
     start = _first_bytes(path)
-    choice = (options.rates_topic, options.actuators_topic, options.instance)
+    choice = Choice(
+        options.rates_topic,
+        options.actuators_topic,
+        options.rates_instance,
+        options.actuators_instance,
+    )
     if start.startswith(px4_log.MAGIC):
         from uav_ident_ros.import_logs.px4 import read_px4
 
-        return read_px4(path, *choice)
+        return read_px4(path, choice)
     if start.startswith(dataflash.MAGIC):
         from uav_ident_ros.import_logs.ardupilot import read_ardupilot
 
-        return read_ardupilot(path, *choice)
+        return read_ardupilot(path, choice)
     if options.columns is not None:
         from uav_ident_ros.import_logs.csv_table import read_csv
 
-        if any(value is not None for value in choice):
+        if choice != Choice():
             raise ImportLogError(
-                f"table '{path}': the column map names its columns; leave --rates-topic, "
-                "--actuators-topic and --instance out"
+                f"table '{path}': the column map names its columns; leave --rates-topic and the "
+                "like out"
             )
         return read_csv(path, load_column_map(options.columns))
     if path.suffix.lower() in (".csv", ".txt", ".tsv"):

@@ -32,6 +32,26 @@ class ImportLogError(Exception):
 
 
 @dataclass(frozen=True)
+class Choice:
+    """What to take from a log in place of the best.
+
+    Parameters
+    ----------
+    rates_topic, actuators_topic : str, optional
+        PX4 topic or ArduPilot message type.
+    rates_instance : int
+        Which gyro, of several.
+    actuators_instance : int
+        Which set of commands, of several.
+    """
+
+    rates_topic: str | None = None
+    actuators_topic: str | None = None
+    rates_instance: int = 0
+    actuators_instance: int = 0
+
+
+@dataclass(frozen=True)
 class Channel:
     """One raw channel of the actuators and what it does.
 

@@ -11,6 +11,7 @@ import numpy as np
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import (
     Airspeed,
+    Choice,
     Findings,
     FlightLog,
     ImportLogError,
@@ -36,22 +37,15 @@ EXPLAINING = ("CA_", "PWM_", "SENS_BOARD_", "CAL_GYRO", "CAL_ACC", "EKF2_IMU_POS
 """First letters of the parameters that an import is based on."""
 
 
-def read_px4(
-    path: Path,
-    rates_topic: str | None = None,
-    actuators_topic: str | None = None,
-    instance: int | None = None,
-) -> FlightLog:
+def read_px4(path: Path, choice: Choice) -> FlightLog:
     """Read a PX4 log.
 
     Parameters
     ----------
     path : Path
         ULog file.
-    rates_topic, actuators_topic : str, optional
-        Topics to take in place of the best ones.
-    instance : int, optional
-        Instance of these topics; 0 if left out.
+    choice : Choice
+        What to take in place of the best.
 
     Raises
     ------
@@ -60,8 +54,8 @@ def read_px4(
     """
     log = Px4Log(path)
     findings = Findings(lost=list(log.damage))
-    rates = _read_rates(log, findings, rates_topic, instance)
-    actuators = read_actuators(log, findings, actuators_topic, instance)
+    rates = _read_rates(log, findings, choice)
+    actuators = read_actuators(log, findings, choice)
     flown = _flown(log, findings)
     lever_arm = _lever_arm(log, findings)
     airspeed = _airspeed(log, findings)
@@ -81,15 +75,17 @@ def read_px4(
 # --- rates --------------------------------------------------------------------------------------
 
 
-def _read_rates(log: Px4Log, findings: Findings, wanted: str | None, instance: int | None) -> Rates:
+def _read_rates(log: Px4Log, findings: Findings, choice: Choice) -> Rates:
     """Read the topic asked for, or the first that is fast enough, or the fastest."""
+    wanted = choice.rates_topic
     if wanted is not None and wanted not in RATES_READERS:
         raise ImportLogError(
             f"log '{log.path}': '{wanted}' is no topic of rates: there are "
             f"{', '.join(RATES_READERS)}"
         )
     topics = {
-        name: log.topic(name, instance or 0) for name in ([wanted] if wanted else RATES_READERS)
+        name: log.topic(name, choice.rates_instance)
+        for name in ([wanted] if wanted else RATES_READERS)
     }
     usable = {name: topic for name, topic in topics.items() if topic is not None}
     if not usable:

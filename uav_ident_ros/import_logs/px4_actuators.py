@@ -18,6 +18,7 @@ from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
     Actuators,
     Channel,
+    Choice,
     Effect,
     Findings,
     ImportLogError,
@@ -87,9 +88,7 @@ PWM_MIN, PWM_MAX = 1000.0, 2000.0
 """Pulse widths of no and full command where no parameter says, us."""
 
 
-def read_actuators(
-    log: Px4Log, findings: Findings, wanted: str | None, instance: int | None
-) -> Actuators:
+def read_actuators(log: Px4Log, findings: Findings, choice: Choice) -> Actuators:
     """Read the commands from the topic asked for, or from the best there is.
 
     Raises
@@ -97,18 +96,19 @@ def read_actuators(
     ImportLogError
         If there is none, or the one asked for is missing or cannot be interpreted.
     """
+    wanted, instance = choice.actuators_topic, choice.actuators_instance
     if wanted is not None and wanted not in READERS:
         raise ImportLogError(
             f"log '{log.path}': '{wanted}' is no topic of actuators: there are {', '.join(READERS)}"
         )
-    found = {name: log.topic(name, instance or 0) for name in ([wanted] if wanted else READERS)}
+    found = {name: log.topic(name, instance) for name in ([wanted] if wanted else READERS)}
     usable = {name: topic for name, topic in found.items() if topic is not None}
     if not usable:
         raise ImportLogError(
             f"log '{log.path}' has no actuators ({', '.join(found)}); it has {log.contents()}"
         )
     name = wanted or _choose(log, usable, findings)
-    actuators = READERS[name](log, findings, instance or 0)
+    actuators = READERS[name](log, findings, instance)
     others = [n for n in usable if n != name and n not in actuators.source]
     findings.read.append(f"actuators: {actuators.source}")
     if others:
@@ -124,8 +124,8 @@ def _choose(log: Px4Log, usable: dict[str, Topic], findings: Findings) -> str:
     hybrid = log.parameters.get("CA_AIRFRAME") in HYBRIDS
     if hybrid and "vehicle_torque_setpoint" in usable:
         findings.assumed.append(
-            "a VTOL: the setpoints of instance 0 (hover) are read; --instance 1 reads forward "
-            "flight"
+            "a VTOL: the setpoints of instance 0 are those of hover, of --actuators-instance 1 "
+            "those of forward flight"
         )
         return "vehicle_torque_setpoint"
     candidates = explained or candidates
