@@ -98,8 +98,9 @@ section{margin:2rem 0}
 .cards li{padding:.5rem .6rem}
 .cards .value{font-size:1.3rem}
 .cards .beside{font-size:.75rem}
-th,td{padding-right:.5rem}
-table{font-size:.82rem}
+th,td{padding-right:.4rem}
+table{font-size:.8rem}
+td.words{min-width:5.5rem}
 figure svg.wide{display:none}
 figure svg.narrow{display:block;max-width:30rem}
 """

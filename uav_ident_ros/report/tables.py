@@ -58,7 +58,7 @@ def coefficients_table(summary: Mapping[str, Any]) -> Element:
 
 
 _COEFFICIENT_HEAD: Sequence[Node] = (
-    "coefficient",
+    "name",
     "value",
     "sigma",
     "t-ratio",
