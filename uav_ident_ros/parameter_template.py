@@ -7,11 +7,12 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
-from uav_ident_ros.identification.settings import Setting, Value, declarations
+from uav_ident_ros.identification.settings import Setting, Settings, Value, declarations
 
 WIDTH = 96
 """Width of the comment lines."""
@@ -28,12 +29,19 @@ _HEADER = """\
 """
 
 
-def render() -> str:
-    """Return the parameter file as text."""
-    return _HEADER + "\n".join(_lines()) + "\n"
+def render(settings: Settings | None = None) -> str:
+    """Return the parameter file as text.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        The values to write; the defaults if left out.
+    """
+    values = (settings or Settings()).values()
+    return _HEADER + "\n".join(_lines(values)) + "\n"
 
 
-def _lines() -> Iterator[str]:
+def _lines(values: Mapping[str, Value]) -> Iterator[str]:
     open_groups: list[str] = []
     for setting in declarations():
         *groups, leaf = setting.name.split(".")
@@ -53,7 +61,7 @@ def _lines() -> Iterator[str]:
             subsequent_indent=f"{indent}# ",
             break_on_hyphens=False,
         )
-        yield f"{indent}{leaf}: {_written(setting.default)}"
+        yield f"{indent}{leaf}: {_written(values[setting.name])}"
 
 
 def _indent(depth: int) -> str:
@@ -73,7 +81,16 @@ def _written(value: Value) -> str:
         return "true" if value else "false"
     if isinstance(value, tuple):
         return "[" + ", ".join(_written(entry) for entry in value) + "]"
-    return json.dumps(value)
+    # JSON is YAML but for characters beyond 16 bits: it writes them as two, which YAML forbids.
+    return _SURROGATES.sub(_escape, json.dumps(value))
+
+
+_SURROGATES = re.compile(r"\\u(d[89ab][0-9a-f]{2})\\u(d[c-f][0-9a-f]{2})")
+
+
+def _escape(pair: re.Match[str]) -> str:
+    high, low = (int(half, 16) for half in pair.groups())
+    return f"\\U{0x10000 + ((high - 0xD800) << 10) + (low - 0xDC00):08x}"
 
 
 if __name__ == "__main__":

@@ -46,6 +46,9 @@ CHUNK_TIME = 1.0
 MEMORY_TIME = 120.0
 """Time constant of forgetting, s: a delay does not change, but a flight condition does."""
 
+WIDEST_CELL = 0.1
+"""Width of the cells from which a bank has too few delays to find a minimum among them, s."""
+
 SHORTEST_RECORD = 10.0
 """Learning time before which no delay is believed, s."""
 
@@ -357,6 +360,8 @@ class DelayTracker:
 
     def add(self, block: Block) -> bool:
         """Learn from a block; say whether the delay in use has moved."""
+        if block.h > WIDEST_CELL:
+            return False
         if self._bank is None or abs(block.h / self._bank.h - 1.0) > SAME_INTERVAL:
             self._bank = DelayBank(block.h, self._arm)
         if not self._bank.add(block):

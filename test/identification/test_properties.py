@@ -1,0 +1,475 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What holds for every sequence of inputs: finite and bounded estimates, whatever the batching.
+
+The sequences are drawn by hypothesis from a fixed seed: each run draws the same ones.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import UTC
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from uav_ident_ros.coefficients_file import Notes, load_with_notes, save_coefficients
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.identifier import OnlineIdentifier, State
+from uav_ident_ros.identification.model import LARGEST_RATE
+from uav_ident_ros.identification.running_fit import WORST_FIT
+from uav_ident_ros.identification.settings import (
+    LARGEST_COEFFICIENT,
+    MAX_DELAY,
+    Setting,
+    Settings,
+    SettingsError,
+    declarations,
+)
+from uav_ident_ros.identification.speed import LARGEST_RATIO
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.parameter_template import render
+
+S = 1_000_000_000
+MS = 1_000_000
+
+START_NS = 1_700_000_000 * S
+
+PLAIN = hypothesis_settings(deadline=None, derandomize=True, database=None)
+
+HOSTILE = (
+    math.nan, math.inf, -math.inf, 1.7e308, -1.7e308, 1e154, 5e-324, -5e-324, 2.2e-308, 1e-160,
+    99.999, -99.999, 999.9, 99_999.0, -99_999.0, -0.0,
+)  # fmt: skip
+"""Values that break arithmetic, and the largest that are taken."""
+
+ROOT_3 = math.sqrt(3.0)
+
+any_float = st.floats(allow_subnormal=True, width=64)
+any_stamp = st.one_of(
+    st.integers(-(2**65), 2**65),
+    st.integers(-10, 10),
+    st.integers(-5 * S, 5 * S).map(lambda offset: START_NS + offset),
+)
+
+
+# --- settings ---------------------------------------------------------------------------------
+
+
+def changed(values: dict[str, object]) -> Settings:
+    """Settings with what is given, as far as it goes together."""
+    try:
+        return Settings.from_values(values)
+    except SettingsError:
+        return Settings.from_values(
+            values | {"actuators.estimate_delay": False, "airspeed.type": ""}
+            if values["estimator"] == "gradient"
+            else values | {"filter.method": "state_variable"}
+        )
+
+
+any_settings = st.fixed_dictionaries(
+    {
+        "structure": st.sampled_from(sorted(STRUCTURES)),
+        "estimator": st.sampled_from(["instrumental_variable", "least_squares", "gradient"]),
+        "filter.method": st.sampled_from(["state_variable"] * 3 + ["backward_difference"]),
+        "update_rate": st.sampled_from([20.0, 7.0, 50.0]),
+        "input_wait": st.sampled_from([0.05, 0.0]),
+        "forgetting_time": st.sampled_from([200.0, 5.0, 0.0]),
+        "filter.cutoff": st.sampled_from([15.0, 200.0, 1.0]),
+        "actuators.estimate_delay": st.booleans(),
+        "actuators.delay": st.sampled_from([0.0, 0.03]),
+        "actuators.time_constant": st.sampled_from([0.0, 0.05]),
+        "actuators.interpolation": st.sampled_from(["hold", "linear"]),
+        "actuators.learn_trim_time": st.sampled_from([0.0, 0.5]),
+        "airspeed.type": st.sampled_from(["", "std_msgs/msg/Float64"]),
+        "armed.type": st.sampled_from(["", "std_msgs/msg/Bool"]),
+        "model.leak_time": st.sampled_from([5.0, 0.0]),
+        "model.inertia": st.sampled_from([(), (1.1, 1.4, 2.1, 0.1)]),
+        "gradient.step": st.sampled_from(["guarded", "euler"]),
+        "gradient.normalisation": st.sampled_from(["variance", "power", "none"]),
+        "imu.lever_arm": st.sampled_from([(0.0, 0.0, 0.0), (0.3, -0.1, 100.0)]),
+    }
+).map(changed)
+
+
+# --- what can happen --------------------------------------------------------------------------
+
+
+@dataclass
+class World:
+    """An identifier, a clock, and every estimate that it has given."""
+
+    identifier: OnlineIdentifier
+    now_ns: int = START_NS
+    estimates: list[Estimate] = field(default_factory=list)
+
+    def give(self, stream: str, t_ns: int, values: tuple[float, ...]) -> None:
+        """Hand a sample over, whatever it is."""
+        take = self.identifier
+        if stream == "rates":
+            take.add_rates(t_ns, values[:3], values[3:])
+        elif stream == "actuators":
+            take.add_actuators(t_ns, values)
+        elif stream == "airspeed":
+            take.add_airspeed(t_ns, *values[:1])
+        else:
+            take.add_armed(t_ns, bool(values[0]))
+
+    def update(self) -> None:
+        """Compute what is due."""
+        while (due := self.identifier.due()) is not None:
+            estimate = self.identifier.update(due)
+            assert estimate is not None
+            self.estimates.append(estimate)
+
+
+Event = Callable[[World], None]
+
+
+@dataclass(frozen=True)
+class Fly:
+    """Let time pass and samples arrive, a share of their values replaced by hostile ones."""
+
+    seconds: float
+    rate: float
+    amplitude: float
+    hostility: float
+    seed: int
+
+    def __call__(self, world: World) -> None:
+        for k, (stream, t_ns, values) in enumerate(self.samples(world.now_ns)):
+            world.give(stream, t_ns, values)
+            if k % 16 == 0:
+                world.update()
+        world.now_ns += round(self.seconds * S)
+        world.update()
+
+    def samples(self, start_ns: int) -> Iterator[tuple[str, int, tuple[float, ...]]]:
+        """Samples of all streams: a first-order response to multisines, and hostility."""
+        rng = np.random.default_rng(self.seed)
+        count = max(1, round(self.seconds * self.rate))
+        t = np.arange(count) / self.rate
+        phases = rng.uniform(0.0, 6.0, (4, 1))
+        u = np.sin(np.linspace(3.0, 9.0, 4)[:, None] * t + phases).T
+        x = self.amplitude * np.cumsum(u[:, [2, 0, 1]] + rng.normal(size=(count, 3)), axis=0)
+        x /= max(1.0, self.rate)
+        force = self.amplitude * rng.normal(size=(count, 3))
+        offsets = np.arange(count) * round(S / self.rate) + rng.integers(0, 2, count) * MS
+        for k in range(count):
+            t_ns = start_ns + int(offsets[k])
+            yield "rates", t_ns, self._spoilt(rng, (*x[k], *force[k]))
+            if k % 4 == 0:
+                yield "actuators", t_ns, self._spoilt(rng, tuple(self.amplitude * u[k]))
+            if k % 20 == 0:
+                yield "airspeed", t_ns, self._spoilt(rng, (20.0 + 5.0 * float(u[k, 0]),))
+                yield "armed", t_ns, (float(rng.random() < 0.9),)
+
+    def _spoilt(self, rng: np.random.Generator, values: Any) -> tuple[float, ...]:
+        hostile = rng.random(len(values)) < self.hostility
+        chosen = rng.integers(0, len(HOSTILE), len(values))
+        return tuple(
+            HOSTILE[c] if h else float(v) for v, h, c in zip(values, hostile, chosen, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class Give:
+    """One sample with any stamp and any values, of any number."""
+
+    stream: str
+    t_ns: int
+    values: tuple[float, ...]
+    times: int
+
+    def __call__(self, world: World) -> None:
+        for k in range(self.times):  # five that agree are a new time base
+            world.give(self.stream, self.t_ns + k * MS, self.values)
+        world.update()
+
+
+@dataclass(frozen=True)
+class Jump:
+    """The clock jumps, either way."""
+
+    ns: int
+
+    def __call__(self, world: World) -> None:
+        world.now_ns = max(1, world.now_ns + self.ns)
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a service, a parameter or a jump of /clock does to the identifier."""
+
+    name: str
+
+    def __call__(self, world: World) -> None:
+        take = world.identifier
+        if self.name == "reset":
+            take.reset()
+        elif self.name == "restart":
+            take.restart()
+        elif self.name == "resume":
+            take.resume(take.coefficient_set(world.now_ns), take.delay)
+        elif self.name == "note saved":
+            take.note_saved(take.coefficient_set(world.now_ns))
+        else:
+            take.adapt = self.name == "adapt"
+
+
+flights = st.builds(
+    Fly,
+    seconds=st.sampled_from([0.1, 1.0, 3.0]),
+    rate=st.sampled_from([4.0, 50.0, 200.0]),
+    amplitude=st.sampled_from([0.0, 1e-310, 1e-9, 0.1, 1.0, 30.0, 1e4]),
+    hostility=st.sampled_from([0.0, 0.0, 0.02, 0.3]),
+    seed=st.integers(0, 2**32 - 1),
+)
+gifts = st.builds(
+    Give,
+    stream=st.sampled_from(["rates", "actuators", "airspeed"]),
+    t_ns=any_stamp,
+    values=st.lists(any_float, min_size=1, max_size=7).map(tuple),
+    times=st.sampled_from([1, 1, 6]),
+)
+jumps = st.builds(Jump, ns=st.sampled_from([-3600 * S, -2 * S, -MS, 300 * MS, 2 * S, 3600 * S]))
+commands = st.builds(
+    Command,
+    name=st.sampled_from(["reset", "restart", "resume", "note saved", "adapt", "hold"]),
+)
+histories = st.lists(st.one_of(flights, flights, gifts, jumps, commands), min_size=1, max_size=10)
+
+
+# --- no sequence of inputs yields nonsense ----------------------------------------------------
+
+
+def within(values: FloatArray, bound: float) -> bool:
+    return bool((np.abs(values) <= bound).all())  # NaN fails too
+
+
+def check(estimate: Estimate, settings: Settings) -> None:
+    """Everything in an estimate is finite and in its bounds."""
+    scale = LARGEST_RATIO**2 if settings.airspeed.type else 1.0
+    assert within(estimate.coefficients, LARGEST_COEFFICIENT * scale)
+    assert np.isfinite(estimate.sigma).all()
+    assert (estimate.sigma >= 0.0).all()
+    assert within(estimate.predicted_rates, ROOT_3 * LARGEST_RATE)
+    assert within(estimate.prediction_error, ROOT_3 * (LARGEST_RATE + 100.0))
+    assert within(estimate.fit, -WORST_FIT)
+    assert (estimate.fit <= 100.0).all()
+    assert estimate.state in [state.value for state in State]
+    structure = STRUCTURES[settings.structure]
+    assert not estimate.coefficients[~structure.mask].any()
+
+
+# An Imu at 4 Hz leaves two delays to choose from: no minimum among them.
+SLOW_IMU = [Fly(seconds, rate, 0.1, 0.0, 0) for seconds, rate in ((6.0, 4.0), (2.0, 50.0))]
+
+
+@hypothesis_settings(PLAIN, max_examples=40)
+@example(settings=Settings.from_values({"actuators.estimate_delay": True}), history=SLOW_IMU)
+@given(settings=any_settings, history=histories)
+def test_no_sequence_of_inputs_yields_nonsense(settings: Settings, history: list[Event]) -> None:
+    world = World(OnlineIdentifier(settings))
+    for event in history:
+        event(world)
+    stamps = [estimate.t_ns for estimate in world.estimates]
+    assert all(t_ns > 0 for t_ns in stamps)
+    for estimate in world.estimates:
+        check(estimate, settings)
+    assert np.isfinite(world.identifier.excitation()).all()
+    assert math.isfinite(world.identifier.delay)
+    saved = world.identifier.coefficient_set()
+    assert within(saved.values, LARGEST_COEFFICIENT)
+
+
+# --- batching and order -----------------------------------------------------------------------
+
+Sample = tuple[str, int, tuple[float, ...]]
+
+steady_flights = st.builds(
+    Fly,
+    seconds=st.sampled_from([0.3, 2.0, 4.0]),
+    rate=st.sampled_from([50.0, 200.0]),
+    amplitude=st.sampled_from([0.1, 1.0, 10.0]),
+    hostility=st.sampled_from([0.0, 0.05]),
+    seed=st.integers(0, 2**32 - 1),
+)
+gaps = st.sampled_from([0, 20 * MS, 400 * MS, 900 * MS])
+legs = st.lists(st.tuples(steady_flights, gaps), min_size=1, max_size=4)
+
+
+def flown(legs: list[tuple[Fly, int]]) -> list[Sample]:
+    """Samples of several flights with gaps between them, in the order of their stamps."""
+    samples: list[Sample] = []
+    start_ns = START_NS
+    for flight, gap_ns in legs:
+        samples += flight.samples(start_ns)
+        start_ns += round(flight.seconds * S) + gap_ns
+    return samples
+
+
+def estimates_of(
+    settings: Settings, samples: list[Sample], batches: Iterator[int]
+) -> tuple[list[Estimate], dict[str, Any]]:
+    """Estimates, and what was dropped, when ticks are asked for after batches of samples."""
+    world = World(OnlineIdentifier(settings))
+    left = next(batches)
+    for sample in samples:
+        world.give(*sample)
+        left -= 1
+        if left <= 0:
+            world.update()
+            left = next(batches)
+    world.update()
+    return world.estimates, world.identifier.drops
+
+
+def exactly(estimate: Estimate) -> tuple[Any, ...]:
+    """Everything in an estimate, arrays as their bytes."""
+    return tuple(
+        value.tobytes() if isinstance(value, np.ndarray) else value
+        for value in vars(estimate).values()
+    )
+
+
+def shuffled(samples: list[Sample], wait_ns: int, seed: int) -> list[Sample]:
+    """Let every sample arrive up to `wait_ns` late; at 0 only the streams change places."""
+    late = np.random.default_rng(seed).integers(0, max(wait_ns, 1), len(samples))
+    order = sorted(range(len(samples)), key=lambda k: samples[k][1] + int(late[k]))
+    return [samples[k] for k in order]
+
+
+@hypothesis_settings(PLAIN, max_examples=25)
+@given(
+    settings=any_settings,
+    legs=legs,
+    sizes=st.lists(st.integers(1, 500), min_size=1, max_size=8),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_batching_and_order_change_no_bit(
+    settings: Settings, legs: list[tuple[Fly, int]], sizes: list[int], seed: int
+) -> None:
+    """The same samples, asked for one by one or in any batches, in any order that is in time."""
+    samples = flown(legs)
+    reference, dropped = estimates_of(settings, samples, itertools.repeat(1))
+    own = shuffled(samples, round(settings.input_wait * S), seed)
+    estimates, also_dropped = estimates_of(settings, own, itertools.cycle(sizes))
+    assert list(map(exactly, estimates)) == list(map(exactly, reference))
+    assert also_dropped == dropped
+
+
+# --- save and load ----------------------------------------------------------------------------
+
+sigmas = st.one_of(
+    st.floats(min_value=0.0, allow_nan=False), st.just(math.inf), st.just(0.0), st.just(5e-324)
+)
+
+
+@st.composite
+def coefficient_sets(draw: st.DrawFn) -> CoefficientSet:
+    structure = STRUCTURES[draw(st.sampled_from(sorted(STRUCTURES)))]
+    values, sigma = np.zeros(structure.mask.shape), np.zeros(structure.mask.shape)
+    for index in structure.free:
+        values[index] = draw(st.floats(allow_nan=False, allow_infinity=False))
+        sigma[index] = draw(sigmas)
+    return CoefficientSet(structure.name, values, sigma, draw(st.integers(0, 2**63 - 1)))
+
+
+any_notes = st.builds(
+    Notes,
+    saved=st.none() | st.datetimes(timezones=st.just(UTC)),
+    usable=st.none() | st.booleans(),
+    delay=st.none() | st.floats(0.0, MAX_DELAY),
+    learned_with=st.dictionaries(
+        st.sampled_from([setting.name for setting in declarations()]),
+        (st.text() | st.lists(st.floats(allow_nan=False))).map(json.dumps),
+    ),
+)
+
+
+@hypothesis_settings(PLAIN, max_examples=40)
+@given(saved=coefficient_sets(), notes=any_notes)
+def test_saving_and_loading_coefficients_is_the_identity(
+    tmp_path_factory: pytest.TempPathFactory, saved: CoefficientSet, notes: Notes
+) -> None:
+    path = tmp_path_factory.mktemp("saved") / "coefficients.yaml"
+    save_coefficients(saved, path, notes)
+    loaded, loaded_notes = load_with_notes(path, saved.structure)
+    assert loaded.structure == saved.structure
+    assert loaded.t_ns == saved.t_ns
+    assert loaded.values.tobytes() == saved.values.tobytes()
+    assert loaded.sigma.tobytes() == saved.sigma.tobytes()
+    assert loaded_notes == notes
+    before = path.read_bytes()
+    save_coefficients(loaded, path, loaded_notes)
+    assert path.read_bytes() == before
+
+
+# Lists whose length is not that of the channels.
+LENGTHS = {"imu.rpy": (3,), "imu.lever_arm": (3,), "model.inertia": (0, 4)}
+
+
+def value_of(setting: Setting, channels: int, structure: str) -> st.SearchStrategy[Any]:
+    """Any value that a setting allows; lists have the length that goes with the others."""
+    n = STRUCTURES[structure].size
+    number = st.floats(
+        max(setting.low, -1e300),
+        min(setting.high, 1e300),
+        # C's strtod, and so rcl, does not read them.
+        allow_subnormal=False,
+    )
+    lengths = LENGTHS.get(setting.name, (channels,))
+    if setting.name == "actuators.channels":
+        indices = st.lists(st.integers(0, 2**31), min_size=channels, max_size=channels)
+        names = st.lists(st.text(min_size=1), min_size=channels, max_size=channels)
+        return st.one_of(indices, names).map(tuple)
+    if setting.name in ("actuators.scale", "actuators.trim"):
+        lengths = (0, channels)
+    if setting.name == "gradient.gains":
+        lengths = (0, n, n * n)
+    if setting.name == "initial_coefficients":
+        lengths = (0, 3 * n)
+    if setting.name == "fixed_coefficients":
+        known = st.sampled_from(STRUCTURES[structure].names)
+        return st.lists(known, unique=True).map(tuple)
+    if setting.type == "float[]":
+        return st.sampled_from(lengths).flatmap(
+            lambda k: st.lists(number, min_size=k, max_size=k).map(tuple)
+        )
+    if setting.choices:
+        return st.sampled_from(setting.choices)
+    return {"bool": st.booleans(), "float": number, "str": st.text()}[setting.type]
+
+
+@st.composite
+def every_setting(draw: st.DrawFn) -> Settings:
+    """Settings of which every single one may have any value that is allowed."""
+    channels = draw(st.integers(1, 6))
+    structure = draw(st.sampled_from(sorted(STRUCTURES)))
+    values = {
+        setting.name: draw(value_of(setting, channels, structure)) for setting in declarations()
+    }
+    values["structure"] = structure
+    return changed(values)
+
+
+@hypothesis_settings(PLAIN, max_examples=40)
+@given(settings=every_setting())
+def test_settings_survive_the_way_to_a_parameter_file_and_back(
+    tmp_path_factory: pytest.TempPathFactory, settings: Settings
+) -> None:
+    assert Settings.from_values(settings.values()) == settings
+    path = tmp_path_factory.mktemp("written") / "vehicle.yaml"
+    path.write_text(render(settings), encoding="utf-8")
+    loaded = Settings.from_values(load_parameters(path, "/drone1/identifier"))
+    assert repr(loaded) == repr(settings)  # repr tells 0.0 from -0.0
