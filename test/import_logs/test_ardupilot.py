@@ -74,7 +74,10 @@ def test_a_plane_with_reversed_servos(tmp_path: Path, capsys) -> None:
     np.testing.assert_allclose(
         mixing(found), [[0, -1, 0, 0], [0, 0, 0, -1], [1, 0, 0, 0], [0, 0, 1, 0]]
     )
-    assert "SERVO2_FUNCTION 19, 1100 1480 1900 us, reversed" in said
+    assert (
+        "elevator: SERVO2_FUNCTION 19, 1100 1480 1900 us, reversed; us less 1480, times -0.0025"
+    ) in said
+    assert "de (nose down) = -1 elevator" in said
     assert "elevator: one unit is half of 1100 to 1900 us to either side" in said
     assert "AHRS_ORIENTATION 8, roll 180 deg" in said
 

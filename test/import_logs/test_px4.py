@@ -63,6 +63,7 @@ def test_rotors_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:
     np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
     np.testing.assert_allclose(values["actuators.trim"], np.median(bag.actuators, axis=0))
     assert "4 rotors" in said
+    assert "da (right wing down) = -0.5 motor_1 +0.5 motor_2 +0.5 motor_3 -0.5 motor_4" in said
 
 
 def test_the_ready_configuration_of_the_same_vehicle_mixes_alike(tmp_path: Path, capsys) -> None:
@@ -244,7 +245,8 @@ def status(t_ns: np.ndarray, field: str, values: list[int]) -> dict:
 
 
 def test_the_trim_is_that_of_the_flight_not_of_the_ground(tmp_path: Path, capsys) -> None:
-    motors = np.zeros((len(COMMAND_NS), 4))
+    motors = np.full((len(COMMAND_NS), 4), np.nan)  # motors that are off
+    motors[50:] = 0.1
     motors[70:90] = 0.6
     landed = status(START + np.array([0, 1_400_000_000, 1_790_000_000]), "landed", [1, 0, 1])
     armed = status(START + np.array([0, 1_000_000_000]), "arming_state", [1, 2])
@@ -256,6 +258,7 @@ def test_the_trim_is_that_of_the_flight_not_of_the_ground(tmp_path: Path, capsys
     _, values, said = imported(tmp_path, capsys, topics, QUAD_X)
     np.testing.assert_allclose(values["actuators.trim"], 0.6, rtol=1e-6)
     assert "in the air for 0.4 s in 1 stretch(es)" in said
+    assert "50 samples lack a value of a channel in use" in said
 
     log, only = str(tmp_path / "flight.ulg"), tmp_path / "only"
     run([log, "--flight-only", "--output", str(only)], capsys)

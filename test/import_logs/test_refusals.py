@@ -136,6 +136,14 @@ def test_motors_without_geometry_are_refused_on_request_and_passed_over_else(
     assert "actuators: vehicle_torque_setpoint" in run([log, *out], capsys)
 
 
+def test_motors_that_were_never_on(tmp_path: Path, capsys, out) -> None:
+    nothing = np.full((len(IMU_NS) // 4, 12), np.nan)
+    motors = {("actuator_motors", 0): commands(IMU_NS[::4], nothing, "control")}
+    topics = {("sensor_combined", 0): RATES} | motors
+    log = write_ulog(tmp_path / "good.ulg", topics, {"CA_ROTOR_COUNT": 4, "CA_AIRFRAME": 0})
+    assert "hold no value throughout" in refusal([str(log), *out], capsys)
+
+
 def test_an_airspeed_that_is_not_there(tmp_path: Path, capsys, out) -> None:
     log = write_ulog(tmp_path / "good.ulg", GOOD, {})
     assert "has no airspeed" in refusal([str(log), "--airspeed", *out], capsys)
@@ -147,7 +155,7 @@ def test_an_airspeed_that_is_not_there(tmp_path: Path, capsys, out) -> None:
 def test_a_dataflash_log_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out) -> None:
     whole = plane_log(tmp_path).read_bytes()
     (tmp_path / "cut.bin").write_bytes(whole[: len(whole) // 2 + 5])
-    run([str(tmp_path / "cut.bin"), *out], capsys)
+    assert "cut off at its end" in run([str(tmp_path / "cut.bin"), *out], capsys)
     found = contents(tmp_path / "bag")
     np.testing.assert_array_equal(found.imu_t_ns, IMU_NS[: len(found.imu_t_ns)])
     assert 700 < len(found.imu_t_ns) < 1300
@@ -160,6 +168,12 @@ def test_a_dataflash_log_with_garbage_inside_says_so(tmp_path: Path, capsys, out
     (tmp_path / "bad.bin").write_bytes(whole)
     said = run([str(tmp_path / "bad.bin"), *out], capsys)
     assert "damaged, pymavlink left out what it could not read" in " ".join(said.split())
+
+
+def test_a_whole_dataflash_log_is_not_called_damaged(tmp_path: Path, capsys, out) -> None:
+    said = run([str(plane_log(tmp_path)), *out], capsys)
+    assert "cut off" not in said
+    assert "damaged" not in said
 
 
 @pytest.mark.parametrize(("left_out", "what"), [("IMU", "gyro"), ("RCOU", "actuators")])

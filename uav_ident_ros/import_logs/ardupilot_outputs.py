@@ -200,10 +200,8 @@ def _channels(log: DataflashLog, functions: dict[int, int], findings: Findings) 
             channels.append(_range(log, pin, name, effect, where, "MOT_PWM_MIN", "MOT_PWM_MAX"))
         else:
             channels.append(Channel(name, NO_EFFECT, where, unit="us"))
-    used = [c for c in channels if any(c.effect)]
     findings.read.append(
-        "functions, ranges, directions from SERVOn_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED: "
-        + ", ".join(f"{c.name} ({c.meaning})" for c in used)
+        "functions, ranges, directions from SERVOn_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
     )
     return channels
 

@@ -10,9 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
+
 from uav_ident_ros.import_logs import dataflash, px4_log
 from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
-from uav_ident_ros.import_logs.flight_log import Choice, FlightLog, ImportLogError
+from uav_ident_ros.import_logs.flight_log import TRIMS, Choice, FlightLog, ImportLogError
 from uav_ident_ros.import_logs.stamps import describe, doubts
 
 USAGE_ERROR = 2
@@ -65,7 +67,7 @@ def parser() -> argparse.ArgumentParser:
     add("--actuators-instance", type=int, default=0, metavar="I",
         help="which set of commands, of several: a PX4 VTOL's hover 0, forward flight 1 "
              "(0)")  # fmt: skip
-    add("--trim", choices=("flight", "neutral", "learn"), default="flight",
+    add("--trim", choices=TRIMS, default=TRIMS[0],
         help="trim of the channels: median in flight, rest position, or learnt by the "
              "identifier from steady flight (flight)")  # fmt: skip
     add("--airspeed", action="store_true", help="scale the coefficients with the airspeed")
@@ -97,7 +99,12 @@ def import_log(options: argparse.Namespace) -> None:
     ImportLogError, BagWriteError
         If the log cannot be used or the bag cannot be written.
     """
-    from uav_ident_ros.import_logs.writing import findings_by_title, write_import
+    from uav_ident_ros.import_logs.writing import (
+        findings_by_title,
+        fitting_parameters,
+        inputs_in_words,
+        write_import,
+    )
 
     folder = options.output or Path(options.log.stem)
     if folder.exists():
@@ -108,9 +115,11 @@ def import_log(options: argparse.Namespace) -> None:
     if options.flight_only:
         log = log.only_flight()
     _say_streams(log)
-    path = write_import(log, folder, options.trim, options.airspeed)
+    parameters = fitting_parameters(log, options.trim, options.airspeed)
+    path = write_import(log, folder, parameters, options.airspeed)
     print(f"{log.path.name}: {log.title}")
-    for title, sentences in findings_by_title(log.findings):
+    inputs = [("Inputs", inputs_in_words(log, parameters))]
+    for title, sentences in findings_by_title(log.findings) + inputs:
         print(f"\n{title}")
         for sentence in sentences:
             print(textwrap.fill(sentence, WIDTH, initial_indent="  - ", subsequent_indent="    "))
@@ -184,6 +193,12 @@ def _say_streams(log: FlightLog) -> None:
     for name, t_ns in streams:
         log.findings.read.append(f"{name}: {describe(t_ns)}")
         log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(t_ns)]
+    used = [i for i, channel in enumerate(log.actuators.channels) if any(channel.effect)]
+    if without := int((~np.isfinite(log.actuators.values[:, used])).any(axis=1).sum()):
+        log.findings.lost.append(
+            f"actuators: {without} samples lack a value of a channel in use, as of a motor that is "
+            "off: they will be dropped"
+        )
 
 
 if __name__ == "__main__":

@@ -72,8 +72,7 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
         airspeed = Airspeed(f"column '{columns.airspeed}'", t_ns[known], speed[known])
     findings.read.append(
         f"units and axes from the column map: rates in body axes {columns.axes}, times "
-        f"{columns.rates_factor:.6g} to rad/s; channels "
-        + ", ".join(f"{c.name} ({c.meaning})" for c in columns.channels.values())
+        f"{columns.rates_factor:.6g} to rad/s"
     )
     findings.assumed.append(
         "the stamp of a row is that of all its values, unfiltered; the table does not say when it "

@@ -133,6 +133,8 @@ class DataflashLog:
                         name for name, number in reader.name_to_id.items() if reader.counts[number]
                     )
                     self._collect(reader, types)
+                    if _ends_early(reader):
+                        self.damage.append("the file is cut off at its end: what is there was read")
                 finally:
                     reader.close()
         except OSError as error:
@@ -172,6 +174,15 @@ class DataflashLog:
         before = self.parameters.setdefault(name, value)
         if before != value:
             self.changes.append((getattr(message, "TimeUS", 0) * 1e-6, name, value))
+
+
+def _ends_early(reader: Any) -> bool:
+    """Whether the last message of some type reaches beyond the end of the file."""
+    return any(
+        offsets[-1] + reader.formats[number].len > reader.data_len
+        for number, offsets in enumerate(reader.offsets)
+        if len(offsets) and number in reader.formats
+    )
 
 
 def _number(value: object) -> float:

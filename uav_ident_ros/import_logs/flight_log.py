@@ -27,6 +27,11 @@ NS_PER_S = 1_000_000_000
 NS_PER_US = 1_000
 
 
+TRIMS = ("flight", "neutral", "learn")
+"""Where the trim comes from: the median in flight, the channels' rest positions, or the identifier
+itself, from the first steady stretch."""
+
+
 class ImportLogError(Exception):
     """A log cannot be imported; the message names the file and what is there instead."""
 

@@ -177,6 +177,11 @@ def _allocated(log: Px4Log, findings: Findings, instance: int) -> Actuators:
         channels += [c for c, used in zip(every, in_use, strict=True) if used]
         streams.append((topic.stamp_ns, values[:, in_use]))
         sources.append(topic.name)
+    if not channels:
+        raise ImportLogError(
+            f"log '{log.path}': {' and '.join(sources)} hold no value throughout: the motors were "
+            "never on"
+        )
     t_ns, values = streams[0] if len(streams) == 1 else join(streams[0], streams[1])
     if not any(any(c.effect) for c in channels):
         raise ImportLogError(

@@ -34,19 +34,20 @@ NOT_MEASURED = np.array([-1.0, *[0.0] * 8])
 UNKNOWN = np.zeros(9)
 """Covariance that is not known (sensor_msgs/Imu)."""
 
-TRIMS = ("flight", "neutral", "learn")
-"""Where the trim comes from: the median in flight, the channels' rest positions, or the identifier
-itself, from the first steady stretch."""
-
 LEARN_TRIM_TIME = 2.0
-"""Length of that stretch, s."""
+"""Length of the steady stretch that the trim is learnt from, s."""
+
+DIRECTIONS = ("nose down", "nose left", "right wing down", "throttle")
+"""What a positive de, dr, da, dth does."""
 
 COMMENT_WIDTH = 96
 
 Entry = tuple[int, str, Any]
 
 
-def write_import(log: FlightLog, folder: Path, trim: str, use_airspeed: bool) -> Path:
+def write_import(
+    log: FlightLog, folder: Path, parameters: dict[str, Any], use_airspeed: bool
+) -> Path:
     """Write the bag and the parameter file.
 
     Parameters
@@ -55,10 +56,10 @@ def write_import(log: FlightLog, folder: Path, trim: str, use_airspeed: bool) ->
         The log.
     folder : Path
         Folder of the new bag; must not exist.
-    trim : str
-        One of `TRIMS`.
+    parameters : dict
+        What `fitting_parameters` gives for it.
     use_airspeed : bool
-        Switch the scaling with the airspeed on.
+        Whether they switch the scaling with the airspeed on.
 
     Returns
     -------
@@ -70,7 +71,6 @@ def write_import(log: FlightLog, folder: Path, trim: str, use_airspeed: bool) ->
     BagWriteError
         If the folder exists or cannot be written.
     """
-    parameters = fitting_parameters(log, trim, use_airspeed)
     with BagWriter(folder) as bag:
         bag.topic(IMU_TOPIC, IMU_TYPE, qos(500, reliable=False))
         bag.topic(ACTUATORS_TOPIC, ACTUATORS_TYPE, qos(10))
@@ -150,13 +150,36 @@ def _airspeed_entries(log: FlightLog) -> Iterator[Entry]:
 # --- parameters ---------------------------------------------------------------------------------
 
 
+def inputs_in_words(log: FlightLog, parameters: dict[str, Any]) -> list[str]:
+    """Say what each used channel is and how the inputs come about from them."""
+    channels = [channel for _, channel in used_channels(log)]
+    lines = []
+    for channel, trim in zip(channels, parameters["actuators.trim"], strict=True):
+        scale = f", times {channel.scale:.6g}" if channel.scale != 1.0 else ""
+        lines.append(f"{channel.name}: {channel.meaning}; {channel.unit} less {trim:.6g}{scale}")
+    for i, (name, direction) in enumerate(zip(INPUTS, DIRECTIONS, strict=True)):
+        terms = [f"{c.effect[i]:+.4g} {c.name}" for c in channels if c.effect[i]]
+        lines.append(f"{name} ({direction}) = {' '.join(terms) or 'nothing'}")
+    return lines
+
+
 def used_channels(log: FlightLog) -> list[tuple[int, Channel]]:
     """Column and channel of everything that moves the aircraft."""
     return [(i, c) for i, c in enumerate(log.actuators.channels) if any(c.effect)]
 
 
 def fitting_parameters(log: FlightLog, trim: str, use_airspeed: bool) -> dict[str, Any]:
-    """Parameters of the identifier that fit the bag, by dotted name."""
+    """Return parameters of the identifier that fit the bag, by dotted name.
+
+    Parameters
+    ----------
+    log : FlightLog
+        The log.
+    trim : str
+        One of `flight_log.TRIMS`.
+    use_airspeed : bool
+        Switch the scaling with the airspeed on.
+    """
     channels = [channel for _, channel in used_channels(log)]
     values: dict[str, Any] = {
         "imu.type": IMU_TYPE,
@@ -209,7 +232,8 @@ def _parameter_text(log: FlightLog, parameters: dict[str, Any], use_airspeed: bo
         "# SPDX-License-Identifier: Apache-2.0",
         *_comment(f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."),
     ]
-    for title, sentences in findings_by_title(log.findings):
+    inputs = [("Inputs", inputs_in_words(log, parameters))]
+    for title, sentences in findings_by_title(log.findings) + inputs:
         lines.append(f"# {title}:")
         for sentence in sentences:
             lines += _comment(sentence, "- ", "  ")
