@@ -5,6 +5,7 @@ the format can hold, and the same coefficients."""
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from dataflash_writing import DataflashWriter
 from imported import contents, flight, parameters, replayed, run
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
+from uav_ident_ros.replay import main as replay
 from uav_ident_ros.simulation.channels import PWM
 from uav_ident_ros.simulation.noise import Measurements
 from uav_ident_ros.simulation.recording import parameters as original_parameters
@@ -292,3 +294,37 @@ def test_tables_of_other_units(tmp_path: Path, measured: Measurements, capsys) -
     assert math.isclose(values["airspeed.reference"], 20.0)
     assert values["actuators.trim"] == [1500.0]
     assert values["actuators.mixing.de"] == [1.0]
+
+
+def test_the_whole_way_from_a_log_to_a_verdict(tmp_path: Path, capsys) -> None:
+    """The example flight of a JSBSim aircraft as a PX4 log, by the two commands a user types."""
+    example = Path(__file__).resolve().parents[2] / "bags" / "c172p"
+    recorded = contents(example)
+    to_frd = np.array([1.0, -1.0, -1.0])
+    values = recorded.actuators * PLAIN_SIGNS
+    topics = {
+        ("sensor_combined", 0): sensor_combined(
+            recorded.imu_t_ns, recorded.rates * to_frd, recorded.force * to_frd
+        ),
+        ("actuator_motors", 0): commands(
+            recorded.actuator_t_ns, padded(values[:, 3:], 12), "control"
+        ),
+        ("actuator_servos", 0): commands(
+            recorded.actuator_t_ns, padded(values[:, :3], 8), "control"
+        ),
+    }
+    log = write_ulog(tmp_path / "c172p.ulg", topics, FIXED_WING)
+    run([str(log), "--output", str(tmp_path / "bag")], capsys)
+    summaries = {}
+    for name, bag in (("imported", tmp_path / "bag"), ("recorded", example)):
+        output = tmp_path / name
+        arguments = [str(bag), "--params-file", str(bag / "identifier.yaml")]
+        assert replay([*arguments, "--output", str(output)]) == 0
+        summaries[name] = json.loads((output / "summary.json").read_text())
+    imported, original_summary = summaries["imported"], summaries["recorded"]
+    assert imported["usable"] and original_summary["usable"]
+    assert imported["inputs"]["rates"]["dropped"] == {}
+    assert abs(imported["delay"]) < 0.005  # the simulation has none, and the log asks to find it
+    for coefficient in ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr"):
+        found, expected = (s["coefficients"][coefficient] for s in (imported, original_summary))
+        assert abs(found["value"] - expected["value"]) < expected["sigma"]
