@@ -129,14 +129,19 @@ def _choose(log: Px4Log, usable: dict[str, Topic], findings: Findings) -> str:
         )
         return "vehicle_torque_setpoint"
     candidates = explained or candidates
-    fast = [n for n in candidates if usable[n].rate >= ENOUGH_RATE]
-    chosen = fast[0] if fast else max(candidates, key=lambda n: usable[n].rate)
+    rates = {name: usable[name].rate for name in candidates}
+    # Motors and servos count as one: what is slower decides.
+    slowest = min((rates[n] for n in ALLOCATED if n in rates), default=0.0)
+    rates |= {n: slowest for n in ALLOCATED if n in rates}
+    fast = [n for n in candidates if rates[n] >= ENOUGH_RATE]
+    chosen = fast[0] if fast else max(candidates, key=lambda n: rates[n])
     for name in candidates[: candidates.index(chosen)]:
-        findings.lost.append(
-            f"{name} is logged at {usable[name].rate:.0f} Hz only (PX4's default profile); "
-            f"{chosen}, at {usable[chosen].rate:.0f} Hz, knows nothing of saturation. The profiles "
-            "'high rate' and 'system identification' of SDLOG_PROFILE log all of it"
-        )
+        if usable[name].rate < ENOUGH_RATE:
+            findings.lost.append(
+                f"{name} is logged at {usable[name].rate:.0f} Hz only (PX4's default profile); "
+                f"{chosen}, at {usable[chosen].rate:.0f} Hz, knows nothing of saturation. The "
+                "profile 'high rate' of SDLOG_PROFILE logs all of it"
+            )
     return chosen
 
 
