@@ -13,6 +13,7 @@ from rclpy.serialization import deserialize_message
 
 from uav_ident_ros.airspeed import AIRSPEED
 from uav_ident_ros.armed import ARMED
+from uav_ident_ros.cdr import ChannelsDecoder
 from uav_ident_ros.diagnostics import InputMonitor
 from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -36,6 +37,9 @@ IMU_TYPE = "sensor_msgs/msg/Imu"
 
 QUEUE_DEPTH = 500
 """Messages kept while the node is busy: half a second at 1 kHz. A depth of 5 loses some."""
+
+Reading = tuple[int | None, Any]
+"""Stamp, ns, None if the message has none, and values."""
 
 _OVERRIDABLE = (
     QoSPolicyKind.HISTORY,
@@ -165,6 +169,8 @@ class ArrayInput:
         Stamp and values to the identifier; returns why it dropped them, or None.
     warnings : Throttle
         Takes what was refused, and why.
+    read_bytes : callable, optional
+        The same as `read` from the bytes, without a message; None if they are of another form.
     """
 
     def __init__(
@@ -172,44 +178,70 @@ class ArrayInput:
         node: Node,
         type_name: str,
         topic: str,
-        read: Callable[[Any], tuple[int | None, Any]],
+        read: Callable[[Any], Reading],
         add: Callable[[int, Any], Drop | None],
         warnings: Throttle,
+        read_bytes: Callable[[bytes], Reading | None] | None = None,
     ) -> None:
         self._clock = node.get_clock()
         self._read = read
+        self._read_bytes = read_bytes
         self._add = add
         self._input = _Input(node, type_name, topic, self._take, warnings)
         self.monitor = self._input.monitor
 
     def _take(self, data: bytes) -> None:
-        arrival_ns = self._clock.now().nanoseconds
         self.monitor.arrived()
-        message = self._input.decode(data)
-        if message is None:
-            return
         try:
-            stamp_ns, values = self._read(message)
+            reading = self._reading(data)
         except ChannelError as error:
             reason = "not finite" if error.not_finite else "wrong channels"
             self._input.refuse(reason, str(error))
             return
-        drop = self._add(arrival_ns if stamp_ns is None else stamp_ns, values)
+        if reading is None:
+            return
+        stamp_ns, values = reading
+        drop = self._add(self._clock.now().nanoseconds if stamp_ns is None else stamp_ns, values)
         if drop is not None:
             self._input.warn(drop.value, drop.value)
+
+    def _reading(self, data: bytes) -> Reading | None:
+        """Read a message; None, and say so, if it cannot be decoded."""
+        reading = self._read_bytes(data) if self._read_bytes is not None else None
+        if reading is not None:
+            return reading
+        message = self._input.decode(data)
+        return None if message is None else self._read(message)
 
 
 def actuator_input(node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> ArrayInput:
     """Subscribe to the actuator channels; parameters as in `ArrayInput`."""
     settings = identifier.settings.actuators
+    reader = ActuatorReader(settings)
     return ArrayInput(
         node,
         settings.type,
         ACTUATORS_TOPIC,
-        ActuatorReader(settings),
+        reader,
         identifier.add_actuators,
         warnings,
+        _bytes_reader(settings.type, reader),
     )
+
+
+def _bytes_reader(
+    type_name: str, reader: ActuatorReader
+) -> Callable[[bytes], Reading | None] | None:
+    """Return what reads the channels from bytes, for the types where that is possible."""
+    if not ChannelsDecoder.knows(type_name, reader.field):
+        return None
+    decode = ChannelsDecoder(type_name, reader.field)
+
+    def read(data: bytes) -> Reading | None:
+        reading = decode(data)
+        return None if reading is None else reader.select(reading)
+
+    return read
 
 
 def airspeed_input(node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> ArrayInput:

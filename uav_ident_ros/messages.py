@@ -240,6 +240,11 @@ class ActuatorReader:
     settings : ActuatorSettings
         Type, field and channels.
 
+    Attributes
+    ----------
+    field : str
+        The array field that is read.
+
     Raises
     ------
     MessageTypeError
@@ -249,8 +254,8 @@ class ActuatorReader:
     def __init__(self, settings: ActuatorSettings) -> None:
         adapter = ACTUATORS[settings.type]
         self._read = adapter.read
-        self._field = settings.field or adapter.fields[0]
-        if self._field not in adapter.fields:
+        self.field = settings.field or adapter.fields[0]
+        if self.field not in adapter.fields:
             raise MessageTypeError(
                 f"'actuators.field' is '{settings.field}': {settings.type} has "
                 f"{', '.join(adapter.fields)}"
@@ -274,7 +279,10 @@ class ActuatorReader:
         ChannelError
             If a channel is missing or not finite.
         """
-        reading = self._read(message, self._field)
+        return self.select(self._read(message, self.field))
+
+    def select(self, reading: ActuatorReading) -> tuple[int | None, tuple[float, ...]]:
+        """Return the same from what was read already."""
         if reading.names is not None and reading.names != self._names:
             self._find(list(reading.names))
         values = reading.values
@@ -282,7 +290,7 @@ class ActuatorReader:
             selected = tuple([float(values[i]) for i in self._indices])
         except IndexError:
             raise ChannelError(
-                f"'{self._field}' has {len(values)} values, too few for channels "
+                f"'{self.field}' has {len(values)} values, too few for channels "
                 f"{_listed(self._channels)}"
             ) from None
         if not math.isfinite(sum(selected)):  # a sum of finite channels does not overflow

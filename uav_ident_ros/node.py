@@ -132,8 +132,7 @@ class IdentifierNode(Node):
             self._meter.ticked(time.perf_counter() - start)
             if estimate is not None:
                 self._estimate = estimate
-                self._outputs.frame_id = self._rates.frame_id
-                self._outputs.publish(estimate)
+                self._outputs.publish(estimate, self._rates.frame_id)
 
     def _on_jump(self, jump: TimeJump) -> None:
         """Start again after a jump of /clock; cold if it went back under use_sim_time."""

@@ -1,24 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node's publishers: estimates to messages.
 
-Every scalar goes through float(): an int, a bool or a NumPy scalar in a float64 field would be
-published as garbage, without an exception.
+All four messages have a fixed form. They are serialized once, and then only the numbers in their
+bytes are written anew.
 """
 
 from __future__ import annotations
 
-from array import array
-
-from builtin_interfaces.msg import Time
+import numpy as np
 from geometry_msgs.msg import Vector3, Vector3Stamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
+from uav_ident_ros.cdr import Template
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.messages import NS_PER_S, coefficients_layout, entry_names, named_entries
+from uav_ident_ros.messages import coefficients_layout, entry_names, named_entries
 
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
@@ -37,57 +36,68 @@ class Outputs:
         Owner of the publishers.
     structure : Structure
         Structure of the estimates.
-
-    Attributes
-    ----------
-    frame_id : str
-        Frame of the predicted rates: that of the Imu's messages.
     """
 
     def __init__(self, node: Node, structure: Structure) -> None:
         self._structure = structure
-        self.frame_id = ""
         create = node.create_publisher
         self._named = create(JointState, "~/coefficients_named", LATCHED)
         self._coefficients = create(Float64MultiArray, "~/coefficients", LATCHED)
         self._predicted = create(Vector3Stamped, "~/predicted_rates", RELIABLE)
         self._error = create(Vector3Stamped, "~/prediction_error", RELIABLE)
-        self._layout = MultiArrayLayout(
-            dim=[
-                MultiArrayDimension(label=label, size=size, stride=stride)
-                for label, size, stride in coefficients_layout(structure)
-            ]
-        )
-        self._names = list(entry_names(structure))
+        self._named_form = _named_form(structure)
+        self._dense_form = _dense_form(structure)
+        self._frame_id = ""
+        self._vector_form = _vector_form(self._frame_id)
 
-    def publish(self, estimate: Estimate) -> None:
-        """Publish an estimate on every topic, stamped with its tick."""
-        stamp = Time(sec=estimate.t_ns // NS_PER_S, nanosec=estimate.t_ns % NS_PER_S)
+    def publish(self, estimate: Estimate, frame_id: str) -> None:
+        """Publish an estimate on every topic, stamped with its tick.
+
+        Parameters
+        ----------
+        estimate : Estimate
+            What to publish.
+        frame_id : str
+            Frame of its rates: that of the Imu's messages.
+        """
+        if frame_id != self._frame_id:
+            self._frame_id = frame_id
+            self._vector_form = _vector_form(frame_id)
         entries = named_entries(estimate, self._structure)
-        self._named.publish(
-            JointState(
-                header=Header(stamp=stamp),
-                name=self._names,
-                position=_doubles(entries.positions),
-                effort=_doubles(entries.efforts),
-            )
-        )
-        self._coefficients.publish(
-            Float64MultiArray(layout=self._layout, data=_doubles(estimate.coefficients))
-        )
-        header = Header(stamp=stamp, frame_id=self.frame_id)
-        self._predicted.publish(
-            Vector3Stamped(header=header, vector=_vector(estimate.predicted_rates))
-        )
-        self._error.publish(
-            Vector3Stamped(header=header, vector=_vector(estimate.prediction_error))
-        )
+        self._named_form.stamp(estimate.t_ns)
+        self._vector_form.stamp(estimate.t_ns)
+        vector = self._vector_form.filled
+        self._named.publish(self._named_form.filled(entries.positions, entries.efforts))
+        self._coefficients.publish(self._dense_form.filled(estimate.coefficients))
+        self._predicted.publish(vector(estimate.predicted_rates))
+        self._error.publish(vector(estimate.prediction_error))
 
 
-def _doubles(values: FloatArray) -> array[float]:
-    """Row-major float64 values: several times quicker into a message than an ndarray."""
-    return array("d", values.tobytes())
+def _marks(count: int, first: int = 1) -> FloatArray:
+    """Numbers to find a place in a message by: no length or label has their bytes."""
+    return np.pi * np.arange(first, first + count)
 
 
-def _vector(values: FloatArray) -> Vector3:
-    return Vector3(x=float(values[0]), y=float(values[1]), z=float(values[2]))
+def _named_form(structure: Structure) -> Template:
+    names = list(entry_names(structure))
+    positions, efforts = _marks(len(names)), _marks(len(names), first=1 + len(names))
+    message = JointState(name=names, position=positions.tolist(), effort=efforts.tolist())
+    return Template(message, (positions, efforts))
+
+
+def _dense_form(structure: Structure) -> Template:
+    data = _marks(structure.mask.size)
+    layout = MultiArrayLayout(
+        dim=[
+            MultiArrayDimension(label=label, size=size, stride=stride)
+            for label, size, stride in coefficients_layout(structure)
+        ]
+    )
+    return Template(Float64MultiArray(layout=layout, data=data.tolist()), (data,))
+
+
+def _vector_form(frame_id: str) -> Template:
+    mark = _marks(3)
+    x, y, z = mark.tolist()
+    message = Vector3Stamped(header=Header(frame_id=frame_id), vector=Vector3(x=x, y=y, z=z))
+    return Template(message, (mark,))
