@@ -184,8 +184,10 @@ class ControllerExample(Node):
         last_ns, said = self._reported
         if line == said and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
             return
-        if line != said:
-            (self.get_logger().warning if why else self.get_logger().info)(line)
+        if line != said and why:
+            self.get_logger().warning(line)
+        elif line != said:
+            self.get_logger().info(line)
         self._reported = (t_ns, line)
         level = DiagnosticStatus.WARN if why else DiagnosticStatus.OK
         values = (

@@ -76,7 +76,7 @@ class AttitudeModel:
     replaced : tuple of str
         Coefficients that are not the newest: unknown now, and taken from the fallback.
     left_out : tuple of str
-        Coefficients that nobody knows: taken as 0, and their inputs are not inverted.
+        Coefficients that nobody knows: taken as 0.
     """
 
     structure: Structure
@@ -187,7 +187,8 @@ class AttitudeModel:
         return Inversion(u, drift + B @ u, tuple(INPUTS[i] for i in at_limit))
 
     def _input_known(self, column: int) -> bool:
-        return bool(self.known[:, INPUT_COLUMNS][:, column].all())
+        """Whether anything is known to be moved by an input; what is not known counts as 0."""
+        return bool(self.values[:, INPUT_COLUMNS.start + column].any())
 
     def _check_invertible(
         self, B: FloatArray, columns: Sequence[int], inputs: Sequence[str]

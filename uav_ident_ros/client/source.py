@@ -11,10 +11,12 @@ import numpy as np
 from uav_ident_ros.client.coefficients import SECOND_NS, Coefficients, NamedMessage
 from uav_ident_ros.client.history import History
 from uav_ident_ros.client.model import AttitudeModel, Refusal
-from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.identification.structure import BoolArray
 
 MAX_AGE = 0.5
 """Age at which coefficients count as stale, s: ten ticks missed."""
+
+_NONE_KNOWN: BoolArray = np.zeros((3, 0), dtype=bool)
 
 
 class Fallback(Enum):
@@ -78,7 +80,9 @@ class CoefficientSource:
         self._max_age = max_age
         self._delay_ns = round(delay * SECOND_NS)
         self._history: History[Coefficients] = History()
-        self._good = nominal  # the last good value of each coefficient
+        # the last good value of each coefficient, and which there are
+        self._good = nominal
+        self._good_known = _NONE_KNOWN if nominal is None else nominal.known
         self._chosen: tuple[Coefficients | None, AttitudeModel | None] = (None, None)
 
     def take(self, message: NamedMessage) -> Coefficients:
@@ -121,39 +125,44 @@ class CoefficientSource:
             If the newest coefficients are refused, and the fallback is empty.
         """
         reason = self.refusal(now_ns)
-        chosen = self._spare() if reason else self.newest(now_ns)
+        spare, spare_known = self._spare()
+        chosen = spare if reason else self.newest(now_ns)
         if chosen is None:
             raise Refusal(reason)
         before, model = self._chosen
-        if before is not chosen or model is None:
-            model = self._stand_in(chosen) if reason else self._merge(chosen)
-            self._chosen = (chosen, model)
+        if before is chosen and model is not None:
+            return model
+        if not reason:
+            model = self._merge(chosen, spare, spare_known)
+        else:
+            source = "nominal" if chosen is self._nominal else "last good"
+            model = _model(chosen, spare_known, source)
+        self._chosen = (chosen, model)
         return model
 
-    def _spare(self) -> Coefficients | None:
+    def _spare(self) -> tuple[Coefficients | None, BoolArray]:
+        """Coefficients of the fallback, and which of them may be acted on."""
         match self.fallback:
-            case Fallback.LAST_GOOD:
-                return self._good
-            case Fallback.NOMINAL:
-                return self._nominal
-        return None
+            case Fallback.LAST_GOOD if self._good is not None:
+                return self._good, self._good_known
+            case Fallback.NOMINAL if self._nominal is not None:
+                return self._nominal, self._nominal.known
+        return None, _NONE_KNOWN
 
-    def _stand_in(self, spare: Coefficients) -> AttitudeModel:
-        source = "nominal" if spare is self._nominal else "last good"
-        return _model(spare, spare.values, spare.known, source)
-
-    def _merge(self, newest: Coefficients) -> AttitudeModel:
-        """Replace what is not known, and remember what is."""
-        spare, values, known, sigma = self._spare(), newest.values, newest.known, newest.sigma
+    def _merge(
+        self, newest: Coefficients, spare: Coefficients | None, spare_known: BoolArray
+    ) -> AttitudeModel:
+        """Replace what is not known, and remember what is good now."""
+        values, known = newest.values, newest.known
         replaced: tuple[str, ...] = ()
         if spare is not None and spare.structure is newest.structure:
-            from_spare = ~known & spare.known
+            from_spare = ~known & spare_known
             values = np.where(from_spare, spare.values, values)
-            sigma = np.where(from_spare, spare.sigma, sigma)
-            replaced = _names(newest, from_spare)
             known = known | from_spare
-        self._good = dataclasses.replace(newest, values=values, sigma=sigma, usable=True)
-        return _model(newest, values, known, "identified", replaced)
+            replaced = _names(newest, from_spare)
+        self._good = dataclasses.replace(newest, values=values)
+        self._good_known = known
+        return _model(self._good, known, "identified", replaced)
 
 
 def _names(coefficients: Coefficients, which: BoolArray) -> tuple[str, ...]:
@@ -163,15 +172,11 @@ def _names(coefficients: Coefficients, which: BoolArray) -> tuple[str, ...]:
 
 
 def _model(
-    coefficients: Coefficients,
-    values: FloatArray,
-    known: BoolArray,
-    source: str,
-    replaced: tuple[str, ...] = (),
+    coefficients: Coefficients, known: BoolArray, source: str, replaced: tuple[str, ...] = ()
 ) -> AttitudeModel:
     return AttitudeModel(
         structure=coefficients.structure,
-        values=np.where(known, values, 0.0),
+        values=np.where(known, coefficients.values, 0.0),
         known=known,
         t_ns=coefficients.t_ns,
         source=source,

@@ -105,6 +105,7 @@ class PlantNode(Node):
         self._reference: tuple[int, np.ndarray] | None = None
         self._coefficients_ns = 0
         self._identifier_silent = not self._value("wait_for_identifier")
+        self._controller_silent = False
         self.missed = 0
         self._connect()
         self._executor = SingleThreadedExecutor()
@@ -128,6 +129,7 @@ class PlantNode(Node):
         surfaces = np.array(message.position[:3])
         if surfaces.shape == (3,) and np.isfinite(surfaces).all():
             self._commands[header_ns(message)] = surfaces
+            self._controller_silent = False
         else:
             self.get_logger().error(
                 f"command {list(message.position)}: elevator, rudder and aileron are wanted, rad"
@@ -267,11 +269,11 @@ class PlantNode(Node):
                 return False
             return self._now_ns in self._commands
 
-        if not self._wait(answered, PATIENCE):
+        if not self._controller_silent and not self._wait(answered, PATIENCE):
+            self._controller_silent = True
             self.get_logger().error(
-                f"no command for the sample of {self._aircraft.time:.2f} s within "
-                f"{PATIENCE:g} s: the last one holds",
-                throttle_duration_sec=10.0,
+                f"no answer to the sample of {self._aircraft.time:.2f} s within {PATIENCE:g} s: "
+                "the last command holds, and the flight goes on without waiting"
             )
         wanted = self._now_ns - COEFFICIENTS_WITHIN_NS
         if not self._identifier_silent and wanted > self._start_ns + COEFFICIENTS_WITHIN_NS:

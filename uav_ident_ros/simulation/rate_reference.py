@@ -26,11 +26,11 @@ from uav_ident_ros.simulation.flight import GRAVITY
 ANGLE_GAIN = 1.0
 """Rate of an angle per rad of its error, 1/s."""
 
-SMOOTHING = 0.3
+SMOOTHING = 0.2
 """Time constant of these rates, s: a pilot's hand, not a step."""
 
-MAX_RATES = (0.35, 0.1)
-"""Largest rates of bank and pitch angle, rad/s: 20 and 6 deg/s."""
+MAX_RATES = (0.35, 0.15)
+"""Largest rates of bank and pitch angle, rad/s: 20 and 9 deg/s."""
 
 STEADY_TIME = 2.0
 """Time of straight flight at the start, s."""
@@ -117,8 +117,8 @@ class RateReference(Node):
             name: self.declare_parameter(name, default).value
             for name, default in {
                 "bank": 0.5,  # rad
-                "pitch": 0.08,  # rad
-                "hold": [2.5, 5.0],  # s
+                "pitch": 0.1,  # rad
+                "hold": [2.0, 4.0],  # s
                 "airspeed": 53.0,  # m/s
                 "seed": 0,
             }.items()

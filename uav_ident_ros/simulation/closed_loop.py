@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The closed loop as processes, without launch: plant, identifier, controller, rate reference.
+
+``scripts/closed_loop --fault '60: aileron effect 0.5'`` flies one flight and says how well the
+reference was followed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.faults import parse_fault
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIG = ROOT / "config" / "closed_loop"
+
+MODULES = {
+    "identifier": "uav_ident_ros.node",
+    "controller": "uav_ident_ros.controller_example",
+    "rate_reference": "uav_ident_ros.simulation.rate_reference",
+    "simulated_plant": "uav_ident_ros.simulation.plant_node",
+}
+"""The processes and what they run."""
+
+END_TIME = 10.0
+"""Seconds that a process may take to end."""
+
+WINDOWS = ((30.0, 0.0), (0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, math.inf))
+"""Stretches that are judged: the first ends with the fault, the others are s after it."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One flight of the closed loop.
+
+    Parameters
+    ----------
+    duration : float
+        s.
+    faults : tuple of str
+        As in `uav_ident_ros.simulation.faults`, with times.
+    mode : str
+        Of the controller: ``adaptive`` or ``fixed``.
+    heed_verdict : bool
+        Whether the controller heeds ``verdict/usable``, or each coefficient's sigma alone.
+    cold : bool
+        Whether the identifier starts without initial coefficients.
+    seed : int
+        Seed of noise, gusts and manoeuvres.
+    lock_step : bool
+        In step, or in real time.
+    files : Path
+        Folder of ``AIRCRAFT.yaml`` and ``AIRCRAFT_coefficients.yaml``.
+    aircraft : str
+        JSBSim's name.
+    parameters : mapping
+        More parameters, by process: ``{"simulated_plant": {"rate": "200.0"}}``.
+    """
+
+    duration: float = 120.0
+    faults: tuple[str, ...] = ()
+    mode: str = "adaptive"
+    heed_verdict: bool = True
+    cold: bool = False
+    seed: int = 0
+    lock_step: bool = True
+    files: Path = CONFIG
+    aircraft: str = "c172p"
+    parameters: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def arguments(self, process: str, record: Path) -> list[str]:
+        """ROS arguments of a process.
+
+        Parameters
+        ----------
+        process : str
+            One of `MODULES`.
+        record : Path
+            Where the plant leaves its record.
+        """
+        coefficients = str(self.files / f"{self.aircraft}_coefficients.yaml")
+        in_step = str(self.lock_step).lower()
+        own: dict[str, dict[str, str]] = {
+            "identifier": {"use_sim_time": in_step},
+            "controller": {
+                "mode": self.mode,
+                "nominal_file": coefficients,
+                "heed_verdict": str(self.heed_verdict).lower(),
+            },
+            "rate_reference": {"seed": str(self.seed)},
+            "simulated_plant": {
+                "duration": str(float(self.duration)),
+                "seed": str(self.seed),
+                "lock_step": in_step,
+                "faults": "[" + ", ".join(f"'{text}'" for text in (*self.faults, "")) + "]",
+                "record_file": str(record),
+            },
+        }
+        if not self.cold:
+            own["identifier"]["initial_coefficients_file"] = coefficients
+        if not self.lock_step:
+            own["controller"] |= {"coefficients_delay": "0.0", "reference_delay": "0.0"}
+        values = {**own[process], **self.parameters.get(process, {})}
+        out = ["--ros-args", "--params-file", str(self.files / f"{self.aircraft}.yaml")]
+        for name, value in values.items():
+            out += ["-p", f"{name}:={value}"]
+        return out
+
+
+class ClosedLoop:
+    """The running processes; a context manager that ends them.
+
+    Parameters
+    ----------
+    loop : Loop
+        What to fly.
+    folder : Path
+        For the logs, the record and what the nodes keep: each flight starts afresh.
+    """
+
+    def __init__(self, loop: Loop, folder: Path) -> None:
+        self.loop, self.folder = loop, folder
+        self.record_file = folder / "flight.npz"
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> ClosedLoop:
+        for name in MODULES:
+            self.start(name)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
+    ) -> None:
+        for process in self.processes.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        for process in self.processes.values():
+            try:
+                process.wait(END_TIME)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def start(self, name: str) -> None:
+        """Start one of `MODULES`, or start it again."""
+        environment = {
+            **os.environ,
+            "ROS_HOME": str(self.folder),
+            "ROS_LOG_DIR": str(self.folder),
+            "RCUTILS_LOGGING_BUFFERED_STREAM": "0",
+        }
+        with self.log_file(name).open("ab") as log:
+            self.processes[name] = subprocess.Popen(
+                [
+                    sys.executable, "-m", MODULES[name],
+                    *self.loop.arguments(name, self.record_file),
+                ],
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment,
+            )  # fmt: skip
+
+    def log_file(self, name: str) -> Path:
+        """Return the file of what a process prints."""
+        return self.folder / f"{name}.log"
+
+    def log(self, name: str) -> str:
+        """Everything that a process has printed so far."""
+        return self.log_file(name).read_text(encoding="utf-8", errors="replace")
+
+    def wait(self, timeout: float) -> dict[str, FloatArray]:
+        """Wait until the plant has landed; return its record.
+
+        Raises
+        ------
+        SimulationError
+            If a process ends too soon or the flight takes longer than `timeout` seconds.
+        """
+        end = time.monotonic() + timeout
+        plant = self.processes["simulated_plant"]
+        while plant.poll() is None:
+            for name, process in self.processes.items():
+                if name != "identifier" and process.poll() not in (None, 0):
+                    raise SimulationError(f"{name} ended: {_last_line(self.log(name))}")
+            if time.monotonic() > end:
+                raise SimulationError(f"the flight is not over after {timeout:g} s")
+            time.sleep(0.1)
+        if plant.returncode:
+            raise SimulationError(f"simulated_plant: {_last_line(self.log('simulated_plant'))}")
+        with np.load(self.record_file) as archive:
+            return dict(archive)
+
+
+def _last_line(text: str) -> str:
+    lines = [line for line in text.splitlines() if line.strip()]
+    return lines[-1] if lines else "it printed nothing"
+
+
+@contextmanager
+def own_domain(domain: int) -> Iterator[None]:
+    """Keep a loop's traffic to itself: ROS domain `domain` of this machine."""
+    own = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    before = {name: os.environ.get(name) for name in own}
+    os.environ.update(own)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def tracking_error(record: Mapping[str, FloatArray], start: float, end: float) -> FloatArray:
+    """Rms of true rates minus reference from `start` to `end` (s), shape (3,), deg/s."""
+    inside = (record["time"] >= start) & (record["time"] < end)
+    error = (record["rates"] - record["reference"])[inside]
+    return np.degrees(np.sqrt(np.nanmean(error**2, axis=0)))
+
+
+def windows(fault_time: float, duration: float) -> list[tuple[float, float]]:
+    """Stretches of a flight that are judged: before the fault, then after it, s."""
+    first = (min(WINDOWS[0][0], 0.5 * fault_time), fault_time)
+    after = [(fault_time + a, min(fault_time + b, duration)) for a, b in WINDOWS[1:]]
+    return [first, *((a, b) for a, b in after if b > a)]
+
+
+def report(record: Mapping[str, FloatArray], fault_time: float) -> Iterator[str]:
+    """Lines that say how well a flight followed its reference."""
+    yield "rms of true rates minus reference, deg/s        p      q      r"
+    duration = float(record["time"][-1])
+    for start, end in windows(fault_time, duration):
+        p, q, r = tracking_error(record, start, end)
+        yield f"  {start:5.0f} s to {end:5.0f} s {'':22} {p:6.2f} {q:6.2f} {r:6.2f}"
+    if len(record["usable"]):
+        yield f"coefficients usable in {100.0 * np.mean(record['usable']):.0f} % of the ticks"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Fly one flight; the return value is the exit status."""
+    parser = argparse.ArgumentParser(prog="scripts/closed_loop", description=__doc__)
+    parser.add_argument("--duration", type=float, default=120.0, help="s (default: 120)")
+    parser.add_argument(
+        "--fault", action="append", default=[], help="'60: aileron effect 0.5'; may be repeated"
+    )
+    parser.add_argument("--mode", choices=("adaptive", "fixed"), default="adaptive")
+    parser.add_argument(
+        "--ignore-verdict", action="store_true",
+        help="act on the newest coefficients, each as far as its sigma allows",
+    )  # fmt: skip
+    parser.add_argument("--cold", action="store_true", help="no initial coefficients")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--real-time", action="store_true", help="with the wall clock, not in step")
+    parser.add_argument("--output", type=Path, help="folder for the logs and the record")
+    options = parser.parse_args(arguments)
+    loop = Loop(
+        options.duration, tuple(options.fault), options.mode, not options.ignore_verdict,
+        options.cold, options.seed, not options.real_time,
+    )  # fmt: skip
+    try:
+        times = [parse_fault(text).time for text in loop.faults]
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = options.output or Path(scratch)
+            folder.mkdir(parents=True, exist_ok=True)
+            with ClosedLoop(loop, folder) as running:
+                record = running.wait(timeout=max(120.0, 3.0 * loop.duration))
+                print(running.log("controller"), end="")
+                print(running.log("simulated_plant"), end="")
+            for line in report(record, min(times, default=0.5 * loop.duration)):
+                print(line)
+    except SimulationError as error:
+        print(f"closed_loop: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
