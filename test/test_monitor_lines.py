@@ -39,6 +39,10 @@ STATUS = {
     "airspeed: rate [Hz]": "10.0",
     "airspeed: age [s]": "0.11",
     "airspeed: dropped": "0",
+    "armed: topic": "/armed",
+    "armed: rate [Hz]": "1.0",
+    "armed: age [s]": "0.51",
+    "armed: dropped": "0",
 }
 
 

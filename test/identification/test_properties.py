@@ -34,6 +34,7 @@ from uav_ident_ros.identification.settings import (
     declarations,
 )
 from uav_ident_ros.identification.speed import LARGEST_RATIO
+from uav_ident_ros.identification.stamps import LATEST_NS
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.parameter_file import load_parameters
 from uav_ident_ros.parameter_template import render
@@ -207,6 +208,16 @@ class Jump:
 
 
 @dataclass(frozen=True)
+class Set:
+    """The clock shows any time at all."""
+
+    t_ns: int
+
+    def __call__(self, world: World) -> None:
+        world.now_ns = self.t_ns
+
+
+@dataclass(frozen=True)
 class Command:
     """What a service, a parameter or a jump of /clock does to the identifier."""
 
@@ -242,11 +253,14 @@ gifts = st.builds(
     times=st.sampled_from([1, 1, 6]),
 )
 jumps = st.builds(Jump, ns=st.sampled_from([-3600 * S, -2 * S, -MS, 300 * MS, 2 * S, 3600 * S]))
+clocks = st.builds(Set, t_ns=any_stamp)
 commands = st.builds(
     Command,
     name=st.sampled_from(["reset", "restart", "resume", "note saved", "adapt", "hold"]),
 )
-histories = st.lists(st.one_of(flights, flights, gifts, jumps, commands), min_size=1, max_size=10)
+histories = st.lists(
+    st.one_of(flights, flights, gifts, jumps, clocks, commands), min_size=1, max_size=10
+)
 
 
 # --- no sequence of inputs yields nonsense ----------------------------------------------------
@@ -274,8 +288,12 @@ def check(estimate: Estimate, settings: Settings) -> None:
 # An Imu at 4 Hz leaves two delays to choose from: no minimum among them.
 SLOW_IMU = [Fly(seconds, rate, 0.1, 0.0, 0) for seconds, rate in ((6.0, 4.0), (2.0, 50.0))]
 
+# PX4 stamps with 64 bits of microseconds.
+BEYOND_64_BITS = [Set(2**64 * 1000), SLOW_IMU[1], Set(2**63 - S), SLOW_IMU[1]]
+
 
 @hypothesis_settings(PLAIN, max_examples=40)
+@example(settings=Settings(), history=BEYOND_64_BITS)
 @example(settings=Settings.from_values({"actuators.estimate_delay": True}), history=SLOW_IMU)
 @given(settings=any_settings, history=histories)
 def test_no_sequence_of_inputs_yields_nonsense(settings: Settings, history: list[Event]) -> None:
@@ -283,7 +301,7 @@ def test_no_sequence_of_inputs_yields_nonsense(settings: Settings, history: list
     for event in history:
         event(world)
     stamps = [estimate.t_ns for estimate in world.estimates]
-    assert all(t_ns > 0 for t_ns in stamps)
+    assert all(0 < t_ns <= LATEST_NS for t_ns in stamps)
     for estimate in world.estimates:
         check(estimate, settings)
     assert np.isfinite(world.identifier.excitation()).all()

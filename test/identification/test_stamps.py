@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
+from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, LATEST_NS, Stamp, StampGuard
 
 S = 1_000_000_000
 
@@ -51,3 +51,18 @@ def test_late_samples_are_good_stamps_and_do_not_turn_time_back() -> None:
     guard = guard_at(10_000 * S)
     assert guard.check(10_000 * S - S // 2) is Stamp.GOOD
     assert guard.newest == 10_000 * S
+
+
+def test_no_stamp_that_a_message_cannot_carry_is_ever_good() -> None:
+    beyond = LATEST_NS + 1
+    fresh = StampGuard(S)
+    for guard in (fresh, guard_at(LATEST_NS)):
+        for k in range(20):
+            assert guard.check(beyond + k * S // 200) is Stamp.OUTLYING
+    assert fresh.newest is None
+    # and it is not one of the five that agree
+    guard = guard_at(10_000 * S)
+    for k in range(20):
+        assert guard.check(20_000 * S + k * S // 200) is Stamp.OUTLYING
+        if k % AGREEING_SAMPLES == AGREEING_SAMPLES - 2:
+            assert guard.check(beyond) is Stamp.OUTLYING
