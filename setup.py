@@ -47,9 +47,9 @@ setup(
         "ardupilot": ["pymavlink", "pyyaml", "rosbags"],
         "px4": ["pyulog", "pyyaml", "rosbags"],
         "monitor": ["rich"],
-        "replay": ["pyyaml", "matplotlib", "rosbags"],
+        "replay": ["pyyaml", "matplotlib", "mcap", "rosbags", "tqdm"],
         # colcon decides by this extra whether `colcon test` runs pytest
-        "test": ["pytest", "hypothesis", "scipy", "pyyaml", "matplotlib", "rosbags"],
+        "test": ["pytest", "hypothesis", "scipy", "pyyaml", "matplotlib", "mcap", "rosbags"],
     },
     zip_safe=True,
     entry_points={

@@ -27,8 +27,8 @@ from uav_ident_ros.identification.prediction import (
 )
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
+from uav_ident_ros.intake import IMU_TYPE
 from uav_ident_ros.messages import RATES
-from uav_ident_ros.offline import ACTUATORS_TOPIC, IMU_TYPE, RATES_TOPIC
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.recording import parameters
 
@@ -36,6 +36,9 @@ TimeArray = NDArray[np.int64]
 
 RECORDED = flights.ROOT.parent / "shared" / "bags"
 """Recorded real flights; cases of one that is absent are left out."""
+
+RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
+"""Topics of the recorded flights."""
 
 RECORDED_DELAY = {"thor75_auto": 0.08}
 """Transport delay of the recorded flights, s."""

@@ -36,11 +36,11 @@ ROSDEP_KEYS = {
     "yaml": "python3-yaml",
 }
 # Development extras without a rosdep key: allowed only inside a function, so that the module
-# loads without them.
-OPTIONAL = {"jsbsim", "padasip", "pymavlink", "pyulog"}
+# loads without them. lz4 and zstandard come with mcap.
+OPTIONAL = {"jsbsim", "lz4", "padasip", "pymavlink", "pyulog", "zstandard"}
 # What a companion computer need not have: the node must never import these. PyYAML is not
 # among them: rclpy itself imports it.
-OFFLINE_ONLY = {"matplotlib", "rich", "rosbags", "scipy", "tqdm"} | OPTIONAL
+OFFLINE_ONLY = {"matplotlib", "mcap", "rich", "rosbags", "scipy", "tqdm"} | OPTIONAL
 
 
 def setup_arguments() -> dict[str, Any]:

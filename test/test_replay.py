@@ -233,8 +233,14 @@ def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
         with pytest.raises(BagError, match="no topic '/imu/data'; it has /plane/imu"):
             choose_inputs(bag, {}, "/imu/data")
     with Bag(excerpt("pulses", tmp_path / "doubled", 1.0, doubled)) as bag:
-        with pytest.raises(BagError, match=r"but /imu_a, /imu_b: choose one with --imu-topic"):
+        with pytest.raises(BagError) as caught:
             choose_inputs(bag, {})
+        words, *listed = str(caught.value).splitlines()
+        assert words.endswith("but 2 that could be it: choose one with --topic imu/data:=/imu_a")
+        assert listed == [
+            f"  {topic} (sensor_msgs/msg/Imu), 201 messages, 201 Hz"
+            for topic in ("/imu_a", "/imu_b")
+        ]
         assert choose_inputs(bag, {}, "/imu_b").rates_topic == "/imu_b"
         with pytest.raises(BagError, match="Float64MultiArray, but known are sensor_msgs/msg/Imu"):
             choose_inputs(bag, {}, ACTUATORS)
@@ -335,7 +341,7 @@ def test_initial_coefficients_file_is_the_start(tmp_path: Path) -> None:
 BAD_INPUT = {
     "missing bag": (["nowhere"], "bag 'nowhere' does not exist"),
     "no bag": (["text.txt"], "bag 'text.txt' is no bag"),
-    "cut off": (["cut.mcap"], "'cut.mcap' is cut off at its end"),
+    "cut off": (["cut.mcap"], "'cut.mcap': .* there is no message to be saved"),
     "unknown topic": (["BAG", "--imu-topic", "gyro"], "has no topic '/gyro'; it has /actuators"),
     "unknown actuators": (["BAG", "--actuators-topic", "/x"], "has no topic '/x'"),
     "unknown airspeed": (["BAG", "--airspeed-topic", "/x"], "has no topic '/x'"),
@@ -373,7 +379,7 @@ def test_bad_input_is_one_line_and_status_2(
     monkeypatch.chdir(tmp_path)
     arguments, words = BAD_INPUT[case]
     bag = excerpt("pulses", tmp_path / "bag", 1.0)
-    Path("cut.mcap").write_bytes((bag / "bag.mcap").read_bytes()[:-100])
+    Path("cut.mcap").write_bytes((bag / "bag.mcap").read_bytes()[:100])
     Path("text.txt").write_text("hello")
     given = []
     for argument in arguments:
@@ -628,6 +634,5 @@ def test_airspeed_topic_is_found_by_type_and_by_option(tmp_path: Path) -> None:
         ):
             writer.topic(topic, msgtype)
         writer.write("/pitot_a", START_NS, message_class(NUMBER)(data=20.0))
-    words = "but /pitot_a, /pitot_b: choose one with --airspeed-topic"
-    with Bag(tmp_path / "two") as bag, pytest.raises(BagError, match=words):
-        choose_inputs(bag, {"airspeed.type": NUMBER})
+    with Bag(tmp_path / "two") as bag:  # one of them is silent
+        assert choose_inputs(bag, {"airspeed.type": NUMBER}).airspeed_topic == "/pitot_a"

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,10 +14,12 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
+from uav_ident_ros.salvage import SalvageError, SalvageReader
+
 METADATA_FILE = "metadata.yaml"
 STORAGE_SUFFIXES = (".mcap", ".db3")
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-"""First and last bytes of every complete MCAP file."""
+"""First bytes of every MCAP file."""
 
 
 class BagError(Exception):
@@ -55,11 +58,14 @@ class Bag:
         Message type of each topic, by name.
     counts : dict
         Number of messages of each topic.
+    damage : list of str
+        What is wrong with the bag and what was saved, a line each; grows while a damaged bag is
+        read.
 
     Raises
     ------
     BagError
-        If there is no bag, or it is damaged.
+        If there is no bag, or nothing of it can be read.
 
     Examples
     --------
@@ -73,13 +79,12 @@ class Bag:
         self.path = Path(path)
         self._stack = ExitStack()
         self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._readers: list[Reader] = []
+        self._readers: list[Reader | SalvageReader] = []
+        self.damage: list[str] = []
         try:
-            for storage in _storages(self.path):
-                reader = _open(storage, self.path)
+            for reader in _opened(self.path, self.damage):
                 self._stack.callback(reader.close)
                 self._readers.append(reader)
-            self.damage: list[str] = []
             self.types = self._types()
             self.counts = self._counts()
         except BaseException:
@@ -143,10 +148,6 @@ class Bag:
                 f"bag '{self.path}' has no topic '{topic}'; it has {self.contents()}"
             ) from None
 
-    def with_types(self, types: Collection[str]) -> list[str]:
-        """Return the topics of some types that have messages."""
-        return [topic for topic, t in self.types.items() if t in types and self.counts[topic]]
-
     def contents(self) -> str:
         """List the topics with their types in one line."""
         listed = [f"{topic} ({msgtype})" for topic, msgtype in self.types.items()]
@@ -155,12 +156,13 @@ class Bag:
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Yield the messages of some topics in log-time order.
 
-        Only a chunk of the bag is in memory at a time.
+        Only a chunk of the bag is in memory at a time. Where the bag turns out to be damaged,
+        `damage` says what is lost, and the rest follows.
 
         Raises
         ------
         BagError
-            If a topic is missing or the bag turns out to be damaged.
+            If a topic is missing, or nothing can be read.
         """
         for topic in topics:
             self.type_of(topic)
@@ -168,12 +170,40 @@ class Bag:
             connections = [c for c in reader.connections if c.topic in topics]
             if not connections:
                 continue
+            count = 0
             try:
                 for connection, log_ns, data in reader.messages(connections):
+                    count += 1
                     yield Message(connection.topic, log_ns, data)
+                continue
             except Exception as error:
                 # Damaged bytes make the parser fail in many ways: struct, zstd, reader errors.
+                reason = _reason(error)
+            yield from self._saved(reader, topics, count, reason)
+
+    def _saved(
+        self, reader: Reader | SalvageReader, topics: Collection[str], count: int, reason: str
+    ) -> Iterator[Message]:
+        """Yield what else can be saved where reading has failed after `count` messages."""
+        files = _files_of(reader)
+        try:
+            if not files:
+                raise SalvageError(reason)
+            saved = [SalvageReader(file) for file in files]
+        except Exception as error:  # as above
+            if not count:
                 raise BagError(f"bag '{self.path}' is damaged: {_reason(error)}") from error
+            self.damage.append(
+                f"'{reader.path.name}' is damaged ({reason}): the first {count} messages are used"
+            )
+            return
+        self.damage += [part.damage for part in saved if part.damage]
+        for part in saved:
+            chosen = [c for c in part.connections if c.topic in topics]
+            for connection, log_ns, data in part.messages(chosen):
+                count -= 1
+                if count < 0:
+                    yield Message(connection.topic, log_ns, data)
 
     def decoder(self, topic: str) -> Callable[[bytes], Any]:
         """Return a function from the bytes of a topic's messages to message objects.
@@ -226,61 +256,93 @@ class Bag:
         )
 
 
-def _storages(path: Path) -> list[Path]:
-    """Return what to open: a file, a folder with metadata, or the files of one without."""
+def _opened(path: Path, damage: list[str]) -> list[Reader | SalvageReader]:
+    """Open a bag, or what is left of it; say in `damage` what is wrong with it."""
     if not path.exists():
         raise BagError(f"bag '{path}' does not exist")
+    if path.name == METADATA_FILE:
+        path = path.parent
     if path.is_file():
-        if path.name == METADATA_FILE:
-            return [path.parent]
         if path.suffix not in STORAGE_SUFFIXES:
             raise BagError(f"bag '{path}' is no bag: an .mcap file or a rosbag2 folder is needed")
-        return [path]
+        return [_open_file(path, path, damage)]
+    reason = f"there is no {METADATA_FILE}"
     if (path / METADATA_FILE).exists():
-        return [path]
-    files = sorted(file for file in path.iterdir() if file.suffix == ".mcap")
-    if not files:
-        raise BagError(f"bag '{path}' has neither {METADATA_FILE} nor an .mcap file")
-    if len(files) > 1:
-        # Without metadata only the recordings themselves know their order.
-        files.sort(key=_start)
-    return files
+        try:
+            return [_open(path)]
+        except Exception as error:  # what a parser raises on damaged bytes is not to be foreseen
+            reason = _reason(error).replace(f"{path}{os.sep}", "")
+            reason = f"{METADATA_FILE} cannot be used ({reason})"
+    return _open_files(path, reason, damage)
 
 
-def _start(path: Path) -> int:
-    reader = _open(path, path)
-    try:
-        return int(reader.start_time)
-    finally:
-        reader.close()
-
-
-def _open(storage: Path, bag: Path) -> Reader:
+def _open(storage: Path) -> Reader:
     """Open a file, or a folder with metadata."""
-    try:
-        reader = Reader(storage)
-        reader.open()
-    except Exception as error:
-        # As in Bag.messages: what a parser raises on damaged bytes is not to be foreseen.
-        reason = _cut_off(storage) or _reason(error)
-        raise BagError(f"bag '{bag}' cannot be read: {reason}") from error
+    reader = Reader(storage)
+    reader.open()
     return reader
 
 
-def _cut_off(storage: Path) -> str:
-    """Say which MCAP file is empty, foreign or incomplete; empty if none is."""
-    for file in sorted(storage.glob("*.mcap")) if storage.is_dir() else [storage]:
-        if file.suffix != ".mcap" or not file.is_file():
-            continue
-        with file.open("rb") as content:
-            start = content.read(len(MCAP_MAGIC))
-            content.seek(max(file.stat().st_size - len(MCAP_MAGIC), 0))
-            end = content.read()
-        if start != MCAP_MAGIC:
-            return f"'{file.name}' is {'no MCAP file' if start else 'empty'}"
-        if end != MCAP_MAGIC:
-            return f"'{file.name}' is cut off at its end ('mcap recover' saves what is there)"
-    return ""
+def _open_files(folder: Path, reason: str, damage: list[str]) -> list[Reader | SalvageReader]:
+    """Open the files of a folder whose metadata are missing or wrong."""
+    files = sorted(file for file in folder.iterdir() if file.suffix == ".mcap")
+    if not files:
+        if not (folder / METADATA_FILE).exists():
+            raise BagError(f"bag '{folder}' has neither {METADATA_FILE} nor an .mcap file")
+        raise BagError(f"bag '{folder}' cannot be read: {reason}")
+    readers: list[Reader | SalvageReader] = []
+    found: list[str] = []
+    for file in files:
+        try:
+            readers.append(_open_file(file, folder, found))
+        except BagError as error:
+            if len(files) == 1:
+                raise
+            found.append(str(error))
+    if not readers:
+        raise BagError(f"bag '{folder}' cannot be read: none of its {len(files)} files can")
+    if not found:
+        damage.append(f"{reason}: the files were read without it")
+    damage += found
+    # Without metadata only the recordings themselves know their order.
+    return sorted(readers, key=lambda reader: reader.start_time)
+
+
+def _open_file(file: Path, bag: Path, damage: list[str]) -> Reader | SalvageReader:
+    """Open one file of a bag, or what is left of it."""
+    try:
+        return _open(file)
+    except Exception as error:  # as above
+        reason = _foreign(file) or _reason(error)
+    if file.suffix == ".mcap" and not _foreign(file):
+        try:
+            saved = SalvageReader(file)
+        except Exception as error:  # as above
+            reason = f"'{file.name}': {reason}; {_reason(error)}"
+        else:
+            damage.append(saved.damage)
+            return saved
+    raise BagError(f"bag '{bag}' cannot be read: {reason}")
+
+
+def _files_of(reader: Reader | SalvageReader) -> list[Path]:
+    """Return the MCAP files that a reader reads; none if it reads others."""
+    if isinstance(reader, SalvageReader):
+        return []
+    storages = getattr(reader.storage, "storages", [reader.storage])
+    paths = [Path(str(storage.path)) for storage in storages]
+    return paths if all(path.suffix == ".mcap" for path in paths) else []
+
+
+def _foreign(file: Path) -> str:
+    """Say that a file is empty or no MCAP file; empty if it is one."""
+    if file.suffix != ".mcap":
+        return ""
+    with file.open("rb") as content:
+        start = content.read(len(MCAP_MAGIC))
+    if start == MCAP_MAGIC:
+        return ""
+    return f"'{file.name}' is {'no MCAP file' if start else 'empty'}"
 
 
 def _reason(error: Exception) -> str:

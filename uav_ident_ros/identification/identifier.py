@@ -32,7 +32,7 @@ from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.prior import Start, resumed, start_from
 from uav_ident_ros.identification.regression import Regression, StateVariableFilter
 from uav_ident_ros.identification.running_fit import RunningFit
-from uav_ident_ros.identification.samples import NS, SampleBuffer
+from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import (
     MAX_DELAY,
@@ -301,12 +301,57 @@ class OnlineIdentifier:
             # The first samples may come in any order too.
             first = self._first_tick(t_ns)
             self._next_tick = first if self._next_tick is None else min(first, self._next_tick)
+        self._find_due(newest)
+        return None
+
+    def _find_due(self, newest_ns: int) -> None:
+        """Put the ticks on the list that rates stamped `newest_ns` make due."""
         assert self._next_tick is not None
-        while self._tick_ns(self._next_tick) + self._wait_ns <= newest:
+        while self._tick_ns(self._next_tick) + self._wait_ns <= newest_ns:
             self._last_tick_ns = self._tick_ns(self._next_tick)
             self._due.append(self._last_tick_ns)
             self._next_tick += 1
-        return None
+
+    def orderly(self, t_ns: TimeArray, values: FloatArray) -> bool:
+        """Say whether samples of the rates would all be taken, each as newer than the one before.
+
+        Parameters
+        ----------
+        t_ns : (k,) int array
+            Stamps, ns.
+        values : (k, 6) array
+            Rates, rad/s, and specific force, m/s^2, in the Imu's own axes.
+        """
+        newest = self._guard.newest
+        if newest is None or self._last_tick_ns == _NO_TICK or self._outlying:
+            return False
+        steps = np.diff(t_ns, prepend=newest)
+        largest = np.abs(values).max(axis=0)  # NaN fails the tests
+        return bool(
+            ((steps > 0) & (steps <= self._jump_ns)).all()
+            and (largest[:3] <= LARGEST_GYRO_RATE).all()
+            and (largest[3:] <= LARGEST_FORCE).all()
+        )
+
+    @property
+    def next_due_ns(self) -> int:
+        """Stamp of the rates from which on the next tick is due, ns, after the first tick."""
+        assert self._next_tick is not None
+        return self._tick_ns(self._next_tick) + self._wait_ns
+
+    def add_orderly_rates(self, t_ns: Sequence[int], values: Sequence[Sequence[float]]) -> None:
+        """Take samples that `orderly` has accepted; none but the last may make a tick due.
+
+        Parameters
+        ----------
+        t_ns : sequence of int
+            Stamps, ns; see `next_due_ns`.
+        values : sequence of sequences of 6 floats
+            Rates, rad/s, and specific force, m/s^2, in the Imu's own axes.
+        """
+        self._sampler.rates.extend(t_ns, values)
+        self._guard.newest = t_ns[-1]
+        self._find_due(t_ns[-1])
 
     def _move_to_new_base(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> None:
         """Start anew with the samples that agreed on the new base."""
@@ -535,8 +580,8 @@ class OnlineIdentifier:
         learns = self._speed.known and not self._supervisor.closed
         if learns:
             self._learned_time += time
-            allowed = self._supervisor.allow(regression, self._estimator.coefficients)
-            self._estimator.update(regression, allowed)
+            weight = self._supervisor.weigh(regression, self._estimator.coefficients)
+            self._estimator.update(regression, weight)
         self._supervisor.follow(int(block.t_ns[-1]) * NS, self._estimator, learns, time)
 
     def _paper_tick(self, t_ns: int) -> bool:
@@ -555,7 +600,7 @@ class OnlineIdentifier:
         )
         learns = not self._supervisor.closed
         if learns:
-            self._estimator.update(regression, np.ones(3, dtype=bool))
+            self._estimator.update(regression, np.ones(3))
         self._supervisor.follow(t_ns * NS, self._estimator, learns, dt)
         return True
 

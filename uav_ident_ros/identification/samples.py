@@ -52,6 +52,13 @@ class SampleBuffer:
         self._waiting_t.append(t_ns)
         self._waiting_v.append(values)
 
+    def extend(self, t_ns: Sequence[int], values: Sequence[Sequence[float]]) -> None:
+        """Keep samples whose stamps rise."""
+        if self._waiting_t and t_ns[0] <= self._waiting_t[-1]:
+            self._ordered = False
+        self._waiting_t.extend(t_ns)
+        self._waiting_v.extend(values)
+
     def forget_waiting(self, newest_ns: int, span_ns: int) -> None:
         """Keep only the last `span_ns` of what waits, where nothing asks for it yet.
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from uav_ident_ros.bag_inputs import STREAMS, choose_inputs
 from uav_ident_ros.bag_writer import BagWriteError
 from uav_ident_ros.bags import Bag, BagError, Message
 from uav_ident_ros.coefficients_file import CoefficientsFileError, load_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.messages import MessageTypeError
-from uav_ident_ros.offline import OfflineRun, choose_inputs
+from uav_ident_ros.offline import OfflineRun
 from uav_ident_ros.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.pictures import PictureError
 from uav_ident_ros.replay.advice import advise
@@ -61,7 +62,7 @@ class Job:
     node : str
         Node whose sections of the files count.
     topics : mapping
-        Topics to read, by stream (``rates``, ``actuators``, ``airspeed``); the others are found.
+        Topics to read, by stream as in `STREAMS`; the others are found.
     plot, report : bool
         Whether to draw the picture, and to write the report, too.
     """
@@ -127,8 +128,8 @@ def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun,
     for file in job.params_files:
         values.update(load_parameters(file, job.node))
     with Bag(job.bag) as bag:
-        topics = (job.topics.get(stream) for stream in ("rates", "actuators", "airspeed"))
-        inputs = choose_inputs(bag, values, *topics)
+        asked = (job.topics.get(stream.name) for stream in STREAMS)
+        inputs = choose_inputs(bag, values, *asked)
         run = OfflineRun(inputs, _initial(inputs.settings))
         run.run(bag, progress)
         notes = tuple(notes_on(bag, run))

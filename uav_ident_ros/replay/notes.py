@@ -5,16 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from uav_ident_ros.bag_inputs import STREAMS, candidates
 from uav_ident_ros.bags import Bag
 from uav_ident_ros.identification.samples import NS
-from uav_ident_ros.identification.settings import ACTUATOR_TYPES, AIRSPEED_TYPES, RATE_TYPES
 from uav_ident_ros.offline import OfflineRun
 
 MISSING_TIME = 1.0
 """Time without actuators at the beginning or the end that is worth a word, s."""
-
-AIRSPEED_WORD = "airspeed"
-"""A topic with it in its name may be one; the types alone, numbers among them, say little."""
 
 
 def notes_on(bag: Bag, run: OfflineRun) -> Iterator[str]:
@@ -26,31 +23,25 @@ def notes_on(bag: Bag, run: OfflineRun) -> Iterator[str]:
 
 
 def _other_sensors(bag: Bag, run: OfflineRun) -> Iterator[str]:
-    """Topics that might have been meant instead, and an airspeed that is not read."""
-    inputs = run.inputs
-    for name, taken, known in (
-        ("imu/data", inputs.rates_topic, RATE_TYPES),
-        ("actuators", inputs.actuators_topic, ACTUATOR_TYPES),
-    ):
-        others = [topic for topic in bag.with_types(known) if topic not in inputs.topics]
-        if others:
+    """Yield topics that might have been meant instead, or too."""
+    taken = run.inputs.streams
+    for stream in STREAMS:
+        others = [topic for topic in candidates(bag, stream.types) if topic not in taken.values()]
+        if stream.name in taken and others:
             yield (
-                f"{taken} was read; the bag also has {', '.join(others)}: --topic {name}:="
-                f"{others[0]} reads that instead"
+                f"{taken[stream.name]} was read; the bag also has {', '.join(others)}: "
+                f"--topic {stream.topic}:={others[0]} reads that instead"
             )
-    if not inputs.airspeed_topic:
-        for topic in bag.with_types(AIRSPEED_TYPES):
-            if AIRSPEED_WORD in topic:
-                yield (
-                    f"{topic} was not read: --topic airspeed:={topic} scales the coefficients "
-                    "with it"
-                )
+        elif stream.name not in taken:
+            for topic in others:
+                if stream.topic in topic:  # the types alone, numbers among them, say little
+                    yield f"{topic} was not read: --topic {stream.topic}:={topic} reads it"
 
 
 def _mixed_frames(run: OfflineRun) -> Iterator[str]:
-    """Two sensors on one topic."""
-    if len(run.frame_ids) > 1:
-        frames = ", ".join(f"'{frame}'" for frame in sorted(run.frame_ids))
+    """Yield that two sensors share a topic."""
+    if len(run.intake.frame_ids) > 1:
+        frames = ", ".join(f"'{frame}'" for frame in sorted(run.intake.frame_ids))
         yield (
             f"{run.inputs.rates_topic} has messages of several frames, {frames}: if these are "
             "two sensors, record them on two topics"
@@ -58,7 +49,7 @@ def _mixed_frames(run: OfflineRun) -> Iterator[str]:
 
 
 def _missing_actuators(run: OfflineRun) -> Iterator[str]:
-    """Actuators that start late or stop early."""
+    """Yield that actuators start late or stop early."""
     parts = list(run.stretches())
     if not any(len(part.inputs.t_ns) for part in parts):
         yield f"{run.inputs.actuators_topic} has no messages that could be used: nothing is learned"

@@ -5,18 +5,11 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import NoReturn
 
+from uav_ident_ros.bag_inputs import STREAMS, Stream
 from uav_ident_ros.replay.job import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
-
-STREAMS: Mapping[str, str] = {
-    "imu/data": "rates",
-    "actuators": "actuators",
-    "airspeed": "airspeed",
-}
-"""The node's input topics, as ``--topic`` names them, and the streams they carry."""
 
 EXIT_STATUS = f"""\
 exit status:
@@ -92,22 +85,28 @@ def _add_topics(result: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME:=TOPIC",
-        help="topic of the bag to read as the node's topic NAME, which is imu/data, actuators "
-        "or airspeed; may be given several times",
+        help="topic of the bag to read as the node's topic NAME, which is one of "
+        f"{', '.join(stream.topic for stream in STREAMS)}; may be given several times",
     )
-    defaults = {
-        "imu": "/imu/data, else the only one of a known type",
-        "actuators": "/actuators, else the only one of a known type",
-        "airspeed": "none, or with 'airspeed.type' /airspeed, else the only one of that type",
-    }
-    for stream, default in defaults.items():
-        name = "imu/data" if stream == "imu" else stream
+    for stream in STREAMS:
         group.add_argument(
-            f"--{stream}-topic",
+            f"--{_option(stream)}-topic",
             type=absolute,
             metavar="TOPIC",
-            help=f"the same as --topic {name}:=TOPIC (default: {default})",
+            help=f"the same as --topic {stream.topic}:=TOPIC (default: {_default(stream)})",
         )
+
+
+def _option(stream: Stream) -> str:
+    """Return what a stream is called in the name of an option: imu, not imu/data."""
+    return stream.topic.partition("/")[0]
+
+
+def _default(stream: Stream) -> str:
+    found = f"/{stream.topic}, else the only one"
+    if stream.optional:
+        return f"none, or with '{stream.setting}' {found} of that type"
+    return f"{found} of a known type"
 
 
 def _add_output(result: argparse.ArgumentParser) -> None:
@@ -144,10 +143,11 @@ def absolute(name: str) -> str:
 def _remapping(text: str) -> tuple[str, str]:
     """Return stream and topic of ``NAME:=TOPIC``."""
     name, found, topic = text.partition(":=")
-    stream = STREAMS.get(name.lstrip("/"))
+    streams = {stream.topic: stream.name for stream in STREAMS}
+    stream = streams.get(name.lstrip("/"))
     if not found or stream is None or not topic:
         raise argparse.ArgumentTypeError(
-            f"'{text}' is not NAME:=TOPIC with a NAME among {', '.join(STREAMS)}"
+            f"'{text}' is not NAME:=TOPIC with a NAME among {', '.join(streams)}"
         )
     return stream, absolute(topic)
 
@@ -164,9 +164,5 @@ def _positive(text: str) -> int:
 
 def topics(options: argparse.Namespace) -> dict[str, str]:
     """Return the topics that were asked for, by stream; `--topic` wins."""
-    named = {
-        "rates": options.imu_topic,
-        "actuators": options.actuators_topic,
-        "airspeed": options.airspeed_topic,
-    }
+    named = {stream.name: getattr(options, f"{_option(stream)}_topic") for stream in STREAMS}
     return {stream: topic for stream, topic in named.items() if topic} | dict(options.topic)

@@ -53,6 +53,6 @@ def verdict(outcome: Outcome) -> str:
     """Return the verdict on a replay, and the reason where it is not a good one."""
     word = VERDICTS[outcome.status]
     if outcome.status == NO_RESULT:
-        return f"{word}: {outcome.warnings[-1]}"
+        return f"{word}: {outcome.warnings[-1].splitlines()[0]}"
     reason = outcome.summary["reason"]
     return f"{word}: {reason}" if outcome.status == NOT_USABLE and reason else word

@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from uav_ident_ros.bag_inputs import STREAMS, Inputs
 from uav_ident_ros.identification.prediction import PredictionFit
-from uav_ident_ros.offline import Inputs
 from uav_ident_ros.replay.replayed import Replayed
 
 SUMMARY_VERSION = 1
@@ -59,13 +59,9 @@ def summarise(replayed: Replayed) -> dict[str, Any]:
 
 def streams(inputs: Inputs) -> tuple[tuple[str, str, str], ...]:
     """Return name, topic and message type of the streams that are read."""
-    settings = inputs.settings
-    streams = (
-        ("rates", inputs.rates_topic, settings.imu.type),
-        ("actuators", inputs.actuators_topic, settings.actuators.type),
-        ("airspeed", inputs.airspeed_topic, settings.airspeed.type),
-    )
-    return streams if inputs.airspeed_topic else streams[:2]
+    settings = inputs.settings.values()
+    types = {stream.name: str(settings[stream.setting]) for stream in STREAMS}
+    return tuple((name, topic, types[name]) for name, topic in inputs.streams.items())
 
 
 def _json(value: float) -> float | None:

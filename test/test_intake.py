@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages taken in blocks tell the identifier what messages taken one by one do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_ident_ros import offline
+from uav_ident_ros.bag_inputs import choose_inputs
+from uav_ident_ros.bag_writer import BagWriter, header, jazzy_types, message_class
+from uav_ident_ros.bags import Bag
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.imu_block import decode_imu_block
+from uav_ident_ros.messages import decode_imu_cdr
+from uav_ident_ros.offline import OfflineRun
+from uav_ident_ros.parameter_file import load_parameters
+
+BAGS = Path(__file__).parent.parent / "bags"
+IMU, ACTUATORS = "/imu/data", "/actuators"
+SECOND_NS = 1_000_000_000
+SECONDS = 16.0
+NOT_MEASURED = np.r_[-1.0, np.zeros(8)]
+
+Spoil = Callable[[int, str, Any], list[Any]]
+
+
+def untouched(k: int, topic: str, message: Any) -> list[Any]:
+    return [message]
+
+
+def bad_values(k: int, topic: str, message: Any) -> list[Any]:
+    if topic == IMU and k % 900 == 13:
+        message.angular_velocity.x = (float("nan"), 200.0, float("inf"))[k % 3]
+    if topic == IMU and k % 900 == 500:
+        message.linear_acceleration.z = 1e6
+    if topic == ACTUATORS and k % 50 == 7:
+        message.position = message.position * np.nan
+    return [message]
+
+
+def bad_stamps(k: int, topic: str, message: Any) -> list[Any]:
+    if topic == IMU and k % 1500 == 13:
+        message.header.stamp.sec += (5000, -5000)[k % 2]
+    if topic == IMU and k % 700 == 100:
+        return [message, message]
+    return [message]
+
+
+def disorder(k: int, topic: str, message: Any) -> list[Any]:
+    stamp = message.header.stamp
+    if k % 40 == 5:  # logged on time, but stamped a little earlier than the one before
+        late = stamp.sec * SECOND_NS + stamp.nanosec - 30_000_000
+        stamp.sec, stamp.nanosec = divmod(late, SECOND_NS)
+    return [message]
+
+
+def new_base(k: int, topic: str, message: Any) -> list[Any]:
+    if k > 3000:
+        message.header.stamp.sec += 777
+    return [message]
+
+
+def frames(k: int, topic: str, message: Any) -> list[Any]:
+    if topic == IMU and 2000 < k < 2500:
+        message.header.frame_id = "other_imu"
+    if topic == IMU and 3000 < k < 3300:
+        message.header.frame_id = "imu_ned"
+    return [message]
+
+
+def not_measured(k: int, topic: str, message: Any) -> list[Any]:
+    if topic == IMU and k % 2000 == 1000:
+        message.angular_velocity_covariance = NOT_MEASURED
+    if topic == IMU and k > 3000:
+        message.linear_acceleration_covariance = NOT_MEASURED
+    return [message]
+
+
+SPOILERS: dict[str, Spoil] = {
+    f.__name__: f
+    for f in (untouched, bad_values, bad_stamps, disorder, new_base, frames, not_measured)
+}
+
+
+def write(path: Path, spoil: Spoil) -> Path:
+    with Bag(BAGS / "multisine") as bag, BagWriter(path) as writer:
+        decode = {topic: bag.decoder(topic) for topic in (IMU, ACTUATORS)}
+        for topic in decode:
+            writer.topic(topic, bag.type_of(topic))
+        for k, (topic, log_ns, data) in enumerate(bag.messages(decode)):
+            if log_ns > bag.start_ns + SECONDS * SECOND_NS:
+                break
+            for message in spoil(k, topic, decode[topic](data)):
+                writer.write(topic, log_ns, message)
+    return path
+
+
+@pytest.mark.parametrize("spoiler", SPOILERS)
+def test_batches_of_any_size_give_the_same(
+    spoiler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(tmp_path / "bag", SPOILERS[spoiler])
+    values = load_parameters(BAGS / "multisine" / "identifier.yaml", "identifier")
+    found = []
+    for batch in (1, 100, 2048):
+        monkeypatch.setattr(offline, "BATCH", batch)
+        with Bag(path) as bag:
+            run = OfflineRun(choose_inputs(bag, values))
+            run.run(bag, lambda messages, _: messages)
+        estimates = b"".join(
+            b"".join(
+                np.asarray(part).tobytes()
+                for part in (e.t_ns, e.coefficients, e.sigma, e.predicted_rates, e.prediction_error)
+            )
+            for e in run.estimates
+        )
+        eras = range(run.intake.era + 1)
+        records = [
+            [part.tobytes() for part in record.of_era(era)]
+            for record in (run.intake.rates, run.intake.actuators)
+            for era in eras
+        ]
+        counts = [run.refusals(stream) for stream in ("rates", "actuators")]
+        words = [(e.state, e.reason, e.usable) for e in run.estimates]
+        found.append((estimates, records, counts, words, run.intake.frame_ids, run.fault))
+    assert len(found[0][3]) > 100
+    assert found[1] == found[0]
+    assert found[2] == found[0]
+
+
+def test_the_blocks_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or the test above would compare nothing."""
+    one_by_one = []
+    original = OnlineIdentifier.add_rates
+    monkeypatch.setattr(
+        OnlineIdentifier,
+        "add_rates",
+        lambda self, *sample: one_by_one.append(1) or original(self, *sample),
+    )
+    with Bag(BAGS / "multisine") as bag:
+        values = load_parameters(BAGS / "multisine" / "identifier.yaml", "identifier")
+        run = OfflineRun(choose_inputs(bag, values))
+        run.run(bag, lambda messages, _: messages)
+        assert run.refusals("rates").received == bag.counts[IMU]
+    assert len(one_by_one) <= offline.BATCH  # the first batch: the time base is not known yet
+
+
+# --- the decoder of blocks ---------------------------------------------------------------------
+
+
+def imu(k: int, frame_id: str = "imu", *, rates: bool = True, force: bool = True) -> Any:
+    vector = message_class("geometry_msgs/msg/Vector3")
+    rng = np.random.default_rng(k)
+    covariance = [np.zeros(9), NOT_MEASURED]
+    return message_class("sensor_msgs/msg/Imu")(
+        header=header(1_700_000_000_123_456_789 + k * 5_000_000, frame_id),
+        orientation=message_class("geometry_msgs/msg/Quaternion")(*rng.uniform(-1.0, 1.0, 4)),
+        orientation_covariance=rng.uniform(0.0, 1.0, 9),
+        angular_velocity=vector(*rng.uniform(-1.0, 1.0, 3)),
+        angular_velocity_covariance=covariance[not rates],
+        linear_acceleration=vector(*rng.uniform(-9.0, 9.0, 3)),
+        linear_acceleration_covariance=covariance[not force],
+    )
+
+
+def serialized(messages: list[Any]) -> list[bytes]:
+    serialize = jazzy_types().serialize_cdr
+    return [bytes(serialize(m, "sensor_msgs/msg/Imu")) for m in messages]
+
+
+@pytest.mark.parametrize("frame_id", ["", "i", "imu", "imu_link", "base_link_imu_1", "größe"])
+def test_block_decoder_reads_what_the_single_one_does(frame_id: str) -> None:
+    data = serialized([imu(k, frame_id, force=k % 3 != 0) for k in range(20)])
+    block = decode_imu_block(data)
+    assert block is not None
+    assert block.frame_id == frame_id
+    for t_ns, values, message in zip(block.t_ns, block.values, data, strict=True):
+        reading = decode_imu_cdr(message)
+        assert reading is not None
+        assert t_ns == reading.stamp_ns
+        assert values.tolist() == [*reading.rates, *(reading.specific_force or (0.0, 0.0, 0.0))]
+
+
+@pytest.mark.parametrize(
+    "messages",
+    [
+        [imu(0), imu(1, "uav")],
+        [imu(0), imu(1, "longer_name")],
+        [imu(0), imu(1, rates=False)],
+    ],
+    ids=["other frame", "other length", "no rates"],
+)
+def test_block_decoder_leaves_what_is_not_alike(messages: list[Any]) -> None:
+    assert decode_imu_block(serialized(messages)) is None
+
+
+def test_block_decoder_leaves_other_byte_orders_and_short_messages() -> None:
+    (little,) = serialized([imu(0)])
+    big = bytes(jazzy_types().serialize_cdr(imu(0), "sensor_msgs/msg/Imu", little_endian=False))
+    assert decode_imu_block([big]) is None
+    assert decode_imu_block([little[:100]]) is None
+    assert decode_imu_block([little]) is not None

@@ -1,0 +1,368 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged bags: what is lost is said in a line, and everything else is used."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
+
+from uav_ident_ros.bag_writer import BagWriter, header, jazzy_types, message_class
+from uav_ident_ros.bags import Bag, BagError
+from uav_ident_ros.replay import main
+from uav_ident_ros.replay.job import NO_RESULT, NOT_USABLE, USABLE
+from uav_ident_ros.salvage import SalvageReader
+
+ROOT = Path(__file__).parent.parent
+BAGS = ROOT / "bags"
+IMU, ACTUATORS = "/imu/data", "/actuators"
+TYPES = {IMU: "sensor_msgs/msg/Imu", ACTUATORS: "sensor_msgs/msg/JointState"}
+SECOND_NS = 1_000_000_000
+CHUNK = 100_000
+"""Size of the chunks here, bytes: about a second of the flight."""
+
+COMPRESSIONS = [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4]
+
+
+def rewritten(
+    target: Path,
+    *,
+    compression: CompressionType = CompressionType.NONE,
+    use_chunking: bool = True,
+    index: IndexType = IndexType.ALL,
+    seconds: float = 40.0,
+    extra: Callable[[McapWriter], None] = lambda writer: None,
+) -> Path:
+    """Write the start of a flight with the mcap library: small chunks, with checksums."""
+    with Bag(BAGS / "multisine") as bag, target.open("wb") as file:
+        end_ns = bag.start_ns + round(seconds * SECOND_NS)
+        writer = McapWriter(
+            file,
+            chunk_size=CHUNK,
+            compression=compression,
+            use_chunking=use_chunking,
+            index_types=index,
+        )
+        writer.start(profile="ros2", library="test")
+        channels = {}
+        for topic, name in TYPES.items():
+            definition = jazzy_types().generate_msgdef(name)[0].encode()
+            schema = writer.register_schema(name, "ros2msg", definition)
+            channels[topic] = writer.register_channel(topic, "cdr", schema)
+        for topic, log_ns, data in bag.messages(TYPES):
+            if log_ns <= end_ns:
+                writer.add_message(channels[topic], log_ns, data, log_ns)
+        extra(writer)
+        writer.finish()
+    return target
+
+
+def messages(path: Path) -> tuple[list[tuple[str, int, bytes]], list[str]]:
+    """Messages of a bag, and its damage."""
+    with Bag(path) as bag:
+        return [tuple(m) for m in bag.messages([IMU, ACTUATORS])], bag.damage
+
+
+def chunk_places(path: Path) -> list[tuple[int, int]]:
+    """Position and length of the chunks."""
+    with path.open("rb") as file:
+        indexes = make_reader(file).get_summary().chunk_indexes
+    return [(c.chunk_start_offset, c.chunk_length) for c in indexes]
+
+
+def spoil(path: Path, position: int, count: int = 40) -> None:
+    content = bytearray(path.read_bytes())
+    content[position : position + count] = bytes(b ^ 0xFF for b in content[position:][:count])
+    path.write_bytes(content)
+
+
+@pytest.fixture(scope="module", params=COMPRESSIONS, ids=lambda c: c.name.lower())
+def flight(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A whole file of many chunks."""
+    path = tmp_path_factory.mktemp("flight") / "flight.mcap"
+    return rewritten(path, compression=request.param)
+
+
+@pytest.fixture
+def copy(flight: Path, tmp_path: Path) -> Path:
+    """A copy of it, to be damaged."""
+    target = tmp_path / "flight.mcap"
+    target.write_bytes(flight.read_bytes())
+    return target
+
+
+def test_the_whole_file_is_no_damage(flight: Path) -> None:
+    found, damage = messages(flight)
+    assert len(found) == 40 * 250 + 2
+    assert damage == []
+    reader = SalvageReader(flight)  # and it reads the same as rosbags, in the same order
+    saved = [(c.topic, log_ns, data) for c, log_ns, data in reader.messages(reader.connections)]
+    assert saved == found
+
+
+def test_cut_off_file_gives_everything_before_the_cut(flight: Path, copy: Path) -> None:
+    whole, _ = messages(flight)
+    places = chunk_places(flight)
+    position, length = places[len(places) // 2]
+    copy.write_bytes(flight.read_bytes()[: position + length * 2 // 3])
+    found, (line,) = messages(copy)
+    assert line.startswith("'flight.mcap' is cut off at its end; ")
+    assert f"{len(found)} messages were saved" in line
+    assert found == whole[: len(found)]
+    # the whole chunks at the least, and most of what is there of the last one
+    before = len(places) // 2 / len(places) * len(whole)
+    assert len(found) > before - 50
+    if b"zstd" not in flight.read_bytes() and b"lz4" not in flight.read_bytes():
+        assert len(found) > before + 0.6 * len(whole) / len(places)
+
+
+@pytest.mark.parametrize("where", ["content", "length and content"])
+def test_bad_chunk_is_left_out_and_the_rest_is_used(where: str, flight: Path, copy: Path) -> None:
+    whole, _ = messages(flight)
+    places = chunk_places(flight)
+    position, length = places[len(places) // 3]
+    spoil(copy, position + length // 2)
+    if where != "content":  # the record itself cannot be read either
+        spoil(copy, position + 1, 8)
+    found, (line,) = messages(copy)
+    assert line.startswith(f"'flight.mcap' is damaged: 1 of {len(places)} chunks are left out")
+    lost = [m for m in whole if m not in set(found)]
+    assert found == [m for m in whole if m in set(found)]
+    assert 0.5 * len(whole) / len(places) < len(lost) < 1.5 * len(whole) / len(places)
+    begin, end = ((m[1] - whole[0][1]) * 1e-9 for m in (lost[0], lost[-1]))
+    assert f"between {begin:.1f} s and {end:.1f} s after its start" in line
+
+
+def test_bad_index_costs_nothing(flight: Path, copy: Path) -> None:
+    whole, _ = messages(flight)
+    spoil(copy, copy.stat().st_size - 28, 8)  # in the footer: where the index begins
+    found, (line,) = messages(copy)
+    assert found == whole
+    assert "has no usable index" in line
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_file_without_chunks(cut: bool, tmp_path: Path) -> None:
+    path = rewritten(tmp_path / "flight.mcap", use_chunking=False, seconds=10.0)
+    whole, damage = messages(path)
+    assert (len(whole), damage) == (2502, [])
+    if cut:
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        found, (line,) = messages(path)
+        assert found == whole[: len(found)]
+        assert 1100 < len(found) < 1300
+        assert "is cut off at its end" in line
+
+
+def test_file_that_is_not_of_ros_2_by_its_profile(tmp_path: Path) -> None:
+    path = rewritten(tmp_path / "flight.mcap", seconds=5.0)
+    path.write_bytes(
+        path.read_bytes().replace(b"\x04\x00\x00\x00ros2\x04", b"\x04\x00\x00\x00xxxx\x04")
+    )
+    found, _ = messages(path)
+    assert len(found) == 5 * 250 + 2
+
+
+def test_one_bad_file_of_a_split_recording(tmp_path: Path) -> None:
+    folder = tmp_path / "split"
+    with Bag(BAGS / "multisine") as bag:
+        whole = [tuple(m) for m in bag.messages(TYPES) if m.log_ns <= bag.start_ns + 9 * SECOND_NS]
+    third = len(whole) // 3
+    folder.mkdir()
+    for k in range(3):
+        with BagWriter(tmp_path / f"split_{k}") as writer:
+            for topic, name in TYPES.items():
+                writer.topic(topic, name)
+            for topic, log_ns, data in whole[k * third : (k + 1) * third]:
+                writer.write(topic, log_ns, data)
+        (tmp_path / f"split_{k}" / f"split_{k}.mcap").rename(folder / f"split_{k}.mcap")
+    (folder / "split_1.mcap").write_bytes(b"\0" * 5000)
+    found, (line,) = messages(folder)
+    assert "'split_1.mcap' is no MCAP file" in line
+    assert found == [*whole[:third], *whole[2 * third : 3 * third]]
+
+
+def test_nothing_to_be_saved(flight: Path, copy: Path) -> None:
+    copy.write_bytes(flight.read_bytes()[: chunk_places(flight)[0][0] + 20])
+    with pytest.raises(BagError, match=r"cannot be read: 'flight\.mcap': .*no message to be saved"):
+        Bag(copy)
+
+
+def test_without_the_mcap_library_its_name_is_said(
+    flight: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy.write_bytes(flight.read_bytes()[:-500])
+    monkeypatch.setitem(sys.modules, "mcap.stream_reader", None)
+    with pytest.raises(BagError, match=r"install the Python package 'mcap'"):
+        Bag(copy)
+    assert len(messages(flight)[0]) == 40 * 250 + 2  # a whole one needs no such library
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_random_damage_gives_messages_or_one_line(seed: int, flight: Path, copy: Path) -> None:
+    rng = np.random.default_rng(seed)
+    content = bytearray(copy.read_bytes())
+    for position in rng.integers(8, len(content), rng.integers(1, 30)):
+        content[position] = rng.integers(256)
+    if seed % 3 == 0:
+        content = content[: rng.integers(8, len(content))]
+    copy.write_bytes(content)
+    try:
+        with Bag(copy) as bag:
+            for topic in bag.types:
+                count = sum(1 for _ in bag.messages([topic]))
+                assert count >= 0
+            assert all("\n" not in line for line in bag.damage)
+    except BagError as error:
+        assert "flight.mcap" in str(error)
+        assert "\n" not in str(error)
+
+
+# --- replay ------------------------------------------------------------------------------------
+
+
+def replayed(bag: Path, output: Path, *options: str) -> tuple[int, dict[str, Any]]:
+    arguments = ["--params-file", str(BAGS / "multisine" / "identifier.yaml"), *options]
+    status = main([str(bag), *arguments, "--output", str(output)])
+    path = output / "summary.json"
+    return status, json.loads(path.read_text()) if path.exists() else {}
+
+
+def test_replay_of_a_bag_with_a_hole(
+    flight: Path, copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    position, length = chunk_places(flight)[8]
+    spoil(copy, position + length // 2)
+    status, summary = replayed(copy, tmp_path / "out")
+    assert status == USABLE
+    (note,) = summary["notes"]
+    assert note.startswith("'flight.mcap' is damaged: 1 of ")
+    assert f"note: {note[:60]}" in capsys.readouterr().out
+    assert summary["coefficients"]["pdot/da"]["value"] == pytest.approx(60.0, rel=0.05)
+
+
+def test_replay_of_a_cut_off_bag(flight: Path, copy: Path, tmp_path: Path) -> None:
+    copy.write_bytes(flight.read_bytes()[: flight.stat().st_size * 3 // 4])
+    status, summary = replayed(copy, tmp_path / "out")
+    assert status == USABLE
+    assert 500 < summary["ticks"] < 620
+    assert "cut off" in summary["notes"][0]
+
+
+def changed(
+    tmp_path: Path, change: Callable[[str, int, Any], list[tuple[str, int, Any]]], seconds: float
+) -> Path:
+    """The start of a flight, with every message changed."""
+    target = tmp_path / "changed"
+    with Bag(BAGS / "multisine") as bag, BagWriter(target) as writer:
+        decode = {topic: bag.decoder(topic) for topic in TYPES}
+        announced = set()
+        for topic, log_ns, data in bag.messages(TYPES):
+            t = (log_ns - bag.start_ns) * 1e-9
+            if t > seconds:
+                break
+            for name, at, message in change(topic, log_ns, decode[topic](data)):
+                if name not in announced:
+                    announced.add(name)
+                    writer.topic(name, message.__msgtype__)
+                writer.write(name, at, message)
+    return target
+
+
+def test_no_imu(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = changed(tmp_path, lambda t, at, m: [(t, at, m)] if t == ACTUATORS else [], 2.0)
+    assert replayed(bag, tmp_path / "out") == (NO_RESULT, {})
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "has neither a topic '/imu/data' nor one of type sensor_msgs/msg/Imu" in line
+    assert f"it has {ACTUATORS} (sensor_msgs/msg/JointState)" in line
+
+
+def test_actuators_that_start_late_and_stop_early(tmp_path: Path) -> None:
+    with Bag(BAGS / "multisine") as bag:
+        start_ns = bag.start_ns
+
+    def some(topic: str, at: int, message: Any) -> list[tuple[str, int, Any]]:
+        there = 5.0 <= (at - start_ns) * 1e-9 <= 40.0
+        return [(topic, at, message)] if topic == IMU or there else []
+
+    status, summary = replayed(changed(tmp_path, some, 50.0), tmp_path / "out")
+    assert status == USABLE
+    assert summary["notes"] == [
+        "the actuators start 5.0 s after the Imu: nothing is learned before",
+        "the actuators stop 10.0 s before the Imu: nothing is learned after",
+    ]
+    assert summary["prediction_fit"]["after_30_s"]["windows"] > 150
+
+
+def test_actuators_that_are_announced_but_never_come(tmp_path: Path) -> None:
+    bag = tmp_path / "silent"
+    with Bag(BAGS / "multisine") as source, BagWriter(bag) as writer:
+        for topic, name in TYPES.items():
+            writer.topic(topic, name)
+        for topic, log_ns, data in source.messages([IMU]):
+            if log_ns < source.start_ns + 3 * SECOND_NS:
+                writer.write(topic, log_ns, data)
+    status, summary = replayed(bag, tmp_path / "out")
+    assert status == NOT_USABLE
+    assert summary["notes"] == ["/actuators has no messages that could be used: nothing is learned"]
+
+
+def test_two_imus_one_of_them_by_its_name(tmp_path: Path) -> None:
+    def doubled(topic: str, at: int, message: Any) -> list[tuple[str, int, Any]]:
+        return [(topic, at, message)] + ([("/imu_2", at, message)] if topic == IMU else [])
+
+    bag = changed(tmp_path, doubled, 3.0)
+    _, summary = replayed(bag, tmp_path / "out")
+    assert summary["inputs"]["rates"]["topic"] == IMU
+    assert summary["notes"] == [
+        "/imu/data was read; the bag also has /imu_2: --topic imu/data:=/imu_2 reads that instead"
+    ]
+    _, summary = replayed(bag, tmp_path / "other", "--topic", "imu/data:=/imu_2")
+    assert summary["inputs"]["rates"]["topic"] == "/imu_2"
+
+
+def test_two_imus_on_one_topic(tmp_path: Path) -> None:
+    def mixed(topic: str, at: int, message: Any) -> list[tuple[str, int, Any]]:
+        if topic == IMU and at % 20_000_000 == 0:
+            message.header.frame_id = "imu_2"
+        return [(topic, at, message)]
+
+    _, summary = replayed(changed(tmp_path, mixed, 3.0), tmp_path / "out")
+    (note,) = summary["notes"]
+    assert note.startswith("/imu/data has messages of several frames, '")
+    assert "'imu_2'" in note
+
+
+def test_messages_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with Bag(BAGS / "multisine") as source, BagWriter(bag) as writer:
+        for topic, name in TYPES.items():
+            writer.topic(topic, name)
+        for count, (topic, log_ns, data) in enumerate(source.messages(TYPES)):
+            if log_ns > source.start_ns + 5 * SECOND_NS:
+                break
+            writer.write(topic, log_ns, data[:30] if count % 100 == 7 else data)
+    _, summary = replayed(bag, tmp_path / "out")
+    dropped = [summary["inputs"][s]["dropped"].get("unreadable", 0) for s in ("rates", "actuators")]
+    assert sum(dropped) == 13
+    assert summary["ticks"] > 90
+
+
+def test_imus_of_an_unknown_type(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = tmp_path / "bag"
+    with BagWriter(bag) as writer:
+        writer.topic("/gyro", "geometry_msgs/msg/Vector3Stamped")
+        vector = message_class("geometry_msgs/msg/Vector3")(0.0, 0.0, 0.0)
+        message = message_class("geometry_msgs/msg/Vector3Stamped")(header(1), vector)
+        writer.write("/gyro", 1, message)
+    assert replayed(bag, tmp_path / "out", "--topic", "imu/data:=/gyro") == (NO_RESULT, {})
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "topic '/gyro' is of type geometry_msgs/msg/Vector3Stamped, but 'imu.type' is" in line

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which topics of a bag are the node's inputs: asked for, or found by name and type."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from uav_ident_ros.bags import Bag, BagError
+from uav_ident_ros.identification.identifier import ACTUATORS, AIRSPEED, ARMED, RATES
+from uav_ident_ros.identification.samples import NS
+from uav_ident_ros.identification.settings import (
+    ACTUATOR_TYPES,
+    AIRSPEED_TYPES,
+    ARMED_TYPES,
+    RATE_TYPES,
+    Settings,
+)
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One of the node's inputs.
+
+    Parameters
+    ----------
+    name : str
+        What the identifier calls it.
+    topic : str
+        The node's topic, relative as in ``-r imu/data:=...``.
+    setting : str
+        Setting that holds its message type.
+    types : tuple of str
+        Types that can be read.
+    optional : bool
+        Whether it is read only if its type is set, or its topic asked for.
+    """
+
+    name: str
+    topic: str
+    setting: str
+    types: tuple[str, ...]
+    optional: bool = False
+
+
+STREAMS = (
+    Stream(RATES, "imu/data", "imu.type", RATE_TYPES),
+    Stream(ACTUATORS, "actuators", "actuators.type", ACTUATOR_TYPES),
+    Stream(AIRSPEED, "airspeed", "airspeed.type", AIRSPEED_TYPES, optional=True),
+    Stream(ARMED, "armed", "armed.type", ARMED_TYPES, optional=True),
+)
+"""The node's inputs."""
+
+OWN_TOPICS = ("/coefficients", "/coefficients_named")
+"""Ends of the node's own topics, which have the types of actuators: a bag may hold them, too."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Which topics of a bag to read, and the settings that fit their types.
+
+    Parameters
+    ----------
+    rates_topic, actuators_topic : str
+        Topics of the bag.
+    settings : Settings
+        Settings whose message types are those of the topics.
+    airspeed_topic, armed_topic : str
+        Topics of the airspeed and of whether the vehicle is armed; empty if there is none in the
+        settings.
+    """
+
+    rates_topic: str
+    actuators_topic: str
+    settings: Settings
+    airspeed_topic: str = ""
+    armed_topic: str = ""
+
+    @property
+    def streams(self) -> dict[str, str]:
+        """The topic of every stream that is read."""
+        topics = (self.rates_topic, self.actuators_topic, self.airspeed_topic, self.armed_topic)
+        names = (stream.name for stream in STREAMS)
+        return {name: topic for name, topic in zip(names, topics, strict=True) if topic}
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Every topic that is read."""
+        return tuple(self.streams.values())
+
+
+def choose_inputs(
+    bag: Bag,
+    parameters: Mapping[str, object],
+    rates_topic: str | None = None,
+    actuators_topic: str | None = None,
+    airspeed_topic: str | None = None,
+    armed_topic: str | None = None,
+) -> Inputs:
+    """Find the input topics of a bag.
+
+    Parameters
+    ----------
+    bag : Bag
+        The bag.
+    parameters : mapping
+        Parameters by dotted name; a message type that is not among them is the topic's.
+    rates_topic, actuators_topic : str, optional
+        Topics to take. Left out: ``/imu/data`` and ``/actuators`` if the bag has them, else
+        the only topic of a known type.
+    airspeed_topic, armed_topic : str, optional
+        Topics to take. Left out: none, or, if the type is set, ``/airspeed`` and ``/armed`` or
+        else the only topic of that type.
+
+    Raises
+    ------
+    BagError
+        If a topic is missing, not of a usable type, or there are several to choose from.
+    SettingsError
+        If a parameter is wrong.
+    """
+    values = dict(parameters)
+    Settings.from_values(values)  # what is wrong with the parameters comes before the bag
+    asked = (rates_topic, actuators_topic, airspeed_topic, armed_topic)
+    topics = []
+    for stream, topic in zip(STREAMS, asked, strict=True):
+        wanted = str(values.get(stream.setting) or "")
+        if stream.optional and not topic and not wanted:
+            topics.append("")
+            continue
+        topics.append(_choose(bag, stream, topic, wanted))
+        values[stream.setting] = bag.type_of(topics[-1])
+    rates, actuators, airspeed, armed = topics
+    return Inputs(rates, actuators, Settings.from_values(values), airspeed, armed)
+
+
+def _choose(bag: Bag, stream: Stream, asked: str | None, wanted: str) -> str:
+    """Return the topic asked for, or else the one to be found, if its type will do."""
+    types = (wanted,) if wanted else stream.types
+    topic = asked or _find_topic(bag, stream, types)
+    msgtype = bag.type_of(topic)
+    if msgtype not in types:
+        known = ", ".join(stream.types)
+        reason = f"'{stream.setting}' is '{wanted}'" if wanted else f"known are {known}"
+        raise BagError(f"bag '{bag.path}': topic '{topic}' is of type {msgtype}, but {reason}")
+    return topic
+
+
+def _find_topic(bag: Bag, stream: Stream, types: tuple[str, ...]) -> str:
+    """Return the topic of the stream's own name, or the only one of the given types."""
+    default = f"/{stream.topic}"
+    if default in bag.types:
+        return default
+    found = candidates(bag, types)
+    if not found:
+        raise BagError(
+            f"bag '{bag.path}' has neither a topic '{default}' nor one of type "
+            f"{' or '.join(types)}; it has {bag.contents()}"
+        )
+    if len(found) > 1:
+        listed = "".join(f"\n  {_described(bag, topic)}" for topic in found)
+        raise BagError(
+            f"bag '{bag.path}' has no topic '{default}', but {len(found)} that could be it: "
+            f"choose one with --topic {stream.topic}:={found[0]}{listed}"
+        )
+    return found[0]
+
+
+def candidates(bag: Bag, types: tuple[str, ...]) -> list[str]:
+    """Return the topics of some types; those without messages only if there are no others."""
+    found = [
+        topic
+        for topic, msgtype in bag.types.items()
+        if msgtype in types and not topic.endswith(OWN_TOPICS)
+    ]
+    return [topic for topic in found if bag.counts[topic]] or found
+
+
+def _described(bag: Bag, topic: str) -> str:
+    """Return a topic with what helps to choose it."""
+    count = bag.counts[topic]
+    seconds = (bag.end_ns - bag.start_ns) * NS
+    rate = f", {count / seconds:.0f} Hz" if seconds > 0.0 else ""
+    return f"{topic} ({bag.types[topic]}), {count} messages{rate}"
