@@ -17,6 +17,7 @@ from rclpy.duration import Duration
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
@@ -53,6 +54,9 @@ DIAGNOSTICS_PERIOD = 1.0
 
 SILENT_AFTER = 2.0
 """Seconds without a message, or without progress of /clock, that are worth a word."""
+
+SPIN_TIME = 1.0
+"""Seconds that the executor may go on before it is asked whether the context still is."""
 
 TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC, ARMED_TOPIC)
 
@@ -303,8 +307,10 @@ def spin(node: Node) -> None:
     executor.add_node(node)
     try:
         # The events executor's spin() never returns, not even on SIGTERM; with a timeout it does.
+        # Waiting for what never comes, it stays in its own loop for that long, where spin_once
+        # leaves it after every message.
         while rclpy.ok():
-            executor.spin_once(timeout_sec=1.0)
+            executor.spin_until_future_complete(Future(), timeout_sec=SPIN_TIME)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except rclpy_implementation.RCLError:
