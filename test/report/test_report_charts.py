@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +18,7 @@ from uav_ident_ros.identification.identifier import State
 from uav_ident_ros.identification.structure import INPUTS, ROWS, STRUCTURES
 from uav_ident_ros.offline import OfflineRun, choose_inputs
 from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.pictures import PictureError
 from uav_ident_ros.report.activity import activity
 from uav_ident_ros.report.coefficients_chart import order
 from uav_ident_ros.report.coverage import SIGNALS, correlations
@@ -27,6 +29,7 @@ from uav_ident_ros.report.predictions import Predictions, predict
 from uav_ident_ros.report.rates_chart import DETAIL_TIME, detail_span
 from uav_ident_ros.report.spectra import spectra
 from uav_ident_ros.report.strip import GRAVEST
+from uav_ident_ros.report.style import style_sheet
 
 BAGS = Path(__file__).parents[2] / "bags"
 Array = NDArray[np.float64]
@@ -254,9 +257,13 @@ def test_a_drawing_has_no_colours_names_or_links_of_its_own() -> None:
     assert len(names) == len(set(names))
 
 
+def test_without_matplotlib_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(PictureError, match="the report needs matplotlib"):
+        draw_svg(lambda figure, form: None, FORMATS[0], 1.0, "chart")
+
+
 @pytest.mark.parametrize("width", ["wide", "narrow"])
 def test_formats_are_told_apart_by_the_style_sheet(width: str) -> None:
-    from uav_ident_ros.report.style import style_sheet
-
     assert width in {form.name for form in FORMATS}
     assert f"svg.{width}{{display:none}}" in style_sheet()

@@ -114,12 +114,13 @@ header{padding-top:0}
 nav{display:none}
 section{margin:1.2rem 0}
 h2,h3,caption,thead{break-after:avoid}
-figure,tr,.cards,.verdict,table.short{break-inside:avoid}
+figure,tr,.cards,.verdict,table.short,#delay,#origin{break-inside:avoid}
 figure{margin:.6rem 0}
 figure svg.wide{display:block}
 figure svg.narrow{display:none}
 .scroll{overflow:visible}
 table{font-size:8.5pt}
+th,td{padding-top:.1rem;padding-bottom:.1rem}
 thead{display:table-header-group}
 details::details-content{content-visibility:visible;block-size:auto}
 summary{list-style:none}
