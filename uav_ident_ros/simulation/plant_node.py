@@ -98,7 +98,7 @@ class PlantNode(Node):
         )
         self._lock_step: bool = self._value("lock_step")
         self._period_ns = round(NS_PER_S / rate)
-        self._start_ns = EPOCH_NS if self._lock_step else time.time_ns()
+        self._start_ns = EPOCH_NS
         self._now_ns = self._clock_ns = self._start_ns
         self._record = FlightRecord()
         self._commands: dict[int, np.ndarray] = {}
@@ -174,6 +174,8 @@ class PlantNode(Node):
         """
         if self._lock_step:
             self._wait_for_everyone()
+        else:
+            self._start_ns = time.time_ns()
         began = time.monotonic()
         duration = self._value("duration") or math.inf
         try:
