@@ -282,28 +282,35 @@ def test_lock_fixes_every_version(name: str):
     assert not [line for line in pins if not re.match(r"[\w.-]+==[\w.]+( ;|$)", line)]
 
 
-def launch_calls(name: str) -> list[ast.Call]:
-    tree = ast.parse((ROOT / "launch" / "identifier.launch.py").read_text())
+LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+
+
+def launch_calls(path: Path, name: str) -> list[ast.Call]:
     return [
         node
-        for node in ast.walk(tree)
+        for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.Call) and getattr(node.func, "id", None) == name
     ]
 
 
-def test_launch_arguments_are_declared_and_used():
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_arguments_are_declared_and_used(path: Path):
     """Without launch installed: every declared argument is read, and none that is undeclared."""
-    declared = [ast.literal_eval(call.args[0]) for call in launch_calls("DeclareLaunchArgument")]
-    used = {ast.literal_eval(call.args[0]) for call in launch_calls("LaunchConfiguration")}
+    calls = launch_calls(path, "DeclareLaunchArgument")
+    declared = [ast.literal_eval(call.args[0]) for call in calls]
+    used = {ast.literal_eval(call.args[0]) for call in launch_calls(path, "LaunchConfiguration")}
 
     assert len(declared) == len(set(declared))
     assert set(declared) == used
-    assert {"params_file", "namespace", "use_sim_time", "log_level"} <= used
+    assert {"params_file", "namespace", "log_level"} <= used
+    for call in calls:
+        assert any(word.arg == "description" for word in call.keywords)
 
 
-def test_launch_can_rename_every_input():
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_can_rename_every_input(path: Path):
     """Each remap's left side is a topic of the node, its right side an argument of that default."""
-    (node,) = launch_calls("Node")
+    (node,) = launch_calls(path, "Node")
     (remappings,) = (word.value for word in node.keywords if word.arg == "remappings")
     arguments = {
         ast.literal_eval(pair.elts[0]): ast.literal_eval(pair.elts[1].args[0])
@@ -315,22 +322,49 @@ def test_launch_can_rename_every_input():
     assert set(arguments) == topics
     defaults = {
         ast.literal_eval(call.args[0]): word.value
-        for call in launch_calls("DeclareLaunchArgument")
+        for call in launch_calls(path, "DeclareLaunchArgument")
         for word in call.keywords
         if word.arg == "default_value"
     }
     for topic, argument in arguments.items():
-        assert ast.literal_eval(defaults[argument]) == topic
+        # a bag's topics do not follow the node's namespace
+        assert ast.literal_eval(defaults[argument]).removeprefix("/") == topic
 
 
-def test_launch_file_starts_what_the_package_installs():
-    (node,) = launch_calls("Node")
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_file_starts_what_the_package_installs(path: Path):
+    (node,) = launch_calls(path, "Node")
+    constants = constants_of(path)
     values = {word.arg: word.value for word in node.keywords}
-    assert ast.literal_eval(values["executable"]) in console_scripts()
-    constants = constants_of(ROOT / "launch" / "identifier.launch.py")
+    executable = values["executable"]
+    name = constants[executable.id] if isinstance(executable, ast.Name) else executable.value
+    assert name in console_scripts()
     assert constants["PACKAGE"] == PACKAGE
     assert constants["DEFAULT_PARAMS"] == "identifier.yaml"  # defaults, not a vehicle's or paper's
     assert (ROOT / "config" / constants["DEFAULT_PARAMS"]).is_file()
+
+
+def test_launch_of_a_bag():
+    """Without launch installed: the clock, the topics that are recorded, the end."""
+    path = ROOT / "launch" / "replay.launch.py"
+    constants = constants_of(path)
+    assert float(constants["CLOCK_RATE"]) == 200.0
+    source = path.read_text()
+    recorded = ast.literal_eval(source.split("RECORDED = f")[1].splitlines()[0])
+    pattern = recorded.replace("{NODE}", constants["NODE"])
+    for topic in ("/identifier/coefficients_named", "/drone1/identifier/coefficients"):
+        assert re.search(pattern, topic)
+    assert re.search(pattern, "/diagnostics")
+    for topic in ("/imu/data", "/clock", "/rosout", "/other/diagnostics_agg"):
+        assert not re.search(pattern, topic)
+    commands = [ast.unparse(call) for call in launch_calls(path, "ExecuteProcess")]
+    assert len(commands) == 2
+    assert all("FindExecutable(name='ros2'), 'bag'" in command for command in commands)
+    (player,) = [command for command in commands if "'play'" in command]
+    assert "'--clock', LaunchConfiguration('clock_rate')" in player
+    # what follows an option without a value would be taken for it
+    assert player.index("LaunchConfiguration('bag')") < player.index("'--clock'")
+    assert "'state_file': 'none'" in ast.unparse(launch_calls(path, "Node")[0])
 
 
 def constants_of(path: Path) -> dict[str, Any]:
@@ -344,10 +378,10 @@ def constants_of(path: Path) -> dict[str, Any]:
     }
 
 
-def test_launch_description_builds():
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_description_builds(path: Path):
     pytest.importorskip("launch_ros", reason="launch comes with apt ROS only")
     launch = importlib.import_module("launch")
-    namespace = runpy.run_path(str(ROOT / "launch" / "identifier.launch.py"))
-    description = namespace["generate_launch_description"]()
+    description = runpy.run_path(str(path))["generate_launch_description"]()
     assert isinstance(description, launch.LaunchDescription)
     assert "params_file" in {argument.name for argument in description.get_launch_arguments()}
