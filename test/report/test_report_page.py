@@ -20,6 +20,7 @@ from uav_ident_ros.bags import Bag
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.meanings import MEANINGS
 from uav_ident_ros.replay import main
+from uav_ident_ros.report.tables import coefficients_table
 
 BAGS = Path(__file__).parents[2] / "bags"
 REAL_FLIGHT = BAGS.parent.parent / "shared" / "bags" / "thor75_auto"
@@ -108,6 +109,18 @@ def test_coefficients_are_those_of_the_summary(page: Node, summary: dict[str, An
         assert exact(ratio) == pytest.approx(abs(entry["value"]) / entry["sigma"])
         assert float(value.text.replace("−", "-")) == pytest.approx(entry["value"], rel=1e-3)
         assert meaning.text == MEANINGS[name.text]
+
+
+def test_what_is_fixed_or_unknown_has_no_t_ratio() -> None:
+    entries = {
+        "pdot/p": {"value": -6.0, "sigma": 0.0},
+        "pdot/da": {"value": 30.0, "sigma": None},
+        "pdot/r": {"value": 0.5, "sigma": 0.25},
+    }
+    found = coefficients_table({"coefficients": entries})
+    cells = [[cell.text or cell[0].text for cell in row[1:4]] for row in found.iter("tr")][1:]
+    assert cells == [["−6", "fixed", "–"], ["30", "–", "–"], ["0.5", "0.25", "2.0"]]
+    assert [row.get("class") for row in found.iter("tr")] == [None, None, None, "weak"]
 
 
 @pytest.mark.parametrize(

@@ -147,6 +147,13 @@ _RATES_CAPTION = (
 
 
 def _coefficients_section(flight: Flight, summary: Mapping[str, Any]) -> Element:
+    caption = _COEFFICIENTS_CAPTION
+    airspeed = flight.settings.airspeed
+    if airspeed.type:
+        caption += (
+            " The charts are at the airspeed flown, the table is at the reference, "
+            f"{airspeed.reference:g}{NBSP}m/s."
+        )
     charts = [
         figure(
             f"coefficients-{row}",
@@ -155,7 +162,7 @@ def _coefficients_section(flight: Flight, summary: Mapping[str, Any]) -> Element
             heading=f"Coefficients of {row}",
             spoken=f"Coefficients of {row} over time, each with a band of one sigma. The last "
             "values are in the table above.",
-            caption="" if k else _COEFFICIENTS_CAPTION,
+            caption="" if k else caption,
             legend=tuple((state, state) for state in STATES),
         )
         for k, row in enumerate(ROWS)
