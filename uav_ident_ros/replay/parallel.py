@@ -35,7 +35,7 @@ def replay_all(jobs: Sequence[Job], workers: int) -> list[Outcome]:
     shown = bar(total=len(jobs), unit=" replays", bar_format="{l_bar}{bar}| {elapsed}<{remaining}")
     told: Told = (lambda share: None) if shown is None else shown.update
     processes = _Processes()
-    pool = ThreadPoolExecutor(max(1, min(workers, len(jobs))))
+    pool = ThreadPoolExecutor(max(1, min(workers, len(jobs))), initializer=_leave_interrupts)
     try:
         return list(pool.map(lambda job: processes.replay(job, told), jobs))
     except BaseException:
@@ -45,6 +45,11 @@ def replay_all(jobs: Sequence[Job], workers: int) -> list[Outcome]:
         pool.shutdown(cancel_futures=True)
         if shown is not None:
             shown.close()
+
+
+def _leave_interrupts() -> None:
+    """Leave Ctrl-C to the main thread, here and in the processes that this thread starts."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 class _Processes:
@@ -70,6 +75,8 @@ class _Processes:
         process.start()
         sender.close()
         self._alive.add(process)
+        if self._stopped:  # meanwhile
+            process.terminate()
         done = 0.0
         try:
             while True:
@@ -96,7 +103,6 @@ def _how_it_ended(job: Job, exitcode: int | None) -> str:
 
 def _work(job: Job, sender: Connection) -> None:
     """Do a job and send how far it is, then its outcome."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and ends this process
 
     def progress(messages: Iterable[Message], total: int) -> Iterator[Message]:
         every = max(1, total // STEPS)

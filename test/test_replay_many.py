@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`replay` of many bags and of many configurations: each has its own outcome and its own folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from uav_ident_ros.bag_writer import BagWriter
+from uav_ident_ros.bags import Bag, BagError
+from uav_ident_ros.replay import main
+from uav_ident_ros.replay.comparison import WORST_FIT, mean_fit, ranked, ranking
+from uav_ident_ros.replay.find import find_bags, is_collection, names_of
+from uav_ident_ros.replay.job import NO_RESULT, NOT_USABLE, USABLE, Job, Outcome, replay
+from uav_ident_ros.replay.options import parser, topics
+from uav_ident_ros.replay.overview import columns, overview
+from uav_ident_ros.replay.parallel import replay_all
+
+ROOT = Path(__file__).parent.parent
+BAGS = ROOT / "bags"
+PARAMETERS = BAGS / "multisine" / "identifier.yaml"
+SECOND_NS = 1_000_000_000
+TYPES = {"/imu/data": "sensor_msgs/msg/Imu", "/actuators": "sensor_msgs/msg/JointState"}
+
+
+def excerpt(target: Path, seconds: float) -> Path:
+    """The start of a flight of stamped messages."""
+    with Bag(BAGS / "multisine") as bag, BagWriter(target) as writer:
+        for topic, name in TYPES.items():
+            writer.topic(topic, name)
+        for topic, log_ns, data in bag.messages(TYPES):
+            if log_ns <= bag.start_ns + seconds * SECOND_NS:
+                writer.write(topic, log_ns, data)
+    return target
+
+
+def parameter_file(path: Path, **values: object) -> Path:
+    lines = [f"    {name.replace('__', '.')}: {value}" for name, value in values.items()]
+    path.write_text("\n".join(["/**:", "  ros__parameters:", *lines, ""]))
+    return path
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "summary.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as it grows on a disk: flights, a short one, a broken one, results, other files."""
+    folder = tmp_path_factory.mktemp("logs")
+    excerpt(folder / "monday" / "flight", 40.0)
+    excerpt(folder / "tuesday" / "flight", 3.0)
+    (folder / "broken.mcap").write_bytes(b"not a bag")
+    (folder / "notes.txt").write_text("hello")
+    (folder / ".trash").mkdir()
+    (folder / ".trash" / "old.mcap").write_bytes(b"")
+    excerpt(folder / "replay_flight" / "estimates", 1.0)  # a result of an earlier replay
+    (folder / "replay_flight" / "summary.json").write_text("{}")
+    return folder
+
+
+# --- which bags --------------------------------------------------------------------------------
+
+
+def test_bags_of_a_folder(logs: Path) -> None:
+    assert is_collection(logs)
+    assert find_bags(logs) == [
+        logs / "broken.mcap", logs / "monday" / "flight", logs / "tuesday" / "flight"
+    ]  # fmt: skip
+    assert names_of(find_bags(logs)) == ["broken", "monday_flight", "tuesday_flight"]
+
+
+def test_what_is_a_bag_and_what_a_folder_of_them(tmp_path: Path) -> None:
+    flight = excerpt(tmp_path / "flight", 0.1)
+    assert not is_collection(flight)
+    assert not is_collection(flight / "flight.mcap")
+    assert not is_collection(tmp_path / "nowhere")
+    (flight / "metadata.yaml").unlink()
+    assert not is_collection(flight)  # one file, no metadata: a recorder was killed
+    (flight / "flight.mcap").rename(flight / "flight_0.mcap")
+    (flight / "flight_1.mcap").write_bytes(b"")
+    assert not is_collection(flight)  # the numbered files of one recording
+    (flight / "other_0.mcap").write_bytes(b"")
+    assert is_collection(flight)
+    assert [bag.name for bag in find_bags(flight)] == [
+        "flight_0.mcap", "flight_1.mcap", "other_0.mcap"
+    ]  # fmt: skip
+    (tmp_path / "empty").mkdir()
+    assert is_collection(tmp_path / "empty")
+    with pytest.raises(BagError, match=r"empty' has no bags: neither rosbag2 folders nor \.mcap"):
+        find_bags(tmp_path / "empty")
+
+
+def test_names_differ_however_the_bags_are_called() -> None:
+    paths = ["a/x", "b/x", "c/y.mcap", "d/a/x", "y.db3/z"]
+    assert names_of([Path(path) for path in paths]) == ["a_x", "b_x", "y", "a_x_2", "z"]
+
+
+# --- many bags ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def replayed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """The output folder of a replay of them all, and the finished process."""
+    output = tmp_path_factory.mktemp("output")
+    command = [sys.executable, "-m", "uav_ident_ros.replay", str(logs), "--jobs", "2"]
+    command += ["--params-file", str(PARAMETERS), "--output", str(output)]
+    return output, subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+
+
+def test_a_bad_bag_does_not_stop_the_rest(replayed: tuple[Path, Any]) -> None:
+    output, done = replayed
+    assert done.returncode == NO_RESULT
+    assert sorted(os.listdir(output)) == ["monday_flight", "tuesday_flight"]
+    assert summary(output / "monday_flight")["usable"]
+    assert not summary(output / "tuesday_flight")["usable"]
+    (line,) = done.stderr.splitlines()
+    assert re.match(
+        r"replay: broken: bag '.*broken\.mcap' cannot be read: .* is no MCAP file", line
+    )
+    rows = {line.split()[0]: line for line in done.stdout.splitlines() if line}
+    assert rows["monday_flight"].endswith("  usable")
+    assert "  not usable: only 2 predictions of 1 s to judge by" in rows["tuesday_flight"]
+    assert "  no result: bag " in rows["broken"]
+    assert "3 bags: 1 usable, 1 not usable, 1 no result" in done.stdout
+
+
+def test_side_by_side_gives_what_one_alone_gives(
+    logs: Path, replayed: tuple[Path, Any], tmp_path: Path
+) -> None:
+    arguments = [str(logs / "monday" / "flight"), "--params-file", str(PARAMETERS)]
+    assert main([*arguments, "--output", str(tmp_path / "alone")]) == USABLE
+    for name in ("coefficients.yaml", "estimates/estimates.mcap"):
+        together = replayed[0] / "monday_flight" / name
+        assert together.read_bytes() == (tmp_path / "alone" / name).read_bytes()
+    together, alone = summary(replayed[0] / "monday_flight"), summary(tmp_path / "alone")
+    assert (together.pop("bag"), alone.pop("bag")) == ("monday_flight", "flight")
+    assert together == alone
+
+
+def test_a_process_that_dies_leaves_the_others(logs: Path, tmp_path: Path) -> None:
+    jobs = [
+        Job(logs / day / "flight", day, tmp_path / day, (PARAMETERS,))
+        for day in ("monday", "tuesday")
+    ]
+    script = (
+        "import os, signal, sys, pickle\n"
+        "from uav_ident_ros.replay import parallel\n"
+        "work = parallel._work\n"
+        "def deadly(job, sender):\n"
+        "    if job.name == 'monday':\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    work(job, sender)\n"
+        "if __name__ == '__main__':\n"
+        "    parallel._work = deadly\n"
+        "    jobs = pickle.loads(bytes.fromhex(sys.argv[1]))\n"
+        "    for outcome in parallel.replay_all(jobs, 2):\n"
+        "        print(outcome.job.name, outcome.status, outcome.warnings)\n"
+    )
+    import pickle
+
+    (tmp_path / "deadly.py").write_text(script)
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "deadly.py"), pickle.dumps(jobs).hex()],
+        capture_output=True, text=True, cwd=ROOT, check=True,
+    )  # fmt: skip
+    first, second = done.stdout.splitlines()
+    assert first.startswith(f"monday {NO_RESULT}")
+    assert "its process was ended by SIGKILL" in first
+    assert second.startswith(f"tuesday {NOT_USABLE}")
+
+
+def test_interrupt_ends_every_process(tmp_path: Path) -> None:
+    for name in ("one", "two", "three"):
+        excerpt(tmp_path / name, 60.0)
+    command = [sys.executable, "-m", "uav_ident_ros.replay", str(tmp_path), "--jobs", "2"]
+    process = subprocess.Popen(
+        [*command, "--output", str(tmp_path / "out")],
+        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    while len(children(process.pid)) < 2:  # the processes are starting, or under way
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    output, errors = process.communicate(timeout=60.0)
+    assert process.returncode == 130
+    assert "bags:" not in output
+    assert "Traceback" not in errors
+    assert gone(process.pid)
+
+
+def children(pid: int) -> list[str]:
+    """The processes that a process has started from any of its threads."""
+    lists = Path(f"/proc/{pid}/task").glob("*/children")
+    return [child for tasks in lists for child in tasks.read_text().split()]
+
+
+def gone(group: int) -> bool:
+    """Whether a group of processes ends."""
+    for _ in range(100):
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def test_outcomes_keep_the_order_of_the_jobs(tmp_path: Path) -> None:
+    jobs = [Job(tmp_path / f"nowhere{k}", f"n{k}", tmp_path / f"out{k}") for k in range(3)]
+    outcomes = replay_all(jobs, 2)
+    assert [outcome.job for outcome in outcomes] == jobs
+    assert [outcome.status for outcome in outcomes] == [NO_RESULT] * 3
+    assert "nowhere1' does not exist" in outcomes[1].warnings[0]
+
+
+# --- many configurations -----------------------------------------------------------------------
+
+
+def test_configurations_are_ranked_on_one_bag(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = parameter_file(tmp_path / "good.yaml", estimator="least_squares")
+    late = parameter_file(tmp_path / "late.yaml", actuators__delay=0.15)
+    arguments = [str(logs / "monday" / "flight"), "--params-file", str(PARAMETERS)]
+    arguments += ["--compare", str(late), str(good), "--output", str(tmp_path / "out")]
+    assert main(arguments) == USABLE
+    printed = capsys.readouterr().out
+    assert printed.startswith("flight: 2 configurations, by their 1-second prediction fit")
+    first, second, holding = (line for line in printed.splitlines() if re.match(r" +[12h]", line))
+    assert re.match(r" 1 good +\d\d\.\d +\d\d\.\d +\d\d\.\d +\d\d\.\d   0\.000  usable", first)
+    assert re.match(r" 2 late +.* 0\.150  ", second)
+    assert holding.strip().startswith("holding the rates")
+    # each on top of the parameter file, each in its folder
+    for name, estimator in (("good", "least_squares"), ("late", "instrumental_variable")):
+        settings = summary(tmp_path / "out" / name)["settings"]
+        assert settings["estimator"] == estimator
+        assert settings["actuators.type"] == TYPES["/actuators"]
+
+
+def test_a_refused_configuration_is_no_result(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = parameter_file(tmp_path / "wrong.yaml", update_rate=20)
+    arguments = [str(logs / "tuesday" / "flight"), "--params-file", str(PARAMETERS)]
+    arguments += ["--compare", str(wrong), str(PARAMETERS), "--output", str(tmp_path / "out")]
+    assert main(arguments) == NO_RESULT
+    captured = capsys.readouterr()
+    assert re.search(r"^replay: wrong: .*'update_rate' is 20", captured.err)
+    assert re.search(r"^ 1 identifier .* not usable", captured.out, re.MULTILINE)
+    assert re.search(r"^ 2 wrong +- +- +- +- +-  no result: ", captured.out, re.MULTILINE)
+
+
+def test_compare_takes_one_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for bags in ([str(BAGS)], [str(BAGS / "pulses"), str(BAGS / "multisine")]):
+        with pytest.raises(SystemExit) as caught:
+            main([*bags, "--compare", str(PARAMETERS)])
+        assert caught.value.code == NO_RESULT
+        assert "--compare takes one bag" in capsys.readouterr().err
+
+
+def outcome(name: str, status: int, model: tuple[float | None, ...]) -> Outcome:
+    fit = {
+        "model": dict(zip("pqr", model, strict=True)),
+        "hold": {"p": -20.0, "q": None, "r": -10.0},
+    }
+    content = {"prediction_fit": {"last_40_percent": fit}, "reason": "why", "delay": 0.0}
+    return Outcome(Job(Path(name), name, Path(name)), status, summary=content)
+
+
+def test_ranking_puts_usable_ones_first_and_one_bad_axis_does_not_hide_the_others() -> None:
+    usable = outcome("usable", USABLE, (40.0, 40.0, 40.0))
+    better = outcome("better", NOT_USABLE, (90.0, 90.0, -1e5))
+    worse = outcome("worse", NOT_USABLE, (20.0, 20.0, -1e9))
+    silent = outcome("silent", NOT_USABLE, (None, None, None))
+    failed = Outcome(Job(Path("x"), "failed", Path("x")), NO_RESULT, ("line one\n  line two",))
+    assert mean_fit(better) == pytest.approx((180.0 + WORST_FIT) / 3.0)
+    assert mean_fit(silent) == mean_fit(failed) == WORST_FIT
+    everything = [failed, silent, worse, better, usable]
+    assert [o.job.name for o in ranked(everything)] == [
+        "usable", "better", "worse", "silent", "failed"
+    ]  # fmt: skip
+    table = ranking("flight", everything)
+    assert "<-1000" in table
+    assert "line one" in table
+    assert "line two" not in table
+    assert overview(everything).endswith("5 bags: 1 usable, 3 not usable, 1 no result")
+    assert columns([1.04, None, -1000.0]) == "     1.0       -  <-1000"
+
+
+# --- options -----------------------------------------------------------------------------------
+
+
+def test_topics_by_either_option() -> None:
+    given = ["bag", "--topic", "imu/data:=/a", "--topic", "armed:=b", "--imu-topic", "/c"]
+    assert topics(parser().parse_args([*given, "--actuators-topic", "d"])) == {
+        "rates": "/a", "actuators": "/d", "armed": "/b"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["bag", "--topic", "/a"], "'/a' is not NAME:=TOPIC with a NAME among imu/data, actuators"),
+        (["bag", "--topic", "gyro:=/a"], "'gyro:=/a' is not NAME:=TOPIC"),
+        (["bag", "--topic", "armed:="], "'armed:=' is not NAME:=TOPIC"),
+        (["bag", "--jobs", "0"], "'0' is not a number from 1 on"),
+        (["bag", "--jobs", "many"], "'many' is not a number from 1 on"),
+    ],
+)
+def test_wrong_options_are_one_line(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == NO_RESULT
+    captured = capsys.readouterr().err
+    assert words in captured
+    assert captured.count("\n") == 1
+
+
+def test_a_fault_of_the_program_is_no_result(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*arguments: object, **options: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("uav_ident_ros.replay.job.write_results", broken)
+    arguments = [str(logs / "tuesday" / "flight"), "--output", str(tmp_path)]
+    assert main(arguments) == NO_RESULT  # and not 1, which would say that there is a model
+    assert "ZeroDivisionError" in capsys.readouterr().err
+    with pytest.raises(ZeroDivisionError):
+        replay(Job(logs / "tuesday" / "flight", "x", tmp_path))
+
+
+def test_a_reader_that_goes_away_does_not_change_the_status(logs: Path, tmp_path: Path) -> None:
+    bag = logs / "tuesday" / "flight"
+    command = [sys.executable, "-m", "uav_ident_ros.replay", str(bag), "--output", str(tmp_path)]
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, cwd=ROOT, check=False)
+    os.close(writer)
+    assert done.returncode == NOT_USABLE
+    assert b"Traceback" not in done.stderr
