@@ -1,0 +1,362 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a controller may rely on: the message as a model, and what is refused."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uav_ident_ros.client import (
+    AttitudeModel,
+    Coefficients,
+    CoefficientSource,
+    Fallback,
+    History,
+    MessageError,
+    Refusal,
+)
+from uav_ident_ros.coefficients_file import save_coefficients
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.messages import named_entries
+
+AUGMENTED = STRUCTURES["augmented"]
+SECOND = 10**9
+START = 1_700_000_000 * SECOND
+
+# A light aircraft: damping 6, 5 and 0.5 1/s; aileron, elevator, rudder.
+VALUES = {
+    "pdot/p": -6.4, "pdot/r": 0.7, "pdot/da": 29.5, "pdot/dr": -3.1, "pdot/pq": 0.2,
+    "pdot/qr": -0.4, "pdot/ay": 1.1, "qdot/q": -5.5, "qdot/de": -26.0, "qdot/pr": 0.8,
+    "qdot/az": 0.2, "qdot/1": 1.8, "rdot/p": -0.4, "rdot/r": -0.5, "rdot/dr": -2.4,
+    "rdot/da": -0.2, "rdot/pq": -0.1, "rdot/ay": -0.35,
+}  # fmt: skip
+
+
+def matrix(entries: dict[str, float]) -> FloatArray:
+    out = np.zeros(AUGMENTED.mask.shape)
+    for name, value in entries.items():
+        out[AUGMENTED.index(name)] = value
+    return out
+
+
+def message(
+    sigma: float | dict[str, float] = 0.01,
+    usable: bool = True,
+    t_ns: int = START,
+    values: dict[str, float] | None = None,
+) -> Any:
+    """Return a message of the identifier's own making, as attributes."""
+    spread = np.where(AUGMENTED.mask, sigma if isinstance(sigma, float) else 0.01, 0.0)
+    for name, value in ({} if isinstance(sigma, float) else sigma).items():
+        spread[AUGMENTED.index(name)] = value
+    entries = named_entries(
+        Estimate(
+            t_ns=t_ns, coefficients=matrix({**VALUES, **(values or {})}), sigma=spread,
+            predicted_rates=np.zeros(3), prediction_error=np.zeros(3),
+            fit=np.array([90.0, 80.0, 85.0]), adapting=True, usable=usable, state="", reason="",
+        ),
+        AUGMENTED,
+    )  # fmt: skip
+    stamp = SimpleNamespace(sec=t_ns // SECOND, nanosec=t_ns % SECOND)
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=stamp),
+        name=list(entries.names),
+        position=entries.positions.tolist(),
+        effort=entries.efforts.tolist(),
+    )
+
+
+def model(**changes: Any) -> AttitudeModel:
+    source = CoefficientSource(Fallback.REFUSE)
+    source.take(message(**changes))
+    return source.model(START)
+
+
+# --- the message ------------------------------------------------------------------------------
+
+
+def test_a_message_becomes_named_values() -> None:
+    read = Coefficients.from_message(message(sigma={"pdot/da": 0.5}))
+    assert read.structure is AUGMENTED
+    assert read.names == AUGMENTED.names
+    np.testing.assert_array_equal(read.values, matrix(VALUES))
+    assert read.sigma[AUGMENTED.index("pdot/da")] == 0.5
+    assert read.usable
+    assert read.t_ns == START
+    assert read.age(START + SECOND // 2) == 0.5
+    assert read.fit is not None
+    assert read.fit.tolist() == [90.0, 80.0, 85.0]
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_every_structure_is_recognised_by_its_names(name: str) -> None:
+    structure = STRUCTURES[name]
+    numbered = np.where(structure.mask, np.arange(structure.mask.size).reshape(3, -1), 0.0)
+    estimate = Estimate(
+        START, numbered, np.zeros_like(numbered), np.zeros(3), np.zeros(3), np.zeros(3),
+        True, True, "", "",
+    )  # fmt: skip
+    entries = named_entries(estimate, structure)
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0))
+    read = Coefficients.from_message(
+        SimpleNamespace(
+            header=header, name=entries.names, position=entries.positions, effort=entries.efforts
+        )
+    )
+    assert read.structure is structure
+    np.testing.assert_array_equal(read.values, numbered)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda m: m.position.pop(), "30 names, 29 positions"),
+        (lambda m: m.name.__setitem__(0, "pdot/beta"), "no known structure"),
+        (lambda m: m.name.__setitem__(-1, "verdict"), "no known structure"),
+        (lambda m: m.position.__setitem__(3, float("nan")), "not finite"),
+        (lambda m: m.effort.__setitem__(3, -1.0), "negative"),
+    ],
+)
+def test_a_message_that_holds_no_coefficients_is_refused(spoil: Any, reason: str) -> None:
+    wrong = message()
+    spoil(wrong)
+    source = CoefficientSource(Fallback.REFUSE)
+    source.take(message(t_ns=START - SECOND // 20))
+    with pytest.raises(MessageError, match=reason):
+        source.take(wrong)
+    assert source.model(START).t_ns == START - SECOND // 20  # what was there stays
+
+
+def test_a_coefficient_is_known_by_its_own_sigma_or_by_being_surely_small() -> None:
+    known = Coefficients.from_message(
+        message(sigma={"qdot/de": 9.0, "rdot/da": 0.2, "pdot/pq": 0.5, "pdot/dr": 2.0})
+    ).known
+    assert not known[AUGMENTED.index("qdot/de")]  # 26 and 9
+    assert known[AUGMENTED.index("rdot/da")]  # 0.2 and 0.2, beside a rudder of 2.4
+    assert not known[AUGMENTED.index("pdot/pq")]
+    assert known[AUGMENTED.index("pdot/dr")]  # 3.1 and 2, beside an aileron of 29.5
+    assert known[~AUGMENTED.mask].all()
+
+
+# --- the model --------------------------------------------------------------------------------
+
+
+def test_prediction_is_the_solution_of_a_linear_model() -> None:
+    only_roll = {name: 0.0 for name in VALUES} | {"pdot/p": -4.0, "pdot/da": 20.0}
+    predicted = model(values=only_roll).predict(
+        np.array([0.2, 0.0, 0.0]), np.array([0.0, 0.0, 0.1, 0.0]), 0.7
+    )
+    settled = 20.0 * 0.1 / 4.0
+    expected = settled + (0.2 - settled) * np.exp(-4.0 * 0.7)
+    np.testing.assert_allclose(predicted, [expected, 0.0, 0.0], atol=1e-9)
+
+
+def test_prediction_agrees_with_a_fine_integration() -> None:
+    x, u = np.array([0.6, -0.3, 0.4]), np.array([0.05, -0.1, 0.08, 0.2])
+    force = np.array([0.5, -9.6])
+    fine = x.copy()
+    for _ in range(20_000):
+        fine = fine + 0.5 / 20_000 * model().acceleration(fine, u, force)
+    np.testing.assert_allclose(model().predict(x, u, 0.5, force), fine, atol=1e-4)
+
+
+def test_without_forces_their_coefficients_and_the_constant_are_left_out() -> None:
+    x, u = np.array([0.1, 0.2, 0.0]), np.zeros(4)
+    qdot = model().acceleration(x, u)[1]
+    assert qdot == pytest.approx(-5.5 * 0.2)
+    with_force = model().acceleration(x, u, np.array([0.0, -9.0]))[1]
+    assert with_force == pytest.approx(-5.5 * 0.2 + 1.8 - 0.2 * 9.0)
+
+
+def test_linearisation_is_the_derivative() -> None:
+    x, u, h = np.array([0.6, -0.3, 0.4]), np.array([0.05, -0.1, 0.08, 0.2]), 1e-6
+    a, b = model().linearize(x, u)
+    for i in range(3):
+        step = h * np.eye(3)[i]
+        slope = (model().acceleration(x + step, u) - model().acceleration(x - step, u)) / (2 * h)
+        np.testing.assert_allclose(a[:, i], slope, atol=1e-7)
+    for i in range(4):
+        step = h * np.eye(4)[i]
+        slope = (model().acceleration(x, u + step) - model().acceleration(x, u - step)) / (2 * h)
+        np.testing.assert_allclose(b[:, i], slope, atol=1e-7)
+
+
+# --- inversion --------------------------------------------------------------------------------
+
+LIMITS = np.array([[-0.4, -0.3, -0.3, 0.0], [0.4, 0.3, 0.3, 1.0]])
+ACCELERATIONS = st.tuples(*[st.floats(-5.0, 5.0)] * 3)
+
+
+@given(wanted=ACCELERATIONS, x=st.tuples(*[st.floats(-1.0, 1.0)] * 3))
+def test_inversion_gives_what_was_wanted_or_names_a_limit(
+    wanted: tuple[float, ...], x: tuple[float, ...]
+) -> None:
+    answer = model().invert(np.array(wanted), np.array(x), LIMITS)
+    assert (answer.u >= LIMITS[0]).all()
+    assert (answer.u <= LIMITS[1]).all()
+    got = model().acceleration(np.array(x), answer.u)
+    np.testing.assert_allclose(answer.acceleration, got, atol=1e-9)
+    if not answer.limited:
+        np.testing.assert_allclose(got, wanted, atol=1e-9)
+
+
+def test_the_least_inputs_are_taken_where_there_is_a_choice() -> None:
+    # Throttle rolls as well as aileron does: half each.
+    shared = model(values={"pdot/dth": 29.5, "pdot/dr": 0.0, "rdot/da": 0.0})
+    u = shared.invert(np.array([5.9, 0.0, 0.0]), np.zeros(3), inputs=("de", "dr", "da", "dth")).u
+    np.testing.assert_allclose(u, [0.0, 0.0, 0.1, 0.1], atol=1e-12)
+
+
+def test_the_other_inputs_make_up_for_one_at_its_limit() -> None:
+    shared = model(values={"pdot/dth": 29.5, "pdot/dr": 0.0, "rdot/da": 0.0})
+    limits = np.array([[-0.4, -0.3, -0.05, -1.0], [0.4, 0.3, 0.05, 1.0]])
+    answer = shared.invert(
+        np.array([5.9, 0.0, 0.0]), np.zeros(3), limits, inputs=("de", "dr", "da", "dth")
+    )
+    assert answer.acceleration[0] == pytest.approx(5.9)
+    assert -0.05 <= answer.u[2] <= 0.05
+    tight = np.array([[-0.4, -0.3, -0.05, -0.02], [0.4, 0.3, 0.05, 0.02]])
+    short = shared.invert(
+        np.array([5.9, 0.0, 0.0]), np.zeros(3), tight, inputs=("de", "dr", "da", "dth")
+    )
+    assert short.limited == ("da", "dth")
+    np.testing.assert_allclose(short.u, [0.0, 0.0, 0.05, 0.02], atol=1e-12)
+
+
+def test_the_force_of_an_input_belongs_to_its_control_derivative() -> None:
+    forces = np.zeros((2, 4))
+    forces[0, 1] = 5.5  # ay of the rudder, m/s^2 per rad
+    whole = -2.4 - 0.35 * 5.5
+    u = (
+        model(values={"pdot/dr": 0.0, "pdot/ay": 0.0})
+        .invert(
+            np.array([0.0, 0.0, 1.0]), np.zeros(3), input_forces=forces, inputs=("de", "dr", "da")
+        )
+        .u
+    )
+    assert u[1] == pytest.approx(1.0 / whole)
+
+
+def test_a_singular_control_matrix_is_refused_by_the_axis() -> None:
+    with pytest.raises(Refusal, match=r"nothing moves rdot by itself"):
+        model(values={"rdot/dr": 0.001, "rdot/da": 0.0}).invert(np.ones(3), np.zeros(3))
+
+
+def test_an_input_that_is_not_identified_is_refused_by_its_name() -> None:
+    unknown = model(sigma={"rdot/dr": 5.0, "pdot/dr": 50.0})
+    assert set(unknown.left_out) >= {"rdot/dr", "pdot/dr"}
+    with pytest.raises(Refusal, match="dr not identified"):
+        unknown.invert(np.ones(3), np.zeros(3))
+
+
+# --- which coefficients -----------------------------------------------------------------------
+
+
+def nominal(**values: float) -> Coefficients:
+    entries = {**VALUES, **{name.replace("_", "/"): value for name, value in values.items()}}
+    return Coefficients(AUGMENTED, matrix(entries), np.where(AUGMENTED.mask, 0.01, 0.0))
+
+
+def da(source: CoefficientSource, t_ns: int = START) -> tuple[str, float]:
+    chosen = source.model(t_ns)
+    return chosen.source, float(chosen.values[AUGMENTED.index("pdot/da")])
+
+
+def test_nothing_is_refused_silently() -> None:
+    source = CoefficientSource(Fallback.REFUSE, nominal())
+    with pytest.raises(Refusal, match="no coefficients yet"):
+        source.model(START)
+    source.take(message(usable=False))
+    with pytest.raises(Refusal, match="not usable"):
+        source.model(START)
+    source.take(message(t_ns=START + SECOND))
+    with pytest.raises(Refusal, match=r"more than 0.5 s old"):
+        source.model(START + 2 * SECOND)
+    assert source.model(START + SECOND).source == "identified"
+
+
+def test_last_good_is_the_nominal_set_until_something_was_good() -> None:
+    source = CoefficientSource(Fallback.LAST_GOOD, nominal(pdot_da=25.0))
+    assert da(source) == ("nominal", 25.0)
+    source.take(message(usable=False))
+    assert da(source) == ("nominal", 25.0)
+    source.take(message(t_ns=START + 1))
+    assert da(source, START + 1) == ("identified", 29.5)
+    source.take(message(t_ns=START + 2, usable=False, values={"pdot/da": 10.0}))
+    assert da(source, START + 2) == ("last good", 29.5)
+    assert da(source, START + 9 * SECOND) == ("last good", 29.5)
+
+
+def test_the_nominal_set_is_chosen_on_purpose_only() -> None:
+    with pytest.raises(ValueError, match="needs the nominal coefficients"):
+        CoefficientSource(Fallback.NOMINAL)
+    source = CoefficientSource(Fallback.NOMINAL, nominal(pdot_da=25.0))
+    source.take(message())
+    assert da(source) == ("identified", 29.5)
+    source.take(message(t_ns=START + 1, usable=False))
+    assert da(source, START + 1) == ("nominal", 25.0)
+
+
+def test_a_coefficient_that_is_not_known_is_never_acted_on() -> None:
+    unknown = {"pdot/da": 20.0, "qdot/pr": 5.0}
+    for fallback, expected in (
+        (Fallback.REFUSE, 0.0), (Fallback.LAST_GOOD, 25.0), (Fallback.NOMINAL, 25.0)
+    ):  # fmt: skip
+        source = CoefficientSource(fallback, nominal(pdot_da=25.0))
+        source.take(message(sigma=unknown))
+        chosen = source.model(START)
+        assert da(source) == ("identified", expected)
+        assert ("pdot/da" in chosen.left_out) == (fallback is Fallback.REFUSE)
+        assert ("pdot/da" in chosen.replaced) == (fallback is not Fallback.REFUSE)
+
+
+def test_last_good_is_kept_for_each_coefficient() -> None:
+    source = CoefficientSource(Fallback.LAST_GOOD)
+    source.take(message())
+    assert da(source) == ("identified", 29.5)
+    for k in range(1, 4):  # it stays known although its own sigma never comes back
+        lost = message(sigma={"pdot/da": 50.0}, t_ns=START + k, values={"qdot/de": -20.0 - k})
+        source.take(lost)
+        assert da(source, START + k) == ("identified", 29.5)
+        assert source.model(START + k).values[AUGMENTED.index("qdot/de")] == -20.0 - k
+
+
+def test_who_ignores_the_verdict_still_heeds_every_sigma_and_the_age() -> None:
+    source = CoefficientSource(Fallback.LAST_GOOD, nominal(pdot_da=25.0), heed_verdict=False)
+    source.take(message(usable=False, values={"pdot/da": 15.0}))
+    assert da(source) == ("identified", 15.0)
+    source.take(message(usable=False, t_ns=START + 1, sigma={"pdot/da": 20.0}))
+    assert da(source, START + 1) == ("identified", 15.0)
+    assert da(source, START + 2 * SECOND) == ("last good", 15.0)
+
+
+def test_a_delay_gives_what_was_old_enough() -> None:
+    source = CoefficientSource(Fallback.REFUSE, delay=0.3)
+    for k in range(10):
+        source.take(message(t_ns=START + k * SECOND // 20))
+    assert source.model(START + 400_000_000).t_ns == START + 100_000_000
+    assert source.refusal(START + 290_000_000) == "there are no coefficients yet"
+
+
+def test_a_clock_that_goes_back_starts_the_history_anew() -> None:
+    history: History[str] = History()
+    for t_ns, value in ((10, "a"), (20, "b"), (15, "c")):
+        history.add(t_ns, value)
+    assert history.at(12) == "a"
+    assert history.at(30) == "c"
+    assert history.at(9) is None
+
+
+def test_a_coefficients_file_is_a_nominal_set(tmp_path: Any) -> None:
+    path = tmp_path / "coefficients.yaml"
+    kept = nominal()
+    save_coefficients(CoefficientSet("augmented", kept.values, kept.sigma), path)
+    read = Coefficients.from_file(path)
+    assert read.structure is AUGMENTED
+    np.testing.assert_array_equal(read.values, kept.values)
