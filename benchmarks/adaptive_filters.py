@@ -44,7 +44,7 @@ class RegressionRecorder:
         self.y: list[FloatArray] = []
         self.f: list[FloatArray] = []
 
-    def update(self, data: Regression, allowed: NDArray[np.bool_]) -> None:
+    def update(self, data: Regression, weight: FloatArray) -> None:
         """Keep the last sample."""
         self.y.append(data.y[-1].copy())
         self.f.append(data.f[-1].copy())

@@ -267,7 +267,7 @@ def identify(
             estimates.append(estimate)
             learning.append(identifier.learning)
             delays.append(identifier.delay)
-            for change in identifier.changed()[len(changes) :]:
+            for change in identifier.changed[len(changes) :]:
                 changes.append((change.t - start * 1e-9, *identifier.structure.index(change.name)))
     t_ns = np.array([estimate.t_ns for estimate in estimates], dtype=np.int64)
     return Track(

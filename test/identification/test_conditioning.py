@@ -24,8 +24,8 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.drops import Drop
+from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import ACTUATORS, RATES, OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES

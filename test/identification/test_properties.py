@@ -21,9 +21,9 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from uav_ident_ros.coefficients_file import Notes, load_with_notes, save_coefficients
+from uav_ident_ros.identification.drops import LARGEST_GYRO_RATE
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier, State
-from uav_ident_ros.identification.model import LARGEST_RATE
 from uav_ident_ros.identification.running_fit import WORST_FIT
 from uav_ident_ros.identification.settings import (
     LARGEST_COEFFICIENT,
@@ -276,8 +276,9 @@ def check(estimate: Estimate, settings: Settings) -> None:
     assert within(estimate.coefficients, LARGEST_COEFFICIENT * scale)
     assert np.isfinite(estimate.sigma).all()
     assert (estimate.sigma >= 0.0).all()
-    assert within(estimate.predicted_rates, ROOT_3 * LARGEST_RATE)
-    assert within(estimate.prediction_error, ROOT_3 * (LARGEST_RATE + 100.0))
+    # After a gap the model starts from the measured rates.
+    assert within(estimate.predicted_rates, ROOT_3 * LARGEST_GYRO_RATE)
+    assert within(estimate.prediction_error, 2.0 * ROOT_3 * LARGEST_GYRO_RATE)
     assert within(estimate.fit, -WORST_FIT)
     assert (estimate.fit <= 100.0).all()
     assert estimate.state in [state.value for state in State]

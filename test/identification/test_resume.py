@@ -54,7 +54,7 @@ def second_flight(seconds: float, **changes: Any) -> tuple[Flight, Measurements]
 
 
 def test_it_goes_on_with_the_values_and_is_soon_usable() -> None:
-    _, measurements = second_flight(8.0)
+    _, measurements = second_flight(6.0)
     identifier = fresh()
     identifier.resume(learned())
     first, *_, last = run(identifier, messages(measurements))

@@ -18,8 +18,8 @@ from changing_speed import (
     worst_linear,
 )
 
-from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.drops import Drop
+from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import AIRSPEED, OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray

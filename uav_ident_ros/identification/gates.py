@@ -28,8 +28,20 @@ LOOK_TIME = 0.25
 SIGNALS = ("p", "q", "r", "ax", "ay", "az")
 """What an Imu measures, in its own axes."""
 
-RESIDUAL_MEMORY = 10.0
+RESIDUAL_MEMORY = 60.0
 """Memory of the usual size of the residuals, s."""
+
+KNOWN_RESIDUAL = 10.0
+"""Time after which there is a usual size, s."""
+
+RECENT_TIME = 2.0
+"""Memory of the present size of the residuals, s."""
+
+OUTLYING = 9.0
+"""Squared residual, relative to what is usual, from which samples count less."""
+
+LARGEST_GROWTH = 4.0
+"""Squared residual, relative to what is usual, as which larger ones are counted in the usual."""
 
 
 class SensorGate:
@@ -151,38 +163,46 @@ class LimitGate:
 class ResidualGate:
     """Keeps what is far from usual away from coefficients that were good.
 
-    The usual size is learned with the outliers clipped, so that a lasting change becomes
-    usual within seconds.
+    Samples count less the further their residuals are above the usual size, and not at all far
+    beyond it. The usual size is learned with the outliers clipped: a lasting change becomes
+    usual in time, a storm passes by.
     """
 
     def __init__(self) -> None:
         self._usual: FloatArray = np.zeros(3)
+        self._recent: FloatArray = np.zeros(3)
         self._time: FloatArray = np.zeros(3)
 
     def release(self, row: int) -> None:
         """Learn anew what is usual in a row."""
         self._time[row] = 0.0
 
-    def check(self, error: FloatArray, dt: float, max_residual: float) -> BoolArray:
-        """Return which rows are within what is usual, shape (3,).
+    def weigh(self, error: FloatArray, dt: float, max_residual: float) -> FloatArray:
+        """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
 
         Parameters
         ----------
         error : (m, 3) array
-            Residuals of the samples of a tick, rad/s^2.
+            Their residuals, rad/s^2.
         dt : float
-            Time that the samples stand for, s.
+            Time that they stand for, s.
         max_residual : float
             Residual, relative to its usual size, that is too much; 0 for none.
         """
         square = np.add.reduce(error * error) / len(error)
-        limit = np.full(3, np.inf)
-        if max_residual > 0.0:
-            known = self._time >= RESIDUAL_MEMORY
-            limit[known] = max_residual**2 * self._usual[known]
+        usual = np.where(self._time >= KNOWN_RESIDUAL, self._usual, np.inf)
         self._time = np.minimum(self._time + dt, RESIDUAL_MEMORY)
-        self._usual += dt / self._time * (np.minimum(square, limit) - self._usual)
-        return np.asarray(square <= limit)
+        clipped = np.minimum(square, LARGEST_GROWTH * usual)
+        self._usual += dt / self._time * (clipped - self._usual)
+        if max_residual <= 0.0:
+            return np.ones(3)
+        limit = max_residual**2 * usual
+        # No knock is so hard that it is remembered for more than a few seconds.
+        recent = np.minimum(square, LARGEST_GROWTH * limit)
+        self._recent += min(dt / RECENT_TIME, 1.0) * (recent - self._recent)
+        largest = np.maximum(square, self._recent)
+        weight = OUTLYING * usual / np.maximum(largest, np.finfo(float).tiny)
+        return np.where(largest > limit, 0.0, np.minimum(weight, 1.0))
 
 
 def grounded(

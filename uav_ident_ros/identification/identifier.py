@@ -201,8 +201,9 @@ class OnlineIdentifier:
         """Rows that learned at the last tick, shape (3,)."""
         return self._supervisor.learning
 
+    @property
     def changed(self) -> list[Change]:
-        """Return the changes found in flight, the oldest first."""
+        """Changes found in flight, the oldest first."""
         return list(self._supervisor.changed)
 
     # -- the delay of the inputs -----------------------------------------------------------

@@ -116,7 +116,7 @@ class RunningFit:
 def _spread(sums: FloatArray) -> FloatArray:
     """Sum of the squared deviations from the mean, shape (3,)."""
     count, total, square = sums[_SPREAD]
-    return np.asarray(square - total * total / count)
+    return np.asarray(np.maximum(square - total * total / count, 0.0))
 
 
 def _fit(errors: FloatArray, spread: FloatArray) -> FloatArray:

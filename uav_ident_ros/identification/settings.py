@@ -527,6 +527,15 @@ class SupervisionSettings:
         high=1.0,
         read_only=False,
     )
+    min_signal: float = _setting(
+        0.1,
+        "",
+        "Variance that the inputs can explain in a row, relative to that of its residual, below "
+        "which it pauses: in turbulence the autopilot's answers would be learned. 0 never pauses.",
+        low=0.0,
+        high=100.0,
+        read_only=False,
+    )
     min_motion: float = _setting(
         0.04,
         "rad/s",

@@ -130,7 +130,7 @@ class Supervisor:
         self.learning: BoolArray = np.zeros(3, dtype=bool)
         self._quiet_time: FloatArray = np.zeros(3)
         self._sigma: FloatArray | None = None
-        self._usable = False
+        self._proven = False
         self.restart()
 
     def restart(self) -> None:
@@ -165,8 +165,8 @@ class Supervisor:
         )
         self.closed = next(filter(None, reasons), "")
 
-    def allow(self, data: Regression, coefficients: FloatArray) -> BoolArray:
-        """Return which rows may learn from the samples of a tick, shape (3,).
+    def weigh(self, data: Regression, coefficients: FloatArray) -> FloatArray:
+        """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
 
         Parameters
         ----------
@@ -177,10 +177,11 @@ class Supervisor:
         """
         limit = self.settings.supervision.max_residual
         error = data.y - data.f @ coefficients.T
-        within = self._residuals.check(error, data.dt * len(error), limit)
-        # What is not good yet must be free to change at once.
-        self._within = within if self._usable else np.ones(3, dtype=bool)
-        return self._within
+        weight = self._residuals.weigh(error, data.dt * len(error), limit)
+        if not self._proven:
+            weight = np.ones(3)  # what was never good must be free to change at once
+        self._within = weight > 0.0
+        return weight
 
     def follow(self, t: float, estimator: Estimator, learned: bool, dt: float) -> None:
         """Take note of what the estimator made of a block of `dt` s that ends at `t` s."""
@@ -223,7 +224,7 @@ class Supervisor:
             age = float(self._quiet_time.max())
             thresholds = self.settings.supervision
             verdict = judge(thresholds, self._structure, coefficients, sigma, running, age)
-        self._usable = verdict.usable
+        self._proven = self._proven or verdict.usable
         return verdict
 
     def state(self, verdict: Verdict) -> tuple[State, str]:

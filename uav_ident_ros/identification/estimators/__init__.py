@@ -46,8 +46,8 @@ class Estimator(Protocol):
     def sigma(self) -> FloatArray:
         """Standard deviations, shape (3, n); 0 where a coefficient is not free."""
 
-    def update(self, data: Regression, allowed: BoolArray) -> None:
-        """Learn from the samples of a tick in the rows that are allowed to, shape (3,)."""
+    def update(self, data: Regression, weight: FloatArray) -> None:
+        """Learn from the samples of a tick; they count for `weight` of each row, 0 ... 1."""
 
     def reconfigure(self, settings: Settings) -> None:
         """Take over the settings that may change in flight."""

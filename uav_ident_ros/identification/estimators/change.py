@@ -86,7 +86,7 @@ class ChangeDetector:
         self._hold_off: FloatArray = np.full(3, WINDOW_TIME)
 
     def update(
-        self, data: Regression, coefficients: FloatArray, share: FloatArray
+        self, data: Regression, coefficients: FloatArray, lively: BoolArray
     ) -> list[tuple[int, int]]:
         """Return (row, input) of each control derivative that has changed.
 
@@ -96,8 +96,8 @@ class ChangeDetector:
             Samples of this tick.
         coefficients : (3, n) array
             The estimate.
-        share : (4,) array
-            Liveliness of the inputs, of the excitation gate.
+        lively : (3, 4) bool array
+            Inputs that move enough to tell, in rows that see excitation.
         """
         dt = data.dt * len(data.y)
         m = len(data.y)
@@ -111,17 +111,17 @@ class ChangeDetector:
             return []
         elapsed, self._since_look = self._since_look, 0.0
         self._hold_off = np.maximum(self._hold_off - elapsed, 0.0)
-        return self._look(coefficients, share, elapsed)
+        return self._look(coefficients, lively, elapsed)
 
     def _look(
-        self, coefficients: FloatArray, share: FloatArray, elapsed: float
+        self, coefficients: FloatArray, lively: BoolArray, elapsed: float
     ) -> list[tuple[int, int]]:
         t = self._slopes(coefficients)
         size = np.abs(self.slope)
         usual = np.sqrt(self._usual)
         alarm = (
             self._watched
-            & (share >= LIVELY_SHARE)
+            & lively
             & (t > MIN_T)
             & (size > MIN_CHANGE * np.abs(coefficients[:, INPUT_COLUMNS]))
             & (size > MIN_HISTORY_RATIO * usual)

@@ -2,7 +2,9 @@
 """Whether the inputs say anything new: the gate that pauses a row in quiet flight.
 
 In quiet flight the autopilot's surfaces answer the gusts, and an estimator that goes on
-learning learns the autopilot. Forgetting by direction does not help, pausing the row does.
+learning learns the autopilot. Forgetting by direction does not help, pausing the row does. In
+severe turbulence the answers are as large as any excitation: then it is the effect of the inputs,
+small beside that of the gusts, that gives them away.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from collections import deque
 import numpy as np
 
 from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.settings import SupervisionSettings
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
 
 WINDOW_TIME = 3.0
@@ -20,35 +23,43 @@ WINDOW_TIME = 3.0
 LOOK_TIME = 0.25
 """Time between two looks at the window, s."""
 
+NEWEST_PART = 3
+"""The residuals are taken over the newest third of the window: a gust front shows at once."""
+
+LIKELY_SIGMAS = 2.0
+"""An input may have this many standard deviations more effect than is known."""
+
 
 class ExcitationGate:
     """Tells which rows see excitation.
+
+    A row learns while at least one of its inputs is lively, and while its inputs, for all that
+    is known of their effect, could explain a part of what moves the aircraft.
 
     Parameters
     ----------
     free : (3, n) bool array
         Coefficients that move; a row watches the inputs that it has a coefficient for.
-    min_share : float
-        Share of its mean variance while learning below which an input is quiet. Relative to
-        the largest variance instead, one wild manoeuvre would close the gate for the rest of
-        an ordinary flight.
+    settings : SupervisionSettings
+        Thresholds.
 
     Attributes
     ----------
-    min_share : float
+    settings : SupervisionSettings
         The parameter; it may change at any time.
     share : (4,) array
-        Variance of each input over the window, relative to its mean while learning.
+        Variance of each input over the window, relative to its mean while learning. Relative
+        to the largest one, one wild manoeuvre would close the gate for an ordinary flight.
     learning : (3,) bool array
         Rows that see excitation.
     quiet : (n,) bool array
         Regressors that are inputs and say nothing at present.
     """
 
-    def __init__(self, free: BoolArray, min_share: float) -> None:
-        self.min_share = min_share
+    def __init__(self, free: BoolArray, settings: SupervisionSettings) -> None:
+        self.settings = settings
         self._watched: BoolArray = free[:, INPUT_COLUMNS]
-        self._window: deque[tuple[float, FloatArray]] = deque()
+        self._window: deque[FloatArray] = deque()
         self._window_time = 0.0
         self._since_look = 0.0
         self._usual: FloatArray = np.zeros(4)
@@ -57,31 +68,45 @@ class ExcitationGate:
         self.learning: BoolArray = np.ones(3, dtype=bool)
         self.quiet: BoolArray = np.zeros(free.shape[1], dtype=bool)
 
-    def update(self, data: Regression) -> BoolArray:
-        """Return which rows may learn from the samples of this tick, shape (3,)."""
+    def update(self, data: Regression, coefficients: FloatArray, sigma: FloatArray) -> BoolArray:
+        """Return which rows may learn from the samples of this tick, shape (3,).
+
+        Parameters
+        ----------
+        data : Regression
+            Samples of the tick.
+        coefficients, sigma : (3, n) arrays
+            What is known, and how well.
+        """
         u = data.f[:, INPUT_COLUMNS]
+        error = data.y - data.f @ coefficients.T
         dt = data.dt * len(u)
-        sums = data.dt * np.concatenate([np.add.reduce(u), np.add.reduce(u * u)])
-        self._window.append((dt, sums))
+        sums = ((len(u),), np.add.reduce(u), np.add.reduce(u * u), np.add.reduce(error * error))
+        self._window.append(data.dt * np.concatenate(sums))
         self._since_look += dt
         if self._since_look >= LOOK_TIME or len(self._window) == 1:
-            self._look()
+            self._look(coefficients[:, INPUT_COLUMNS], sigma[:, INPUT_COLUMNS])
         return self.learning
 
-    def _look(self) -> None:
-        """Compare the inputs over the window with what is usual."""
+    def _look(self, effect: FloatArray, sigma: FloatArray) -> None:
+        """Compare the inputs over the window with what is usual, and with the residuals."""
         elapsed, self._since_look = self._since_look, 0.0
         self._window_time += elapsed
         while self._window_time > WINDOW_TIME and len(self._window) > 1:
             self._window_time -= self._window.popleft()[0]
-        time = sum(entry[0] for entry in self._window)
-        sums = np.concatenate([entry[1] for entry in self._window]).reshape(-1, 2, 4)
-        total, square = np.add.reduce(sums)
-        variance = np.maximum(square / time - (total / time) ** 2, 0.0)
+        # Time, and the sums of u, u^2 and the squared residuals over it.
+        sums = np.concatenate(self._window).reshape(-1, 12)
+        means = np.add.reduce(sums)
+        means /= means[0]
+        newest = np.add.reduce(sums[len(sums) - len(sums) // NEWEST_PART - 1 :])
+        variance = np.maximum(means[5:9] - means[1:5] ** 2, 0.0)
         self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
-        self.quiet[INPUT_COLUMNS] = self.share < self.min_share
-        lively = self._watched & (self.share >= self.min_share)
-        self.learning = lively.any(axis=1) | ~self._watched.any(axis=1)
+        self.quiet[INPUT_COLUMNS] = self.share < self.settings.min_excitation
+        lively = self._watched & (self.share >= self.settings.min_excitation)
+        largest = np.where(self._watched, np.abs(effect) + LIKELY_SIGMAS * sigma, 0.0)
+        residual = newest[9:] / newest[0]
+        audible = largest**2 @ variance >= self.settings.min_signal * residual
+        self.learning = (lively.any(axis=1) & audible) | ~self._watched.any(axis=1)
         heard = (self._watched & self.learning[:, None]).any(axis=0)
         spent = np.where(heard, elapsed, 0.0)
         self._usual_time += spent

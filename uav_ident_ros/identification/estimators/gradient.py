@@ -148,11 +148,14 @@ class GradientEstimator:
         distance = self.coefficients - self.information.solve()
         return np.where(self._start.free, np.hypot(self.information.sigma, distance), 0.0)
 
-    def update(self, data: Regression, allowed: BoolArray) -> None:
-        """Take one step of the law over the time that the samples stand for."""
+    def update(self, data: Regression, weight: FloatArray) -> None:
+        """Take one step of the law over the time that the samples stand for.
+
+        The law knows no weights: a row that counts at all takes the whole step.
+        """
         dt = data.dt * len(data.y)
-        self.learning = allowed
-        self._reference.accumulate(data, self.coefficients, self.learning)
+        self.learning = weight > 0.0
+        self._reference.accumulate(data, self.coefficients, weight)
         y, f = data.y[-1], data.f[-1]
         moved, step = gradient_step(
             self.coefficients,
@@ -171,7 +174,7 @@ class GradientEstimator:
             )
         if (np.abs(moved) < LARGEST_COEFFICIENT).all():  # NaN fails too
             moved = self._limit(moved)
-            self.coefficients = np.where(allowed[:, None], moved, self.coefficients)
+            self.coefficients = np.where(self.learning[:, None], moved, self.coefficients)
         else:
             self.problem = (
                 "the gradient law has diverged and its coefficients are held at the last finite "

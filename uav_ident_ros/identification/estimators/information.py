@@ -156,7 +156,7 @@ class Information:
         data: Regression,
         z: FloatArray,
         coefficients: FloatArray,
-        learning: BoolArray,
+        weight: FloatArray,
         quiet: BoolArray | None = None,
     ) -> None:
         """Add the samples of a tick.
@@ -169,13 +169,15 @@ class Information:
             Instruments.
         coefficients : (3, n) array
             The estimate before the tick, from which the residuals are taken.
-        learning : (3,) bool array
-            Rows that learn, and forget; the others stay as they are.
+        weight : (3,) array
+            How much the samples count in each row, 0 ... 1; a row with 0 stays as it is, the
+            others also forget.
         quiet : (n,) bool array, optional
             Regressors that are not excited, and not forgotten.
         """
         self._quiet = quiet
-        weight = learning * data.dt
+        dt = (weight > 0.0) * data.dt
+        weight = weight * data.dt
         residual = data.y - data.f @ coefficients.T
         # Deviations from the start, so that what is fixed or unexcited stays where it is.
         deviation = data.y - data.f @ self._start.values.T
@@ -190,8 +192,8 @@ class Information:
         self.matrix += self.added[0]
         self.vector += self.added[1]
         self._score += product.take(self._take_score) * row
-        self._square += product.take(self._take_square) * weight
-        self._score_time += weight * len(data.y)
+        self._square += product.take(self._take_square) * dt
+        self._score_time += dt * len(data.y)
         if self._score_time.max() >= BLOCK_TIME:
             self._close_blocks(self._score_time >= BLOCK_TIME)
 

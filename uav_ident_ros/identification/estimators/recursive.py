@@ -14,7 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.change import WINDOW_TIME, ChangeDetector
+from uav_ident_ros.identification.estimators.change import (
+    LIVELY_SHARE,
+    WINDOW_TIME,
+    ChangeDetector,
+)
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import Information, Snapshot
 from uav_ident_ros.identification.prior import Start
@@ -95,7 +99,7 @@ class InstrumentalVariable:
         self,
         data: Regression,
         coefficients: FloatArray,
-        learning: BoolArray,
+        weight: FloatArray,
         quiet: BoolArray | None = None,
     ) -> None:
         """Add the samples of a tick; parameters as in `Information.accumulate`."""
@@ -103,11 +107,11 @@ class InstrumentalVariable:
             self.warming_up = False
             self._fading = self.information.snapshot()
         if self._fading is not None:
-            self._since_fade += learning * (data.dt * len(data.y))
+            self._since_fade += (weight > 0.0) * (data.dt * len(data.y))
             if self._since_fade.max() >= FADE_STEP:
                 self._fading = self._fade(self._fading)
         z = data.f if self.warming_up else data.z
-        self.information.accumulate(data, z, coefficients, learning, quiet)
+        self.information.accumulate(data, z, coefficients, weight, quiet)
 
     def _fade(self, start: Snapshot) -> Snapshot | None:
         """Fade the least-squares start a step further; return what is left of it."""
@@ -164,7 +168,7 @@ class RecursiveRegression:
         self.information = (
             self._reference.information if instrumental else Information(start, forgetting_time)
         )
-        self._gate = ExcitationGate(start.free, settings.supervision.min_excitation)
+        self._gate = ExcitationGate(start.free, settings.supervision)
         self._detector = ChangeDetector(start.free)
         self._snapshots: deque[Snapshot] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
         self._trials: dict[int, Trial] = {}
@@ -183,10 +187,11 @@ class RecursiveRegression:
         distance = self.coefficients - self._reference.information.solve()
         return np.where(self._start.free, np.hypot(sigma, distance), 0.0)
 
-    def update(self, data: Regression, allowed: BoolArray) -> None:
+    def update(self, data: Regression, weight: FloatArray) -> None:
         """Add the samples of a tick and solve."""
-        self.learning = self._gate.update(data) & allowed
-        known = (self.coefficients, self.learning, self._gate.quiet)
+        weight = weight * self._gate.update(data, self.coefficients, self.information.sigma)
+        self.learning = weight > 0.0
+        known = (self.coefficients, weight, self._gate.quiet)
         self._reference.accumulate(data, *known)
         if not self._instrumental:
             self.information.accumulate(data, data.f, *known)
@@ -205,7 +210,7 @@ class RecursiveRegression:
         """Take over the settings that may change in flight."""
         self._reference.information.forgetting_time = settings.forgetting_time
         self.information.forgetting_time = settings.forgetting_time
-        self._gate.min_share = settings.supervision.min_excitation
+        self._gate.settings = settings.supervision
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""
@@ -220,7 +225,8 @@ class RecursiveRegression:
         """Release what has changed, and take back a release that does not prove itself."""
         for row in list(self._trials):
             self._continue_trial(row, data)
-        changed = self._detector.update(data, self.coefficients, self._gate.share)
+        lively = self._gate.learning[:, None] & (self._gate.share >= LIVELY_SHARE)
+        changed = self._detector.update(data, self.coefficients, lively)
         self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
         for i, j in changed:
             self._release(i, INPUT_COLUMNS.start + j, float(self._detector.slope[i, j]))

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Six hours of flight in one identifier: ``python benchmarks/endurance.py``.
+
+A flight of eleven minutes, one of excitation and ten of quiet air with gusts and an autopilot,
+is flown over and over, its stamps going on, and the delay is estimated. Printed for every hour
+are the processor time of the ticks, the memory of the process and how good the coefficients
+are: all of it must stay as it is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cases
+import numpy as np
+
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.structure import FloatArray
+
+FLIGHT = "exact_quiet_gusts_03"
+
+HOUR = 3600.0
+PAGES_TO_MIB = 4096 / 2**20
+
+
+def messages(case: cases.Case, duration: float) -> Iterator[tuple[bool, int, list[float]]]:
+    """Yield (is rates, stamp, values) of the flight again and again, for `duration` s."""
+    flight = [(is_rates, t, v) for _, is_rates, t, v in cases.messages(case)]
+    start = int(case.imu_t_ns[0])
+    period = int(case.imu_t_ns[-1]) - start + int(np.median(np.diff(case.imu_t_ns)))
+    lap = 0
+    while True:
+        for is_rates, t, v in flight:
+            now = t + lap * period
+            if (now - start) * 1e-9 > duration:
+                return
+            yield is_rates, now, v
+        lap += 1
+
+
+def memory() -> float:
+    """Resident memory of this process, MiB."""
+    pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
+    return int(pages) * PAGES_TO_MIB
+
+
+def report(hour: int, times: list[float], error: FloatArray) -> None:
+    """Print the figures of an hour."""
+    p50, p99, most = (1e6 * np.percentile(times, q) for q in (50, 99, 100))
+    print(
+        f"hour {hour}: {len(times)} ticks, p50 {p50:.0f} us, p99 {p99:.0f} us, most {most:.0f} us; "
+        f"memory {memory():.1f} MiB; dominant coefficients off by at most {error.max():.1%}",
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Fly, and print."""
+    parser = argparse.ArgumentParser(prog="endurance.py", description=__doc__.splitlines()[0])
+    parser.add_argument("--hours", type=float, default=6.0, help="hours of flight")
+    options = parser.parse_args()
+    case = cases.simulated(FLIGHT)
+    assert case.flight is not None
+    identifier = OnlineIdentifier(case.settings({"actuators.estimate_delay": True}))
+    truth = cases.truth_in(identifier.structure, case.flight)
+    dominant = tuple(np.array([identifier.structure.index(n) for n in cases.DOMINANT]).T)
+    times: list[float] = []
+    hour, start = 1, int(case.imu_t_ns[0])
+    print(f"memory at the start {memory():.1f} MiB")
+    for is_rates, t, v in messages(case, options.hours * HOUR):
+        if not is_rates:
+            identifier.add_actuators(t, v)
+            continue
+        identifier.add_rates(t, v[:3], v[3:])
+        while (due := identifier.due()) is not None:
+            began = time.thread_time()
+            estimate = identifier.update(due)
+            times.append(time.thread_time() - began)
+            assert estimate is not None
+            if due - start >= hour * HOUR * 1e9:
+                error = np.abs(estimate.coefficients / np.where(truth, truth, 1.0) - 1.0)
+                report(hour, times, error[dominant])
+                hour, times = hour + 1, []
+
+
+if __name__ == "__main__":
+    main()
