@@ -79,6 +79,10 @@ class LiveAircraft:
 
     Attributes
     ----------
+    aircraft : Aircraft
+        JSBSim's aircraft.
+    faults : Faults
+        What has gone wrong with it.
     trim : (4,) array
         Elevator, rudder, aileron (rad) and throttle of the steady flight that it starts in.
     outputs : (4,) array
@@ -101,21 +105,21 @@ class LiveAircraft:
     ) -> None:
         self._substeps = _whole(SIMULATION_RATE / sensors.rate, f"Imu rate {sensors.rate:g} Hz")
         self._delay = _whole(delay * SIMULATION_RATE, f"delay {delay:g} s")
-        self._aircraft = Aircraft(name, SIMULATION_RATE)
+        self.aircraft = Aircraft(name, SIMULATION_RATE)
         self._sensors = sensors
         self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(2)]
         self._step = 0
         self._signals = self._settle()
-        self.trim: FloatArray = self._aircraft.surfaces
+        self.trim: FloatArray = self.aircraft.surfaces
         self.outputs: FloatArray = self.trim
         self._airspeed = self._signals[COLUMN["airspeed"]]
         self._acting = self.trim
         self._underway: deque[tuple[int, FloatArray]] = deque()
-        self.faults = Faults(self._aircraft, self.trim, seed, faults)
+        self.faults = Faults(self.aircraft, self.trim, seed, faults)
 
     def _settle(self) -> list[float]:
         """Fly on the autopilot until nothing moves any more."""
-        aircraft = self._aircraft
+        aircraft = self.aircraft
         signals = aircraft.step()
         autopilot = Autopilot(aircraft.airframe, aircraft.surfaces, signals[COLUMN["pitch"]])
         every = round(SIMULATION_RATE / AUTOPILOT_RATE)
@@ -140,7 +144,7 @@ class LiveAircraft:
         slow = (self._airspeed - self._signals[COLUMN["airspeed"]]) * FOOT
         throttle = self.trim[3] + SPEED_GAIN * slow
         told = self.outputs[:3] if surfaces is None else surfaces
-        self.outputs = self._aircraft.clip(np.append(told, throttle))
+        self.outputs = self.aircraft.clip(np.append(told, throttle))
         self._underway.append((self._step + self._delay, self.outputs))
 
     def advance(self) -> list[Fault]:
@@ -155,8 +159,8 @@ class LiveAircraft:
         for _ in range(self._substeps):
             while self._underway and self._underway[0][0] <= self._step:
                 self._acting = self._underway.popleft()[1]
-            self._aircraft.set_surfaces(self.faults.surfaces(self._acting))
-            self._signals = self._aircraft.step()
+            self.aircraft.set_surfaces(self.faults.surfaces(self._acting))
+            self._signals = self.aircraft.step()
             self._step += 1
         for angle in ("roll", "pitch"):
             if not abs(self._signals[COLUMN[angle]]) < LARGEST_UPSET:  # NaN fails too
@@ -170,7 +174,7 @@ class LiveAircraft:
 
     def sample(self) -> Sample:
         """Measure the aircraft as it is; to be called once for each sample."""
-        signals = self._aircraft.to_si(np.array(self._signals))
+        signals = self.aircraft.to_si(np.array(self._signals))
         rates, force = signals[0:3], signals[6:9]
         gyro, accelerometer = (rng.standard_normal(3) for rng in self._noise)
         return Sample(

@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import Vector3, Vector3Stamped
+from geometry_msgs.msg import Quaternion, Vector3, Vector3Stamped
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -108,6 +108,13 @@ def body_rates(angle_rates: FloatArray, roll: float, pitch: float, turn: float) 
     )
 
 
+def attitude(q: Quaternion) -> tuple[float, float]:
+    """Roll and pitch, rad, FRD, from an orientation in REP-103 axes."""
+    roll = math.atan2(2.0 * (q.w * q.x + q.y * q.z), 1.0 - 2.0 * (q.x**2 + q.y**2))
+    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (q.w * q.y - q.z * q.x))))
+    return roll, -pitch
+
+
 class RateReference(Node):
     """The node: answers each Imu message with a reference of the same stamp."""
 
@@ -136,16 +143,14 @@ class RateReference(Node):
         if not self._last_ns < t_ns:
             self._first_ns = self._last_ns = t_ns
         self._first_ns = self._first_ns or t_ns
-        q = message.orientation
-        roll = math.atan2(2.0 * (q.w * q.x + q.y * q.z), 1.0 - 2.0 * (q.x**2 + q.y**2))
-        pitch = -math.asin(max(-1.0, min(1.0, 2.0 * (q.w * q.y - q.z * q.x))))  # FLU to FRD
+        roll, pitch = attitude(message.orientation)
         since, dt = (t_ns - self._first_ns) / NS_PER_S, (t_ns - self._last_ns) / NS_PER_S
         self._last_ns = t_ns
-        p, q_, r = self._manoeuvres.rates(since, roll, pitch, dt).tolist()
+        p, q, r = self._manoeuvres.rates(since, roll, pitch, dt).tolist()
         self._publisher.publish(
             Vector3Stamped(
                 header=Header(stamp=message.header.stamp, frame_id="base_link_frd"),
-                vector=Vector3(x=p, y=q_, z=r),
+                vector=Vector3(x=p, y=q, z=r),
             )
         )
 

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The aircraft in the loop: commands act when they should, faults do what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.simulation.closed_loop import CONFIG
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.faults import Fault, parse_fault
+from uav_ident_ros.simulation.noise import Sensors
+
+pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
+
+from uav_ident_ros.simulation.live_aircraft import LiveAircraft, Sample
+
+PERFECT = Sensors(rate=100.0)
+PULSE = {"aileron": (2, 0), "elevator": (0, 1), "rudder": (1, 2)}
+"""Index of each surface, and of the rate that it moves."""
+
+
+def flown(
+    *faults: str,
+    surface: str = "aileron",
+    size: float = 0.05,
+    seconds: float = 0.5,
+    **options: float,
+) -> tuple[LiveAircraft, list[Sample]]:
+    """Hold a deflection from the first sample on."""
+    aircraft = LiveAircraft("c172p", PERFECT, faults=[parse_fault(f) for f in faults], **options)
+    command = aircraft.trim[:3].copy()
+    command[PULSE[surface][0]] += size
+    samples = []
+    for _ in range(round(seconds * PERFECT.rate)):
+        samples.append(aircraft.sample())
+        aircraft.command(command)
+        aircraft.advance()
+    return aircraft, samples
+
+
+def rate_gained(samples: list[Sample], axis: int) -> float:
+    return float(samples[-1].rates[axis] - samples[0].rates[axis])
+
+
+def test_it_starts_in_steady_flight_and_stays_there() -> None:
+    _, samples = flown(size=0.0, seconds=5.0)
+    rates = np.array([sample.rates for sample in samples])
+    assert np.abs(rates).max() < 0.02
+    assert abs(samples[-1].attitude[0]) < 0.05
+
+
+def test_a_command_acts_after_the_delay_and_not_before() -> None:
+    prompt, late = (flown(delay=delay)[1] for delay in (0.0, 0.03))
+    steady = flown(size=0.0)[1]
+    difference = [
+        [abs(a.rates[0] - b.rates[0]) > 1e-9 for a, b in zip(samples, steady, strict=True)]
+        for samples in (prompt, late)
+    ]
+    assert [d.index(True) for d in difference] == [1, 4]  # samples of 10 ms; 30 ms are three
+
+
+def test_commands_are_limited_to_what_the_aircraft_can_do() -> None:
+    aircraft, _ = flown(size=3.0, seconds=0.02)
+    assert aircraft.outputs[2] == pytest.approx(0.26175)
+    aircraft.command(None)
+    assert aircraft.outputs[2] == pytest.approx(0.26175)  # no answer: the last one holds
+
+
+def test_the_same_seed_gives_the_same_samples() -> None:
+    noisy = Sensors(rate=100.0, gyro_noise=0.01, gyro_bias=(0.1, 0.0, 0.0), accelerometer_noise=0.1)
+
+    def samples(seed: int) -> list[Sample]:
+        aircraft = LiveAircraft("c172p", noisy, seed=seed)
+        return [aircraft.sample() for _ in range(400)]
+
+    first, again, other = (np.array([s.measured_rates for s in samples(k)]) for k in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 0.0
+    error = first - samples(1)[0].rates
+    np.testing.assert_allclose(error.mean(axis=0), [0.1, 0.0, 0.0], atol=0.002)
+    np.testing.assert_allclose(error.std(axis=0), 0.01, rtol=0.15)
+
+
+@pytest.mark.parametrize("surface", PULSE)
+def test_half_the_effect_is_half_the_rate(surface: str) -> None:
+    axis = PULSE[surface][1]
+    whole, half, reverse = (
+        rate_gained(flown(*faults, surface=surface, seconds=0.15)[1], axis)
+        for faults in ((), (f"0.0: {surface} effect 0.5",), (f"0.0: {surface} effect -1",))
+    )
+    drift = rate_gained(flown(size=0.0, seconds=0.15)[1], axis)
+    assert (half - drift) / (whole - drift) == pytest.approx(0.5, abs=0.03)
+    assert (reverse - drift) / (whole - drift) == pytest.approx(-1.0, abs=0.06)
+
+
+def test_a_jammed_surface_stays_until_it_is_repaired() -> None:
+    aircraft, samples = flown("0.1: aileron jams", "0.2: elevator jams 0.03", seconds=0.3)
+    held = samples[-1].surfaces
+    assert held[2] == pytest.approx(samples[9].surfaces[2])
+    assert held[0] == pytest.approx(aircraft.trim[0] + 0.03)
+    aircraft.faults.apply(Fault("repaired"))
+    aircraft.command(aircraft.trim[:3])
+    aircraft.advance()
+    np.testing.assert_allclose(aircraft.sample().surfaces[:3], aircraft.trim[:3], atol=1e-6)
+
+
+@pytest.mark.parametrize("axis", ["roll", "pitch"])
+def test_ballast_raises_the_inertia_that_it_names(axis: str) -> None:
+    aircraft, _ = flown(seconds=0.02)
+    fdm = aircraft.aircraft.fdm
+    names = {"roll": "inertia/ixx-slugs_ft2", "pitch": "inertia/iyy-slugs_ft2"}
+    before = {name: fdm[name] for name in names.values()}
+    centre, mass = fdm["inertia/cg-x-in"], aircraft.aircraft.mass
+    aircraft.faults.apply(Fault("inertia", axis, 1.3))
+    aircraft.advance()
+    other = names["pitch" if axis == "roll" else "roll"]
+    assert fdm[names[axis]] == pytest.approx(1.3 * before[names[axis]], rel=0.005)
+    assert fdm[other] == pytest.approx(before[other], rel=0.001)
+    assert fdm["inertia/cg-x-in"] == pytest.approx(centre, abs=0.01)
+    assert mass < aircraft.aircraft.mass < 1.1 * mass
+
+
+def test_more_pitch_inertia_is_less_pitch_acceleration() -> None:
+    light, heavy = (
+        rate_gained(flown(*faults, surface="elevator", size=-0.05, seconds=0.12)[1], 1)
+        for faults in ((), ("0.0: pitch inertia 1.3",))
+    )
+    assert heavy / light == pytest.approx(1.0 / 1.3, abs=0.06)
+
+
+def test_turbulence_comes_when_it_is_told_to() -> None:
+    _, samples = flown("2.0: turbulence 4", size=0.0, seconds=6.0)
+    rates = np.array([sample.rates for sample in samples])
+    assert np.abs(rates[:200]).max() < 0.02
+    assert rates[300:].std() > 0.01
+
+
+def test_an_aircraft_without_point_masses_says_so() -> None:
+    aircraft = LiveAircraft("T37", PERFECT)
+    with pytest.raises(SimulationError, match="no two empty point masses"):
+        aircraft.faults.apply(Fault("inertia", "pitch", 1.3))
+
+
+def test_a_lost_aircraft_ends_the_flight() -> None:
+    with pytest.raises(SimulationError, match=r"lost at .* its roll"):
+        flown(size=0.2, seconds=20.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("aileron effect 0.5", Fault("effect", "aileron", 0.5)),
+        ("90.5: rudder jams", Fault("jams", "rudder", None, 90.5)),
+        ("rudder jams -0.1", Fault("jams", "rudder", -0.1)),
+        ("5: pitch inertia 1.3", Fault("inertia", "pitch", 1.3, 5.0)),
+        ("turbulence 4", Fault("turbulence", "", 4.0)),
+        ("1e2: repaired", Fault("repaired", time=100.0)),
+    ],
+)
+def test_fault_commands(text: str, fault: Fault) -> None:
+    assert parse_fault(text) == fault
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("flap effect 0.5", "surfaces are elevator, rudder, aileron, throttle"),
+        ("aileron effect 3", "not within -2 to 2"),
+        ("aileron effect nan", "not within"),
+        ("soon: repaired", "could not convert"),
+        ("yaw inertia 1.3", "is none of"),
+        ("", "is none of"),
+    ],
+)
+def test_a_wrong_fault_command_says_what_would_be_right(text: str, reason: str) -> None:
+    with pytest.raises(SimulationError, match=reason):
+        parse_fault(text)
+
+
+def test_the_configured_trim_is_the_one_that_the_plant_settles_at() -> None:
+    trim = LiveAircraft("c172p", PERFECT).trim
+    path = CONFIG / "c172p.yaml"
+    configured = load_parameters(path, "/identifier")["actuators.trim"]
+    np.testing.assert_allclose(configured, trim, atol=1e-6)
