@@ -352,7 +352,7 @@ def imports_of(path: Path) -> set[str]:
 
 
 NODE_MODULES = {"node", "inputs", "outputs", "parameters", "diagnostics", "notices"}
-NODE_MODULES |= {"memory", "saving", "cdr"}
+NODE_MODULES |= {"memory", "saving", "cdr", "guard"}
 OFFLINE_MODULES = {"bags", "bag_writer", "estimates_bag", "offline", "replay", "pictures"}
 
 

@@ -84,10 +84,18 @@ class InputMonitor:
 
 
 class TickMeter:
-    """Durations of the last ticks and how regularly the timer asked for them."""
+    """Durations of the last ticks, how old they were, and how regularly the timer fired.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    period : float
+        Interval that the timer should keep, s.
+    """
+
+    def __init__(self, period: float) -> None:
         self.count = 0
+        self._period = period
+        self._ages: deque[float] = deque(maxlen=TICKS_KEPT)
         self._durations: deque[float] = deque(maxlen=TICKS_KEPT)
         self._intervals: deque[float] = deque(maxlen=TICKS_KEPT)
         self._last_call: float | None = None
@@ -104,9 +112,17 @@ class TickMeter:
         self.count += 1
         self._durations.append(seconds)
 
+    def published(self, age: float) -> None:
+        """Note the age of a tick, s, by the node's clock, when it was published."""
+        self._ages.append(age)
+
     def values(self) -> Iterator[tuple[str, str]]:
         """Yield what is to be shown, each with its label."""
         yield "count", str(self.count)
+        if self._ages:
+            p50, p99 = np.percentile(self._ages, (50, 99)) * 1e3
+            yield "age when published p50 [ms]", f"{p50:.1f}"
+            yield "age when published p99 [ms]", f"{p99:.1f}"
         if self._durations:
             p50, p99, most = np.percentile(self._durations, (50, 99, 100)) * 1e3
             yield "update time p50 [ms]", f"{p50:.3f}"
@@ -116,6 +132,8 @@ class TickMeter:
             p50, p99 = np.percentile(self._intervals, (50, 99)) * 1e3
             yield "timer interval p50 [ms]", f"{p50:.2f}"
             yield "timer interval p99 [ms]", f"{p99:.2f}"
+            jitter = np.abs(np.array(self._intervals) - self._period)
+            yield "timer jitter p99 [ms]", f"{np.percentile(jitter, 99) * 1e3:.2f}"
 
 
 def level_of(state: str) -> bytes:
@@ -169,9 +187,12 @@ def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
     """Yield what the flight has shown so far, and what it has not."""
     for row, excitation in zip(ROWS, identifier.excitation(), strict=True):
         yield f"excitation {row} [0..1]", f"{excitation:.3f}"
-    for axis, hold in zip("pqr", identifier.running_fit.hold, strict=True):
-        yield f"hold {axis} [%]", f"{hold:.1f}"
+    running = identifier.running_fit
+    for label, fits in (("hold", running.hold), ("saved fit", running.saved)):
+        for axis, fit in zip("pqr", fits, strict=True):
+            yield f"{label} {axis} [%]", f"{fit:.1f}"
     yield "delay [s]", f"{identifier.delay:.4f}"
     yield "delay confidence", identifier.delay_confidence
     groups = identifier.collinear()
     yield "not told apart", "; ".join(", ".join(group) for group in groups) or "nothing"
+    yield "changed in flight", ", ".join(c.name for c in identifier.changed) or "nothing"

@@ -15,6 +15,7 @@ from uav_ident_ros.airspeed import AIRSPEED
 from uav_ident_ros.armed import ARMED
 from uav_ident_ros.cdr import ChannelsDecoder
 from uav_ident_ros.diagnostics import InputMonitor
+from uav_ident_ros.guard import Guard
 from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.messages import (
@@ -63,13 +64,14 @@ class _Input:
         topic: str,
         callback: Callable[[bytes], None],
         warnings: Throttle,
+        guard: Guard,
     ) -> None:
         self._class = import_type(type_name)
         self._warnings = warnings
         subscription = node.create_subscription(
             self._class,
             topic,
-            callback,
+            guard(callback),
             QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
             qos_overriding_options=QoSOverridingOptions(_OVERRIDABLE),
             raw=True,
@@ -106,6 +108,8 @@ class RatesInput:
         Takes the samples.
     warnings : Throttle
         Takes what was refused, and why.
+    guard : Guard
+        Takes errors that nobody foresaw.
 
     Attributes
     ----------
@@ -115,14 +119,16 @@ class RatesInput:
         Frame of the newest message.
     """
 
-    def __init__(self, node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> None:
+    def __init__(
+        self, node: Node, identifier: OnlineIdentifier, warnings: Throttle, guard: Guard
+    ) -> None:
         self._identifier = identifier
         self._settings = identifier.settings.imu
         self._read = RATES[self._settings.type].read
         self._fast = self._settings.type == IMU_TYPE
         self.fault = frame_fault(self._settings.convention, "", self._settings.type)
         self.frame_id = ""
-        self._input = _Input(node, self._settings.type, RATES_TOPIC, self._take, warnings)
+        self._input = _Input(node, self._settings.type, RATES_TOPIC, self._take, warnings, guard)
         self.monitor = self._input.monitor
 
     def _take(self, data: bytes) -> None:
@@ -169,6 +175,8 @@ class ArrayInput:
         Stamp and values to the identifier; returns why it dropped them, or None.
     warnings : Throttle
         Takes what was refused, and why.
+    guard : Guard
+        Takes errors that nobody foresaw.
     read_bytes : callable, optional
         The same as `read` from the bytes, without a message; None if they are of another form.
     """
@@ -181,13 +189,14 @@ class ArrayInput:
         read: Callable[[Any], Reading],
         add: Callable[[int, Any], Drop | None],
         warnings: Throttle,
+        guard: Guard,
         read_bytes: Callable[[bytes], Reading | None] | None = None,
     ) -> None:
         self._clock = node.get_clock()
         self._read = read
         self._read_bytes = read_bytes
         self._add = add
-        self._input = _Input(node, type_name, topic, self._take, warnings)
+        self._input = _Input(node, type_name, topic, self._take, warnings, guard)
         self.monitor = self._input.monitor
 
     def _take(self, data: bytes) -> None:
@@ -214,7 +223,9 @@ class ArrayInput:
         return None if message is None else self._read(message)
 
 
-def actuator_input(node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> ArrayInput:
+def actuator_input(
+    node: Node, identifier: OnlineIdentifier, warnings: Throttle, guard: Guard
+) -> ArrayInput:
     """Subscribe to the actuator channels; parameters as in `ArrayInput`."""
     settings = identifier.settings.actuators
     reader = ActuatorReader(settings)
@@ -225,6 +236,7 @@ def actuator_input(node: Node, identifier: OnlineIdentifier, warnings: Throttle)
         reader,
         identifier.add_actuators,
         warnings,
+        guard,
         _bytes_reader(settings.type, reader),
     )
 
@@ -244,17 +256,27 @@ def _bytes_reader(
     return read
 
 
-def airspeed_input(node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> ArrayInput:
+def airspeed_input(
+    node: Node, identifier: OnlineIdentifier, warnings: Throttle, guard: Guard
+) -> ArrayInput:
     """Subscribe to the airspeed, for vehicles that have one; parameters as in `ArrayInput`."""
     type_name = identifier.settings.airspeed.type
     return ArrayInput(
-        node, type_name, AIRSPEED_TOPIC, AIRSPEED[type_name], identifier.add_airspeed, warnings
+        node,
+        type_name,
+        AIRSPEED_TOPIC,
+        AIRSPEED[type_name],
+        identifier.add_airspeed,
+        warnings,
+        guard,
     )
 
 
-def armed_input(node: Node, identifier: OnlineIdentifier, warnings: Throttle) -> ArrayInput:
+def armed_input(
+    node: Node, identifier: OnlineIdentifier, warnings: Throttle, guard: Guard
+) -> ArrayInput:
     """Subscribe to whether the vehicle is armed; parameters as in `ArrayInput`."""
     type_name = identifier.settings.armed.type
     return ArrayInput(
-        node, type_name, ARMED_TOPIC, ARMED[type_name], identifier.add_armed, warnings
+        node, type_name, ARMED_TOPIC, ARMED[type_name], identifier.add_armed, warnings, guard
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import time
+from typing import TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -23,6 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros import diagnostics
 from uav_ident_ros.coefficients_file import load_coefficients
+from uav_ident_ros.guard import Guard
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import (
     ACTUATORS,
@@ -58,6 +60,8 @@ SILENT_AFTER = 2.0
 SPIN_TIME = 1.0
 """Seconds that the executor may go on before it is asked whether the context still is."""
 
+Response = TypeVar("Response", Trigger.Response, SetBool.Response)
+
 TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC, ARMED_TOPIC)
 
 
@@ -75,11 +79,12 @@ class IdentifierNode(Node):
         settings = settings_of(self, TOPICS)
         self.identifier = OnlineIdentifier(settings, initial_coefficients(settings))
         declare(self, settings)
+        self._guard = Guard(Throttle(self.get_logger().error))
         self._changes = Changes(self, settings, self.identifier.reconfigure)
         self._inputs = self._subscribe(settings)
         self._outputs = Outputs(self, self.identifier.structure)
         self._estimate: Estimate | None = None
-        self._meter = diagnostics.TickMeter()
+        self._meter = diagnostics.TickMeter(1.0 / settings.update_rate)
         self._clock_seen = (0, time.monotonic())
         self._memory = Memory(self.identifier, self.get_fully_qualified_name(), self.get_logger())
         self._memory.start()
@@ -91,7 +96,7 @@ class IdentifierNode(Node):
     def _subscribe(self, settings: Settings) -> dict[str, RatesInput | ArrayInput]:
         """Subscribe to the inputs; the optional ones only if their type is set."""
         warnings = Throttle(self.get_logger().warning)
-        to = (self, self.identifier, warnings)
+        to = (self, self.identifier, warnings, self._guard)
         self._rates = RatesInput(*to)
         inputs: dict[str, RatesInput | ArrayInput] = {
             RATES: self._rates,
@@ -104,17 +109,20 @@ class IdentifierNode(Node):
         return inputs
 
     def _offer_services(self) -> None:
-        self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_service(Trigger, "~/save", self._on_save)
-        self.create_service(SetBool, "~/adapt", self._on_adapt)
+        guard = self._guard
+        self.create_service(Trigger, "~/reset", guard(self._on_reset, self._failed))
+        self.create_service(Trigger, "~/save", guard(self._on_save, self._failed))
+        self.create_service(SetBool, "~/adapt", guard(self._on_adapt, self._failed))
 
     def _watch_time(self, settings: Settings) -> None:
         """Ticks on the node's clock; diagnostics on one that never stops; jumps of /clock."""
-        self.create_timer(1.0 / settings.update_rate, self._on_timer)
+        tick = self._guard(self._on_timer, self.identifier.restart)
+        self.create_timer(1.0 / settings.update_rate, tick)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._said = OnChange()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTICS_PERIOD, self._on_diagnostics, clock=self._steady)
+        tell = self._guard(self._on_diagnostics)
+        self.create_timer(DIAGNOSTICS_PERIOD, tell, clock=self._steady)
         jump = Duration(seconds=settings.time_jump)
         # Keep the handle: the callback goes with it.
         self._jump_handle = self.get_clock().create_jump_callback(
@@ -123,7 +131,7 @@ class IdentifierNode(Node):
                 min_backward=Duration(nanoseconds=-jump.nanoseconds),
                 on_clock_change=True,
             ),
-            post_callback=self._on_jump,
+            post_callback=self._guard(self._on_jump),
         )
 
     # -- ticks -----------------------------------------------------------------------------
@@ -137,6 +145,7 @@ class IdentifierNode(Node):
             if estimate is not None:
                 self._estimate = estimate
                 self._outputs.publish(estimate, self._rates.frame_id)
+                self._meter.published((self.get_clock().now().nanoseconds - t_ns) * 1e-9)
 
     def _on_jump(self, jump: TimeJump) -> None:
         """Start again after a jump of /clock; cold if it went back under use_sim_time."""
@@ -162,6 +171,7 @@ class IdentifierNode(Node):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.identifier.reset()
         self._memory.forget()
+        self._guard.problem = ""
         self._estimate = None
         response.success = True
         response.message = "started cold"
@@ -182,6 +192,12 @@ class IdentifierNode(Node):
         response.success = True
         response.message = "adaptation is switched " + ("on" if request.data else "off")
         self.get_logger().info(response.message)
+        return response
+
+    def _failed(self, _: object, response: Response) -> Response:
+        """Answer a call that ended in an error."""
+        response.success = False
+        response.message = self._guard.problem
         return response
 
     # -- diagnostics -----------------------------------------------------------------------
@@ -212,7 +228,7 @@ class IdentifierNode(Node):
 
     def _state(self) -> tuple[str, str]:
         """State word and reason: what the inputs say first, then what the estimate says."""
-        fault = self._rates.fault or self.identifier.fault
+        fault = self._guard.problem or self._rates.fault or self.identifier.fault
         if fault:
             return "fault", fault
         silence = self._silence()
@@ -256,6 +272,7 @@ class IdentifierNode(Node):
                 ("structure", settings.structure),
                 ("estimator", settings.estimator),
                 ("use_sim_time", str(self.get_clock().ros_time_is_active).lower()),
+                ("internal errors", str(self._guard.count)),
             ],
             "ticks": list(self._meter.values()),
         }

@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+import pytest
+import rclpy
+
+from uav_ident_ros.guard import Guard
 from uav_ident_ros.notices import OnChange, Throttle, without_sources
 
 
@@ -33,3 +37,28 @@ def test_state_is_said_once_per_change() -> None:
 
 def test_ros_sources_are_left_out() -> None:
     assert without_sources("it failed, at /project/src/a.c:12, at b.c:3") == "it failed"
+
+
+def test_an_error_that_nobody_foresaw_is_told_and_survived() -> None:
+    said: list[str] = []
+    guard = Guard(Throttle(said.append, clock=lambda: 0.0))
+
+    def on_timer(number: float) -> float:
+        return 1.0 / number
+
+    guarded = guard(on_timer, lambda number: -1.0)
+    rclpy.init()
+    try:
+        assert guarded(2.0) == 0.5
+        assert guard.problem == ""
+        assert [guarded(0.0), guarded(0.0)] == [-1.0, -1.0]
+    finally:
+        rclpy.shutdown()
+    assert guard.count == 2
+    assert (
+        guard.problem == "internal error in 'on_timer': ZeroDivisionError: float division by zero"
+    )
+    assert len(said) == 1
+    assert "Traceback" in said[0]
+    with pytest.raises(ZeroDivisionError):
+        guarded(0.0)  # at the end of the program

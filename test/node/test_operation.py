@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,15 @@ import numpy as np
 import pytest
 from node_process import StartNode
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from recordings import NODE, MakePlayer, Recording, published, recording
+from recordings import (
+    ACTUATORS_TOPIC,
+    NODE,
+    RATES_TOPIC,
+    MakePlayer,
+    Recording,
+    published,
+    recording,
+)
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
@@ -32,6 +41,31 @@ def call(player: Player, kind: Any, service: str, request: Any) -> Any:
     future = client.call_async(request)
     player.wait_until(future.done, f"an answer of '{service}'")
     return future.result()
+
+
+def test_diagnostics_tell_what_a_pilot_asks(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer
+) -> None:
+    start_node(parameter_file=flight.parameter_file)
+    player = make_player(flight, clock=False)
+    player.wait_for_node()
+    player.play_in_step(flight.messages)
+    assert call(player, Trigger, f"{NODE}/save", Trigger.Request()).success
+    player.play_in_step(flight.messages)
+    player.spin_for(1.2)
+    shown = {entry.key: entry.value for entry in player.outputs.status[-1].values}
+    assert float(shown["saved fit p [%]"]) != 0.0
+    for key in ("fit q [%]", "hold q [%]", "delay [s]", "excitation qdot [0..1]"):
+        assert math.isfinite(float(shown[key]))
+    assert shown["changed in flight"] == "nothing"
+    assert float(shown["ticks: update time p99 [ms]"]) > 0.0
+    assert float(shown["ticks: timer jitter p99 [ms]"]) >= 0.0
+    assert math.isfinite(float(shown["ticks: age when published p99 [ms]"]))
+    for stream, topic in (("rates", RATES_TOPIC), ("actuators", ACTUATORS_TOPIC)):
+        assert shown[f"{stream}: topic"] == topic
+        assert int(shown[f"{stream}: messages"]) > 0
+        assert float(shown[f"{stream}: age [s]"]) >= 0.0
+        assert int(shown[f"{stream}: dropped"]) >= 0
 
 
 def test_reset_starts_cold(
