@@ -134,7 +134,7 @@ def signals_table(flight: Flight, found: Spectra | None) -> Element:
 
 def correlations_table(flight: Flight) -> Element:
     """Correlation of all signals with the inputs."""
-    rows = [
+    rows: list[tuple[Node, ...]] = [
         (name, *(_correlation(float(value)) for value in line))
         for name, line in zip(SIGNALS, correlations(flight).T, strict=True)
     ]
