@@ -6,7 +6,7 @@ Kept to reproduce the paper exactly; at 20 Hz it ruins the estimate even without
 
 from __future__ import annotations
 
-from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.regression import Regression, without_negligible
 from uav_ident_ros.identification.structure import FloatArray, Structure
 
 
@@ -44,5 +44,6 @@ class BackwardDifference:
         before, self._before = self._before, (t_ns, x)
         if before is None or (t_ns - before[0]) * 1e-9 > 1.5 * dt:
             return None
-        f = self._structure.regressor(x, u, force)[None]
-        return Regression(((x - before[1]) / dt)[None], f, f, dt)
+        f = without_negligible(self._structure.regressor(x, u, force))[None]
+        y = without_negligible((x - before[1]) / dt)[None]
+        return Regression(y, f, f, dt)

@@ -25,6 +25,10 @@ from uav_ident_ros.identification.structure import (
 STATE_COLUMNS = slice(0, INPUT_COLUMNS.start)
 """Regressors made of rates: those in which an instrument differs from the regressor."""
 
+NEGLIGIBLE = 1e-30
+"""Magnitude below which a signal counts as zero, SI: no sensor resolves it, and the square of
+its square must be a number still."""
+
 
 @dataclass(frozen=True)
 class Regression:
@@ -105,7 +109,7 @@ class StateVariableFilter:
             for edge in (left, right):
                 edge[:, 3 : 3 + n] *= scale
                 edge[:, 3 + n :] *= scale[STATE_COLUMNS]
-        states = self._filter.apply(left, right)
+        states = without_negligible(self._filter.apply(left, right))
         y = states[1, :, :3]
         f = states[0, :, 3 : 3 + n]
         z = f.copy()
@@ -114,3 +118,8 @@ class StateVariableFilter:
             f = f.copy()
             f[:, -len(SPECIFIC_FORCES) :] -= y @ self._lever.T
         return Regression(y, f, z, block.h)
+
+
+def without_negligible(signals: FloatArray) -> FloatArray:
+    """Return signals with zeros where they are negligible."""
+    return np.where(np.abs(signals) < NEGLIGIBLE, 0.0, signals)
