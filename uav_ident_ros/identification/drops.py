@@ -21,17 +21,29 @@ LARGEST_AIRSPEED = 1000.0
 """Airspeed beyond any of these aircraft, m/s."""
 
 
+LATEST_STAMP = (2**31 - 1) * 1_000_000_000
+"""Last time that a ROS stamp can hold, ns: there is no message with the ticks after it."""
+
+
 class Drop(StrEnum):
     """Why a sample was dropped."""
 
     NOT_FINITE = "not finite"
     WRONG_LENGTH = "wrong number of values"
     ZERO_STAMP = "zero or negative stamp"
+    BEYOND_STAMP = "stamp beyond 2038"
     OUTLYING_STAMP = "outlying stamp"
     IMPLAUSIBLE = "implausibly large"
     LATE = "late"
     DUPLICATE = "repeated stamp"
     CLOCK_MISMATCH = "stamp far from the Imu's"
+
+
+def time_problem(t_ns: int) -> Drop | None:
+    """Return why no sample can have this stamp, ns; None if one can."""
+    if t_ns <= 0:
+        return Drop.ZERO_STAMP
+    return Drop.BEYOND_STAMP if t_ns > LATEST_STAMP else None
 
 
 def value_problem(values: Sequence[float], count: int, largest: float) -> Drop | None:

@@ -21,6 +21,7 @@ from uav_ident_ros.identification.drops import (
     LARGEST_FORCE,
     LARGEST_GYRO_RATE,
     Drop,
+    time_problem,
     value_problem,
 )
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
@@ -289,8 +290,7 @@ class OnlineIdentifier:
         self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
     ) -> Drop | None:
         problem = value_problem(pqr, 3, LARGEST_GYRO_RATE)
-        problem = problem or value_problem(force, 3, LARGEST_FORCE)
-        return Drop.ZERO_STAMP if problem is None and t_ns <= 0 else problem
+        return problem or value_problem(force, 3, LARGEST_FORCE) or time_problem(t_ns)
 
     def _take_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
         if t_ns <= self._last_tick_ns:
@@ -398,8 +398,9 @@ class OnlineIdentifier:
 
     def _stamp_problem(self, t_ns: int) -> Drop | None:
         """Say what is wrong with a stamp beside those of the rates."""
-        if t_ns <= 0:
-            return Drop.ZERO_STAMP
+        problem = time_problem(t_ns)
+        if problem is not None:
+            return problem
         newest = self._guard.newest
         if newest is not None and abs(t_ns - newest) > self._jump_ns:
             return Drop.CLOCK_MISMATCH
