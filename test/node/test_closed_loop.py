@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The closed loop over DDS: plant, identifier, controller and reference as processes."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from node_process import wait_for
+
+from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, main, tracking_error
+from uav_ident_ros.simulation.errors import SimulationError
+
+pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
+
+SHORT = Loop(duration=12.0)
+TIMEOUT = 200.0
+
+
+def fly(
+    loop: Loop, folder: Path, during: Callable[[ClosedLoop], None] | None = None
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Fly; return the record and what each process printed."""
+    folder.mkdir()
+    with ClosedLoop(loop, folder) as running:
+        if during is not None:
+            during(running)
+        record = running.wait(TIMEOUT)
+    return record, {name: running.log(name) for name in running.processes}
+
+
+def land(running: ClosedLoop) -> None:
+    """End the flight now; the record is kept."""
+    running.processes["simulated_plant"].send_signal(signal.SIGINT)
+
+
+def said(running: ClosedLoop, name: str, words: str) -> bool:
+    return wait_for(lambda: words in running.log(name), TIMEOUT)
+
+
+def test_a_flight_is_the_same_however_fast_the_machine_is(tmp_path: Path) -> None:
+    """A faulty flight on coefficients that are adopted in flight, once disturbed from outside."""
+    loop = replace(SHORT, heed_verdict=False, faults=("6.0: aileron effect 0.5",))
+
+    def hold_up(running: ClosedLoop) -> None:
+        """Stop the controller and the identifier for a moment, somewhere in the flight."""
+        assert said(running, "controller", "identified")
+        for name in ("controller", "identifier"):
+            running.processes[name].send_signal(signal.SIGSTOP)
+            time.sleep(0.4)
+            running.processes[name].send_signal(signal.SIGCONT)
+
+    first, logs = fly(loop, tmp_path / "first")
+    again, _ = fly(loop, tmp_path / "again", hold_up)
+    assert "; 0 samples without an answer" in logs["simulated_plant"]
+    assert "aileron effect 0.5" in logs["simulated_plant"]
+    assert "flying on identified coefficients" in logs["controller"]
+    for name in ("rates", "measured", "reference", "outputs", "surfaces"):
+        np.testing.assert_array_equal(first[name], again[name])
+    assert tracking_error(first, 3.0, 6.0).max() < 5.0
+
+
+def test_the_controller_flies_on_and_says_so_when_the_identifier_is_killed(tmp_path: Path) -> None:
+    def kill_and_restart(running: ClosedLoop) -> None:
+        assert said(running, "controller", "identified")
+        running.processes["identifier"].kill()
+        running.processes["identifier"].wait()
+        assert said(running, "simulated_plant", "going on without")
+        running.start("identifier")
+        assert wait_for(lambda: running.log("controller").count("on identified") == 2, TIMEOUT)
+        land(running)
+
+    loop = replace(SHORT, duration=600.0, heed_verdict=False)
+    record, logs = fly(loop, tmp_path / "flight", kill_and_restart)
+    lines = [line.split("]: ")[1] for line in logs["controller"].splitlines()]
+    lost = lines.index("flying on last good coefficients: the coefficients are more than 0.5 s old")
+    assert lines[lost - 1] == lines[lost + 1] == "flying on identified coefficients"
+    assert "the identifier is back" in logs["simulated_plant"]
+    gap = np.argmax(np.diff(record["tick"]))
+    start, end = record["tick"][gap], record["tick"][gap + 1]
+    assert end - start > 0.5
+    assert tracking_error(record, start, end).max() < 5.0
+    assert np.isfinite(record["outputs"]).all()
+
+
+def test_fixed_coefficients_never_ask_the_identifier(tmp_path: Path) -> None:
+    record, logs = fly(replace(SHORT, mode="fixed", duration=6.0), tmp_path / "flight")
+    assert "flying on nominal coefficients" in logs["controller"]
+    assert "identified" not in logs["controller"]
+    assert len(record["tick"]) > 90  # it runs all the same, and is recorded
+    assert tracking_error(record, 3.0, 6.0).max() < 5.0
+
+
+def test_faults_come_by_topic_too(tmp_path: Path) -> None:
+    import rclpy
+    from rclpy.context import Context
+    from std_msgs.msg import String
+
+    def jam(running: ClosedLoop) -> None:
+        assert said(running, "controller", "flying on")
+        context = Context()
+        rclpy.init(context=context)
+        node = rclpy.create_node("pilot", context=context)
+        publisher = node.create_publisher(String, "simulated_plant/fault", 10)
+        assert wait_for(lambda: publisher.get_subscription_count() > 0)
+        publisher.publish(String(data="flaps fall off"))
+        publisher.publish(String(data="rudder jams 0.02"))
+        assert said(running, "simulated_plant", "rudder jams 0.02")
+        time.sleep(0.5)
+        land(running)
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+    record, logs = fly(replace(SHORT, duration=600.0), tmp_path / "flight", jam)
+    assert "'flaps fall off' is none of" in logs["simulated_plant"]
+    assert record["surfaces"][-1, 1] == pytest.approx(-0.0010884456 + 0.02, abs=1e-6)
+
+
+def test_a_process_that_does_not_start_ends_the_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = replace(SHORT, parameters={"controller": {"fallback": "hope"}})
+    with pytest.raises(SimulationError, match=r"controller ended: .*'hope'"):
+        fly(wrong, tmp_path / "flight")
+    assert main(["--fault", "flaps fall off"]) == 1
+    assert "is none of" in capsys.readouterr().err
+
+
+def test_the_command_says_how_well_the_reference_was_followed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["--duration", "8", "--fault", "4: aileron effect 0.5", "--ignore-verdict"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any("fault at 4.0" in line for line in lines)
+    assert any(line.split()[:6] == ["4", "s", "to", "8", "s", *line.split()[5:6]] for line in lines)
