@@ -7,7 +7,7 @@ cold       the same without initial coefficients: what normal flight alone ident
 restart    the identifier killed (-9) in flight and started again
 latency    from the stamp of an Imu sample to the command and to the coefficients, real time
 
-Tables go to the terminal, figures to build/closed_loop_NAME.json, with --picture the pictures to
+Tables go to the terminal, figures to build/closed_loop/, with --picture the pictures to
 docs/images/.
 """
 
@@ -33,7 +33,7 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, own_domain, tracking_error
 
 ROOT = Path(__file__).resolve().parents[1]
-BUILD = ROOT / "build"
+BUILD = ROOT / "build" / "closed_loop"
 IMAGES = ROOT / "docs" / "images"
 HIGHEST_DOMAIN = 101
 
@@ -59,22 +59,32 @@ MODES: dict[str, Loop] = {
 """The controllers; 'by sigma' ignores the verdict and trusts each coefficient by its sigma."""
 
 FLIGHT_TIMEOUT = 600.0
+ATTEMPTS = 3
 
 Record = dict[str, FloatArray]
 
 
 def fly(loop: Loop, during: Callable[[ClosedLoop], None] | None = None) -> tuple[Record, str]:
-    """Fly once in a domain of its own; return the record and what the controller said."""
-    domain = 1 + secrets.randbelow(HIGHEST_DOMAIN)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        own_domain(domain),
-        ClosedLoop(loop, Path(folder)) as running,
-    ):
-        if during is not None:
-            during(running)
-        record = running.wait(FLIGHT_TIMEOUT)
-        return record, running.log("controller")
+    """Fly once in a domain of its own; return the record and what the controller said.
+
+    A flight in which somebody fell silent, on a machine too busy or in a domain that another
+    program uses too, is flown again.
+    """
+    for _ in range(ATTEMPTS):
+        domain = 1 + secrets.randbelow(HIGHEST_DOMAIN)
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            own_domain(domain),
+            ClosedLoop(loop, Path(folder)) as running,
+        ):
+            if during is not None:
+                during(running)
+            record = running.wait(FLIGHT_TIMEOUT)
+            said = running.log("simulated_plant")
+            if during is not None or "going on" not in said:
+                return record, running.log("controller")
+        print(f"again, because of:\n{said}", file=sys.stderr)
+    raise SystemExit(f"no undisturbed flight in {ATTEMPTS} attempts")
 
 
 def relative_to_healthy(record: Record, healthy: Record, axis: int) -> list[float]:
@@ -96,7 +106,9 @@ def tracking(seeds: int, picture: bool) -> dict[str, Any]:
     for seed in range(seeds):
         for mode, loop in MODES.items():
             for case, faults in CASES.items():
-                records[mode, case, seed], _ = fly(replace(loop, faults=faults, seed=seed))
+                record, _ = fly(replace(loop, faults=faults, seed=seed))
+                np.savez_compressed(BUILD / f"{mode}, {case}, {seed}.npz", **record)
+                records[mode, case, seed] = record
                 print(f"flown: {case}, {mode}, seed {seed}", file=sys.stderr, flush=True)
     if picture:
         draw_tracking({key[:2]: record for key, record in records.items() if key[2] == 0})
@@ -401,9 +413,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     os.chdir(ROOT)
     measure, lines = PROGRAMS[options.name]
+    BUILD.mkdir(parents=True, exist_ok=True)
     found = measure(options.seeds, options.picture)
-    BUILD.mkdir(exist_ok=True)
-    (BUILD / f"closed_loop_{options.name}.json").write_text(json.dumps(found, indent=1))
+    (BUILD / f"{options.name}.json").write_text(json.dumps(found, indent=1))
     print("\n".join(lines(found)))
 
 

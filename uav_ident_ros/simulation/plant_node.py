@@ -37,7 +37,7 @@ from uav_ident_ros.simulation.live_aircraft import LiveAircraft, Sample
 from uav_ident_ros.simulation.noise import FRAME_IDS, FRD_TO_FLU, Sensors
 from uav_ident_ros.startup import REFUSALS, USAGE_ERROR, explain, start
 
-PATIENCE = 2.0
+PATIENCE = 5.0
 """In step: wall-clock seconds that an answer may take before the flight goes on without it."""
 
 START_PATIENCE = 60.0
@@ -275,7 +275,7 @@ class PlantNode(Node):
             self._controller_silent = True
             self.get_logger().error(
                 f"no answer to the sample of {self._aircraft.time:.2f} s within {PATIENCE:g} s: "
-                "the last command holds, and the flight goes on without waiting"
+                "the last command holds, going on without waiting"
             )
         wanted = self._now_ns - COEFFICIENTS_WITHIN_NS
         if not self._identifier_silent and wanted > self._start_ns + COEFFICIENTS_WITHIN_NS:
