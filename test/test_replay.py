@@ -152,12 +152,26 @@ def test_quality_of_service_in_the_bag(replayed: Path) -> None:
         assert profile.depth == (1 if latched else 10)
 
 
-def test_mcap_reader_finds_schemas(replayed: Path) -> None:
+def test_mcap_reader_finds_schemas_stamps_and_qos(replayed: Path) -> None:
     mcap_reader = pytest.importorskip("mcap.reader")
+    ticks = [e.t_ns for e in fed_by_hand("multisine")]
+    times: dict[str, list[int]] = {}
     with (replayed / "estimates" / "estimates.mcap").open("rb") as file:
-        schemas = mcap_reader.make_reader(file).get_summary().schemas.values()
-    assert {s.encoding for s in schemas} == {"ros2msg"}
-    assert all(s.data for s in schemas)
+        reader = mcap_reader.make_reader(file, validate_crcs=True)
+        content = reader.get_summary()
+        for schema, channel, message in reader.iter_messages():
+            assert schema.name
+            assert message.data
+            assert message.publish_time == message.log_time
+            times.setdefault(channel.topic, []).append(message.log_time)
+    assert {s.encoding for s in content.schemas.values()} == {"ros2msg"}
+    assert all(s.data for s in content.schemas.values())
+    assert {c.message_encoding for c in content.channels.values()} == {"cdr"}
+    for channel in content.channels.values():
+        (profile,) = yaml.safe_load(channel.metadata["offered_qos_profiles"])
+        assert profile["depth"] == (1 if "coefficients" in channel.topic else 10)
+    assert len(times) == 4
+    assert all(found == ticks for found in times.values())
 
 
 def test_summary_and_coefficients(replayed: Path) -> None:
@@ -470,6 +484,34 @@ def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
     assert (fit.model > 80.0).all()
     first_ns, last_ns = run.estimates[0].t_ns, run.estimates[-1].t_ns
     assert fit.windows == pytest.approx(20 * (0.4e-9 * (last_ns - first_ns) - 1.0), abs=2)
+
+
+def test_nothing_is_learned_while_disarmed(tmp_path: Path) -> None:
+    armed = "std_msgs/msg/Bool"
+    with Bag(BAGS / "multisine") as bag, BagWriter(tmp_path / "bag") as writer:
+        types = {IMU: bag.type_of(IMU), ACTUATORS: bag.type_of(ACTUATORS), "/armed": armed}
+        for topic, msgtype in types.items():
+            writer.topic(topic, msgtype)
+        writer.write("/armed", bag.start_ns, message_class(armed)(data=False))
+        said = False
+        for topic, log_ns, data in bag.messages([IMU, ACTUATORS]):
+            if log_ns > bag.start_ns + 20 * SECOND_NS:
+                break
+            if not said and log_ns > bag.start_ns + 10 * SECOND_NS:
+                said = True
+                writer.write("/armed", log_ns, message_class(armed)(data=True))
+            writer.write(topic, log_ns, data)
+    values = load_parameters(BAGS / "multisine" / "identifier.yaml", "identifier")
+    with Bag(tmp_path / "bag") as bag:
+        assert choose_inputs(bag, values).armed_topic == ""
+        inputs = choose_inputs(bag, values | {"armed.type": armed})
+        run = OfflineRun(inputs)
+        run.run(bag, lambda messages, total: messages)
+    assert inputs.armed_topic == "/armed"
+    assert run.refusals("armed").received == 2
+    start_ns = run.estimates[0].t_ns
+    learned = [(e.t_ns - start_ns) / SECOND_NS for e in run.estimates if e.adapting]
+    assert 9.8 < min(learned) < 10.5
 
 
 # --- with an airspeed --------------------------------------------------------------------------

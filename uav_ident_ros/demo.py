@@ -115,12 +115,15 @@ def load_flight(path: Path, parameter_file: Path | None) -> Flight:
         parameters = load_parameters(parameter_file, "identifier")
     with Bag(path) as bag:
         inputs = choose_inputs(bag, parameters)
+        messages = list(bag.messages(inputs.topics))
+        for line in bag.damage:
+            print(f"demo: {line}", file=sys.stderr)
         return Flight(
             name=path.resolve().stem,
             path=path,
             parameter_file=parameter_file,
             inputs=inputs,
-            messages=list(bag.messages(inputs.topics)),
+            messages=messages,
             types={topic: bag.type_of(topic) for topic in inputs.topics},
             truth=_truth(path / "truth.yaml"),
         )

@@ -19,6 +19,7 @@ from uav_ident_ros.airspeed import AIRSPEED as AIRSPEED_READERS
 from uav_ident_ros.armed import ARMED as ARMED_READERS
 from uav_ident_ros.bag_inputs import Inputs
 from uav_ident_ros.bags import Bag, BagError, Message
+from uav_ident_ros.cdr import ChannelsDecoder
 from uav_ident_ros.identification.identifier import (
     ACTUATORS,
     AIRSPEED,
@@ -34,6 +35,7 @@ from uav_ident_ros.messages import (
 )
 from uav_ident_ros.messages import (
     ActuatorReader,
+    ActuatorReading,
     ChannelError,
     RatesReading,
     decode_imu_cdr,
@@ -136,6 +138,9 @@ class Intake:
         self._identifier = identifier
         self._read_rates = RATES_READERS[settings.imu.type].read
         self._read_channels = ActuatorReader(settings.actuators)
+        self._read_bytes: Callable[[bytes], ActuatorReading | None] = lambda data: None
+        if ChannelsDecoder.knows(settings.actuators.type, self._read_channels.field):
+            self._read_bytes = ChannelsDecoder(settings.actuators.type, self._read_channels.field)
         self.rates = Record(6)
         self.actuators = Record(len(settings.actuators.channels))
         self.era = 0
@@ -257,8 +262,13 @@ class Intake:
             self.rates.append(t_ns, (*rates, *(force or _NO_FORCE)), self.era)
 
     def _take_actuators(self, message: Message) -> None:
+        read = self._read_channels
+        reading = self._read_bytes(message.data)
         try:
-            stamp_ns, values = self._read_channels(self._decode[ACTUATORS](message.data))
+            if reading is not None:
+                stamp_ns, values = read.select(reading)
+            else:
+                stamp_ns, values = read(self._decode[ACTUATORS](message.data))
         except ChannelError as error:
             reason = NOT_FINITE if error.not_finite else WRONG_CHANNELS
             self._refused[ACTUATORS][reason] += 1

@@ -48,7 +48,7 @@ SETTLED_NS = 30_000_000_000
 LAST_PART = 0.4
 """Share of the flight at its end that the first figure is over."""
 
-BLOCK = 2048
+BLOCK = 4096
 """Windows integrated at a time: their arrays then stay in the processor's cache."""
 
 _STATE_COLUMNS = 8
