@@ -23,6 +23,9 @@ from uav_ident_ros.identification.structure import FloatArray
 FLIGHT = "exact_quiet_gusts_03"
 
 HOUR = 3600.0
+MARGIN = 1.0
+"""Flown beyond the last hour, s: a tick waits for the samples that follow it."""
+
 PAGES_TO_MIB = 4096 / 2**20
 
 
@@ -69,8 +72,8 @@ def main() -> None:
     dominant = tuple(np.array([identifier.structure.index(n) for n in cases.DOMINANT]).T)
     times: list[float] = []
     hour, start = 1, int(case.imu_t_ns[0])
-    print(f"memory at the start {memory():.1f} MiB")
-    for is_rates, t, v in messages(case, options.hours * HOUR):
+    print(f"memory at the start, the flight in it, {memory():.1f} MiB")
+    for is_rates, t, v in messages(case, options.hours * HOUR + MARGIN):
         if not is_rates:
             identifier.add_actuators(t, v)
             continue

@@ -394,6 +394,33 @@ def test_batching_and_order_change_no_bit(
     assert also_dropped == dropped
 
 
+new_bases = st.lists(
+    st.tuples(steady_flights, st.sampled_from([2 * S, 400 * MS, 3600 * S])), min_size=2, max_size=3
+)
+
+
+@hypothesis_settings(PLAIN, max_examples=15)
+@given(
+    settings=any_settings,
+    legs=new_bases,
+    sizes=st.lists(st.integers(1, 500), min_size=1, max_size=8),
+)
+@example(
+    settings=Settings(),
+    legs=[(Fly(3.0, 200.0, 1.0, 0.0, 1), 2 * S), (Fly(3.0, 200.0, 1.0, 0.0, 2), 0)],
+    sizes=[97],
+)
+def test_batching_across_a_new_time_base_changes_no_bit(
+    settings: Settings, legs: list[tuple[Fly, int]], sizes: list[int]
+) -> None:
+    """What was due before the stamps jumped is computed, however late it is asked for."""
+    samples = flown(legs)
+    reference, dropped = estimates_of(settings, samples, itertools.repeat(1))
+    estimates, also_dropped = estimates_of(settings, samples, itertools.cycle(sizes))
+    assert list(map(exactly, estimates)) == list(map(exactly, reference))
+    assert also_dropped == dropped
+
+
 # --- save and load ----------------------------------------------------------------------------
 
 sigmas = st.one_of(

@@ -8,9 +8,10 @@ samples give the same estimates, bit for bit, however they were batched.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 
@@ -175,6 +176,7 @@ class OnlineIdentifier:
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
         self._outlying: list[tuple[int, Sequence[float], Sequence[float] | None]] = []
+        self._held: list[Callable[[], object]] | None = None
         self._mismatches = 0
         self._due: deque[int] = deque()
         self._next_tick: int | None = None
@@ -269,6 +271,9 @@ class OnlineIdentifier:
         Drop or None
             Why the sample was dropped, None if it was taken.
         """
+        if self._held is not None:
+            self._held.append(partial(self.add_rates, t_ns, pqr, specific_force))
+            return None
         force = _NO_FORCE if specific_force is None else specific_force
         problem = self._rates_problem(t_ns, pqr, force)
         if problem is None:
@@ -324,7 +329,7 @@ class OnlineIdentifier:
             Rates, rad/s, and specific force, m/s^2, in the Imu's own axes.
         """
         newest = self._guard.newest
-        if newest is None or self._last_tick_ns == _NO_TICK or self._outlying:
+        if newest is None or self._last_tick_ns == _NO_TICK or self._outlying or self._held:
             return False
         steps = np.diff(t_ns, prepend=newest)
         largest = np.abs(values).max(axis=0)  # NaN fails the tests
@@ -355,12 +360,19 @@ class OnlineIdentifier:
         self._find_due(t_ns[-1])
 
     def _move_to_new_base(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> None:
-        """Start anew with the samples that agreed on the new base."""
+        """Start anew with the samples that agreed on the new base, once no tick is due."""
         agreed = self._outlying[1 - AGREEING_SAMPLES :]
+        self.drops[RATES][Drop.OUTLYING_STAMP] -= len(agreed)
+        self._held = [partial(self.add_rates, *sample) for sample in (*agreed, (t_ns, pqr, force))]
+        if not self._due:
+            self._take_held()
+
+    def _take_held(self) -> None:
+        """Begin the new time base with what was held back for it."""
+        held, self._held = self._held or [], None
         self.restart()
-        for sample in (*agreed, (t_ns, pqr, force)):
-            self.drops[RATES][Drop.OUTLYING_STAMP] -= sample[0] != t_ns
-            self.add_rates(*sample)
+        for add in held:
+            add()
 
     def add_actuators(self, t_ns: int, values: Sequence[float]) -> Drop | None:
         """Take one sample of the raw actuator channels.
@@ -377,6 +389,9 @@ class OnlineIdentifier:
         Drop or None
             Why the sample was dropped, None if it was taken.
         """
+        if self._held is not None:
+            self._held.append(partial(self.add_actuators, t_ns, values))
+            return None
         problem = self._actuators_problem(t_ns, values)
         if problem is None:
             self._sampler.raw_inputs.append(t_ns, values)
@@ -431,6 +446,9 @@ class OnlineIdentifier:
         Drop or None
             Why the sample was dropped, None if it was taken.
         """
+        if self._held is not None:
+            self._held.append(partial(self.add_airspeed, t_ns, airspeed))
+            return None
         problem = value_problem((airspeed,), 1, LARGEST_AIRSPEED) or self._stamp_problem(t_ns)
         if problem is None:
             self._speed.airspeed.append(t_ns, (airspeed,))
@@ -456,6 +474,9 @@ class OnlineIdentifier:
         Drop or None
             Why the word was dropped, None if it was taken.
         """
+        if self._held is not None:
+            self._held.append(partial(self.add_armed, t_ns, armed))
+            return None
         problem = self._stamp_problem(t_ns)
         if problem is Drop.LATE:
             t_ns, problem = self._last_tick_ns + 1, None
@@ -497,6 +518,9 @@ class OnlineIdentifier:
         estimate = None
         while self._due and self._due[0] <= t_ns:
             estimate = self._tick(self._due.popleft())
+        if self._held is not None and not self._due:
+            self._take_held()
+            return estimate
         while self._next_tick is not None and self._tick_ns(self._next_tick) <= t_ns:
             self._last_tick_ns = self._tick_ns(self._next_tick)
             self._next_tick += 1
