@@ -46,6 +46,7 @@ setup(
         # import_log: the reader of each kind of log (tables need none)
         "ardupilot": ["pymavlink", "pyyaml", "rosbags"],
         "px4": ["pyulog", "pyyaml", "rosbags"],
+        "jsbsim": ["jsbsim"],
         "monitor": ["rich"],
         "replay": ["pyyaml", "matplotlib", "mcap", "rosbags", "tqdm"],
         # colcon decides by this extra whether `colcon test` runs pytest
@@ -54,11 +55,14 @@ setup(
     zip_safe=True,
     entry_points={
         "console_scripts": [
+            f"controller_example = {PACKAGE}.controller_example:main",
             f"identifier = {PACKAGE}.node:main",
             f"import_log = {PACKAGE}.import_logs.cli:main",
             f"monitor = {PACKAGE}.monitor.cli:main",
+            f"rate_reference = {PACKAGE}.simulation.rate_reference:main",
             f"replay = {PACKAGE}.replay:main",
             f"simulate = {PACKAGE}.simulation.cli:main",
+            f"simulated_plant = {PACKAGE}.simulation.plant_node:main",
         ],
     },
 )

@@ -21,9 +21,10 @@ import numpy as np
 import pytest
 import setuptools
 
+from uav_ident_ros.client import Refusal
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.settings import Settings, declarations
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES
+from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages import named_entries
 from uav_ident_ros.parameter_file import load_parameters
 from uav_ident_ros.parameter_table import TABLES, MarkerError, full_tables, main, renew
@@ -308,17 +309,23 @@ def test_every_parameter_file_of_the_pages_is_accepted(block: str, tmp_path: Pat
     assert Settings.from_values(values).values() != Settings().values()
 
 
-def test_the_controller_example_reads_the_matrix_and_heeds_the_verdict() -> None:
+def test_the_controller_of_the_readme_inverts_the_model_and_heeds_the_verdict() -> None:
     (source,) = code_blocks(text_of(README), "python")
     namespace: dict[str, Any] = {}
     exec(compile(source, "README.md", "exec"), namespace)
+    subscribed: list[Any] = []
+    node = SimpleNamespace(
+        create_subscription=lambda kind, topic, callback, qos: subscribed.append(callback)
+    )
+    inversion = namespace["Inversion"](node)
     structure = STRUCTURES["augmented"]
-    numbered = np.arange(1.0, 1.0 + structure.mask.size).reshape(structure.mask.shape)
-    coefficients = np.where(structure.mask, numbered, 0.0)
+    coefficients = np.zeros(structure.mask.shape)
+    for name, value in (("pdot/da", 30.0), ("qdot/de", -26.0), ("rdot/dr", -2.0)):
+        coefficients[structure.index(name)] = value
 
-    def message(usable: bool) -> SimpleNamespace:
+    def receive(t_ns: int, usable: bool) -> None:
         estimate = Estimate(
-            t_ns=1,
+            t_ns=t_ns,
             coefficients=coefficients,
             sigma=np.zeros_like(coefficients),
             predicted_rates=np.zeros(3),
@@ -330,11 +337,22 @@ def test_the_controller_example_reads_the_matrix_and_heeds_the_verdict() -> None
             reason="",
         )
         entries = named_entries(estimate, structure)
-        return SimpleNamespace(name=list(entries.names), position=list(entries.positions))
+        stamp = SimpleNamespace(sec=0, nanosec=t_ns)
+        subscribed[0](
+            SimpleNamespace(
+                header=SimpleNamespace(stamp=stamp),
+                name=list(entries.names),
+                position=list(entries.positions),
+                effort=list(entries.efforts),
+            )
+        )
 
-    matrix = namespace["control_matrix"](message(usable=True))
-    np.testing.assert_array_equal(matrix, coefficients[:, INPUT_COLUMNS])
-    assert namespace["control_matrix"](message(usable=False)) is None
+    receive(1, usable=False)
+    with pytest.raises(Refusal, match="not usable"):
+        inversion.inputs(1, np.zeros(3), np.array([3.0, 1.3, 0.1]))
+    receive(2, usable=True)
+    u = inversion.inputs(2, np.zeros(3), np.array([3.0, 1.3, 0.1]))
+    np.testing.assert_allclose(u, [-0.05, -0.05, 0.1, 0.0])
 
 
 # --- architecture ----------------------------------------------------------------------------

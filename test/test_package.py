@@ -17,6 +17,10 @@ from typing import Any
 
 import pytest
 import setuptools
+import yaml
+
+from uav_ident_ros.client import Coefficients
+from uav_ident_ros.simulation import closed_loop
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "uav_ident_ros"
@@ -283,6 +287,9 @@ def test_lock_fixes_every_version(name: str):
 
 
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+CLOSED_LOOP_LAUNCH = ROOT / "launch" / "closed_loop.launch.py"
+OF_THE_IDENTIFIER = [path for path in LAUNCH_FILES if path != CLOSED_LOOP_LAUNCH]
+"""Those that start the identifier alone."""
 
 
 def launch_calls(path: Path, name: str) -> list[ast.Call]:
@@ -307,7 +314,7 @@ def test_launch_arguments_are_declared_and_used(path: Path):
         assert any(word.arg == "description" for word in call.keywords)
 
 
-@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", OF_THE_IDENTIFIER, ids=lambda path: path.name)
 def test_launch_can_rename_every_input(path: Path):
     """Each remap's left side is a topic of the node, its right side an argument of that default."""
     (node,) = launch_calls(path, "Node")
@@ -331,7 +338,7 @@ def test_launch_can_rename_every_input(path: Path):
         assert ast.literal_eval(defaults[argument]).removeprefix("/") == topic
 
 
-@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", OF_THE_IDENTIFIER, ids=lambda path: path.name)
 def test_launch_file_starts_what_the_package_installs(path: Path):
     (node,) = launch_calls(path, "Node")
     constants = constants_of(path)
@@ -365,6 +372,19 @@ def test_launch_of_a_bag():
     # what follows an option without a value would be taken for it
     assert player.index("LaunchConfiguration('bag')") < player.index("'--clock'")
     assert "'state_file': 'none'" in ast.unparse(launch_calls(path, "Node")[0])
+
+
+def test_launch_of_the_closed_loop():
+    """Without launch installed: its nodes, and that its parameter file has a section for each."""
+    calls = launch_calls(CLOSED_LOOP_LAUNCH, "node")
+    started = {ast.literal_eval(call.args[0]): ast.literal_eval(call.args[1]) for call in calls}
+    assert set(started) <= set(console_scripts())
+    assert set(started.values()) == set(closed_loop.MODULES)
+    constants = constants_of(CLOSED_LOOP_LAUNCH)
+    folder = ROOT / "config" / "closed_loop"
+    sections = yaml.safe_load((folder / constants["PARAMS"]).read_text())
+    assert {key.rpartition("/")[2] for key in sections} <= set(started.values())
+    assert Coefficients.from_file(folder / constants["COEFFICIENTS"]).known.any()
 
 
 def constants_of(path: Path) -> dict[str, Any]:

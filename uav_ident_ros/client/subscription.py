@@ -41,7 +41,7 @@ def subscribe(
         The subscription: reliable and latched, so that the last coefficients come at once.
     """
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-    from sensor_msgs.msg import JointState
+    from sensor_msgs.msg import JointState  # type: ignore[import-untyped]
 
     def take(message: JointState) -> None:
         try:
@@ -52,7 +52,7 @@ def subscribe(
         if callback is not None:
             callback(coefficients)
 
-    latched = QoSProfile(
+    latched = QoSProfile(  # type: ignore[no-untyped-call]
         depth=DEPTH,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL,

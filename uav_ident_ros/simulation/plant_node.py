@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion, Vector3, Vector3Stamped
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -28,7 +29,6 @@ from std_msgs.msg import Header, String
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback, subscribe
 from uav_ident_ros.messages import NS_PER_S, header_ns
-from uav_ident_ros.player import to_stamp
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
@@ -213,7 +213,7 @@ class PlantNode(Node):
         outputs = self._aircraft.outputs
         self._actuators.publish(
             JointState(
-                header=Header(stamp=to_stamp(self._now_ns)),
+                header=Header(stamp=_stamp(self._now_ns)),
                 name=list(SURFACE_NAMES),
                 position=outputs.tolist(),
             )
@@ -226,7 +226,7 @@ class PlantNode(Node):
         if (self._clock is not None and t_ns > self._clock_ns) or t_ns == self._start_ns:
             self._clock_ns = t_ns
             if self._clock is not None:
-                self._clock.publish(Clock(clock=to_stamp(t_ns)))
+                self._clock.publish(Clock(clock=_stamp(t_ns)))
 
     def _spin_until(self, end: float) -> None:
         """Listen until a monotonic time."""
@@ -298,12 +298,16 @@ class PlantNode(Node):
 
 def _imu_message(t_ns: int, sample: Sample) -> Imu:
     """Imu message in REP-103 axes; its orientation is true, as an AHRS would have it."""
-    message = Imu(header=Header(stamp=to_stamp(t_ns), frame_id=FRAME_IDS["flu"]))
+    message = Imu(header=Header(stamp=_stamp(t_ns), frame_id=FRAME_IDS["flu"]))
     message.angular_velocity = _vector(sample.measured_rates * FRD_TO_FLU)
     message.linear_acceleration = _vector(sample.measured_force * FRD_TO_FLU)
     roll, pitch, yaw = sample.attitude.tolist()
     message.orientation = quaternion(roll, -pitch, 0.5 * math.pi - yaw)
     return message
+
+
+def _stamp(t_ns: int) -> Time:
+    return Time(sec=t_ns // NS_PER_S, nanosec=t_ns % NS_PER_S)
 
 
 def _vector(values: np.ndarray) -> Vector3:
