@@ -89,6 +89,35 @@ def test_foreign_type_is_read_by_its_definition_in_the_bag(tmp_path: Path) -> No
     assert np.array_equal(read.control, control)
 
 
+def write_database(path: Path) -> Path:
+    """Write an SQLite bag of many messages; return its file."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/a", ARRAY, typestore=store)
+        for log_ns in range(1, 2001):
+            writer.write(connection, log_ns, store.serialize_cdr(array(log_ns), ARRAY))
+    return path / f"{path.name}.db3"
+
+
+def test_database_without_metadata(tmp_path: Path) -> None:
+    write_database(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    with Bag(tmp_path / "bag") as bag:
+        assert bag.damage == ["there is no metadata.yaml: the files were read without it"]
+        assert len(list(bag.messages(["/a"]))) == 2000
+
+
+def test_damaged_database_says_what_may_save_it(tmp_path: Path) -> None:
+    file = write_database(tmp_path / "bag")
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+    with pytest.raises(BagError) as caught:
+        Bag(tmp_path / "bag")
+    assert str(caught.value).startswith(f"bag '{tmp_path / 'bag'}' cannot be read: ")
+    assert "malformed" in str(caught.value)
+    assert str(caught.value).endswith("(the tool sqlite3 may save what is there, by '.recover')")
+
+
 def test_foreign_type_without_definition(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(FOREIGN_TEXT, FOREIGN))
@@ -125,7 +154,7 @@ def test_missing_and_foreign_files(tmp_path: Path) -> None:
     (tmp_path / "nothing.mcap").write_bytes(b"")
     for name, words in (
         ("nowhere", "'.*nowhere' does not exist"),
-        ("empty", "has neither metadata.yaml nor an .mcap file"),
+        ("empty", r"has neither metadata\.yaml nor an \.mcap or \.db3 file"),
         ("notes.txt", "is no bag: an .mcap file or a rosbag2 folder is needed"),
         ("text.mcap", "'text.mcap' is no MCAP file"),
         ("nothing.mcap", "'nothing.mcap' is empty"),

@@ -285,10 +285,11 @@ def _open(storage: Path) -> Reader:
 
 def _open_files(folder: Path, reason: str, damage: list[str]) -> list[Reader | SalvageReader]:
     """Open the files of a folder whose metadata are missing or wrong."""
-    files = sorted(file for file in folder.iterdir() if file.suffix == ".mcap")
+    files = sorted(file for file in folder.iterdir() if file.suffix in STORAGE_SUFFIXES)
     if not files:
         if not (folder / METADATA_FILE).exists():
-            raise BagError(f"bag '{folder}' has neither {METADATA_FILE} nor an .mcap file")
+            suffixes = " or ".join(STORAGE_SUFFIXES)
+            raise BagError(f"bag '{folder}' has neither {METADATA_FILE} nor an {suffixes} file")
         raise BagError(f"bag '{folder}' cannot be read: {reason}")
     readers: list[Reader | SalvageReader] = []
     found: list[str] = []
@@ -313,7 +314,7 @@ def _open_file(file: Path, bag: Path, damage: list[str]) -> Reader | SalvageRead
     try:
         return _open(file)
     except Exception as error:  # as above
-        reason = _foreign(file) or _reason(error)
+        reason = _foreign(file) or _reason(error).replace(f"{file.parent}{os.sep}", "")
     if file.suffix == ".mcap" and not _foreign(file):
         try:
             saved = SalvageReader(file)
@@ -322,6 +323,8 @@ def _open_file(file: Path, bag: Path, damage: list[str]) -> Reader | SalvageRead
         else:
             damage.append(saved.damage)
             return saved
+    if file.suffix == ".db3":
+        reason = f"{reason} (the tool sqlite3 may save what is there, by '.recover')"
     raise BagError(f"bag '{bag}' cannot be read: {reason}")
 
 
