@@ -1,0 +1,586 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that a graph can do to the node, at once: ``python benchmarks/faults.py``.
+
+The node learns a recorded flight. Then come hostile messages on every input (every field NaN,
+infinite, huge, denormal; wrong lengths, frames and bytes; stamps zero, past, future, repeated),
+floods at 5 kHz, silences, topics that vanish and come back, jumps of the message time and, in a
+second run under simulated time, of /clock, storms of parameters, and services in every state.
+The node must stay up and never publish a value that is not finite or out of bounds. Afterwards it
+learns the same flight again, and must be as good as before. All of it is drawn from one seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import secrets
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import hostile
+import numpy as np
+from hostile import SECOND_NS, Hostile, stamped
+
+from uav_ident_ros.bags import Bag
+from uav_ident_ros.identification.prediction import PredictionFit
+from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, declarations
+from uav_ident_ros.messages import import_type
+
+ROOT = Path(__file__).resolve().parents[1]
+BAG = ROOT / "bags" / "multisine"
+HIGHEST_DOMAIN = 101
+
+RATES, ACTUATORS, AIRSPEED, ARMED = "/imu/data", "/actuators", "/airspeed", "/armed"
+TYPES = {
+    RATES: "sensor_msgs/msg/Imu",
+    ACTUATORS: "sensor_msgs/msg/JointState",
+    AIRSPEED: "geometry_msgs/msg/TwistStamped",
+    ARMED: "std_msgs/msg/Bool",
+}
+STREAMS = {RATES: "rates", ACTUATORS: "actuators", AIRSPEED: "airspeed", ARMED: "armed"}
+
+LEARNING_TIME = 60.0
+"""Flight that it learns before and after, s."""
+
+BURST = {False: 100, True: 2}
+"""Messages on one topic before the node is waited for, by whether its time is simulated: it loses
+none of them. The executor for simulated time answers while the messages still wait."""
+
+FLOOD_RATE = 5000.0
+FLOOD_TIME = 3.0
+SILENCE = 2.5
+"""Seconds without a message: more than the node takes for a silence."""
+
+LARGEST_LOSS = 2.0
+"""Points by which the fit may be worse afterwards."""
+
+WORST_FIT, BEST_FIT, LARGEST_RATE = -1000.0, 100.0, 200.0
+"""Bounds of what is published: fits, percent; rates, rad/s."""
+
+
+@dataclass
+class Outcome:
+    """What came of a campaign.
+
+    Attributes
+    ----------
+    sent : Counter
+        Messages sent on each topic, hostile or not.
+    hostile : Counter
+        Hostile ones among them.
+    before, after : PredictionFit
+        1-second fit on the last 40 % of the flight of what was learned before and after.
+    status : dict
+        Last diagnostics.
+    problems : list of str
+        What should not have been.
+    """
+
+    sent: Counter[str] = field(default_factory=Counter)
+    hostile: Counter[str] = field(default_factory=Counter)
+    before: PredictionFit | None = None
+    after: PredictionFit | None = None
+    ticks: int = 0
+    calls: Counter[str] = field(default_factory=Counter)
+    memory: tuple[float, float] = (0.0, 0.0)
+    status: dict[str, str] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+
+class Watch:
+    """Looks at everything that the node publishes."""
+
+    def __init__(self, node: Any, outcome: Outcome) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+        from geometry_msgs.msg import Vector3Stamped
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64MultiArray
+
+        self._outcome = outcome
+        self.coefficients: np.ndarray | None = None
+        subscribe = node.create_subscription
+        subscribe(JointState, "/identifier/coefficients_named", self._on_named, 1000)
+        subscribe(Float64MultiArray, "/identifier/coefficients", self._on_dense, 1000)
+        for name in ("predicted_rates", "prediction_error"):
+            subscribe(Vector3Stamped, f"/identifier/{name}", partial(self._on_rates, name), 1000)
+        subscribe(DiagnosticArray, "/diagnostics", self._on_status, 10)
+
+    def _demand(self, holds: bool, what: str) -> None:
+        if not holds and len(self._outcome.problems) < 20:
+            self._outcome.problems.append(what)
+
+    def _on_named(self, message: Any) -> None:
+        self._outcome.ticks += 1
+        position, effort = np.array(message.position), np.array(message.effort)
+        values, fits, usable = position[:-4], position[-4:-1], position[-1]
+        within = (np.abs(values) <= LARGEST_COEFFICIENT).all() and np.isfinite(effort).all()
+        within = within and (fits >= WORST_FIT).all() and (fits <= BEST_FIT).all()
+        self._demand(bool(within and usable in (0.0, 1.0)), f"published {message}")
+
+    def _on_dense(self, message: Any) -> None:
+        self.coefficients = np.array(message.data)
+        within = bool((np.abs(self.coefficients) <= LARGEST_COEFFICIENT).all())
+        self._demand(within, f"published {message}")
+
+    def _on_rates(self, name: str, message: Any) -> None:
+        v = message.vector
+        within = bool((np.abs([v.x, v.y, v.z]) <= LARGEST_RATE).all())
+        self._demand(within, f"published {name} {v}")
+
+    def _on_status(self, message: Any) -> None:
+        for status in message.status:
+            self._outcome.status = {entry.key: entry.value for entry in status.values}
+            self._outcome.status["state"] = status.message
+
+
+class Campaign:
+    """One node, and all that is done to it.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of everything.
+    count : int
+        Hostile messages for every input.
+    sim_time : bool
+        Whether the node runs on simulated time.
+    folder : Path
+        Folder for its log and its state file.
+    """
+
+    def __init__(self, seed: int, count: int, sim_time: bool, folder: Path) -> None:
+        from rcl_interfaces.srv import GetParameters
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from rosgraph_msgs.msg import Clock
+
+        self.outcome = Outcome()
+        self.chance = random.Random(seed)
+        self._count = count
+        self._sim_time = sim_time
+        self._log = folder / "node.log"
+        self._process = self._start(folder)
+        self._context = Context()
+        self._context.init(args=[])
+        self._node = Node("storm", context=self._context, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        # Without a stamp of its own, it holds from its arrival: by /clock, with the others.
+        self.topics = [topic for topic in TYPES if sim_time or topic != ARMED]
+        self._publishers = {topic: self._publisher(topic) for topic in self.topics}
+        self._clock = self._node.create_publisher(Clock, "/clock", 10) if sim_time else None
+        self._watch = Watch(self._node, self.outcome)
+        self._barrier = self._node.create_client(GetParameters, "/identifier/get_parameters")
+        self._question = GetParameters.Request(names=["update_rate"])
+        self._unheard: Counter[str] = Counter()
+        self._shift_ns = 0
+        self.now_ns = 0
+        self._flight = self._load_flight()
+        self._hostile = {
+            topic: Hostile(import_type(TYPES[topic]), self.chance) for topic in self.topics
+        }
+
+    def _start(self, folder: Path) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
+        command += ["--params-file", str(BAG / "identifier.yaml")]
+        for name, value in (
+            ("airspeed.type", TYPES[AIRSPEED]),
+            ("armed.type", TYPES[ARMED] if self._sim_time else '""'),
+            ("state_file", folder / "state.yaml"),
+            ("save_period", 1.0),
+            ("use_sim_time", str(self._sim_time).lower()),
+        ):
+            command += ["-p", f"{name}:={value}"]
+        with self._log.open("wb") as file:
+            return subprocess.Popen(command, cwd=ROOT, stdout=file, stderr=file)
+
+    def _publisher(self, topic: str) -> Any:
+        return self._node.create_publisher(import_type(TYPES[topic]), topic, 1000)
+
+    def _load_flight(self) -> list[tuple[int, str, bytes]]:
+        """Good messages: those of the bag, an airspeed ten times a second, armed twice."""
+        from geometry_msgs.msg import TwistStamped
+        from rclpy.serialization import serialize_message
+        from std_msgs.msg import Bool
+
+        with Bag(BAG) as bag:
+            found = [(m.log_ns, m.topic, m.data) for m in bag.messages((RATES, ACTUATORS))]
+            start, end = bag.start_ns, bag.start_ns + int(LEARNING_TIME * 1e9)
+        twist = TwistStamped()
+        twist.twist.linear.x = 20.0
+        airspeed, armed = serialize_message(twist), serialize_message(Bool(data=True))
+        found += [(t, AIRSPEED, airspeed) for t in range(start, end, SECOND_NS // 10)]
+        if self._sim_time:
+            found += [(t, ARMED, armed) for t in range(start, end, SECOND_NS // 2)]
+        return sorted((f for f in found if f[0] < end), key=lambda f: f[0])
+
+    # -- talking to the node ---------------------------------------------------------------
+
+    def send(self, topic: str, data: bytes, hostile: bool = False) -> None:
+        """Send one message; wait for the node now and then, so that none is lost."""
+        self._publish(topic, data, hostile)
+        self._unheard[topic] += 1
+        if self._unheard[topic] >= BURST[self._sim_time]:
+            self.wait()
+
+    def _publish(self, topic: str, data: bytes, hostile: bool) -> None:
+        try:
+            self._publishers[topic].publish(data)
+        except RuntimeError:  # more bytes than this type can ever have
+            return
+        self.outcome.sent[topic] += 1
+        self.outcome.hostile[topic] += hostile
+
+    def listen(self, seconds: float) -> None:
+        """Hear what the node says for a while."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def wait(self) -> None:
+        """Wait until the node has dealt with what was sent."""
+        self._unheard.clear()
+        if self._process.poll() is not None:
+            raise RuntimeError(f"the node has ended with status {self._process.returncode}")
+        if self._answer(self._barrier, self._question, 10.0) is None:
+            self.outcome.problems.append("the node did not answer for 10 s")
+
+    def _answer(self, client: Any, request: Any, timeout: float = 5.0) -> Any:
+        """Call a service and return the answer; None if there is none."""
+        future = client.call_async(request)
+        end = time.monotonic() + timeout
+        while not future.done() and time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.01)
+        if not future.done():
+            client.remove_pending_request(future)
+            return None
+        return future.result()
+
+    def wait_for_node(self) -> None:
+        """Wait until the node hears every topic."""
+        end = time.monotonic() + 30.0
+        while time.monotonic() < end:
+            heard = all(p.get_subscription_count() for p in self._publishers.values())
+            if heard and self._answer(self._barrier, self._question, 1.0) is not None:
+                return self.listen(0.5)
+            self.listen(0.1)
+        raise RuntimeError(f"the node did not start:\n{self._log.read_text()}")
+
+    def send_clock(self, t_ns: int) -> None:
+        """Publish a time on /clock, if the node runs on it."""
+        from rosgraph_msgs.msg import Clock
+
+        if self._clock is not None:
+            message = Clock()
+            message.clock.sec, message.clock.nanosec = t_ns // SECOND_NS, t_ns % SECOND_NS
+            self._clock.publish(message)
+
+    # -- the flight ------------------------------------------------------------------------
+
+    def fly(
+        self, seconds: float = LEARNING_TIME, between: Callable[[], None] | None = None
+    ) -> None:
+        """Play the beginning of the flight, stamped from where the last one ended on.
+
+        Parameters
+        ----------
+        seconds : float
+            How much of it.
+        between : callable, optional
+            Called after every Imu message.
+        """
+        start = self._flight[0][0]
+        self._shift_ns = self.now_ns + SECOND_NS // 20 - start if self.now_ns else 0
+        clock_ns = 0
+        for t_ns, topic, data in self._flight:
+            if t_ns - start > seconds * SECOND_NS:
+                break
+            self.now_ns = t_ns + self._shift_ns
+            if self.now_ns - clock_ns >= SECOND_NS // 100:
+                clock_ns = self.now_ns
+                self.send_clock(clock_ns)
+            self.send(topic, data if topic == ARMED else stamped(data, self.now_ns))
+            if between is not None and topic == RATES:
+                between()
+        for _ in range(10):
+            self.now_ns += SECOND_NS // 100
+            self.send_clock(self.now_ns)
+            self.listen(0.02)
+        self.wait()
+
+    def learned(self) -> PredictionFit:
+        """Fit of the coefficients that the node published last, on the end of the flight."""
+        from uav_ident_ros.bag_inputs import choose_inputs
+        from uav_ident_ros.offline import OfflineRun
+        from uav_ident_ros.parameter_file import load_parameters
+
+        self.listen(0.5)
+        with Bag(BAG) as bag:
+            inputs = choose_inputs(bag, load_parameters(BAG / "identifier.yaml", "identifier"))
+            run = OfflineRun(inputs)
+            run.run(bag, lambda messages, _: messages)
+        assert self._watch.coefficients is not None
+        learned = self._watch.coefficients.reshape(run.structure.mask.shape)
+        run.estimates = [replace(e, coefficients=learned) for e in run.estimates]
+        return run.score()["last_40_percent"]
+
+    # -- what is done to it ----------------------------------------------------------------
+
+    def mixed_with_flight(self) -> None:
+        """Hostile messages between the good ones of a flight, on every topic."""
+        imu = sum(topic == RATES for _, topic, _ in self._flight)
+        share = self._count / imu
+        due = 0.0
+
+        def between() -> None:
+            nonlocal due
+            due += share
+            while due >= 1.0:
+                due -= 1.0
+                for topic in self.topics:
+                    data = self._hostile[topic].message(self.now_ns)
+                    self.send(topic, data, hostile=True)
+            if self.chance.random() < 0.002:
+                self.call_something()
+
+        self.fly(between=between)
+
+    def floods(self) -> None:
+        """Good and hostile messages at 5 kHz, on each topic in turn."""
+        good = {topic: data for _, topic, data in self._flight}
+        for topic in self.topics:
+            for bad in (False, True):
+                start = time.monotonic()
+                for number in range(int(FLOOD_TIME * FLOOD_RATE)):
+                    self.now_ns += int(1e9 / FLOOD_RATE)
+                    data = good[topic]
+                    if bad:
+                        data = self._hostile[topic].message(self.now_ns)
+                    elif topic != ARMED:
+                        data = stamped(data, self.now_ns)
+                    self._publish(topic, data, bad)
+                    ahead = start + number / FLOOD_RATE - time.monotonic()
+                    if ahead > 0.0:
+                        time.sleep(ahead)
+                for _ in range(5):
+                    self.wait()
+
+    def silences(self) -> None:
+        """Each topic in turn falls silent, then vanishes and comes back."""
+        for topic in self.topics:
+            self.fly(2.0)
+            self.listen(SILENCE)
+            self.call_something()
+            self._node.destroy_publisher(self._publishers[topic])
+            self.fly_without(topic)
+            self._publishers[topic] = self._publisher(topic)
+            self.wait_for_node()
+        self.fly(2.0)
+
+    def fly_without(self, topic: str) -> None:
+        """Fly on for a second without one of the topics."""
+        whole = self._flight
+        self._flight = [item for item in whole if item[1] != topic]
+        self.fly(1.0)
+        self._flight = whole
+
+    def jumps(self) -> None:
+        """Jump the message time, and /clock with it, both ways and far."""
+        start = self.now_ns
+        for seconds in (5.0, -3.0, 3600.0, -3600.0, 86400.0 * 400, -86400.0 * 400, 1.5, -1.5):
+            self.now_ns = max(SECOND_NS, self.now_ns + int(seconds * 1e9))
+            self.fly(2.0)
+            self.call_something()
+        for clock_ns in (0, 1, 2**31 * SECOND_NS - 1, self.now_ns, self.now_ns - SECOND_NS):
+            self.send_clock(clock_ns)
+            self.listen(0.1)
+        self.now_ns = max(self.now_ns, start)
+        self.fly(2.0)
+
+    def call_something(self) -> None:
+        """Call one of the services, or set some parameters to something."""
+        from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
+        from std_srvs.srv import SetBool, Trigger
+
+        kind = self.chance.choice(("reset", "save", "adapt", "set", "set", "atomic", "describe"))
+        self.outcome.calls[kind] += 1
+        if kind in ("reset", "save"):
+            answer = self._once(Trigger, f"/identifier/{kind}", Trigger.Request())
+        elif kind == "adapt":
+            request: Any = SetBool.Request(data=self.chance.random() < 0.5)
+            answer = self._once(SetBool, "/identifier/adapt", request)
+        elif kind == "describe":
+            names = [s.name for s in declarations()] + ["", "no/such", "x" * 300]
+            request = DescribeParameters.Request(names=self.chance.sample(names, 5))
+            answer = self._once(DescribeParameters, "/identifier/describe_parameters", request)
+        else:
+            chosen = [hostile.parameter(self.chance) for _ in range(self.chance.randrange(1, 6))]
+            if kind == "set":
+                request = SetParameters.Request(parameters=chosen)
+                answer = self._once(SetParameters, "/identifier/set_parameters", request)
+            else:
+                request = SetParametersAtomically.Request(parameters=chosen)
+                service = "/identifier/set_parameters_atomically"
+                answer = self._once(SetParametersAtomically, service, request)
+        if answer is None:
+            self.outcome.problems.append(f"no answer to '{kind}'")
+
+    def _once(self, kind: Any, service: str, request: Any) -> Any:
+        client = self._node.create_client(kind, service)
+        client.wait_for_service(timeout_sec=2.0)
+        answer = self._answer(client, request)
+        self._node.destroy_client(client)
+        return answer
+
+    def parameter_storm(self, calls: int) -> None:
+        """Call services and set parameters without a pause while it flies."""
+        for _ in range(calls):
+            self.call_something()
+
+    def calm_down(self) -> None:
+        """Set everything back as it was, and let it learn: without a reset."""
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+        from std_srvs.srv import SetBool
+
+        changeable = [s for s in declarations() if not s.read_only]
+        request = SetParametersAtomically.Request(
+            parameters=[Parameter(s.name, value=s.default).to_parameter_msg() for s in changeable]
+        )
+        service = "/identifier/set_parameters_atomically"
+        answer = self._once(SetParametersAtomically, service, request)
+        if answer is None or not answer.result.successful:
+            self.outcome.problems.append(f"the parameters could not be set back: {answer}")
+        self._once(SetBool, "/identifier/adapt", SetBool.Request(data=True))
+
+    # -- all of it -------------------------------------------------------------------------
+
+    def run(self) -> Outcome:
+        """Run the campaign."""
+        try:
+            self.wait_for_node()
+            begin = _resident_mb(self._process.pid)
+            for phase in self._phases():
+                phase()
+            self.listen(2.5)
+            self.outcome.memory = (begin, _resident_mb(self._process.pid))
+            self._judge()
+        except RuntimeError as error:
+            self.outcome.problems.append(str(error))
+        finally:
+            self._end()
+        return self.outcome
+
+    def _phases(self) -> Iterator[Callable[[], None]]:
+        yield self.fly
+        yield self._note_before
+        yield self.mixed_with_flight
+        yield self.floods
+        yield self.silences
+        yield self.jumps
+        yield partial(self.parameter_storm, max(20, self._count // 500))
+        yield self.calm_down
+        yield self.fly
+        yield self._note_after
+
+    def _note_before(self) -> None:
+        self.outcome.before = self.learned()
+
+    def _note_after(self) -> None:
+        self.outcome.after = self.learned()
+
+    def _judge(self) -> None:
+        outcome, status = self.outcome, self.outcome.status
+        assert outcome.before is not None
+        assert outcome.after is not None
+        if (outcome.after.model < outcome.before.model - LARGEST_LOSS).any():
+            outcome.problems.append(
+                f"the fit was {outcome.before.model.round(1)} %, and is "
+                f"{outcome.after.model.round(1)} % now"
+            )
+        if status.get("internal errors") != "0":
+            outcome.problems.append(f"internal errors: {status.get('internal errors')}")
+        for stream in (STREAMS[topic] for topic in self.topics):
+            if not int(status.get(f"{stream}: dropped", 0)):
+                outcome.problems.append(f"nothing was dropped of the {stream}")
+
+    def _end(self) -> None:
+        if self._process.poll() is None:
+            self._process.terminate()
+        try:
+            status = self._process.wait(15.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            status = "none: it had to be killed"
+        log = self._log.read_text(encoding="utf-8", errors="replace")
+        if status != 0 or "Traceback" in log:
+            tail = "\n".join(log.splitlines()[-30:])
+            self.outcome.problems.append(f"it ended with status {status}:\n{tail}")
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def _resident_mb(pid: int) -> float:
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def report(outcome: Outcome) -> Iterator[str]:
+    """Yield the lines that say what came of a campaign."""
+    status = outcome.status
+    for topic, stream in STREAMS.items():
+        if not outcome.sent[topic]:
+            continue
+        drops = {
+            key.removeprefix(f"{stream}: dropped: "): value
+            for key, value in status.items()
+            if key.startswith(f"{stream}: dropped: ")
+        }
+        yield (
+            f"{topic}: {outcome.sent[topic]} sent, {outcome.hostile[topic]} of them hostile; "
+            f"{status.get(f'{stream}: messages')} arrived, "
+            f"{status.get(f'{stream}: dropped')} dropped"
+        )
+        yield "    " + ", ".join(f"{reason}: {count}" for reason, count in drops.items())
+    yield f"calls: {dict(outcome.calls)}; ticks published: {outcome.ticks}"
+    yield "memory: {:.0f} -> {:.0f} MB".format(*outcome.memory)
+    if outcome.before is not None and outcome.after is not None:
+        before, after = outcome.before.model.round(1), outcome.after.model.round(1)
+        yield f"1-second fit of p, q, r: {before} % before, {after} % after"
+    yield from outcome.problems or ["no problem"]
+
+
+def main() -> int:
+    """Run the campaign and print what came of it; the exit status is 1 if there is a problem."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--messages", type=int, default=100_000, help="hostile, for every input")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    os.environ["ROS_DOMAIN_ID"] = str(1 + secrets.randbelow(HIGHEST_DOMAIN))
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    failed = False
+    for sim_time in (False, True):
+        begin = time.monotonic()
+        with tempfile.TemporaryDirectory() as folder:
+            os.environ["ROS_LOG_DIR"] = folder
+            outcome = Campaign(options.seed, options.messages, sim_time, Path(folder)).run()
+        clock = "simulated time" if sim_time else "system time"
+        print(f"--- {clock}, seed {options.seed}, {time.monotonic() - begin:.0f} s")
+        print(*report(outcome), sep="\n", flush=True)
+        failed = failed or bool(outcome.problems)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

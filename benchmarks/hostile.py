@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hostile messages and parameters: what no publisher should send, and some will."""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+SECOND_NS = 1_000_000_000
+
+POOL = 1500
+"""Messages prepared for a topic; their stamps are drawn anew each time."""
+
+NUMBERS = (
+    math.nan,
+    math.inf,
+    -math.inf,
+    1e308,
+    -1e308,
+    1e12,
+    5e-324,
+    -5e-324,
+    2.2e-308,
+    -0.0,
+    1e-40,
+    99.9,
+)
+"""Not finite, huge, denormal, and just plausible."""
+
+FRAMES = ("", "base_link_frd", "odom_ned", "x" * 3000, "\x7f", "базис", "/", "imu")
+
+STAMP = struct.Struct("<iI")
+STAMP_AT = 4
+"""Where the stamp is in the bytes of a message that begins with a header."""
+
+FIRST_YEARS = 2**31
+"""Seconds that a stamp can hold."""
+
+
+def stamped(data: bytes, t_ns: int) -> bytes:
+    """Return a message that begins with a header, stamped with `t_ns`."""
+    seconds = t_ns // SECOND_NS % FIRST_YEARS
+    stamp = STAMP.pack(seconds, t_ns % SECOND_NS)
+    return data[:STAMP_AT] + stamp + data[STAMP_AT + STAMP.size :]
+
+
+class Hostile:
+    """Makes hostile messages of one type.
+
+    Parameters
+    ----------
+    kind : type
+        Message class.
+    chance : random.Random
+        Where they are drawn from.
+    """
+
+    def __init__(self, kind: type, chance: random.Random) -> None:
+        self._kind = kind
+        self._chance = chance
+        self._has_stamp = hasattr(kind(), "header")
+        self._pool = [self._make() for _ in range(POOL)]
+
+    def message(self, now_ns: int) -> bytes:
+        """Return a message for the time `now_ns`, or with a stamp of any other time."""
+        data = self._chance.choice(self._pool)
+        if self._has_stamp and len(data) >= STAMP_AT + STAMP.size:
+            return data[:STAMP_AT] + self._stamp(now_ns) + data[STAMP_AT + STAMP.size :]
+        return data
+
+    def _stamp(self, now_ns: int) -> bytes:
+        chance = self._chance
+        match chance.randrange(10):
+            case 0:
+                return bytes(8)
+            case 1:
+                return STAMP.pack(chance.choice((-(2**31), -1, 2**31 - 1)), chance.randrange(2**32))
+            case 2:
+                t_ns = now_ns + int(chance.choice((2.0, 60.0, 1e5, 1e8)) * 1e9)
+            case 3:
+                t_ns = max(1, now_ns - int(chance.choice((2.0, 60.0, 1e5, 1e8)) * 1e9))
+            case 4:
+                t_ns = now_ns + chance.randrange(4_000_000)
+            case _:
+                t_ns = now_ns  # repeated
+        return STAMP.pack(t_ns // SECOND_NS % FIRST_YEARS, t_ns % SECOND_NS)
+
+    def _make(self) -> bytes:
+        from rclpy.serialization import serialize_message
+
+        message = example(self._kind)
+        match self._chance.randrange(5):
+            case 0 | 1:
+                spoil_number(message, self._chance)
+                return bytes(serialize_message(message))
+            case 2:
+                spoil_form(message, self._chance)
+                return bytes(serialize_message(message))
+            case _:
+                return spoil_bytes(bytes(serialize_message(message)), self._chance)
+
+
+def example(kind: type) -> Any:
+    """Return a message that nobody would object to."""
+    message = kind()
+    if hasattr(message, "header"):
+        message.header.frame_id = "imu_link"
+    if hasattr(message, "position"):
+        message.name = ["elevator", "rudder", "aileron", "throttle"]
+        message.position = [0.01, -0.02, 0.03, 0.5]
+    if hasattr(message, "linear_acceleration"):
+        message.linear_acceleration.z = 9.8
+    return message
+
+
+def leaves(message: Any) -> Iterator[Callable[[float], None]]:
+    """Yield a setter for every floating-point number in a message."""
+    for name, type_name in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if type_name in ("double", "float"):
+            yield lambda x, name=name: setattr(message, name, x)
+        elif type_name.startswith(("double[", "sequence<double", "sequence<float")):
+            for i in range(len(value)):
+                yield lambda x, value=value, i=i: value.__setitem__(i, x)
+        elif hasattr(value, "get_fields_and_field_types"):
+            yield from leaves(value)
+
+
+def spoil_number(message: Any, chance: random.Random) -> None:
+    """Set one number, or all, to one that should not be there."""
+    setters = list(leaves(message))
+    if not setters:
+        message.data = chance.random() < 0.5
+        return
+    chosen = setters if chance.random() < 0.2 else [chance.choice(setters)]
+    for setter in chosen:
+        setter(chance.choice(NUMBERS))
+
+
+def spoil_form(message: Any, chance: random.Random) -> None:
+    """Give a message another frame, other names, or another number of values."""
+    if hasattr(message, "header"):
+        message.header.frame_id = chance.choice(FRAMES)
+    if hasattr(message, "position"):
+        count = chance.choice((0, 1, 3, 5, 500))
+        message.name = [chance.choice(("elevator", "", "flaps", "ü" * 40)) for _ in range(count)]
+        message.position = [chance.choice(NUMBERS) for _ in range(chance.choice((0, 2, count)))]
+    if hasattr(message, "angular_velocity_covariance"):
+        message.angular_velocity_covariance[0] = chance.choice((-1.0, math.nan))
+        message.linear_acceleration_covariance[0] = chance.choice((-1.0, 0.0))
+
+
+def spoil_bytes(data: bytes, chance: random.Random) -> bytes:
+    """Cut, lengthen or change the bytes of a message, or take others."""
+    match chance.randrange(5):
+        case 0:
+            return data[: chance.randrange(4, len(data) + 1)]
+        case 1:
+            return data + chance.randbytes(chance.randrange(1, 100))
+        case 2:
+            changed = bytearray(data)
+            for _ in range(chance.randrange(1, 9)):
+                changed[chance.randrange(len(data))] = chance.randrange(256)
+            return bytes(changed)
+        case 3:
+            return data[:4] + chance.randbytes(chance.randrange(400))
+        case _:
+            return chance.randbytes(4) + data[4:]
+
+
+def parameter(chance: random.Random) -> Any:
+    """Return a parameter of some name with some value, right or wrong."""
+    from rclpy.parameter import Parameter
+
+    from uav_ident_ros.identification.settings import declarations
+
+    known = list(declarations())
+    setting = chance.choice([s for s in known if not s.read_only] + [chance.choice(known)])
+    low = setting.low if math.isfinite(setting.low) else -1e6
+    high = setting.high if math.isfinite(setting.high) else 1e6
+    value = chance.choice(
+        (
+            chance.uniform(low, high),
+            chance.uniform(low, high),
+            chance.choice(NUMBERS),
+            chance.randrange(-9, 9),
+            True,
+            "none",
+            [1.0, math.nan],
+            ["a", "b"],
+            None,
+        )
+    )
+    name = setting.name if chance.random() < 0.95 else chance.choice(("no.such", "use_sim_timer"))
+    return Parameter(name, value=value).to_parameter_msg()

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The campaigns of benchmarks/kills.py and benchmarks/faults.py, in short."""
+
+from __future__ import annotations
+
+import random
+import sys
+from pathlib import Path
+
+import pytest
+from node_process import ROOT
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Imu
+
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+import faults
+import kills
+from hostile import Hostile, example, leaves
+
+MESSAGES = 300
+"""Hostile ones on every input; the campaign sends 100,000."""
+
+
+def test_a_node_killed_while_it_saves_leaves_a_whole_file_and_the_next_goes_on(
+    tmp_path: Path,
+) -> None:
+    result = kills.campaign(2, seed=1, folder=tmp_path)
+    assert result.problems == []
+    assert result.killed == 2
+    assert result.saves > 2
+
+
+@pytest.mark.parametrize("sim_time", [False, True], ids=["system-time", "simulated-time"])
+def test_nothing_that_a_graph_can_do_brings_the_node_down(
+    sim_time: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (("LEARNING_TIME", 12.0), ("FLOOD_TIME", 0.1), ("SILENCE", 0.1)):
+        monkeypatch.setattr(faults, name, value)
+    campaign = faults.Campaign(seed=2, count=MESSAGES, sim_time=sim_time, folder=tmp_path)
+    outcome = campaign.run()
+    assert outcome.problems == []
+    assert all(outcome.hostile[topic] >= MESSAGES for topic in campaign.topics)
+    assert sum(outcome.calls.values()) > 20
+    assert outcome.before is not None
+    assert (outcome.before.model > 50.0).all()
+
+
+def test_a_file_that_is_not_whole_is_a_problem_of_the_campaign(tmp_path: Path) -> None:
+    """The yardstick itself: what it must notice, it does."""
+    result = kills.Kills()
+    path = tmp_path / "state.yaml"
+    path.write_text("format: uav_ident_ros/coefficients\nversion: 1\nstruc")
+    assert kills._load(path, 1, result) is None
+    assert len(result.problems) == 1
+
+
+def test_hostile_messages_are_of_every_kind_and_the_same_for_a_seed() -> None:
+    made = [Hostile(Imu, random.Random(3)) for _ in range(2)]
+    first, again = ([h.message(10**18) for _ in range(400)] for h in made)
+    # Serialized messages are padded with whatever was in memory.
+    assert [(len(d), d[4:12]) for d in first] == [(len(d), d[4:12]) for d in again]
+    assert len(list(leaves(example(Imu)))) == 4 + 3 + 3 + 3 * 9
+    broken, values = 0, set()
+    for data in first:
+        try:
+            imu = deserialize_message(data, Imu)
+        except (RuntimeError, UnicodeDecodeError):
+            broken += 1
+            continue
+        values |= {str(imu.angular_velocity.x), str(imu.orientation_covariance[4])}
+    assert broken > 40
+    assert {"nan", "inf", "-inf", "5e-324"} <= values
