@@ -214,6 +214,19 @@ def gone(group: int) -> bool:
     return False
 
 
+def test_an_empty_folder_is_refused_and_stops_no_other(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    assert main([str(tmp_path / "empty")]) == NO_RESULT
+    assert re.match(r"replay: folder '.*empty' has no bags: ", capsys.readouterr().err)
+    bags = [str(tmp_path / "empty"), str(logs / "tuesday" / "flight")]
+    assert main([*bags, "--output", str(tmp_path / "out")]) == NO_RESULT
+    captured = capsys.readouterr()
+    assert "replay: empty: bag " in captured.err
+    assert "2 bags: 1 not usable, 1 no result" in captured.out
+
+
 def test_outcomes_keep_the_order_of_the_jobs(tmp_path: Path) -> None:
     jobs = [Job(tmp_path / f"nowhere{k}", f"n{k}", tmp_path / f"out{k}") for k in range(3)]
     outcomes = replay_all(jobs, 2)

@@ -267,6 +267,17 @@ def test_replay_of_a_cut_off_bag(long_flight: Path, tmp_path: Path) -> None:
     assert "cut off" in summary["notes"][0]
 
 
+def test_damage_is_said_where_it_leaves_no_result(
+    flight: Path, copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy.write_bytes(flight.read_bytes()[: flight.stat().st_size // 2])
+    status, _ = replayed(copy, tmp_path / "out", "--topic", "imu/data:=/gyro")
+    assert status == NO_RESULT
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("replay: 'flight.mcap' is cut off at its end; ")
+    assert "has no topic '/gyro'" in second
+
+
 def changed(
     tmp_path: Path, change: Callable[[str, int, Any], list[tuple[str, int, Any]]], seconds: float
 ) -> Path:

@@ -68,9 +68,7 @@ def _one(options: argparse.Namespace) -> int:
 
 def _many(options: argparse.Namespace) -> int:
     """Replay several bags and print one line for each."""
-    bags = []
-    for path in options.bags:
-        bags += find_bags(path) if is_collection(path) else [path]
+    bags = [bag for path in options.bags for bag in _bags_of(path, len(options.bags) > 1)]
     jobs = []
     for bag, name in zip(bags, names_of(bags), strict=True):
         default = Path(DEFAULT_FOLDER.format(name))
@@ -79,6 +77,18 @@ def _many(options: argparse.Namespace) -> int:
     _tell_of_several(outcomes)
     _print(overview(outcomes))
     return max(outcome.status for outcome in outcomes)
+
+
+def _bags_of(path: Path, one_of_several: bool) -> list[Path]:
+    """Return the bags that a path stands for; an empty folder must not stop the others."""
+    if not is_collection(path):
+        return [path]
+    try:
+        return find_bags(path)
+    except BagError:
+        if not one_of_several:
+            raise
+        return [path]
 
 
 def _compare(options: argparse.Namespace) -> int:

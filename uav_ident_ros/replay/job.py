@@ -128,16 +128,19 @@ def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun,
     for file in job.params_files:
         values.update(load_parameters(file, job.node))
     with Bag(job.bag) as bag:
-        asked = (job.topics.get(stream.name) for stream in STREAMS)
-        inputs = choose_inputs(bag, values, *asked)
-        run = OfflineRun(inputs, _initial(inputs.settings))
-        run.run(bag, progress)
-        notes = tuple(notes_on(bag, run))
-    if run.fault:
-        warnings.append(f"fault: {run.fault}")
-    if not run.estimates:
-        raise BagError(f"bag '{job.bag}': no tick came due: {_why_nothing(run)}")
-    return run, notes
+        try:
+            asked = (job.topics.get(stream.name) for stream in STREAMS)
+            inputs = choose_inputs(bag, values, *asked)
+            run = OfflineRun(inputs, _initial(inputs.settings))
+            run.run(bag, progress)
+            if run.fault:
+                warnings.append(f"fault: {run.fault}")
+            if not run.estimates:
+                raise BagError(f"bag '{job.bag}': no tick came due: {_why_nothing(run)}")
+        except REFUSALS:
+            warnings += bag.damage  # which may be why
+            raise
+        return run, tuple(notes_on(bag, run))
 
 
 def _initial(settings: Settings) -> CoefficientSet | None:
