@@ -2,8 +2,8 @@
 """Noticing that a control derivative has changed, from the residuals alone.
 
 Forgetting cannot follow a surface that loses half its effect: fast enough for that, it lets
-everything else wander. So the residuals of the last seconds are searched for a slope along
-each input, and only the coefficient that changed is released.
+everything else wander. So the residuals of the last seconds, whitened since gusts are slow, are
+searched for a slope along each input, and only the coefficient that changed is released.
 """
 
 from __future__ import annotations
@@ -39,6 +39,10 @@ HISTORY_TIME = 30.0
 
 LIVELY_SHARE = 0.25
 """Variance of an input, relative to its mean while learning, below which it shows no change."""
+
+LARGEST_CORRELATION = 0.9
+"""Correlation of the residuals from tick to tick up to which they are whitened: beyond it, what
+is left of a slow input would be noise."""
 
 CORRELATION_TIME = 1.0
 """Time after which residuals count as independent, s."""
@@ -82,6 +86,8 @@ class ChangeDetector:
         self._since_look = 0.0
         self._usual: FloatArray = np.zeros((3, 4))
         self._usual_time = 0.0
+        self._square: FloatArray = np.zeros(3)
+        self._product: FloatArray = np.zeros(3)
         self._agreeing = np.zeros((3, 4), dtype=np.int64)
         self._hold_off: FloatArray = np.full(3, WINDOW_TIME)
 
@@ -151,16 +157,29 @@ class ChangeDetector:
         residual -= np.add.reduce(residual) / len(y)
         u = f[:, INPUT_COLUMNS]
         u = u - np.add.reduce(u) / len(u)
-        power = np.add.reduce(u * u)
+        rho = self._correlation(residual)
+        white = residual[1:] - rho * residual[:-1]
+        u_white = u[1:, None, :] - rho[:, None] * u[:-1, None, :]
+        power = np.add.reduce(u_white * u_white)
         power[power < np.finfo(float).tiny ** 0.5] = np.inf  # a constant input has no slope
-        self.slope = residual.T @ u / power
+        self.slope = np.add.reduce(u_white * white[:, :, None]) / power
         # Scores of the slope, (ticks, 3, 4); sums over sliding blocks of the correlation
         # time give the Bartlett estimate of their long-run variance.
-        scores = u[:, None, :] * (residual[:, :, None] - self.slope * u[:, None, :])
-        sums = np.zeros((len(y) + 1, 3, 4))
+        scores = u_white * (white[:, :, None] - self.slope * u_white)
+        sums = np.zeros((len(white) + 1, 3, 4))
         np.add.accumulate(scores, out=sums[1:])
         length = max(1, round(CORRELATION_TIME / self.recent[-1].dt))
         blocks = sums[length:] - sums[:-length]
-        variance = np.add.reduce(blocks * blocks) * (len(y) / (length * len(blocks)))
+        variance = np.add.reduce(blocks * blocks) * (len(white) / (length * len(blocks)))
         deviation = np.sqrt(variance) / power
         return np.divide(np.abs(self.slope), deviation, out=np.zeros((3, 4)), where=deviation > 0.0)
+
+    def _correlation(self, residual: FloatArray) -> FloatArray:
+        """Return the running correlation of the residuals from tick to tick, shape (3,)."""
+        square = np.add.reduce(residual * residual)
+        product = np.add.reduce(residual[1:] * residual[:-1])
+        keep = np.exp(-CHECK_TIME / HISTORY_TIME)
+        self._square = keep * self._square + square
+        self._product = keep * self._product + product
+        rho = np.divide(self._product, self._square, out=np.zeros(3), where=self._square > 0.0)
+        return np.clip(rho, 0.0, LARGEST_CORRELATION)
