@@ -6,7 +6,8 @@ infinite, huge, denormal; wrong lengths, frames and bytes; stamps zero, past, fu
 floods at 5 kHz, silences, topics that vanish and come back, jumps of the message time and, in a
 second run under simulated time, of /clock, storms of parameters, and services in every state.
 The node must stay up and never publish a value that is not finite or out of bounds. Afterwards it
-learns the same flight again, and must be as good as before. All of it is drawn from one seed.
+learns the same flight again, without a reset, and must be as good as before. All of it is drawn
+from one seed.
 """
 
 from __future__ import annotations
@@ -59,6 +60,13 @@ FLOOD_RATE = 5000.0
 FLOOD_TIME = 3.0
 SILENCE = 2.5
 """Seconds without a message: more than the node takes for a silence."""
+
+CALLS_SHARE = 0.002
+"""Imu messages, of one, after which something is called."""
+
+LIMITS = {"lower": "[-0.5, -0.5, -0.5, -0.1]", "upper": "[0.5, 0.5, 0.5, 1.1]"}
+"""Limits of the channels, rad and throttle. Without them a command of 99.9 rad is one like any
+other, and counts for more than an hour of flight."""
 
 LARGEST_LOSS = 2.0
 """Points by which the fit may be worse afterwards."""
@@ -182,6 +190,7 @@ class Campaign:
         self._watch = Watch(self._node, self.outcome)
         self._barrier = self._node.create_client(GetParameters, "/identifier/get_parameters")
         self._question = GetParameters.Request(names=["update_rate"])
+        self._may_reset = True
         self._unheard: Counter[str] = Counter()
         self._shift_ns = 0
         self.now_ns = 0
@@ -198,6 +207,8 @@ class Campaign:
             ("armed.type", TYPES[ARMED] if self._sim_time else '""'),
             ("state_file", folder / "state.yaml"),
             ("save_period", 1.0),
+            ("actuators.lower_limit", LIMITS["lower"]),
+            ("actuators.upper_limit", LIMITS["upper"]),
             ("use_sim_time", str(self._sim_time).lower()),
         ):
             command += ["-p", f"{name}:={value}"]
@@ -350,10 +361,13 @@ class Campaign:
                 for topic in self.topics:
                     data = self._hostile[topic].message(self.now_ns)
                     self.send(topic, data, hostile=True)
-            if self.chance.random() < 0.002:
-                self.call_something()
+            self._call_now_and_then()
 
         self.fly(between=between)
+
+    def _call_now_and_then(self) -> None:
+        if self.chance.random() < CALLS_SHARE:
+            self.call_something()
 
     def floods(self) -> None:
         """Good and hostile messages at 5 kHz, on each topic in turn."""
@@ -412,7 +426,8 @@ class Campaign:
         from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
         from std_srvs.srv import SetBool, Trigger
 
-        kind = self.chance.choice(("reset", "save", "adapt", "set", "set", "atomic", "describe"))
+        kinds = ["save", "adapt", "set", "set", "atomic", "describe"]
+        kind = self.chance.choice(kinds + ["reset"] * self._may_reset)
         self.outcome.calls[kind] += 1
         if kind in ("reset", "save"):
             answer = self._once(Trigger, f"/identifier/{kind}", Trigger.Request())
@@ -482,13 +497,19 @@ class Campaign:
         return self.outcome
 
     def _phases(self) -> Iterator[Callable[[], None]]:
+        calls = max(20, self._count // 500)
+        yield partial(self.parameter_storm, calls)  # nothing has arrived yet
+        yield partial(self.fly, 5.0, self._call_now_and_then)
+        yield self.calm_down
+        # From here on without a reset: that it gets well by itself is the point.
+        self._may_reset = False
         yield self.fly
         yield self._note_before
         yield self.mixed_with_flight
         yield self.floods
         yield self.silences
         yield self.jumps
-        yield partial(self.parameter_storm, max(20, self._count // 500))
+        yield partial(self.parameter_storm, calls)
         yield self.calm_down
         yield self.fly
         yield self._note_after

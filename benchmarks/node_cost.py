@@ -4,9 +4,9 @@
 For each Imu rate the node runs as a process of its own, a second process publishes a flight of
 `flights.yaml` to it in real time (system clock, stamped actuators at 50 Hz), and this one
 listens. Printed are the processor time of the node, the messages that were sent but never
-reached it, the time that a tick takes to compute, the age of a tick's stamp when its
-coefficients arrive here (it holds `input_wait`, 50 ms, and up to one period of the timer,
-50 ms), the regularity of the timer, and the memory.
+reached it, the time that a tick takes to compute, the age of a tick when it is published and
+when its coefficients arrive here (both hold `input_wait`, 50 ms, and up to one period of the
+timer, 50 ms), how far the timer is off, and the resident memory before and after.
 """
 
 from __future__ import annotations
@@ -176,6 +176,8 @@ def measure(imu_rate: float, seconds: float, parameters: list[str]) -> Cost:
         ages.clear()
         begin, cpu, memory = time.monotonic(), cpu_seconds(node.pid), resident_mb(node.pid)
         player.spin_for(seconds)
+        if node.poll() is not None:
+            raise RuntimeError(f"the node has ended with status {node.returncode}")
         cpu = (cpu_seconds(node.pid) - cpu) / (time.monotonic() - begin)
         memory_end, age_ms = resident_mb(node.pid), np.array(ages) * 1e-6
         player.wait_until(lambda: not sent.empty(), "the publisher to end", timeout=60.0)
@@ -210,8 +212,9 @@ COLUMNS = (
     ("lost Imu / sent", 15),
     ("lost act.", 9),
     ("update p50/p99/max [ms]", 23),
-    ("tick's age p50/p99 [ms]", 23),
-    ("timer p50/p99 [ms]", 18),
+    ("published p50/p99 [ms]", 22),
+    ("received p50/p99 [ms]", 21),
+    ("timer jitter p99 [ms]", 21),
     ("memory [MB]", 13),
 )
 
@@ -220,7 +223,7 @@ def row(cost: Cost) -> str:
     """One line of the table."""
     status = cost.status
     update = [status.get(f"ticks: update time {p} [ms]", "-") for p in ("p50", "p99", "max")]
-    timer = [status.get(f"ticks: timer interval {p} [ms]", "-") for p in ("p50", "p99")]
+    published = [status.get(f"ticks: age when published {p} [ms]", "-") for p in ("p50", "p99")]
     age = np.percentile(cost.age_ms, (50, 99)) if len(cost.age_ms) else (np.nan, np.nan)
     cells = (
         f"{cost.imu_rate:g}",
@@ -228,8 +231,9 @@ def row(cost: Cost) -> str:
         f"{cost.lost_imu} / {cost.sent}",
         f"{cost.lost_actuators}",
         " / ".join(update),
-        f"{age[0]:.0f} / {age[1]:.0f}",
-        " / ".join(timer),
+        " / ".join(published),
+        f"{age[0]:.1f} / {age[1]:.1f}",
+        status.get("ticks: timer jitter p99 [ms]", "-"),
         f"{cost.memory[0]:.0f} -> {cost.memory[1]:.0f}",
     )
     return "  ".join(f"{cell:>{w}}" for cell, (_, w) in zip(cells, COLUMNS, strict=True))
@@ -251,7 +255,7 @@ def main() -> int:
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
     print("  ".join(f"{title:>{width}}" for title, width in COLUMNS), flush=True)
     with tempfile.TemporaryDirectory() as logs:
-        os.environ["ROS_LOG_DIR"] = logs
+        os.environ["ROS_LOG_DIR"] = os.environ["ROS_HOME"] = logs
         for rate in options.rates:
             print(row(measure(rate, options.seconds, options.parameter)), flush=True)
     return 0

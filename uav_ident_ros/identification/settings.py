@@ -258,19 +258,24 @@ class ImuSettings:
     """What the rates are measured in."""
 
     type: str = _setting(
-        "sensor_msgs/msg/Imu", "", "Message type of the rates topic.", choices=RATE_TYPES
+        "sensor_msgs/msg/Imu",
+        "",
+        "Message type of the rates topic. Set it to what the topic carries.",
+        choices=RATE_TYPES,
     )
     convention: str = _setting(
         "flu",
         "",
         "Axes of the rates: 'flu' (forward-left-up, REP-103) or 'frd' (forward-right-down). "
-        "A frame_id ending in _frd or _ned contradicts 'flu' and is a fault.",
+        "A frame_id ending in _frd or _ned contradicts 'flu' and is a fault. PX4's own topics"
+        " are 'frd', MAVROS and most drivers 'flu'.",
         choices=("flu", "frd"),
     )
     rpy: tuple[float, ...] = _setting(
         (0.0, 0.0, 0.0),
         "rad",
-        "Roll, pitch, yaw of the sensor in the body, after the convention is applied (FRD).",
+        "Roll, pitch, yaw of the sensor in the body, after the convention is applied (FRD). "
+        "Set it if the sensor is not mounted along the body's axes.",
         low=-math.pi,
         high=math.pi,
     )
@@ -278,7 +283,8 @@ class ImuSettings:
         (0.0, 0.0, 0.0),
         "m",
         "Position of the sensor from the centre of gravity, FRD. With it the rotation's own "
-        "accelerations are removed from ay and az.",
+        "accelerations are removed from ay and az. Set it if the sensor is more than some "
+        "centimetres away.",
         low=-100.0,
         high=100.0,
     )
@@ -289,16 +295,24 @@ class MixingSettings:
     """Rows of the mixing matrix M in u = M (raw - trim)."""
 
     de: tuple[float, ...] = _setting(
-        (1.0, 0.0, 0.0, 0.0), "", "Elevator from the channels: one weight per channel."
+        (1.0, 0.0, 0.0, 0.0),
+        "",
+        "Elevator from the channels: one weight per channel. Change it for elevons and V-tails.",
     )
     dr: tuple[float, ...] = _setting(
-        (0.0, 1.0, 0.0, 0.0), "", "Rudder from the channels: one weight per channel."
+        (0.0, 1.0, 0.0, 0.0),
+        "",
+        "Rudder from the channels: one weight per channel. Change it for V-tails.",
     )
     da: tuple[float, ...] = _setting(
-        (0.0, 0.0, 1.0, 0.0), "", "Aileron from the channels: one weight per channel."
+        (0.0, 0.0, 1.0, 0.0),
+        "",
+        "Aileron from the channels: one weight per channel. Change it for elevons and flaperons.",
     )
     dth: tuple[float, ...] = _setting(
-        (0.0, 0.0, 0.0, 1.0), "", "Throttle from the channels: one weight per channel."
+        (0.0, 0.0, 0.0, 1.0),
+        "",
+        "Throttle from the channels: one weight per channel. Several motors share it.",
     )
 
 
@@ -309,33 +323,39 @@ class ActuatorSettings:
     type: str = _setting(
         "std_msgs/msg/Float64MultiArray",
         "",
-        "Message type of the actuator topic.",
+        "Message type of the actuator topic. Set it to what the topic carries.",
         choices=ACTUATOR_TYPES,
     )
     field: str = _setting(
         "",
         "",
-        "Array field of the message that holds the channels; empty for the type's usual one.",
+        "Array field of the message that holds the channels; empty for the type's usual one. "
+        "Set it for a message with several arrays.",
     )
     channels: tuple[int, ...] | tuple[str, ...] = _setting(
         (0, 1, 2, 3),
         "",
-        "Indices (from 0) or, where the message names them, names of the N channels in use.",
+        "Indices (from 0) or, where the message names them, names of the N channels in use. "
+        "Set them to the aircraft's surfaces and throttle.",
     )
     mixing: MixingSettings = dataclasses.field(default_factory=MixingSettings)
     scale: tuple[float, ...] = _setting(
         (),
         "",
-        "Factor of each channel before the mixing, N values; negative reverses. Empty: ones.",
+        "Factor of each channel before the mixing, N values; negative reverses. Empty: ones. "
+        "Set it to bring raw values to radians or fractions.",
     )
     trim: tuple[float, ...] = _setting(
-        (), "", "Raw value of each channel in trimmed flight, N values. Empty: zeros."
+        (),
+        "",
+        "Raw value of each channel in trimmed flight, N values. Empty: zeros. Set it to what "
+        "the autopilot's trimmed flight shows.",
     )
     learn_trim_time: float = _setting(
         0.0,
         "s",
         "Learn the trim from the first steady stretch of flight of this length instead; "
-        "0 uses 'actuators.trim'.",
+        "0 uses 'actuators.trim'. Use it where the trim is not known and the flight begins steady.",
         low=0.0,
         high=60.0,
     )
@@ -343,15 +363,24 @@ class ActuatorSettings:
         0.0,
         "s",
         "Transport delay from the channel's stamp to the surface. An unmodelled 50 ms costs "
-        "more than any choice of estimator.",
+        "more than any choice of estimator. Set it if it is known from a bench test or from "
+        "replay.",
         low=0.0,
         high=MAX_DELAY,
     )
     estimate_delay: bool = _setting(
-        False, "", "Estimate the delay in flight, starting from 'actuators.delay'."
+        False,
+        "",
+        "Estimate the delay in flight, starting from 'actuators.delay'. Switch it on if the "
+        "delay is not known.",
     )
     time_constant: float = _setting(
-        0.0, "s", "First-order lag of the servos; 0 for none.", low=0.0, high=2.0
+        0.0,
+        "s",
+        "First-order lag of the servos; 0 for none. Set it where the channels are commands, "
+        "not positions.",
+        low=0.0,
+        high=2.0,
     )
     interpolation: str = _setting(
         "hold",
@@ -364,16 +393,21 @@ class ActuatorSettings:
         (),
         "",
         "Raw value of each channel at its lower limit, N values: learning pauses there, where "
-        "the surface need not follow. Empty: no limits.",
+        "the surface need not follow. Empty: no limits. Set it, so that wild values are not "
+        "learned from.",
     )
     upper_limit: tuple[float, ...] = _setting(
-        (), "", "Raw value of each channel at its upper limit, N values. Empty: no limits."
+        (),
+        "",
+        "Raw value of each channel at its upper limit, N values. Empty: no limits. Set it, so"
+        " that wild values are not learned from.",
     )
     timeout: float = _setting(
         0.5,
         "s",
         "Age at which the last channel values no longer count; adaptation waits for new ones. "
-        "Values that come at a steady rate are missed sooner, after five intervals or 0.1 s.",
+        "Values that come at a steady rate are missed sooner, after five intervals or 0.1 s. "
+        "Raise it for publishers that send only what changes.",
         low=0.01,
         high=60.0,
     )
@@ -388,21 +422,22 @@ class FilterSettings:
         "",
         "How the derivative is obtained: 'state_variable' (the same low-pass on both sides of "
         "the equation, at the gyro's rate) or 'backward_difference' of the rates at the "
-        "ticks, which is the paper's and good for nothing else.",
+        "ticks, which is the paper's and good for nothing else. Leave it.",
         choices=("state_variable", "backward_difference"),
     )
     cutoff: float = _setting(
         15.0,
         "rad/s",
         "Cut-off of the low-pass: above the fastest mode of interest, below the gyro's "
-        "noise and the structure's vibrations. 10 to 20 suits most small aircraft.",
+        "noise and the structure's vibrations. 10 to 20 suits most small aircraft. Raise it "
+        "for small, agile aircraft.",
         low=1.0,
         high=200.0,
     )
     max_gap: float = _setting(
         0.2,
         "s",
-        "A gap in the rates longer than this restarts the filters.",
+        "A gap in the rates longer than this restarts the filters. Raise it for a lossy link.",
         low=0.01,
         high=1.0,
     )
@@ -416,7 +451,7 @@ class ModelSettings:
         5.0,
         "s",
         "Time constant with which the model's state is pulled towards the measured rates; "
-        "0 for never, as in the paper.",
+        "0 for never, as in the paper. Lower it if the predicted rates drift in long flights.",
         low=0.0,
         high=1000.0,
         read_only=False,
@@ -425,7 +460,7 @@ class ModelSettings:
         (),
         "kg m^2",
         "Known inertias Ix, Iy, Iz, Ixz, which fix the rate-product coefficients. Empty: "
-        "estimate them.",
+        "estimate them. Set them if they are measured: fewer coefficients to learn.",
     )
 
 
@@ -437,21 +472,23 @@ class GradientSettings:
         (),
         "",
         "K: n diagonal entries, or n*n entries row-major, symmetric positive semi-definite, "
-        "for n regressors. Empty: 0.15 on the diagonal.",
+        "for n regressors. Empty: 0.15 on the diagonal. Raise them for faster, noisier "
+        "coefficients.",
     )
     normalisation: str = _setting(
         "variance",
         "",
         "What the gains are relative to: 'none' (SI units, as in the paper), 'power' (divided "
         "by f^T K f) or 'variance' (each divided by its regressor's running variance, so that "
-        "they are scale-free, in 1/s).",
+        "they are scale-free, in 1/s). Change it to compare with the paper's gains.",
         choices=("none", "power", "variance"),
     )
     step: str = _setting(
         "guarded",
         "",
         "'guarded': the exact solution over a step, stable for any gain; 'euler': the paper's, "
-        "which blows up once dt f^T K f passes 2, and says so.",
+        "which blows up once dt f^T K f passes 2, and says so. Change it to reproduce the "
+        "paper alone.",
         choices=("guarded", "euler"),
     )
 
@@ -464,13 +501,15 @@ class AirspeedSettings:
         "",
         "",
         "Message type of the airspeed topic; empty for none. With one, damping is scaled with "
-        "the airspeed and control derivatives with its square.",
+        "the airspeed and control derivatives with its square. Set it if the flight speed "
+        "varies by a fifth or more.",
         choices=("", *AIRSPEED_TYPES),
     )
     reference: float = _setting(
         20.0,
         "m/s",
-        "Airspeed at which initial and saved coefficients are valid: the usual one.",
+        "Airspeed at which initial and saved coefficients are valid: the usual one. Change it"
+        " once, before the first flight.",
         low=1.0,
         high=400.0,
     )
@@ -496,7 +535,8 @@ class SupervisionSettings:
     min_fit: float = _setting(
         25.0,
         "%",
-        "Running 1-second fit that every axis needs; it must also beat holding the rate.",
+        "Running 1-second fit that every axis needs; it must also beat holding the rate. "
+        "Lower it for gusty flight, raise it for a demanding controller.",
         low=-100.0,
         high=100.0,
         read_only=False,
@@ -504,7 +544,8 @@ class SupervisionSettings:
     min_t_ratio: float = _setting(
         3.0,
         "",
-        "Value over sigma that at least one control derivative of every row needs.",
+        "Value over sigma that at least one control derivative of every row needs. Raise it "
+        "for a controller that needs sure values.",
         low=0.0,
         high=100.0,
         read_only=False,
@@ -512,7 +553,8 @@ class SupervisionSettings:
     max_age: float = _setting(
         900.0,
         "s",
-        "Time without excitation after which the coefficients count as stale; 0 for never.",
+        "Time without excitation after which the coefficients count as stale; 0 for never. "
+        "Raise it for long cruises in one condition.",
         low=0.0,
         high=1e6,
         read_only=False,
@@ -531,7 +573,8 @@ class SupervisionSettings:
         0.1,
         "",
         "Variance that the inputs can explain in a row, relative to that of its residual, below "
-        "which it pauses: in turbulence the autopilot's answers would be learned. 0 never pauses.",
+        "which it pauses: in turbulence the autopilot's answers would be learned. 0 never "
+        "pauses. Lower it where a smooth flight is not learned from.",
         low=0.0,
         high=100.0,
         read_only=False,
@@ -597,13 +640,19 @@ class Settings:
     """Every setting of the identifier, with its default."""
 
     update_rate: float = _setting(
-        20.0, "Hz", "Rate of the updates and of the published estimates.", low=1.0, high=200.0
+        20.0,
+        "Hz",
+        "Rate of the updates and of the published estimates. Raise it for a controller that "
+        "needs estimates sooner; 20 Hz suits most.",
+        low=1.0,
+        high=200.0,
     )
     input_wait: float = _setting(
         0.05,
         "s",
         "How far the newest Imu stamp must have passed a tick before it is computed: the "
-        "latency allowed to late messages.",
+        "latency allowed to late messages. Raise it if samples are dropped as late; lower it "
+        "for less latency.",
         low=0.0,
         high=1.0,
     )
@@ -611,7 +660,7 @@ class Settings:
         1.0,
         "s",
         "A stamp further than this from the stream is an outlier; five that agree among "
-        "themselves are a new time base.",
+        "themselves are a new time base. Change it only for recordings with gaps that are meant.",
         low=0.1,
         high=60.0,
     )
@@ -619,32 +668,38 @@ class Settings:
         "augmented",
         "",
         "Model structure: 'baseline' (Section 3 of the paper, 18 coefficients), "
-        "'throttle_coupled' (eq. 15, 20) or 'augmented' (with a constant, ay and az, 26).",
+        "'throttle_coupled' (eq. 15, 20) or 'augmented' (with a constant, ay and az, 26). "
+        "Leave it unless a result must compare with the paper's.",
         choices=tuple(STRUCTURES),
     )
     estimator: str = _setting(
         "instrumental_variable",
         "",
         "How the coefficients move: the paper's 'gradient' law, recursive 'least_squares', or the "
-        "guarded 'instrumental_variable', which gyro noise and gusts do not bias.",
+        "guarded 'instrumental_variable', which gyro noise and gusts do not bias. Leave it "
+        "unless you compare methods.",
         choices=("gradient", "least_squares", "instrumental_variable"),
     )
     initial_coefficients: tuple[float, ...] = _setting(
         (),
         "",
-        "A_m at the start: 3n values, row-major, SI. Empty: zeros.",
+        "A_m at the start: 3n values, row-major, SI. Empty: zeros. Set them if an aircraft "
+        "model is at hand.",
         low=-LARGEST_COEFFICIENT,
         high=LARGEST_COEFFICIENT,
     )
     initial_coefficients_file: str = _setting(
-        "", "", "File of initial coefficients, as replay writes it; wins over the values."
+        "",
+        "",
+        "File of initial coefficients, as replay writes it; wins over the values. Set it to "
+        "start the next flight from a replayed one.",
     )
     state_file: str = _setting(
         "",
         "",
         "File that the node keeps its coefficients in and starts from again; wins over the "
         "initial ones. Empty: $ROS_HOME/uav_ident_ros/NODE.yaml; 'none': neither written nor "
-        "read. Replay does not use it.",
+        "read. Replay does not use it. Name one for vehicles that share a node name.",
     )
     state_max_age: float = _setting(
         604800.0,
@@ -658,7 +713,7 @@ class Settings:
         30.0,
         "s",
         "Interval at which usable coefficients are written to the state file, at least 1 s; "
-        "0 for only on ~/save and at the end.",
+        "0 for only on ~/save and at the end. Raise it to spare a memory card.",
         low=0.0,
         high=86400.0,
         read_only=False,
@@ -666,19 +721,23 @@ class Settings:
     fixed_coefficients: tuple[str, ...] = _setting(
         (),
         "",
-        "Names of coefficients that keep their initial value, like 'pdot/ay'.",
+        "Names of coefficients that keep their initial value, like 'pdot/ay'. Fix what is "
+        "known, or what this vehicle does not have.",
     )
     forgetting_time: float = _setting(
         200.0,
         "s",
         "Time constant with which old data lose weight; 0 for never. Below 60 s the estimate "
-        "suffers.",
+        "suffers. Lower it if the flight condition changes within minutes.",
         low=0.0,
         high=1e6,
         read_only=False,
     )
     adapt_on_start: bool = _setting(
-        True, "", "Whether it learns at once; the service ~/adapt switches it."
+        True,
+        "",
+        "Whether it learns at once; the service ~/adapt switches it. Set it to false to fly "
+        "on known coefficients.",
     )
     imu: ImuSettings = dataclasses.field(default_factory=ImuSettings)
     actuators: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
