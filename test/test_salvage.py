@@ -113,6 +113,7 @@ def test_the_whole_file_is_no_damage(flight: Path) -> None:
     reader = SalvageReader(flight)  # and it reads the same as rosbags, in the same order
     saved = [(c.topic, log_ns, data) for c, log_ns, data in reader.messages(reader.connections)]
     assert saved == found
+    assert reader.damage == ""
 
 
 def test_cut_off_file_gives_everything_before_the_cut(flight: Path, copy: Path) -> None:
@@ -174,8 +175,9 @@ def test_file_that_is_not_of_ros_2_by_its_profile(tmp_path: Path) -> None:
     path.write_bytes(
         path.read_bytes().replace(b"\x04\x00\x00\x00ros2\x04", b"\x04\x00\x00\x00xxxx\x04")
     )
-    found, _ = messages(path)
+    found, damage = messages(path)
     assert len(found) == 5 * 250 + 2
+    assert damage == ["'flight.mcap': Profile is not ros2, yet all of it was read"]
 
 
 def test_one_bad_file_of_a_split_recording(tmp_path: Path) -> None:
@@ -195,6 +197,40 @@ def test_one_bad_file_of_a_split_recording(tmp_path: Path) -> None:
     found, (line,) = messages(folder)
     assert "'split_1.mcap' is no MCAP file" in line
     assert found == [*whole[:third], *whole[2 * third : 3 * third]]
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_bad_chunk_in_a_folder_of_two_files(compress: bool, tmp_path: Path) -> None:
+    """As rosbag2 records: chunks of a megabyte, no checksums, metadata that know nothing of it."""
+    whole, files = [], []
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    with Bag(BAGS / "multisine") as bag:
+        messages_ = [tuple(m) for m in bag.messages(TYPES)][:12_000]
+    for k in range(2):
+        with BagWriter(tmp_path / f"flight_{k}", compress) as writer:
+            for topic, name in TYPES.items():
+                writer.topic(topic, name)
+            for topic, log_ns, data in messages_[6000 * k : 6000 * (k + 1)]:
+                writer.write(topic, log_ns, data)
+        files.append(folder / f"flight_{k}.mcap")
+        (tmp_path / f"flight_{k}" / files[-1].name).rename(files[-1])
+    text = (tmp_path / "flight_0" / "metadata.yaml").read_text()
+    text = text.replace("- flight_0.mcap", "- flight_0.mcap\n  - flight_1.mcap", 1)
+    (folder / "metadata.yaml").write_text(text)
+    whole, damage = messages(folder)
+    assert (len(whole), damage) == (12_000, [])
+    position, length = chunk_places(files[1])[0]
+    spoil(files[1], position + length // 2, 2000)
+    with Bag(folder) as bag:
+        found = [tuple(m) for m in bag.messages(TYPES)]
+        assert [tuple(m) for m in bag.messages(TYPES)] == found  # and again
+        damage = bag.damage
+    assert found[:6000] == whole[:6000]
+    assert found[-2000:] == whole[-2000:]
+    assert len(found) < 12_000
+    (line,) = damage
+    assert line.startswith("'flight_1.mcap' is damaged: 1 of ")
 
 
 def test_nothing_to_be_saved(flight: Path, copy: Path) -> None:

@@ -193,17 +193,23 @@ class Bag:
         except Exception as error:  # as above
             if not count:
                 raise BagError(f"bag '{self.path}' is damaged: {_reason(error)}") from error
-            self.damage.append(
+            self._note(
                 f"'{reader.path.name}' is damaged ({reason}): the first {count} messages are used"
             )
             return
-        self.damage += [part.damage for part in saved if part.damage]
+        for part in saved:
+            self._note(part.damage)
         for part in saved:
             chosen = [c for c in part.connections if c.topic in topics]
             for connection, log_ns, data in part.messages(chosen):
                 count -= 1
                 if count < 0:
                     yield Message(connection.topic, log_ns, data)
+
+    def _note(self, damage: str) -> None:
+        """Remember some damage; reading again finds it again."""
+        if damage and damage not in self.damage:
+            self.damage.append(damage)
 
     def decoder(self, topic: str) -> Callable[[bytes], Any]:
         """Return a function from the bytes of a topic's messages to message objects.
@@ -321,7 +327,7 @@ def _open_file(file: Path, bag: Path, damage: list[str]) -> Reader | SalvageRead
         except Exception as error:  # as above
             reason = f"'{file.name}': {reason}; {_reason(error)}"
         else:
-            damage.append(saved.damage)
+            damage.append(saved.damage or f"'{file.name}': {reason}, yet all of it was read")
             return saved
     if file.suffix == ".db3":
         reason = f"{reason} (the tool sqlite3 may save what is there, by '.recover')"

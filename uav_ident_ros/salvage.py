@@ -59,6 +59,8 @@ class _Contents:
         Whether there are messages outside of chunks.
     lost : list of (int, int)
         First and last time of the chunks that are left out, ns.
+    indexed : bool
+        Whether there is an index.
     ended : bool
         Whether the end of the messages was reached; the index follows.
     cut : bool
@@ -73,6 +75,7 @@ class _Contents:
     chunks: list[tuple[int, int, bool]] = field(default_factory=list)
     loose: bool = False
     lost: list[tuple[int, int]] = field(default_factory=list)
+    indexed: bool = False
     ended: bool = False
     cut: bool = False
     start_ns: int = 2**63 - 1
@@ -105,7 +108,7 @@ class SalvageReader:
     connections : list of Connection
         Its topics.
     damage : str
-        What is lost, in a line.
+        What is lost, in a line; empty if the file is whole.
     start_time, end_time : int
         Log time of the first message and the time after the last, ns.
 
@@ -130,7 +133,8 @@ class SalvageReader:
             raise SalvageError("there is no message to be saved")
         self.start_time, self.end_time = contents.start_ns, contents.end_ns + 1
         self.connections = [self._connection(c) for _, c in sorted(contents.channels.items())]
-        self.damage = f"'{path.name}' {_damage(contents)}; {saved} messages were saved"
+        words = _damage(contents)
+        self.damage = f"'{path.name}' {words}; {saved} messages were saved" if words else ""
 
     def _connection(self, channel: Channel) -> Connection:
         schema = self._contents.schemas.get(channel.schema_id)
@@ -219,6 +223,7 @@ def _index(file: IO[bytes], contents: _Contents) -> dict[int, tuple[int, int]]:
         summary = None
     if summary is None:
         return {}
+    contents.indexed = True
     contents.schemas.update(summary.schemas)
     contents.channels.update(summary.channels)
     return {
@@ -348,4 +353,6 @@ def _damage(contents: _Contents) -> str:
         )
     if contents.cut:
         found.append("is cut off at its end")
-    return " and ".join(found) or "has no usable index"
+    if not found and not contents.indexed:
+        found.append("has no usable index")
+    return " and ".join(found)
