@@ -73,9 +73,11 @@ class RateLaw:
         self._delay_ns = round(delay * 1e9)
         self._last_ns = 0
 
-    def restart(self, t_ns: int, x: FloatArray, reference: FloatArray) -> None:
+    def restart(
+        self, t_ns: int, model: AttitudeModel, x: FloatArray, reference: FloatArray
+    ) -> None:
         """Forget the past: the first sample, or one after a gap."""
-        self._last_ns = t_ns
+        self._last_ns, self._model = t_ns, model
         self._commands: History[FloatArray] = History()
         self._xhat, self._reference, self._disturbance = x, reference, np.zeros(3)
 
@@ -91,11 +93,15 @@ class RateLaw:
         """
         dt = (t_ns - self._last_ns) * 1e-9
         if not 0.0 < dt < MAX_INTERVAL:
-            self.restart(t_ns, x, reference)
+            self.restart(t_ns, model, x, reference)
             dt = 0.0
         self._last_ns = t_ns
         acting = self._commands.at(t_ns - self._delay_ns)
-        known = model.acceleration(x, np.zeros(4) if acting is None else acting)
+        acting = np.zeros(4) if acting is None else acting
+        known = model.acceleration(x, acting)
+        # a new model explains more or less of what goes on: no bump in the sum of both
+        self._disturbance = self._disturbance + self._model.acceleration(x, acting) - known
+        self._model = model
         error = x - self._xhat
         self._xhat = self._xhat + dt * (known + self._disturbance + 2.0 * OBSERVER * error)
         self._disturbance = self._disturbance + dt * OBSERVER**2 * error
