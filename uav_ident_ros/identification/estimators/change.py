@@ -25,13 +25,13 @@ CHECK_TIME = 0.25
 CONFIRMATIONS = 4
 """Looks in a row that must agree."""
 
-MIN_T = 5.0
+MIN_T = 4.5
 """Slope in standard deviations below which nothing has changed."""
 
 MIN_CHANGE = 0.2
 """Slope relative to the coefficient below which a change does not matter."""
 
-MIN_HISTORY_RATIO = 4.0
+MIN_HISTORY_RATIO = 3.5
 """Slope relative to its own usual size: model errors give slopes that come and go."""
 
 HISTORY_TIME = 30.0
