@@ -80,6 +80,19 @@ def test_the_right_model_follows_better_than_one_of_twice_the_effect() -> None:
     assert (errors[0][:2] < 0.8 * errors[1][:2]).all()
 
 
+def test_a_new_model_moves_no_surface_at_once() -> None:
+    """Steady rates held with a model of twice the effect; then the right one comes."""
+    law, true = RateLaw(LIMITS, 0.0), model(0.5)
+    x, u, t_ns = np.zeros(3), np.zeros(4), START
+    for _ in range(800):
+        t_ns += DT_NS
+        u = law.update(t_ns, model(), x, STEP)
+        x = x + DT_NS * 1e-9 * true.acceleration(x, u)
+    np.testing.assert_allclose(x, STEP, atol=1e-3)
+    after = law.update(t_ns + DT_NS, true, x, STEP)
+    np.testing.assert_allclose(after, u, atol=2e-3)
+
+
 def test_after_a_gap_it_starts_afresh() -> None:
     law = RateLaw(LIMITS, 0.02)
     for k in range(200):

@@ -99,7 +99,7 @@ class PlantNode(Node):
         self._lock_step: bool = self._value("lock_step")
         self._period_ns = round(NS_PER_S / rate)
         self._start_ns = EPOCH_NS
-        self._now_ns = self._clock_ns = self._start_ns
+        self._now_ns, self._clock_ns = self._start_ns, 0
         self._record = FlightRecord()
         self._commands: dict[int, np.ndarray] = {}
         self._reference: tuple[int, np.ndarray] | None = None
@@ -223,10 +223,10 @@ class PlantNode(Node):
     # -- waiting ---------------------------------------------------------------------------
 
     def _advance_clock(self, t_ns: int) -> None:
-        if (self._clock is not None and t_ns > self._clock_ns) or t_ns == self._start_ns:
+        """Publish a time on /clock, unless it is there already."""
+        if self._clock is not None and t_ns > self._clock_ns:
             self._clock_ns = t_ns
-            if self._clock is not None:
-                self._clock.publish(Clock(clock=_stamp(t_ns)))
+            self._clock.publish(Clock(clock=_stamp(t_ns)))
 
     def _spin_until(self, end: float) -> None:
         """Listen until a monotonic time."""
