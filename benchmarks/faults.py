@@ -359,11 +359,16 @@ class Campaign:
             while due >= 1.0:
                 due -= 1.0
                 for topic in self.topics:
-                    data = self._hostile[topic].message(self.now_ns)
-                    self.send(topic, data, hostile=True)
+                    self._send_hostile(topic)
             self._call_now_and_then()
 
         self.fly(between=between)
+
+    def _send_hostile(self, topic: str) -> None:
+        """Send a hostile message, another one if it is too long to be sent."""
+        before = self.outcome.hostile[topic]
+        while self.outcome.hostile[topic] == before:
+            self.send(topic, self._hostile[topic].message(self.now_ns), hostile=True)
 
     def _call_now_and_then(self) -> None:
         if self.chance.random() < CALLS_SHARE:
@@ -484,16 +489,16 @@ class Campaign:
         """Run the campaign."""
         try:
             self.wait_for_node()
-            begin = _resident_mb(self._process.pid)
+            begin = self.resident_mb()
             for phase in self._phases():
                 phase()
             self.listen(2.5)
-            self.outcome.memory = (begin, _resident_mb(self._process.pid))
+            self.outcome.memory = (begin, self.resident_mb())
             self._judge()
         except RuntimeError as error:
             self.outcome.problems.append(str(error))
         finally:
-            self._end()
+            self.end()
         return self.outcome
 
     def _phases(self) -> Iterator[Callable[[], None]]:
@@ -535,7 +540,13 @@ class Campaign:
             if not int(status.get(f"{stream}: dropped", 0)):
                 outcome.problems.append(f"nothing was dropped of the {stream}")
 
-    def _end(self) -> None:
+    def resident_mb(self) -> float:
+        """Resident memory of the node, MB."""
+        pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+    def end(self) -> None:
+        """End the node, which must end well, and leave the graph."""
         if self._process.poll() is None:
             self._process.terminate()
         try:
@@ -550,11 +561,6 @@ class Campaign:
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
-
-
-def _resident_mb(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def report(outcome: Outcome) -> Iterator[str]:

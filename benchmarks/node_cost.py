@@ -7,6 +7,8 @@ listens. Printed are the processor time of the node, the messages that were sent
 reached it, the time that a tick takes to compute, the age of a tick when it is published and
 when its coefficients arrive here (both hold `input_wait`, 50 ms, and up to one period of the
 timer, 50 ms), how far the timer is off, and the resident memory before and after.
+
+``--hour`` plays an hour of flight instead, as fast as the node takes it, and prints its memory.
 """
 
 from __future__ import annotations
@@ -204,6 +206,22 @@ def measure(imu_rate: float, seconds: float, parameters: list[str]) -> Cost:
     )
 
 
+def memory_over_an_hour(folder: Path) -> Iterator[tuple[int, float]]:
+    """Play an hour of flight; yield minutes flown and resident memory, MB."""
+    from faults import Campaign
+
+    flight = Campaign(seed=1, count=0, sim_time=False, folder=folder)
+    try:
+        flight.wait_for_node()
+        yield 0, flight.resident_mb()
+        for minute in range(1, 61):
+            flight.fly()
+            if minute in (1, 2, 5) or minute % 10 == 0:
+                yield minute, flight.resident_mb()
+    finally:
+        flight.end()
+
+
 # --- the table --------------------------------------------------------------------------------
 
 COLUMNS = (
@@ -247,15 +265,20 @@ def main() -> int:
         "--seconds", type=float, default=60.0, help="measured time per rate, up to 110"
     )
     parser.add_argument("--parameter", action="append", default=[], metavar="NAME:=VALUE")
+    parser.add_argument("--hour", action="store_true", help="memory over an hour of flight")
     options = parser.parse_args()
     os.environ["ROS_DOMAIN_ID"] = str(1 + secrets.randbelow(HIGHEST_DOMAIN))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    given = ", ".join(options.parameter) or "default parameters"
-    print(f"flight {FLIGHT}, {options.seconds:g} s per rate, actuators at 50 Hz, {given}")
-    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
-    print("  ".join(f"{title:>{width}}" for title, width in COLUMNS), flush=True)
     with tempfile.TemporaryDirectory() as logs:
         os.environ["ROS_LOG_DIR"] = os.environ["ROS_HOME"] = logs
+        if options.hour:
+            for minute, memory in memory_over_an_hour(Path(logs)):
+                print(f"{minute:3d} min of flight: {memory:.1f} MB", flush=True)
+            return 0
+        given = ", ".join(options.parameter) or "default parameters"
+        print(f"flight {FLIGHT}, {options.seconds:g} s per rate, actuators at 50 Hz, {given}")
+        print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
+        print("  ".join(f"{title:>{width}}" for title, width in COLUMNS), flush=True)
         for rate in options.rates:
             print(row(measure(rate, options.seconds, options.parameter)), flush=True)
     return 0
