@@ -132,6 +132,7 @@ def test_a_bad_bag_does_not_stop_the_rest(replayed: tuple[Path, Any]) -> None:
     assert "  not usable: only 2 predictions of 1 s to judge by" in rows["tuesday_flight"]
     assert "  no result: bag " in rows["broken"]
     assert "3 bags: 1 usable, 1 not usable, 1 no result" in done.stdout
+    assert done.stdout.endswith(f"\nwritten to {output}{os.sep}\n")
 
 
 def test_side_by_side_gives_what_one_alone_gives(

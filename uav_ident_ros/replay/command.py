@@ -62,7 +62,7 @@ def _one(options: argparse.Namespace) -> int:
     outcome = replay(_job(options, bag, name, folder), of_messages)
     _tell(outcome.warnings)
     if outcome.table:
-        _print(f"{outcome.table}\n\nwritten to {folder}{os.sep}")
+        _print(f"{outcome.table}\n\n{_written(folder)}")
     return outcome.status
 
 
@@ -75,7 +75,8 @@ def _many(options: argparse.Namespace) -> int:
         jobs.append(_job(options, bag, name, options.output / name if options.output else default))
     outcomes = replay_all(jobs, options.jobs)
     _tell_of_several(outcomes)
-    _print(overview(outcomes))
+    where = options.output or Path(DEFAULT_FOLDER.format("NAME"))
+    _print(f"{overview(outcomes)}\n\n{_written(where)}")
     return max(outcome.status for outcome in outcomes)
 
 
@@ -103,10 +104,14 @@ def _compare(options: argparse.Namespace) -> int:
     ]
     outcomes = replay_all(jobs, options.jobs)
     _tell_of_several(outcomes)
-    _print(ranking(name, outcomes))
+    _print(f"{ranking(name, outcomes)}\n\n{_written(folder)}")
     best = ranked(outcomes)[0]
     failed = any(outcome.status == NO_RESULT for outcome in outcomes)
     return NO_RESULT if failed else best.status
+
+
+def _written(folder: Path) -> str:
+    return f"written to {folder}{os.sep}"
 
 
 def _tell(warnings: Sequence[str]) -> None:

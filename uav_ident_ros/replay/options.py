@@ -11,6 +11,11 @@ from typing import NoReturn
 from uav_ident_ros.bag_inputs import STREAMS, Stream
 from uav_ident_ros.replay.job import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 
+DESCRIPTION = """\
+Run the identifier over recorded flights, as the node would have run, and score its predictions.
+Writes for each flight the bag 'estimates', summary.json, coefficients.yaml and table.txt.
+"""
+
 EXIT_STATUS = f"""\
 exit status:
   {USABLE}  the model is usable: the verdict of its last tick, as a controller would have read it
@@ -38,9 +43,7 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     result = _Parser(
         prog="replay",
-        description="Run the identifier over recorded flights, as the node would have run, and "
-        "score its predictions. Writes for each the bag 'estimates', summary.json, "
-        "coefficients.yaml and table.txt.",
+        description=DESCRIPTION,
         epilog=EXIT_STATUS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
