@@ -370,8 +370,9 @@ def imports_of(path: Path) -> set[str]:
 
 
 NODE_MODULES = {"node", "inputs", "outputs", "parameters", "diagnostics", "notices"}
-NODE_MODULES |= {"memory", "saving", "cdr", "guard"}
+NODE_MODULES |= {"memory", "saving", "guard"}
 OFFLINE_MODULES = {"bags", "bag_writer", "estimates_bag", "offline", "replay", "pictures"}
+OFFLINE_MODULES |= {"bag_inputs", "imu_block", "intake", "salvage"}
 
 
 def test_the_core_imports_numpy_and_itself() -> None:
