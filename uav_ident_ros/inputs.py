@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
@@ -36,6 +37,9 @@ ARMED_TOPIC = "armed"
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 
+LARGEST_INBOX = 200
+"""Messages that may wait to be looked at: where the timer stands still, with /clock."""
+
 QUEUE_DEPTH = 500
 """Messages kept while the node is busy: half a second at 1 kHz. A depth of 5 loses some."""
 
@@ -50,28 +54,92 @@ _OVERRIDABLE = (
 )
 
 
+class Inbox:
+    """Keeps messages in the order of their arrival, to be looked at many at once.
+
+    Looked at one by one, each finds the processor's caches filled with something else, and
+    takes several times as long.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[Callable[[bytes, int], object], bytes, int]] = []
+
+    def put(self, take: Callable[[bytes, int], object], data: bytes, arrival_ns: int) -> None:
+        """Keep a message for `take`, and when it arrived, ns."""
+        self._waiting.append((take, data, arrival_ns))
+        if len(self._waiting) >= LARGEST_INBOX:
+            self.empty()
+
+    def empty(self) -> None:
+        """Hand out all messages."""
+        waiting, self._waiting = self._waiting, []
+        for take, data, arrival_ns in waiting:
+            take(data, arrival_ns)
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """What every input is connected to.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the subscriptions; its clock stamps messages that carry no time.
+    identifier : OnlineIdentifier
+        Takes the samples.
+    inbox : Inbox
+        Keeps the messages until the node looks at them.
+    warnings : Throttle
+        Takes what was refused, and why.
+    guard : Guard
+        Takes errors that nobody foresaw.
+    """
+
+    node: Node
+    identifier: OnlineIdentifier
+    inbox: Inbox
+    warnings: Throttle
+    guard: Guard
+
+
 class _Input:
     """What all inputs share: a subscription to bytes, counts, and what is said about a drop.
 
     Messages come as bytes, so that one that cannot be decoded is refused like any other bad
     message; decoded by rclpy, it would end the node.
+
+    Parameters
+    ----------
+    wiring : Wiring
+        What it is connected to.
+    type_name, topic : str
+        Message type and topic.
+    take : callable
+        Takes the bytes of a message and when it arrived, ns.
+    timed : bool
+        Whether the time of arrival is wanted; 0 if not.
     """
 
     def __init__(
         self,
-        node: Node,
+        wiring: Wiring,
         type_name: str,
         topic: str,
-        callback: Callable[[bytes], None],
-        warnings: Throttle,
-        guard: Guard,
+        take: Callable[[bytes, int], None],
+        *,
+        timed: bool,
     ) -> None:
         self._class = import_type(type_name)
-        self._warnings = warnings
-        subscription = node.create_subscription(
+        self._warnings = wiring.warnings
+        inbox, clock, guarded = wiring.inbox, wiring.node.get_clock(), wiring.guard(take)
+
+        def put(data: bytes) -> None:
+            inbox.put(guarded, data, clock.now().nanoseconds if timed else 0)
+
+        subscription = wiring.node.create_subscription(
             self._class,
             topic,
-            guard(callback),
+            put,
             QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
             qos_overriding_options=QoSOverridingOptions(_OVERRIDABLE),
             raw=True,
@@ -102,14 +170,8 @@ class RatesInput:
 
     Parameters
     ----------
-    node : Node
-        Owner of the subscription.
-    identifier : OnlineIdentifier
-        Takes the samples.
-    warnings : Throttle
-        Takes what was refused, and why.
-    guard : Guard
-        Takes errors that nobody foresaw.
+    wiring : Wiring
+        What it is connected to.
 
     Attributes
     ----------
@@ -119,19 +181,17 @@ class RatesInput:
         Frame of the newest message.
     """
 
-    def __init__(
-        self, node: Node, identifier: OnlineIdentifier, warnings: Throttle, guard: Guard
-    ) -> None:
-        self._identifier = identifier
-        self._settings = identifier.settings.imu
+    def __init__(self, wiring: Wiring) -> None:
+        self._identifier = wiring.identifier
+        self._settings = wiring.identifier.settings.imu
         self._read = RATES[self._settings.type].read
         self._fast = self._settings.type == IMU_TYPE
         self.fault = frame_fault(self._settings.convention, "", self._settings.type)
         self.frame_id = ""
-        self._input = _Input(node, self._settings.type, RATES_TOPIC, self._take, warnings, guard)
+        self._input = _Input(wiring, self._settings.type, RATES_TOPIC, self._take, timed=False)
         self.monitor = self._input.monitor
 
-    def _take(self, data: bytes) -> None:
+    def _take(self, data: bytes, _: int) -> None:
         self.monitor.arrived()
         # Decoding an Imu here costs a fraction of making a message object of it.
         reading = decode_imu_cdr(data) if self._fast else None
@@ -165,41 +225,34 @@ class ArrayInput:
 
     Parameters
     ----------
-    node : Node
-        Owner of the subscription; its clock stamps messages that carry no time.
+    wiring : Wiring
+        What it is connected to.
     type_name, topic : str
         Message type and topic.
     read : callable
         Message to its stamp, ns, or None, and its values; may raise ChannelError.
     add : callable
         Stamp and values to the identifier; returns why it dropped them, or None.
-    warnings : Throttle
-        Takes what was refused, and why.
-    guard : Guard
-        Takes errors that nobody foresaw.
     read_bytes : callable, optional
         The same as `read` from the bytes, without a message; None if they are of another form.
     """
 
     def __init__(
         self,
-        node: Node,
+        wiring: Wiring,
         type_name: str,
         topic: str,
         read: Callable[[Any], Reading],
         add: Callable[[int, Any], Drop | None],
-        warnings: Throttle,
-        guard: Guard,
         read_bytes: Callable[[bytes], Reading | None] | None = None,
     ) -> None:
-        self._clock = node.get_clock()
         self._read = read
         self._read_bytes = read_bytes
         self._add = add
-        self._input = _Input(node, type_name, topic, self._take, warnings, guard)
+        self._input = _Input(wiring, type_name, topic, self._take, timed=True)
         self.monitor = self._input.monitor
 
-    def _take(self, data: bytes) -> None:
+    def _take(self, data: bytes, arrival_ns: int) -> None:
         self.monitor.arrived()
         try:
             reading = self._reading(data)
@@ -210,7 +263,7 @@ class ArrayInput:
         if reading is None:
             return
         stamp_ns, values = reading
-        drop = self._add(self._clock.now().nanoseconds if stamp_ns is None else stamp_ns, values)
+        drop = self._add(arrival_ns if stamp_ns is None else stamp_ns, values)
         if drop is not None:
             self._input.warn(drop.value, drop.value)
 
@@ -223,20 +276,16 @@ class ArrayInput:
         return None if message is None else self._read(message)
 
 
-def actuator_input(
-    node: Node, identifier: OnlineIdentifier, warnings: Throttle, guard: Guard
-) -> ArrayInput:
-    """Subscribe to the actuator channels; parameters as in `ArrayInput`."""
-    settings = identifier.settings.actuators
+def actuator_input(wiring: Wiring) -> ArrayInput:
+    """Subscribe to the actuator channels."""
+    settings = wiring.identifier.settings.actuators
     reader = ActuatorReader(settings)
     return ArrayInput(
-        node,
+        wiring,
         settings.type,
         ACTUATORS_TOPIC,
         reader,
-        identifier.add_actuators,
-        warnings,
-        guard,
+        wiring.identifier.add_actuators,
         _bytes_reader(settings.type, reader),
     )
 
@@ -256,27 +305,15 @@ def _bytes_reader(
     return read
 
 
-def airspeed_input(
-    node: Node, identifier: OnlineIdentifier, warnings: Throttle, guard: Guard
-) -> ArrayInput:
-    """Subscribe to the airspeed, for vehicles that have one; parameters as in `ArrayInput`."""
-    type_name = identifier.settings.airspeed.type
-    return ArrayInput(
-        node,
-        type_name,
-        AIRSPEED_TOPIC,
-        AIRSPEED[type_name],
-        identifier.add_airspeed,
-        warnings,
-        guard,
-    )
+def airspeed_input(wiring: Wiring) -> ArrayInput:
+    """Subscribe to the airspeed, for vehicles that have one."""
+    identifier = wiring.identifier
+    name = identifier.settings.airspeed.type
+    return ArrayInput(wiring, name, AIRSPEED_TOPIC, AIRSPEED[name], identifier.add_airspeed)
 
 
-def armed_input(
-    node: Node, identifier: OnlineIdentifier, warnings: Throttle, guard: Guard
-) -> ArrayInput:
-    """Subscribe to whether the vehicle is armed; parameters as in `ArrayInput`."""
-    type_name = identifier.settings.armed.type
-    return ArrayInput(
-        node, type_name, ARMED_TOPIC, ARMED[type_name], identifier.add_armed, warnings, guard
-    )
+def armed_input(wiring: Wiring) -> ArrayInput:
+    """Subscribe to whether the vehicle is armed, for autopilots that say it."""
+    identifier = wiring.identifier
+    name = identifier.settings.armed.type
+    return ArrayInput(wiring, name, ARMED_TOPIC, ARMED[name], identifier.add_armed)

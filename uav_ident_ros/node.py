@@ -40,7 +40,9 @@ from uav_ident_ros.inputs import (
     ARMED_TOPIC,
     RATES_TOPIC,
     ArrayInput,
+    Inbox,
     RatesInput,
+    Wiring,
     actuator_input,
     airspeed_input,
     armed_input,
@@ -81,6 +83,7 @@ class IdentifierNode(Node):
         declare(self, settings)
         self._guard = Guard(Throttle(self.get_logger().error))
         self._changes = Changes(self, settings, self.identifier.reconfigure)
+        self._inbox = Inbox()
         self._inputs = self._subscribe(settings)
         self._outputs = Outputs(self, self.identifier.structure)
         self._estimate: Estimate | None = None
@@ -96,16 +99,16 @@ class IdentifierNode(Node):
     def _subscribe(self, settings: Settings) -> dict[str, RatesInput | ArrayInput]:
         """Subscribe to the inputs; the optional ones only if their type is set."""
         warnings = Throttle(self.get_logger().warning)
-        to = (self, self.identifier, warnings, self._guard)
-        self._rates = RatesInput(*to)
+        to = Wiring(self, self.identifier, self._inbox, warnings, self._guard)
+        self._rates = RatesInput(to)
         inputs: dict[str, RatesInput | ArrayInput] = {
             RATES: self._rates,
-            ACTUATORS: actuator_input(*to),
+            ACTUATORS: actuator_input(to),
         }
         if settings.airspeed.type:
-            inputs[AIRSPEED] = airspeed_input(*to)
+            inputs[AIRSPEED] = airspeed_input(to)
         if settings.armed.type:
-            inputs[ARMED] = armed_input(*to)
+            inputs[ARMED] = armed_input(to)
         return inputs
 
     def _offer_services(self) -> None:
@@ -138,6 +141,7 @@ class IdentifierNode(Node):
 
     def _on_timer(self) -> None:
         self._meter.called()
+        self._inbox.empty()
         while (t_ns := self.identifier.due()) is not None:
             start = time.perf_counter()
             estimate = self.identifier.update(t_ns)
@@ -149,6 +153,7 @@ class IdentifierNode(Node):
 
     def _on_jump(self, jump: TimeJump) -> None:
         """Start again after a jump of /clock; cold if it went back under use_sim_time."""
+        self._inbox.empty()
         now_ns = self.get_clock().now().nanoseconds
         if jump.clock_change == ClockChange.ROS_TIME_NO_CHANGE:
             if now_ns == jump.delta.nanoseconds:
@@ -169,6 +174,7 @@ class IdentifierNode(Node):
     # -- services --------------------------------------------------------------------------
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._inbox.empty()
         self.identifier.reset()
         self._memory.forget()
         self._guard.problem = ""
@@ -188,6 +194,7 @@ class IdentifierNode(Node):
         return response
 
     def _on_adapt(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._inbox.empty()
         self.identifier.adapt = bool(request.data)
         response.success = True
         response.message = "adaptation is switched " + ("on" if request.data else "off")
@@ -203,6 +210,7 @@ class IdentifierNode(Node):
     # -- diagnostics -----------------------------------------------------------------------
 
     def _on_diagnostics(self) -> None:
+        self._inbox.empty()
         self._check_clock()
         self._memory.attend(self._estimate, time.monotonic())
         state, reason = self._state()
