@@ -81,7 +81,7 @@ class IdentifierNode(Node):
         settings = settings_of(self, TOPICS)
         self.identifier = OnlineIdentifier(settings, initial_coefficients(settings))
         declare(self, settings)
-        self._guard = Guard(Throttle(self.get_logger().error))
+        self._guard = Guard(Throttle(self._say_error))
         self._changes = Changes(self, settings, self.identifier.reconfigure)
         self._inbox = Inbox()
         self._inputs = self._subscribe(settings)
@@ -98,7 +98,7 @@ class IdentifierNode(Node):
 
     def _subscribe(self, settings: Settings) -> dict[str, RatesInput | ArrayInput]:
         """Subscribe to the inputs; the optional ones only if their type is set."""
-        warnings = Throttle(self.get_logger().warning)
+        warnings = Throttle(self._say_warning)
         to = Wiring(self, self.identifier, self._inbox, warnings, self._guard)
         self._rates = RatesInput(to)
         inputs: dict[str, RatesInput | ArrayInput] = {
@@ -222,6 +222,14 @@ class IdentifierNode(Node):
             diagnostics.status(self.get_fully_qualified_name(), state, reason, self._groups())
         )
         self._diagnostics.publish(message)
+
+    # rclpy allows one severity for a line of the source: each needs one of its own.
+
+    def _say_warning(self, line: str) -> None:
+        self.get_logger().warning(line)
+
+    def _say_error(self, line: str) -> None:
+        self.get_logger().error(line)
 
     def _log_state(self, state: str, line: str) -> None:
         log = self.get_logger()
