@@ -44,6 +44,9 @@ LARGEST_CORRELATION = 0.9
 """Correlation of the residuals from tick to tick up to which they are whitened: beyond it, what
 is left of a slow input would be noise."""
 
+FEWEST_TICKS = 3
+"""Ticks from which a slope can be told at all: after a stall one may fill the window."""
+
 CORRELATION_TIME = 1.0
 """Time after which residuals count as independent, s."""
 
@@ -115,6 +118,8 @@ class ChangeDetector:
         self._since_look += dt
         if self._since_look < CHECK_TIME or self._recent_time < WINDOW_TIME - 2.0 * dt:
             return []
+        if len(self.recent) < FEWEST_TICKS:
+            return []
         elapsed, self._since_look = self._since_look, 0.0
         self._hold_off = np.maximum(self._hold_off - elapsed, 0.0)
         return self._look(coefficients, lively, elapsed)
@@ -168,7 +173,7 @@ class ChangeDetector:
         scores = u_white * (white[:, :, None] - self.slope * u_white)
         sums = np.zeros((len(white) + 1, 3, 4))
         np.add.accumulate(scores, out=sums[1:])
-        length = max(1, round(CORRELATION_TIME / self.recent[-1].dt))
+        length = min(max(1, round(CORRELATION_TIME / self.recent[-1].dt)), len(white))
         blocks = sums[length:] - sums[:-length]
         variance = np.add.reduce(blocks * blocks) * (len(white) / (length * len(blocks)))
         deviation = np.sqrt(variance) / power

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The change detector with ticks of any length, as after a stall or a flood."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification.estimators.change import ChangeDetector
+from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.structure import STRUCTURES
+
+STRUCTURE = STRUCTURES["augmented"]
+
+
+@pytest.mark.parametrize(
+    "lengths", [(6.0, 6.0, 6.0), (4.9, 0.05, 0.05, 0.3), (2.0, 2.0, 0.9, 0.001), (0.05,) * 150]
+)
+def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> None:
+    chance = np.random.default_rng(1)
+    detector = ChangeDetector(STRUCTURE.mask)
+    for length in lengths:
+        f = chance.normal(size=(10, STRUCTURE.size))
+        data = Regression(y=chance.normal(size=(10, 3)), f=f, z=f, dt=length / 10)
+        changed = detector.update(data, np.zeros((3, STRUCTURE.size)), np.ones((3, 4), dtype=bool))
+        assert changed == []
+        assert np.isfinite(detector.slope).all()
