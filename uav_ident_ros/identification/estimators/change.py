@@ -40,6 +40,10 @@ HISTORY_TIME = 30.0
 LIVELY_SHARE = 0.25
 """Variance of an input, relative to its mean while learning, below which it shows no change."""
 
+CLEAR_SIGNAL = 0.5
+"""Variance that the inputs explain in a row, relative to that of the residual, below which none of
+them shows a change: in a storm, what an autopilot answers looks like one."""
+
 LARGEST_CORRELATION = 0.9
 """Correlation of the residuals from tick to tick up to which they are whitened: beyond it, what
 is left of a slow input would be noise."""

@@ -50,6 +50,8 @@ class ExcitationGate:
     share : (4,) array
         Variance of each input over the window, relative to its mean while learning. Relative
         to the largest one, one wild manoeuvre would close the gate for an ordinary flight.
+    signal : (3,) array
+        Variance that the inputs explain in each row, relative to that of the residual.
     learning : (3,) bool array
         Rows that see excitation.
     quiet : (n,) bool array
@@ -65,6 +67,7 @@ class ExcitationGate:
         self._usual: FloatArray = np.zeros(4)
         self._usual_time: FloatArray = np.zeros(4)
         self.share: FloatArray = np.zeros(4)
+        self.signal: FloatArray = np.zeros(3)
         self.learning: BoolArray = np.ones(3, dtype=bool)
         self.quiet: BoolArray = np.zeros(free.shape[1], dtype=bool)
 
@@ -103,8 +106,9 @@ class ExcitationGate:
         self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
         self.quiet[INPUT_COLUMNS] = self.share < self.settings.min_excitation
         lively = self._watched & (self.share >= self.settings.min_excitation)
-        largest = np.where(self._watched, np.abs(effect) + LIKELY_SIGMAS * sigma, 0.0)
-        residual = newest[9:] / newest[0]
+        residual = np.maximum(newest[9:] / newest[0], np.finfo(float).tiny)
+        self.signal = (self._watched * effect**2) @ variance / residual
+        largest = self._watched * (np.abs(effect) + LIKELY_SIGMAS * sigma)
         audible = largest**2 @ variance >= self.settings.min_signal * residual
         self.learning = (lively.any(axis=1) & audible) | ~self._watched.any(axis=1)
         heard = (self._watched & self.learning[:, None]).any(axis=0)

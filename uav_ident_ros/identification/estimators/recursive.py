@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.estimators.change import (
+    CLEAR_SIGNAL,
     LIVELY_SHARE,
     WINDOW_TIME,
     ChangeDetector,
@@ -225,7 +226,8 @@ class RecursiveRegression:
         """Release what has changed, and take back a release that does not prove itself."""
         for row in list(self._trials):
             self._continue_trial(row, data)
-        lively = self._gate.learning[:, None] & (self._gate.share >= LIVELY_SHARE)
+        clear = self._gate.learning & (self._gate.signal >= CLEAR_SIGNAL)
+        lively = clear[:, None] & (self._gate.share >= LIVELY_SHARE)
         changed = self._detector.update(data, self.coefficients, lively)
         self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
         for i, j in changed:
