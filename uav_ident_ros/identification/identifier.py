@@ -21,6 +21,7 @@ from uav_ident_ros.identification.drops import (
     LARGEST_CHANNEL,
     LARGEST_FORCE,
     LARGEST_GYRO_RATE,
+    LATEST_STAMP,
     Drop,
     time_problem,
     value_problem,
@@ -335,6 +336,7 @@ class OnlineIdentifier:
         largest = np.abs(values).max(axis=0)  # NaN fails the tests
         return bool(
             ((steps > 0) & (steps <= self._jump_ns)).all()
+            and t_ns[-1] <= LATEST_STAMP
             and (largest[:3] <= LARGEST_GYRO_RATE).all()
             and (largest[3:] <= LARGEST_FORCE).all()
         )
