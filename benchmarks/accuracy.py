@@ -31,9 +31,9 @@ import flights
 import numpy as np
 import output_error
 
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.parameter_file import load_parameters
 
 FLIGHTS: Mapping[str, int] = {
     "exact_noise_002": 3,

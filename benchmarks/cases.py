@@ -14,7 +14,7 @@ import flights
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -27,8 +27,8 @@ from uav_ident_ros.identification.prediction import (
 )
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
-from uav_ident_ros.intake import IMU_TYPE
-from uav_ident_ros.messages import RATES
+from uav_ident_ros.messages.types import RATES
+from uav_ident_ros.offline.intake import IMU_TYPE
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.recording import parameters
 

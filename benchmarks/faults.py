@@ -31,10 +31,10 @@ import hostile
 import numpy as np
 from hostile import SECOND_NS, Hostile, stamped
 
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, declarations
-from uav_ident_ros.messages import import_type
+from uav_ident_ros.messages.types import import_type
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "multisine"
@@ -331,9 +331,9 @@ class Campaign:
 
     def learned(self) -> PredictionFit:
         """Fit of the coefficients that the node published last, on the end of the flight."""
-        from uav_ident_ros.bag_inputs import choose_inputs
-        from uav_ident_ros.offline import OfflineRun
-        from uav_ident_ros.parameter_file import load_parameters
+        from uav_ident_ros.files.parameter_file import load_parameters
+        from uav_ident_ros.offline.inputs import choose_inputs
+        from uav_ident_ros.offline.run import OfflineRun
 
         self.listen(0.5)
         with Bag(BAG) as bag:

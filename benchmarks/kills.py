@@ -70,8 +70,8 @@ class Feeder:
     def __init__(self) -> None:
         from std_srvs.srv import Trigger
 
-        from uav_ident_ros.bags import Bag
-        from uav_ident_ros.messages import import_type
+        from uav_ident_ros.bags.reading import Bag
+        from uav_ident_ros.messages.types import import_type
         from uav_ident_ros.player import Player
 
         with Bag(BAG) as bag:
@@ -172,7 +172,7 @@ def _live(feeder: Feeder, node: subprocess.Popen[bytes], state_file: Path, life:
 
 def _load(state_file: Path, number: int, result: Kills) -> FloatArray | None:
     """Read the file that a killed node has left."""
-    from uav_ident_ros.coefficients_file import CoefficientsFileError, load_with_notes
+    from uav_ident_ros.files.coefficients_file import CoefficientsFileError, load_with_notes
 
     try:
         return load_with_notes(state_file)[0].values

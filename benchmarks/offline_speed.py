@@ -19,10 +19,10 @@ from typing import TypeVar
 
 from rosbags.rosbag2 import Reader
 
-from uav_ident_ros.bag_inputs import choose_inputs
-from uav_ident_ros.bags import Bag
-from uav_ident_ros.offline import OfflineRun
-from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.offline.inputs import choose_inputs
+from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.replay.advice import advise
 from uav_ident_ros.replay.evidence import measure
 from uav_ident_ros.replay.replayed import Replayed

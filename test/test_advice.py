@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
-from uav_ident_ros.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
-from uav_ident_ros.offline import OfflineRun, Refusals, choose_inputs
-from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.offline.run import OfflineRun, Refusals, choose_inputs
 from uav_ident_ros.replay.advice import (
     ADVICE,
     DELAY_OFF,

@@ -13,8 +13,8 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from uav_ident_ros.bag_writer import BagWriter, message_class
-from uav_ident_ros.bags import Bag, BagError
+from uav_ident_ros.bags.reading import Bag, BagError
+from uav_ident_ros.bags.writing import BagWriter, message_class
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 FOREIGN = "px4_msgs/msg/ActuatorServos"

@@ -20,10 +20,10 @@ from uav_ident_ros.client import (
     MessageError,
     Refusal,
 )
-from uav_ident_ros.coefficients_file import save_coefficients
+from uav_ident_ros.files.coefficients_file import save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
-from uav_ident_ros.messages import named_entries
+from uav_ident_ros.messages.types import named_entries
 
 AUGMENTED = STRUCTURES["augmented"]
 SECOND = 10**9

@@ -12,8 +12,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uav_ident_ros import coefficients_file
-from uav_ident_ros.coefficients_file import (
+from uav_ident_ros.files import coefficients_file
+from uav_ident_ros.files.coefficients_file import (
     CoefficientsFileError,
     format_coefficients,
     load_coefficients,

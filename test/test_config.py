@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages import ACTUATORS, ActuatorReader, frame_fault
-from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.messages.types import ACTUATORS, ActuatorReader, frame_fault
 from uav_ident_ros.simulation.channels import QUADROTOR
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"

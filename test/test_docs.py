@@ -22,12 +22,12 @@ import pytest
 import setuptools
 
 from uav_ident_ros.client import Refusal
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.files.parameter_table import TABLES, MarkerError, full_tables, main, renew
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.settings import Settings, declarations
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages import named_entries
-from uav_ident_ros.parameter_file import load_parameters
-from uav_ident_ros.parameter_table import TABLES, MarkerError, full_tables, main, renew
+from uav_ident_ros.messages.types import named_entries
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
@@ -219,7 +219,7 @@ def test_pictures_are_small() -> None:
 
 ASK_NODE = """
 import json, rclpy
-from uav_ident_ros.node import IdentifierNode
+from uav_ident_ros.node.identifier_node import IdentifierNode
 types = ["-p", "airspeed.type:=std_msgs/msg/Float64", "-p", "armed.type:=std_msgs/msg/Bool"]
 rclpy.init(args=["--ros-args", *types, "-p", "state_file:=none"])
 node = IdentifierNode()
@@ -369,10 +369,8 @@ def imports_of(path: Path) -> set[str]:
     return names
 
 
-NODE_MODULES = {"node", "inputs", "outputs", "parameters", "diagnostics", "notices"}
-NODE_MODULES |= {"memory", "saving", "guard"}
-OFFLINE_MODULES = {"bags", "bag_writer", "estimates_bag", "offline", "replay", "pictures"}
-OFFLINE_MODULES |= {"bag_inputs", "imu_block", "intake", "salvage"}
+NODE_MODULES = {"node"}
+OFFLINE_MODULES = {"bags", "offline", "replay", "report", "pictures"}
 
 
 def test_the_core_imports_numpy_and_itself() -> None:

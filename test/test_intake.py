@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uav_ident_ros import offline
-from uav_ident_ros.bag_inputs import choose_inputs
-from uav_ident_ros.bag_writer import BagWriter, header, jazzy_types, message_class
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.bags.writing import BagWriter, header, jazzy_types, message_class
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.imu_block import decode_imu_block
-from uav_ident_ros.messages import decode_imu_cdr
-from uav_ident_ros.offline import OfflineRun
-from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.messages.types import decode_imu_cdr
+from uav_ident_ros.offline import run as offline
+from uav_ident_ros.offline.imu_block import decode_imu_block
+from uav_ident_ros.offline.inputs import choose_inputs
+from uav_ident_ros.offline.run import OfflineRun
 
 BAGS = Path(__file__).parent.parent / "bags"
 IMU, ACTUATORS = "/imu/data", "/actuators"

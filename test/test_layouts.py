@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.layouts import foxglove, plotjuggler
 from uav_ident_ros.layouts.__main__ import DEFAULTS, main

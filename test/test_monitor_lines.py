@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages import entry_names
+from uav_ident_ros.messages.types import entry_names
 from uav_ident_ros.monitor.heard import TREND_TIME, Coefficient, Heard
 from uav_ident_ros.monitor.lines import ASCII, glyphs_for, lines, plain
 

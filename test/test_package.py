@@ -225,8 +225,8 @@ def test_core_imports_numpy_alone():
 
 
 def test_node_runs_without_the_offline_packages():
-    files = loaded_with(f"{PACKAGE}.node")
-    assert ROOT / PACKAGE / "node.py" in files
+    files = loaded_with(f"{PACKAGE}.node.identifier_node")
+    assert ROOT / PACKAGE / "node" / "identifier_node.py" in files
     offending = {path.name: third_party(path, lazy=True) & OFFLINE_ONLY for path in files}
     assert not {name: found for name, found in offending.items() if found}
 
@@ -323,7 +323,7 @@ def test_launch_can_rename_every_input(path: Path):
         ast.literal_eval(pair.elts[0]): ast.literal_eval(pair.elts[1].args[0])
         for pair in remappings.elts
     }
-    inputs = constants_of(ROOT / PACKAGE / "inputs.py")
+    inputs = constants_of(ROOT / PACKAGE / "node" / "inputs.py")
     topics = {value for name, value in inputs.items() if name.endswith("_TOPIC")}
     assert len(topics) == 4
     assert set(arguments) == topics

@@ -12,8 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from uav_ident_ros.files.parameter_file import (
+    ParameterFile,
+    ParameterFileError,
+    load_parameters,
+    scalar,
+)
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.parameter_file import ParameterFile, ParameterFileError, load_parameters, scalar
 
 TRICKY = """\
 # every kind of scalar that YAML readers disagree about

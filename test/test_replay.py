@@ -19,17 +19,17 @@ from changing_speed import PLANT, REFERENCE, START_NS, airspeed, flight, worst_l
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
-from uav_ident_ros.bag_writer import BagWriter, header, jazzy_types, message_class
-from uav_ident_ros.bags import Bag, BagError
-from uav_ident_ros.coefficients_file import load_coefficients, save_coefficients
-from uav_ident_ros.estimates_bag import write_estimates
+from uav_ident_ros.bags.reading import Bag, BagError
+from uav_ident_ros.bags.writing import BagWriter, header, jazzy_types, message_class
+from uav_ident_ros.files.coefficients_file import load_coefficients, save_coefficients
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages import entry_names
-from uav_ident_ros.offline import OfflineRun, choose_inputs
-from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.messages.types import entry_names
+from uav_ident_ros.offline.estimates_bag import write_estimates
+from uav_ident_ros.offline.run import OfflineRun, choose_inputs
 from uav_ident_ros.replay import main
 from uav_ident_ros.replay.job import NOT_USABLE
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from uav_ident_ros.bag_writer import BagWriter
-from uav_ident_ros.bags import Bag, BagError
+from uav_ident_ros.bags.reading import Bag, BagError
+from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.replay import main
 from uav_ident_ros.replay.comparison import WORST_FIT, mean_fit, ranked, ranking
 from uav_ident_ros.replay.find import find_bags, is_collection, names_of

@@ -24,15 +24,15 @@ from typing import Any, NoReturn, Protocol
 import numpy as np
 import yaml
 
-from uav_ident_ros.bags import Bag, BagError, Message
+from uav_ident_ros.bags.reading import Bag, BagError, Message
+from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.prediction import PredictionFit, score
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
-from uav_ident_ros.messages import ACTUATORS, FIT_NAMES, MessageTypeError, import_type
-from uav_ident_ros.notices import OnChange
-from uav_ident_ros.offline import Inputs, OfflineRun, choose_inputs
-from uav_ident_ros.parameter_file import ParameterFileError, load_parameters
+from uav_ident_ros.messages.types import ACTUATORS, FIT_NAMES, MessageTypeError, import_type
+from uav_ident_ros.node.notices import OnChange
+from uav_ident_ros.offline.run import Inputs, OfflineRun, choose_inputs
 from uav_ident_ros.pictures import PictureError, save_overview
 from uav_ident_ros.player import Outputs, Player, PlayerError, stamp_ns
 

@@ -26,7 +26,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from uav_ident_ros.bags import Message
+from uav_ident_ros.bags.reading import Message
 
 SECOND_NS = 1_000_000_000
 

@@ -18,10 +18,10 @@ import campaigns
 import cases
 import output_error
 
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.prediction import SELECTIONS
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.offline import OfflineRun, choose_inputs
+from uav_ident_ros.offline.run import OfflineRun, choose_inputs
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure

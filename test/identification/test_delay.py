@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from flying import AMPLITUDES, Message, errors, messages, plant_flight, run, settings, worst
 
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.delay import (
     NEIGHBOURHOOD,
     SMALLEST_MOVE,
@@ -20,7 +20,7 @@ from uav_ident_ros.identification.delay import (
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings, SettingsError
-from uav_ident_ros.messages import header_ns
+from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment

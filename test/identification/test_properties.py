@@ -20,8 +20,10 @@ from hypothesis import example, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from uav_ident_ros.coefficients_file import Notes, load_with_notes, save_coefficients
-from uav_ident_ros.identification.drops import LARGEST_GYRO_RATE
+from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.files.parameter_template import render
+from uav_ident_ros.identification.drops import LARGEST_GYRO_RATE, LATEST_STAMP
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier, State
 from uav_ident_ros.identification.running_fit import WORST_FIT
@@ -34,10 +36,7 @@ from uav_ident_ros.identification.settings import (
     declarations,
 )
 from uav_ident_ros.identification.speed import LARGEST_RATIO
-from uav_ident_ros.identification.stamps import LATEST_NS
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
-from uav_ident_ros.parameter_file import load_parameters
-from uav_ident_ros.parameter_template import render
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -309,7 +308,7 @@ def test_no_sequence_of_inputs_yields_nonsense(settings: Settings, history: list
     for event in history:
         event(world)
     stamps = [estimate.t_ns for estimate in world.estimates]
-    assert all(0 < t_ns <= LATEST_NS for t_ns in stamps)
+    assert all(0 < t_ns <= LATEST_STAMP for t_ns in stamps)
     for estimate in world.estimates:
         check(estimate, settings)
     assert np.isfinite(world.identifier.excitation()).all()

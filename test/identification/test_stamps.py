@@ -5,7 +5,10 @@ from __future__ import annotations
 
 import pytest
 
-from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, LATEST_NS, Stamp, StampGuard
+from uav_ident_ros.identification.drops import LATEST_STAMP, Drop
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
 
 S = 1_000_000_000
 
@@ -53,16 +56,13 @@ def test_late_samples_are_good_stamps_and_do_not_turn_time_back() -> None:
     assert guard.newest == 10_000 * S
 
 
-def test_no_stamp_that_a_message_cannot_carry_is_ever_good() -> None:
-    beyond = LATEST_NS + 1
-    fresh = StampGuard(S)
-    for guard in (fresh, guard_at(LATEST_NS)):
-        for k in range(20):
-            assert guard.check(beyond + k * S // 200) is Stamp.OUTLYING
-    assert fresh.newest is None
-    # and it is not one of the five that agree
-    guard = guard_at(10_000 * S)
-    for k in range(20):
-        assert guard.check(20_000 * S + k * S // 200) is Stamp.OUTLYING
-        if k % (AGREEING_SAMPLES - 1) == 0:
-            assert guard.check(beyond) is Stamp.OUTLYING
+def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:
+    identifier = OnlineIdentifier(Settings())
+    beyond = LATEST_STAMP + 1
+    for k in range(2 * AGREEING_SAMPLES):
+        t_ns = beyond + k * S // 200
+        assert identifier.add_rates(t_ns, (0.1, 0.2, 0.3)) is Drop.BEYOND_STAMP
+        assert identifier.add_actuators(t_ns, (0.0,) * 4) is Drop.BEYOND_STAMP
+        assert identifier.add_airspeed(t_ns, 20.0) is Drop.BEYOND_STAMP
+        assert identifier.add_armed(t_ns, True) is Drop.BEYOND_STAMP
+    assert identifier.due() is None

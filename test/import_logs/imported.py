@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.import_logs.cli import main
-from uav_ident_ros.messages import header_ns
-from uav_ident_ros.offline import OfflineRun, choose_inputs
-from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.messages.types import header_ns
+from uav_ident_ros.offline.run import OfflineRun, choose_inputs
 from uav_ident_ros.simulation.definition import build_measurements
 from uav_ident_ros.simulation.noise import Measurements
 

@@ -67,7 +67,7 @@ def test_rotors_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:
 
 
 def test_the_ready_configuration_of_the_same_vehicle_mixes_alike(tmp_path: Path, capsys) -> None:
-    from uav_ident_ros.parameter_file import load_parameters
+    from uav_ident_ros.files.parameter_file import load_parameters
 
     topics = combined() | {
         ("actuator_motors", 0): commands(COMMAND_NS, padded(0.5 + 0.1 * noise(4), 12), "control")

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from node_process import ROOT
 
-from uav_ident_ros.bag_writer import BagWriter
-from uav_ident_ros.bags import Bag, Message
-from uav_ident_ros.messages import import_type
+from uav_ident_ros.bags.reading import Bag, Message
+from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.player import Outputs, Player, stamp_ns
 from uav_ident_ros.replay.job import NOT_USABLE, USABLE
 

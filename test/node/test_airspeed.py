@@ -13,9 +13,9 @@ from node_process import StartNode
 from rclpy.serialization import serialize_message
 from recordings import MakePlayer, recording
 
-from uav_ident_ros import bags
-from uav_ident_ros.airspeed import AIRSPEED
+from uav_ident_ros.bags import reading as bags
 from uav_ident_ros.identification.settings import AIRSPEED_TYPES
+from uav_ident_ros.messages.airspeed import AIRSPEED
 from uav_ident_ros.player import to_stamp
 
 TOPIC = "/airspeed"

@@ -12,9 +12,9 @@ from rclpy.serialization import serialize_message
 from recordings import MakePlayer, recording
 from std_msgs.msg import Bool
 
-from uav_ident_ros import bags
-from uav_ident_ros.armed import ARMED
+from uav_ident_ros.bags import reading as bags
 from uav_ident_ros.identification.settings import ARMED_TYPES
+from uav_ident_ros.messages.armed import ARMED
 
 TOPIC = "/armed"
 HEADER = Message(stamp=Message(sec=3, nanosec=5))

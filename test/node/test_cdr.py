@@ -20,8 +20,8 @@ from std_msgs.msg import (
     MultiArrayLayout,
 )
 
-from uav_ident_ros.cdr import ChannelsDecoder, Template
-from uav_ident_ros.messages import ACTUATORS
+from uav_ident_ros.messages.cdr import ChannelsDecoder, Template
+from uav_ident_ros.messages.types import ACTUATORS
 from uav_ident_ros.player import to_stamp
 
 TYPES = {

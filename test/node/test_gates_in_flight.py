@@ -12,7 +12,7 @@ from node_process import StartNode
 from recordings import MakePlayer, Recording
 from sensor_msgs.msg import JointState
 
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.player import Player
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment

@@ -21,7 +21,7 @@ from recordings import (
     replayed,
 )
 
-from uav_ident_ros.bags import Message
+from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.player import Player
 
 EVERY = 20

@@ -19,12 +19,12 @@ from recordings import NODE, MakePlayer, Recording, recording
 from std_srvs.srv import Trigger
 from test_operation import call
 
-from uav_ident_ros.coefficients_file import Notes, load_with_notes, save_coefficients
+from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.memory import Memory, in_words, state_path
+from uav_ident_ros.node.memory import Memory, in_words, state_path
 
 STRUCTURE = STRUCTURES["augmented"]
 NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
@@ -83,8 +83,8 @@ def write(path: Path, values: CoefficientSet, **notes: object) -> None:
 
 
 def test_every_node_has_a_file_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_HOME", "/home/pilot/.ros")
-    folder = "/home/pilot/.ros/uav_ident_ros"
+    monkeypatch.setenv("ROS_HOME", "/var/pilot/ros")
+    folder = "/var/pilot/ros/uav_ident_ros"
     assert state_path(Settings(), "/identifier") == Path(f"{folder}/identifier.yaml")
     assert state_path(Settings(), "/a/identifier") == Path(f"{folder}/a.identifier.yaml")
     assert state_path(replace(Settings(), state_file="none"), "/identifier") is None

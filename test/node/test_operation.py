@@ -24,8 +24,8 @@ from recordings import (
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from uav_ident_ros.bags import Message
-from uav_ident_ros.coefficients_file import load_coefficients
+from uav_ident_ros.bags.reading import Message
+from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.player import Player
 
 

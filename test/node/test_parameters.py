@@ -15,10 +15,10 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from uav_ident_ros import parameter_template
+from uav_ident_ros.files import parameter_template
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Settings, declarations
-from uav_ident_ros.parameter_file import load_parameters
-from uav_ident_ros.parameters import Changes, declare, settings_of
+from uav_ident_ros.node.parameters import Changes, declare, settings_of
 
 RCLPY_REASON = re.compile("Wrong parameter type, expected|Static parameter cannot be undeclared")
 
@@ -38,7 +38,7 @@ def make_node(context: Context, *arguments: str) -> Node:
 
 
 def test_shipped_file_is_in_step_with_the_declaration() -> None:
-    """On failure: python -m uav_ident_ros.parameter_template > config/identifier.yaml."""
+    """On failure: python -m uav_ident_ros.files.parameter_template > config/identifier.yaml."""
     assert SHIPPED.read_text(encoding="utf-8") == parameter_template.render()
 
 
@@ -122,10 +122,10 @@ def test_qos_override_changes_the_subscription(context: Context, tmp_path: Path)
         "        subscription: {depth: 7, reliability: reliable}\n",
         encoding="utf-8",
     )
-    from uav_ident_ros.guard import Guard
     from uav_ident_ros.identification.identifier import OnlineIdentifier
-    from uav_ident_ros.inputs import ACTUATORS_TOPIC, RATES_TOPIC, Inbox, RatesInput, Wiring
-    from uav_ident_ros.notices import Throttle
+    from uav_ident_ros.node.guard import Guard
+    from uav_ident_ros.node.inputs import ACTUATORS_TOPIC, RATES_TOPIC, Inbox, RatesInput, Wiring
+    from uav_ident_ros.node.notices import Throttle
 
     node = make_node(context, "--params-file", str(path))
     settings = settings_of(node, (RATES_TOPIC, ACTUATORS_TOPIC))

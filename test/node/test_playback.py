@@ -10,9 +10,9 @@ import numpy as np
 from node_process import StartNode
 from recordings import MakePlayer, published, recording, replayed, write_bag
 
-from uav_ident_ros.bags import Bag
-from uav_ident_ros.offline import OfflineRun, choose_inputs
-from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.offline.run import OfflineRun, choose_inputs
 from uav_ident_ros.player import stamp_ns
 
 ON_TIME = 2e-3

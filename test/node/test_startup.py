@@ -83,7 +83,7 @@ def test_signal_ends_it_cleanly(start_node: StartNode, number: int) -> None:
 def test_it_needs_rclpy_and_numpy_only() -> None:
     """A companion computer installs it with apt alone: nothing of the replay is imported."""
     code = (
-        "import sys, uav_ident_ros.node\n"
+        "import sys, uav_ident_ros.node.identifier_node\n"
         "print([m for m in ('rosbags', 'mcap', 'scipy', 'matplotlib', 'jsbsim', 'rich')"
         " if m in sys.modules])"
     )

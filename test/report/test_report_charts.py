@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.estimators.excitation import WINDOW_TIME
 from uav_ident_ros.identification.identifier import State
 from uav_ident_ros.identification.structure import INPUTS, ROWS, STRUCTURES
-from uav_ident_ros.offline import OfflineRun, choose_inputs
-from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.offline.run import OfflineRun, choose_inputs
 from uav_ident_ros.pictures import PictureError
 from uav_ident_ros.report.activity import activity
 from uav_ident_ros.report.coefficients_chart import order

@@ -15,10 +15,10 @@ import yaml
 from html_page import Node, parse
 
 import uav_ident_ros
-from uav_ident_ros.bag_writer import BagWriter
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.identification.settings import declarations
-from uav_ident_ros.meanings import MEANINGS
 from uav_ident_ros.replay import main
 from uav_ident_ros.report.tables import coefficients_table
 

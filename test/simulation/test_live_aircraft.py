@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_ident_ros.parameter_file import load_parameters
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.simulation.closed_loop import CONFIG
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import Fault, parse_fault

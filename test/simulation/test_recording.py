@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
 from rosbags.typesys import Stores, get_typestore
 
-from uav_ident_ros.bag_writer import BagWriteError, BagWriter, header, message_class, qos
+from uav_ident_ros.bags.writing import BagWriteError, BagWriter, header, message_class, qos
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.simulation.definition import build_measurements
 from uav_ident_ros.simulation.noise import Measurements

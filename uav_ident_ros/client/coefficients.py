@@ -128,7 +128,7 @@ class Coefficients:
         CoefficientsFileError
             If it cannot be used.
         """
-        from uav_ident_ros.coefficients_file import load_coefficients
+        from uav_ident_ros.files.coefficients_file import load_coefficients
 
         loaded = load_coefficients(path)
         return cls(STRUCTURES[loaded.structure], loaded.values, loaded.sigma, t_ns=loaded.t_ns)

@@ -8,10 +8,6 @@ from enum import Enum
 AGREEING_SAMPLES = 5
 """So many consecutive samples on a new time base are believed: one outlier is not."""
 
-LATEST_NS = (2**31 - 1) * 1_000_000_000
-"""Last second that a ROS message can carry, ns: in 2038. PX4's microseconds could say more, and
-then neither 64 bits would hold the sums nor a message the tick."""
-
 
 class Stamp(Enum):
     """Verdict on one stamp."""
@@ -42,9 +38,6 @@ class StampGuard:
 
     def check(self, t_ns: int) -> Stamp:
         """Judge the stamp `t_ns`; on NEW_BASE the stream has moved to it."""
-        if t_ns > LATEST_NS:
-            self._agreeing = 0
-            return Stamp.OUTLYING
         if self.newest is None or abs(t_ns - self.newest) <= self._jump_ns:
             self.newest = t_ns if self.newest is None else max(self.newest, t_ns)
             self._agreeing = 0

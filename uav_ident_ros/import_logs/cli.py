@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; the return value is the exit status: 2 for bad input."""
     options = parser().parse_args(arguments)
     try:
-        from uav_ident_ros.bag_writer import BagWriteError
+        from uav_ident_ros.bags.writing import BagWriteError
     except ImportError as error:
         print(f"import_log: {error.name} is not installed: pip install rosbags", file=sys.stderr)
         return USAGE_ERROR

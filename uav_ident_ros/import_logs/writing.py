@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.bag_writer import BagWriteError, BagWriter, header, message_class, qos
+from uav_ident_ros.bags.writing import BagWriteError, BagWriter, header, message_class, qos
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.import_logs.flight_log import Channel, Findings, FlightLog
-from uav_ident_ros.parameter_file import load_parameters
 
 IMU_TOPIC, IMU_TYPE = "/imu/data", "sensor_msgs/msg/Imu"
 ACTUATORS_TOPIC, ACTUATORS_TYPE = "/actuators", "sensor_msgs/msg/JointState"

@@ -24,7 +24,7 @@ from uav_ident_ros.layouts.plots import (
     Source,
     pages,
 )
-from uav_ident_ros.messages import USABLE_NAME, entry_names
+from uav_ident_ros.messages.types import USABLE_NAME, entry_names
 
 VIEW_WIDTH = 60.0
 """Seconds that a live plot shows."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from uav_ident_ros.identification.structure import INPUTS, ROWS, Structure
-from uav_ident_ros.messages import FIT_NAMES, USABLE_NAME
+from uav_ident_ros.messages.types import FIT_NAMES, USABLE_NAME
 
 AXES = ("p", "q", "r")
 ROTATIONS = {"x": "roll", "y": "pitch", "z": "yaw"}

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from uav_ident_ros.messages import FIT_NAMES, NS_PER_S, USABLE_NAME
+from uav_ident_ros.messages.types import FIT_NAMES, NS_PER_S, USABLE_NAME
 
 AXES = ("p", "q", "r")
 

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from uav_ident_ros.messages import NS_PER_S
+from uav_ident_ros.messages.types import NS_PER_S
 from uav_ident_ros.monitor.heard import Heard
 
 OUTPUT = "coefficients_named"

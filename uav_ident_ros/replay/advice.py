@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
+from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.identification.structure import INPUTS, ROWS
-from uav_ident_ros.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.replay.evidence import ROW_FORCES, Evidence
 
 MAIN_DERIVATIVES: Mapping[str, str] = {"de": "qdot/de", "dr": "rdot/dr", "da": "pdot/da"}

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from uav_ident_ros.bags import BagError
+from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.replay.comparison import ranked, ranking
 from uav_ident_ros.replay.find import find_bags, is_collection, names_of
 from uav_ident_ros.replay.job import NO_RESULT, Job, Outcome, replay

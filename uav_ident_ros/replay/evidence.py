@@ -21,7 +21,7 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
     Structure,
 )
-from uav_ident_ros.offline import OfflineRun, Refusals, Stretch
+from uav_ident_ros.offline.run import OfflineRun, Refusals, Stretch
 
 FULL = STRUCTURES["augmented"]
 FIT_WINDOWS = "last_40_percent"

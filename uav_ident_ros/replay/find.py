@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from uav_ident_ros.bags import METADATA_FILE, STORAGE_SUFFIXES, BagError
+from uav_ident_ros.bags.reading import METADATA_FILE, STORAGE_SUFFIXES, BagError
 
 RESULT_FILE = "summary.json"
 RESULT_BAG = "estimates"

@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from uav_ident_ros.bag_inputs import STREAMS, choose_inputs
-from uav_ident_ros.bag_writer import BagWriteError
-from uav_ident_ros.bags import Bag, BagError, Message
-from uav_ident_ros.coefficients_file import CoefficientsFileError, load_coefficients
+from uav_ident_ros.bags.reading import Bag, BagError, Message
+from uav_ident_ros.bags.writing import BagWriteError
+from uav_ident_ros.files.coefficients_file import CoefficientsFileError, load_coefficients
+from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import Settings, SettingsError
-from uav_ident_ros.messages import MessageTypeError
-from uav_ident_ros.offline import OfflineRun
-from uav_ident_ros.parameter_file import ParameterFileError, load_parameters
+from uav_ident_ros.messages.types import MessageTypeError
+from uav_ident_ros.offline.inputs import STREAMS, choose_inputs
+from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.pictures import PictureError
 from uav_ident_ros.replay.advice import advise
 from uav_ident_ros.replay.evidence import measure

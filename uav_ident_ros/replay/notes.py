@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from uav_ident_ros.bag_inputs import STREAMS, candidates
-from uav_ident_ros.bags import Bag
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.samples import NS
-from uav_ident_ros.offline import OfflineRun
+from uav_ident_ros.offline.inputs import STREAMS, candidates
+from uav_ident_ros.offline.run import OfflineRun
 
 MISSING_TIME = 1.0
 """Time without actuators at the beginning or the end that is worth a word, s."""

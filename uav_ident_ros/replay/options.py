@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import NoReturn
 
-from uav_ident_ros.bag_inputs import STREAMS, Stream
+from uav_ident_ros.offline.inputs import STREAMS, Stream
 from uav_ident_ros.replay.job import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 
 DESCRIPTION = """\

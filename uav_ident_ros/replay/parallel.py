@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
-from uav_ident_ros.bags import Message
+from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.replay.job import NO_RESULT, Job, Outcome, replay
 from uav_ident_ros.replay.progress import bar
 

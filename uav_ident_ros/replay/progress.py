@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-from uav_ident_ros.bags import Message
+from uav_ident_ros.bags.reading import Message
 
 
 def bar(**options: Any) -> Any:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.bag_writer import BagWriteError
-from uav_ident_ros.coefficients_file import save_coefficients
-from uav_ident_ros.estimates_bag import write_estimates
+from uav_ident_ros.bags.writing import BagWriteError
+from uav_ident_ros.files.coefficients_file import save_coefficients
+from uav_ident_ros.offline.estimates_bag import write_estimates
 from uav_ident_ros.pictures import save_overview
 from uav_ident_ros.replay.evidence import FIT_WINDOWS
 from uav_ident_ros.replay.replayed import Replayed

@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from uav_ident_ros.bag_inputs import STREAMS, Inputs
 from uav_ident_ros.identification.prediction import PredictionFit
+from uav_ident_ros.offline.inputs import STREAMS, Inputs
 from uav_ident_ros.replay.replayed import Replayed
 
 SUMMARY_VERSION = 1

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.identification.prediction import PredictionFit
-from uav_ident_ros.meanings import MEANINGS
 from uav_ident_ros.replay.replayed import Replayed
 from uav_ident_ros.replay.summary import AXES, streams
 

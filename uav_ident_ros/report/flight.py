@@ -14,7 +14,7 @@ from uav_ident_ros.identification.prediction import InputSignal
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import BoolArray, FloatArray, Structure
-from uav_ident_ros.offline import OfflineRun, Stretch
+from uav_ident_ros.offline.run import OfflineRun, Stretch
 
 PAUSE_BETWEEN = 1.0
 """Shown between two time bases, s: how far apart they really were is unknown or days."""

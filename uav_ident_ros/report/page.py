@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from uav_ident_ros.bag_writer import BagWriteError
+from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.identification.samples import NS
-from uav_ident_ros.offline import OfflineRun
+from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.report.flight import Flight, collect
 from uav_ident_ros.report.markup import element
 from uav_ident_ros.report.sections import sections

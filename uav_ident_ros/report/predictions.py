@@ -10,7 +10,7 @@ import numpy as np
 from uav_ident_ros.identification.prediction import LAST_PART, predict_ahead
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.offline import Stretch
+from uav_ident_ros.offline.run import Stretch
 from uav_ident_ros.report.flight import Flight
 
 SHORTEST_FIT = 2

@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 import uav_ident_ros
-from uav_ident_ros.bags import STORAGE_SUFFIXES, BagError
+from uav_ident_ros.bags.reading import STORAGE_SUFFIXES, BagError
 
 PACKAGES = ("numpy", "rosbags", "matplotlib")
 """Packages that the numbers or the pictures depend on."""

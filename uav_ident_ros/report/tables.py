@@ -10,9 +10,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.meanings import MEANINGS
 from uav_ident_ros.report.coverage import SIGNALS, correlations, signals
 from uav_ident_ros.report.flight import AXES, Flight
 from uav_ident_ros.report.markup import Node, element, number, table

@@ -215,7 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     _check(parser, options)
     try:
-        from uav_ident_ros.bag_writer import BagWriteError
+        from uav_ident_ros.bags.writing import BagWriteError
         from uav_ident_ros.simulation.recording import write_bag
     except ImportError as error:
         print(f"simulate: {error.name} is not installed: pip install rosbags", file=sys.stderr)

@@ -28,14 +28,14 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header, String
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback, subscribe
-from uav_ident_ros.messages import NS_PER_S, header_ns
+from uav_ident_ros.messages.types import NS_PER_S, header_ns
+from uav_ident_ros.node.startup import REFUSALS, USAGE_ERROR, explain, start
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.flight_record import FlightRecord
 from uav_ident_ros.simulation.live_aircraft import LiveAircraft, Sample
 from uav_ident_ros.simulation.noise import FRAME_IDS, FRD_TO_FLU, Sensors
-from uav_ident_ros.startup import REFUSALS, USAGE_ERROR, explain, start
 
 PATIENCE = 5.0
 """In step: wall-clock seconds that an answer may take before the flight goes on without it."""

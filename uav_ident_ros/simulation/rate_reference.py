@@ -20,7 +20,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages import NS_PER_S, header_ns
+from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.simulation.flight import GRAVITY
 
 ANGLE_GAIN = 1.0

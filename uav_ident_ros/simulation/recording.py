@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.bag_writer import BagWriter, header, message_class, qos
+from uav_ident_ros.bags.writing import BagWriter, header, message_class, qos
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.simulation.noise import Measurements
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameter file with every default, written from the declaration of the settings.
 
-``python -m uav_ident_ros.parameter_template > config/identifier.yaml``
+``python -m uav_ident_ros.files.parameter_template > config/identifier.yaml``
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ WIDTH = 96
 _HEADER = """\
 # SPDX-License-Identifier: Apache-2.0
 # Every parameter of the node `identifier` with its default. Generated from the declaration of
-# the settings: python -m uav_ident_ros.parameter_template > config/identifier.yaml
+# the settings: python -m uav_ident_ros.files.parameter_template > config/identifier.yaml
 # Copy it, keep the lines that differ, and pass it with --params-file to `identifier` (as
 # `--ros-args --params-file FILE`) or to `replay`. Numbers need a decimal point: 20.0, not 20.
 # `/**` means any node in any namespace; `identifier:` alone does not match /drone1/identifier.

@@ -19,11 +19,11 @@ from rclpy.logging import LoggingSeverity
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.utilities import remove_ros_args
 
-from uav_ident_ros.coefficients_file import CoefficientsFileError
+from uav_ident_ros.files.coefficients_file import CoefficientsFileError
+from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError
 from uav_ident_ros.identification.settings import SettingsError
-from uav_ident_ros.messages import MessageTypeError
-from uav_ident_ros.notices import without_sources
-from uav_ident_ros.parameter_file import ParameterFile, ParameterFileError
+from uav_ident_ros.messages.types import MessageTypeError
+from uav_ident_ros.node.notices import without_sources
 
 USAGE_ERROR = 2
 """Exit status for a wrong command line or wrong parameters."""

@@ -12,8 +12,7 @@ from itertools import islice
 
 import numpy as np
 
-from uav_ident_ros.bag_inputs import Inputs, choose_inputs
-from uav_ident_ros.bags import Bag, Message
+from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -27,7 +26,8 @@ from uav_ident_ros.identification.prediction import (
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.intake import Intake, Refusals
+from uav_ident_ros.offline.inputs import Inputs, choose_inputs
+from uav_ident_ros.offline.intake import Intake, Refusals
 
 __all__ = ["Inputs", "OfflineRun", "Refusals", "Stretch", "choose_inputs"]
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameter tables of the documentation, written from the declaration of the settings.
 
-``python -m uav_ident_ros.parameter_table FILE...`` renews, in each file, what stands between
+``python -m uav_ident_ros.files.parameter_table FILE...`` renews, in each file, what stands between
 the markers ``<!-- generated: NAME -->`` and ``<!-- end: NAME -->``. NAME is one of `TABLES`.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from uav_ident_ros.identification.settings import Setting, Value, declarations
-from uav_ident_ros.messages import ACTUATORS, RATES
+from uav_ident_ros.messages.types import ACTUATORS, RATES
 
 USAGE_ERROR = 2
 

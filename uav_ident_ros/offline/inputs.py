@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from uav_ident_ros.bags import Bag, BagError
+from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.identification.identifier import ACTUATORS, AIRSPEED, ARMED, RATES
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.settings import (

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.bag_writer import (
+from uav_ident_ros.bags.writing import (
     BagWriteError,
     BagWriter,
     header,
@@ -20,7 +20,7 @@ from uav_ident_ros.bag_writer import (
 )
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.messages import NS_PER_S, coefficients_layout, entry_names, named_entries
+from uav_ident_ros.messages.types import NS_PER_S, coefficients_layout, entry_names, named_entries
 
 NAMED_TYPE = "sensor_msgs/msg/JointState"
 ARRAY_TYPE = "std_msgs/msg/Float64MultiArray"

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages import NS_PER_S, ActuatorReading
+from uav_ident_ros.messages.types import NS_PER_S, ActuatorReading
 
 HEADER_SIZE = 4
 """Encapsulation header before the CDR body, bytes; alignment counts from its end."""

@@ -14,7 +14,7 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-from uav_ident_ros.salvage import SalvageError, SalvageReader
+from uav_ident_ros.bags.salvage import SalvageError, SalvageReader
 
 METADATA_FILE = "metadata.yaml"
 STORAGE_SUFFIXES = (".mcap", ".db3")

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from uav_ident_ros.coefficients_file import (
+from uav_ident_ros.files.coefficients_file import (
     CoefficientsFileError,
     Notes,
     load_with_notes,
@@ -22,7 +22,7 @@ from uav_ident_ros.coefficients_file import (
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import NO_FILE, Settings, SettingsError
-from uav_ident_ros.saving import Saver
+from uav_ident_ros.node.saving import Saver
 
 MEANING = (
     "imu.convention",

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from uav_ident_ros.messages import NS_PER_US, header_ns
+from uav_ident_ros.messages.types import NS_PER_US, header_ns
 
 PX4_ARMING_STATE_ARMED = 2
 """VehicleStatus: the value of `arming_state` while armed."""

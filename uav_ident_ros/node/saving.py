@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from uav_ident_ros.coefficients_file import CoefficientsFileError, Notes, save_coefficients
+from uav_ident_ros.files.coefficients_file import CoefficientsFileError, Notes, save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
 
 ANSWER_WITHIN = 0.02

@@ -14,10 +14,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
-from uav_ident_ros.cdr import Template
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.messages import coefficients_layout, entry_names, named_entries
+from uav_ident_ros.messages.cdr import Template
+from uav_ident_ros.messages.types import coefficients_layout, entry_names, named_entries
 
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL

@@ -15,11 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.airspeed import AIRSPEED as AIRSPEED_READERS
-from uav_ident_ros.armed import ARMED as ARMED_READERS
-from uav_ident_ros.bag_inputs import Inputs
-from uav_ident_ros.bags import Bag, BagError, Message
-from uav_ident_ros.cdr import ChannelsDecoder
+from uav_ident_ros.bags.reading import Bag, BagError, Message
 from uav_ident_ros.identification.identifier import (
     ACTUATORS,
     AIRSPEED,
@@ -29,11 +25,13 @@ from uav_ident_ros.identification.identifier import (
 )
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.imu_block import ImuBlock, decode_imu_block
-from uav_ident_ros.messages import (
+from uav_ident_ros.messages.airspeed import AIRSPEED as AIRSPEED_READERS
+from uav_ident_ros.messages.armed import ARMED as ARMED_READERS
+from uav_ident_ros.messages.cdr import ChannelsDecoder
+from uav_ident_ros.messages.types import (
     RATES as RATES_READERS,
 )
-from uav_ident_ros.messages import (
+from uav_ident_ros.messages.types import (
     ActuatorReader,
     ActuatorReading,
     ChannelError,
@@ -41,6 +39,8 @@ from uav_ident_ros.messages import (
     decode_imu_cdr,
     frame_fault,
 )
+from uav_ident_ros.offline.imu_block import ImuBlock, decode_imu_block
+from uav_ident_ros.offline.inputs import Inputs
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 

@@ -10,7 +10,7 @@ from typing import ParamSpec, TypeVar
 
 import rclpy
 
-from uav_ident_ros.notices import Throttle
+from uav_ident_ros.node.notices import Throttle
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -22,9 +22,7 @@ from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from uav_ident_ros import diagnostics
-from uav_ident_ros.coefficients_file import load_coefficients
-from uav_ident_ros.guard import Guard
+from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import (
     ACTUATORS,
@@ -34,7 +32,9 @@ from uav_ident_ros.identification.identifier import (
     OnlineIdentifier,
 )
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.inputs import (
+from uav_ident_ros.node import diagnostics
+from uav_ident_ros.node.guard import Guard
+from uav_ident_ros.node.inputs import (
     ACTUATORS_TOPIC,
     AIRSPEED_TOPIC,
     ARMED_TOPIC,
@@ -47,11 +47,11 @@ from uav_ident_ros.inputs import (
     airspeed_input,
     armed_input,
 )
-from uav_ident_ros.memory import Memory
-from uav_ident_ros.notices import OnChange, Throttle
-from uav_ident_ros.outputs import RELIABLE, Outputs
-from uav_ident_ros.parameters import Changes, declare, settings_of
-from uav_ident_ros.startup import REFUSALS, USAGE_ERROR, explain, start
+from uav_ident_ros.node.memory import Memory
+from uav_ident_ros.node.notices import OnChange, Throttle
+from uav_ident_ros.node.outputs import RELIABLE, Outputs
+from uav_ident_ros.node.parameters import Changes, declare, settings_of
+from uav_ident_ros.node.startup import REFUSALS, USAGE_ERROR, explain, start
 
 DIAGNOSTICS_PERIOD = 1.0
 """Interval of /diagnostics, s, on a steady clock."""

@@ -12,14 +12,12 @@ from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
-from uav_ident_ros.airspeed import AIRSPEED
-from uav_ident_ros.armed import ARMED
-from uav_ident_ros.cdr import ChannelsDecoder
-from uav_ident_ros.diagnostics import InputMonitor
-from uav_ident_ros.guard import Guard
 from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.messages import (
+from uav_ident_ros.messages.airspeed import AIRSPEED
+from uav_ident_ros.messages.armed import ARMED
+from uav_ident_ros.messages.cdr import ChannelsDecoder
+from uav_ident_ros.messages.types import (
     RATES,
     ActuatorReader,
     ChannelError,
@@ -28,7 +26,9 @@ from uav_ident_ros.messages import (
     frame_fault,
     import_type,
 )
-from uav_ident_ros.notices import Throttle, without_sources
+from uav_ident_ros.node.diagnostics import InputMonitor
+from uav_ident_ros.node.guard import Guard
+from uav_ident_ros.node.notices import Throttle, without_sources
 
 RATES_TOPIC = "imu/data"
 ACTUATORS_TOPIC = "actuators"

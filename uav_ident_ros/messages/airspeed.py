@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from uav_ident_ros.messages import NS_PER_US, header_ns
+from uav_ident_ros.messages.types import NS_PER_US, header_ns
 
 
 class AirspeedReading(NamedTuple):

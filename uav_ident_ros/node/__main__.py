@@ -1,0 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``python -m uav_ident_ros.node``."""
+
+import sys
+
+from uav_ident_ros.node.identifier_node import main
+
+if __name__ == "__main__":
+    sys.exit(main())
