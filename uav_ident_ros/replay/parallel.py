@@ -8,6 +8,7 @@ import signal
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
@@ -35,6 +36,8 @@ def replay_all(jobs: Sequence[Job], workers: int) -> list[Outcome]:
     shown = bar(total=len(jobs), unit=" replays", bar_format="{l_bar}{bar}| {elapsed}<{remaining}")
     told: Told = (lambda share: None) if shown is None else shown.update
     processes = _Processes()
+    # Started by a thread below, it would let Ctrl-C through to the processes of that thread.
+    resource_tracker.ensure_running()
     pool = ThreadPoolExecutor(max(1, min(workers, len(jobs))), initializer=_leave_interrupts)
     try:
         return list(pool.map(lambda job: processes.replay(job, told), jobs))

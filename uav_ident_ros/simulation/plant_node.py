@@ -21,6 +21,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion, Vector3, Vector3Stamped
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -345,6 +346,10 @@ def main(args: list[str] | None = None) -> int:
         status = 1
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except rclpy_implementation.RCLError:
+        if rclpy.ok():
+            raise
+        # A signal ended the context in the middle of a step: that is a clean end too.
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
