@@ -164,39 +164,32 @@ class ResidualGate:
     """Keeps what is far from usual away from coefficients that were good.
 
     Samples count less the further their residuals are above the usual size, and not at all far
-    beyond it: a knock, a landing, a storm. Unless the inputs explain as much as what is left:
-    then it is the aircraft that has changed, and that must be learned. The usual size is
-    learned with the outliers clipped.
+    beyond it. The usual size is learned with the outliers clipped: a lasting change becomes
+    usual in time, a storm passes by.
     """
 
     def __init__(self) -> None:
         self._usual: FloatArray = np.zeros(3)
+        self._recent: FloatArray = np.zeros(3)
         self._time: FloatArray = np.zeros(3)
-        # Means over the recent past: squared residual, effect of the inputs, its square.
-        self._recent: FloatArray = np.zeros((3, 3))
 
     def release(self, row: int) -> None:
         """Learn anew what is usual in a row."""
         self._time[row] = 0.0
 
-    def weigh(
-        self, error: FloatArray, effect: FloatArray, dt: float, max_residual: float
-    ) -> FloatArray:
+    def weigh(self, error: FloatArray, dt: float, max_residual: float) -> FloatArray:
         """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
 
         Parameters
         ----------
         error : (m, 3) array
             Their residuals, rad/s^2.
-        effect : (m, 3) array
-            What the inputs do, as far as is known, rad/s^2.
         dt : float
             Time that they stand for, s.
         max_residual : float
             Residual, relative to its usual size, that is too much; 0 for none.
         """
-        m = len(error)
-        square = np.add.reduce(error * error) / m
+        square = np.add.reduce(error * error) / len(error)
         usual = np.where(self._time >= KNOWN_RESIDUAL, self._usual, np.inf)
         self._time = np.minimum(self._time + dt, RESIDUAL_MEMORY)
         clipped = np.minimum(square, LARGEST_GROWTH * usual)
@@ -205,14 +198,11 @@ class ResidualGate:
             return np.ones(3)
         limit = max_residual**2 * usual
         # No knock is so hard that it is remembered for more than a few seconds.
-        remembered = np.minimum(square, LARGEST_GROWTH * limit)
-        now = np.stack([remembered, np.add.reduce(effect) / m, np.add.reduce(effect * effect) / m])
-        self._recent += min(dt / RECENT_TIME, 1.0) * (now - self._recent)
-        residual, mean, power = self._recent
-        largest = np.maximum(np.maximum(square, residual), np.finfo(float).tiny)
-        weight = np.minimum(OUTLYING * usual / largest, 1.0)
-        explained = power - mean * mean >= largest
-        return np.where(explained, 1.0, np.where(largest > limit, 0.0, weight))
+        recent = np.minimum(square, LARGEST_GROWTH * limit)
+        self._recent += min(dt / RECENT_TIME, 1.0) * (recent - self._recent)
+        largest = np.maximum(square, self._recent)
+        weight = OUTLYING * usual / np.maximum(largest, np.finfo(float).tiny)
+        return np.where(largest > limit, 0.0, np.minimum(weight, 1.0))
 
 
 def grounded(

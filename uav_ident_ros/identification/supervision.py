@@ -177,8 +177,7 @@ class Supervisor:
         """
         limit = self.settings.supervision.max_residual
         error = data.y - data.f @ coefficients.T
-        effect = data.f[:, INPUT_COLUMNS] @ coefficients[:, INPUT_COLUMNS].T
-        weight = self._residuals.weigh(error, effect, data.dt * len(error), limit)
+        weight = self._residuals.weigh(error, data.dt * len(error), limit)
         if not self._proven:
             weight = np.ones(3)  # what was never good must be free to change at once
         self._within = weight > 0.0
