@@ -310,10 +310,7 @@ def window_errors(
         If stamps do not rise or shapes do not match.
     """
     _check(t_ns, rates, inputs, ticks_ns, coefficients, structure)
-    arm = np.zeros(3) if lever_arm is None else np.asarray(lever_arm, dtype=np.float64)
-    force = np.zeros((len(t_ns), 2)) if force is None else force
-    if arm.any():
-        force = force - centripetal(rates, arm)
+    arm, force = _arm_and_force(rates, force, lever_arm)
     usable = _covered(ticks_ns, t_ns, inputs)
     if not usable.any():
         return WindowErrors.none()
@@ -337,6 +334,15 @@ def window_errors(
         measured=total,
         measured_square=square,
     )
+
+
+def _arm_and_force(
+    rates: FloatArray, force: FloatArray | None, lever_arm: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lever arm, and the forces less their centripetal part; zero where not given."""
+    arm = np.zeros(3) if lever_arm is None else np.asarray(lever_arm, dtype=np.float64)
+    force = np.zeros((len(rates), 2)) if force is None else force
+    return arm, force - centripetal(rates, arm) if arm.any() else force
 
 
 def predict_ahead(
@@ -369,10 +375,7 @@ def predict_ahead(
         If stamps do not rise or shapes do not match.
     """
     _check(t_ns, rates, inputs, ticks_ns, coefficients, structure)
-    arm = np.zeros(3) if lever_arm is None else np.asarray(lever_arm, dtype=np.float64)
-    force = np.zeros((len(t_ns), 2)) if force is None else force
-    if arm.any():
-        force = force - centripetal(rates, arm)
+    arm, force = _arm_and_force(rates, force, lever_arm)
     usable = _covered(ticks_ns, t_ns, inputs, horizon_ns)
     ticks = ticks_ns[usable]
     if not len(ticks):
