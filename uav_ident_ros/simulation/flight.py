@@ -15,13 +15,26 @@ from uav_ident_ros.simulation.errors import SimulationError
 
 IntArray = NDArray[np.int64]
 
-__all__ = ["EPOCH_NS", "GRAVITY", "CoefficientChange", "Flight", "IntArray", "SimulationError"]
+__all__ = [
+    "EPOCH_NS",
+    "GRAVITY",
+    "CoefficientChange",
+    "Flight",
+    "IntArray",
+    "SimulationError",
+    "stamps",
+]
 
 GRAVITY = 9.80665
 """Standard gravity, m/s^2."""
 
 EPOCH_NS = 1_700_000_000 * 10**9
 """Stamp of the first sample of every simulated flight, ns (14 November 2023)."""
+
+
+def stamps(seconds: FloatArray) -> IntArray:
+    """Stamps, ns, of times after the first sample of a flight, s."""
+    return EPOCH_NS + np.asarray(np.rint(seconds * 1e9), dtype=np.int64)
 
 
 @dataclass(frozen=True)

@@ -266,3 +266,14 @@ def sample_inputs(segments: Sequence[Segment], t: FloatArray) -> FloatArray:
     for segment in segments:
         u += segment.sample(t)
     return u
+
+
+def excited_intervals(
+    segments: Sequence[Segment], duration: float
+) -> tuple[tuple[float, float], ...]:
+    """(start, end) of every segment that excites something, s."""
+    return tuple(
+        (s.start, min(duration, s.start + s.duration))
+        for s in segments
+        if s.kind != "quiet" and any(s.amplitudes.values())
+    )

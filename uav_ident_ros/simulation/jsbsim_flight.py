@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -22,9 +21,9 @@ from uav_ident_ros.simulation.aircraft import (
     start_turbulence,
 )
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import EPOCH_NS, CoefficientChange, Flight
-from uav_ident_ros.simulation.inputs import Segment, sample_inputs
-from uav_ident_ros.simulation.plant import GRID_TOLERANCE, excited_intervals
+from uav_ident_ros.simulation.flight import CoefficientChange, Flight, IntArray, stamps
+from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
+from uav_ident_ros.simulation.plant import GRID_TOLERANCE
 
 SETTLING_TIME = 20.0
 """Time on the autopilot before the record begins, s."""
@@ -200,22 +199,19 @@ def _make_flight(
     spec: AircraftFlight,
     name: str,
     record: FloatArray,
-    command_steps: Any,
+    command_steps: IntArray,
     commands: FloatArray,
     trim: FloatArray,
 ) -> Flight:
-    def nanoseconds(steps: Any) -> Any:
-        return EPOCH_NS + np.rint(steps * (1e9 / spec.rate)).astype(np.int64)
-
     extra = {key: record[:, COLUMN[key]] for key in ("alpha", "beta", "roll", "pitch", "altitude")}
     surfaces = [COLUMN[key] for key in ("elevator", "rudder", "aileron", "throttle")]
     return Flight(
         name=name or spec.aircraft,
-        t_ns=nanoseconds(np.arange(len(record))),
+        t_ns=stamps(np.arange(len(record)) / spec.rate),
         rates=record[:, 0:3],
         angular_acceleration=record[:, 3:6],
         specific_force=record[:, 6:9],
-        actuator_t_ns=nanoseconds(command_steps),
+        actuator_t_ns=stamps(command_steps / spec.rate),
         inputs=commands - trim,
         trim=np.array(trim),
         delay=spec.delay,

@@ -28,13 +28,13 @@ from uav_ident_ros.identification.structure import (
 from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import (
-    EPOCH_NS,
     GRAVITY,
     CoefficientChange,
     Flight,
     changed_coefficients,
+    stamps,
 )
-from uav_ident_ros.simulation.inputs import Segment, sample_inputs
+from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
 from uav_ident_ros.simulation.vehicles import Vehicle
 
 DEFAULT_TRIM = (0.0, 0.0, 0.0, 0.5)
@@ -218,11 +218,11 @@ def fly(spec: PlantFlight, name: str = "") -> Flight:
     run.fly()
     return Flight(
         name=name or spec.vehicle.name,
-        t_ns=EPOCH_NS + _nanoseconds(np.arange(grid.samples) / spec.rate),
+        t_ns=stamps(np.arange(grid.samples) / spec.rate),
         rates=run.rates,
         angular_acceleration=run.acceleration,
         specific_force=force,
-        actuator_t_ns=EPOCH_NS + _nanoseconds(grid.command_steps * grid.step),
+        actuator_t_ns=stamps(grid.command_steps * grid.step),
         inputs=run.commands,
         trim=np.asarray(spec.trim, dtype=np.float64),
         delay=spec.delay,
@@ -232,21 +232,6 @@ def fly(spec: PlantFlight, name: str = "") -> Flight:
         changes=spec.changes,
         excitation=excited_intervals(spec.segments, spec.duration),
         extra={"gust": gust},
-    )
-
-
-def _nanoseconds(seconds: FloatArray) -> NDArray[np.int64]:
-    return np.asarray(np.rint(seconds * 1e9), dtype=np.int64)
-
-
-def excited_intervals(
-    segments: Sequence[Segment], duration: float
-) -> tuple[tuple[float, float], ...]:
-    """(start, end) of every segment that excites something, s."""
-    return tuple(
-        (s.start, min(duration, s.start + s.duration))
-        for s in segments
-        if s.kind != "quiet" and any(s.amplitudes.values())
     )
 
 
