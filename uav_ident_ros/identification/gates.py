@@ -7,8 +7,10 @@ inputs excite the aircraft at all is another question: `estimators.excitation`.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -89,6 +91,10 @@ class SensorGate:
         before = samples[:1] if self._last is None else self._last
         changed = np.logical_or.reduce(samples != before)
         self._last = samples[-1:]
+        if changed.all():  # nearly always
+            self._constant_since.fill(t)
+            self._moved.fill(True)
+            return ""
         self._moved |= changed
         self._constant_since[changed] = t
         stuck = self._moved & (t - self._constant_since > stuck_time)
@@ -169,40 +175,64 @@ class ResidualGate:
     """
 
     def __init__(self) -> None:
-        self._usual: FloatArray = np.zeros(3)
-        self._recent: FloatArray = np.zeros(3)
-        self._time: FloatArray = np.zeros(3)
+        self._rows = (_RowResidual(), _RowResidual(), _RowResidual())
 
     def release(self, row: int) -> None:
         """Learn anew what is usual in a row."""
-        self._time[row] = 0.0
+        self._rows[row].time = 0.0
 
-    def weigh(self, error: FloatArray, dt: float, max_residual: float) -> FloatArray:
+    def weigh(self, residual: FloatArray, dt: float, max_residual: float) -> FloatArray:
         """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
 
         Parameters
         ----------
-        error : (m, 3) array
+        residual : (m, 3) array
             Their residuals, rad/s^2.
         dt : float
             Time that they stand for, s.
         max_residual : float
             Residual, relative to its usual size, that is too much; 0 for none.
         """
-        square = np.add.reduce(error * error) / len(error)
-        usual = np.where(self._time >= KNOWN_RESIDUAL, self._usual, np.inf)
-        self._time = np.minimum(self._time + dt, RESIDUAL_MEMORY)
-        clipped = np.minimum(square, LARGEST_GROWTH * usual)
-        self._usual += dt / self._time * (clipped - self._usual)
+        squares = (np.add.reduce(residual * residual) / len(residual)).tolist()
+        weights = [
+            row.weigh(square, dt, max_residual)
+            for row, square in zip(self._rows, squares, strict=True)
+        ]
+        return np.array(weights)
+
+
+@dataclass
+class _RowResidual:
+    """Mean squares of the residuals of one row, rad^2/s^4; plain floats, since there are few.
+
+    Parameters
+    ----------
+    usual, recent : float
+        Over a long and over a short time.
+    time : float
+        Time over which the usual one was taken, s.
+    """
+
+    usual: float = 0.0
+    recent: float = 0.0
+    time: float = 0.0
+
+    def weigh(self, square: float, dt: float, max_residual: float) -> float:
+        """Return how much samples with the mean square `square` count, 0 ... 1."""
+        usual = self.usual if self.time >= KNOWN_RESIDUAL else math.inf
+        self.time = min(self.time + dt, RESIDUAL_MEMORY)
+        clipped = min(square, LARGEST_GROWTH * usual)
+        self.usual += dt / self.time * (clipped - self.usual)
         if max_residual <= 0.0:
-            return np.ones(3)
-        limit = max_residual**2 * usual
+            return 1.0
+        limit = max_residual * max_residual * usual
         # No knock is so hard that it is remembered for more than a few seconds.
-        recent = np.minimum(square, LARGEST_GROWTH * limit)
-        self._recent += min(dt / RECENT_TIME, 1.0) * (recent - self._recent)
-        largest = np.maximum(square, self._recent)
-        weight = OUTLYING * usual / np.maximum(largest, np.finfo(float).tiny)
-        return np.where(largest > limit, 0.0, np.minimum(weight, 1.0))
+        recent = min(square, LARGEST_GROWTH * limit)
+        self.recent += min(dt / RECENT_TIME, 1.0) * (recent - self.recent)
+        largest = max(square, self.recent)
+        if largest > limit:
+            return 0.0
+        return 1.0 if largest <= OUTLYING * usual else OUTLYING * usual / largest
 
 
 def grounded(

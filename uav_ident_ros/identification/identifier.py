@@ -604,13 +604,14 @@ class OnlineIdentifier:
         states = self._model.run(coefficients, block, leak)
         scale = self._speed.scale if self._speed.enabled else None
         regression = self._filter.apply(block, states, scale)
-        time = block.h * len(block.u)
         learns = self._speed.known and not self._supervisor.closed
         if learns:
-            self._learned_time += time
-            weight = self._supervisor.weigh(regression, self._estimator.coefficients)
-            self._estimator.update(regression, weight)
-        self._supervisor.follow(int(block.t_ns[-1]) * NS, self._estimator, learns, time)
+            self._learned_time += regression.time
+            residual = regression.residual(self._estimator.coefficients)
+            weight = self._supervisor.weigh(residual, regression.time)
+            self._estimator.update(regression, residual, weight)
+        t = int(block.t_ns[-1]) * NS
+        self._supervisor.follow(t, self._estimator, learns, regression.time)
 
     def _paper_tick(self, t_ns: int) -> bool:
         """Learn as the paper does: backward differences of the rates at the ticks."""
@@ -628,7 +629,8 @@ class OnlineIdentifier:
         )
         learns = not self._supervisor.closed
         if learns:
-            self._estimator.update(regression, np.ones(3))
+            residual = regression.residual(self._estimator.coefficients)
+            self._estimator.update(regression, residual, np.ones(3))
         self._supervisor.follow(t_ns * NS, self._estimator, learns, dt)
         return True
 

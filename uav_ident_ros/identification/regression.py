@@ -17,6 +17,7 @@ from uav_ident_ros.identification.frames import lever_arm_matrix
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
+    INPUTS,
     SPECIFIC_FORCES,
     FloatArray,
     Structure,
@@ -50,6 +51,15 @@ class Regression:
     f: FloatArray
     z: FloatArray
     dt: float
+
+    @property
+    def time(self) -> float:
+        """Time that all samples together stand for, s."""
+        return self.dt * len(self.y)
+
+    def residual(self, coefficients: FloatArray) -> FloatArray:
+        """Return ``e = y - A f`` of coefficients of shape (3, n); shape (m, 3), rad/s^2."""
+        return np.asarray(self.y - self.f @ coefficients.T)
 
 
 class StateVariableFilter:
@@ -97,11 +107,7 @@ class StateVariableFilter:
         if block.restarted:
             self._filter.state = np.zeros((2, self._channels))
             self._filter.state[0, :3] = block.x[0]
-        edges = np.empty((len(block.x), self._channels))
-        no_input = np.zeros(4)
-        edges[:, :3] = block.x
-        edges[:, 3 : 3 + n] = self._structure.regressor(block.x, no_input, block.force)
-        edges[:, 3 + n :] = self._structure.regressor(model_states, no_input)[:, STATE_COLUMNS]
+        edges = self._edges(block, model_states)
         left, right = edges[:-1].copy(), edges[1:]
         inputs = slice(3 + INPUT_COLUMNS.start, 3 + INPUT_COLUMNS.stop)
         left[:, inputs] = right[:, inputs] = block.u
@@ -119,7 +125,22 @@ class StateVariableFilter:
             f[:, -len(SPECIFIC_FORCES) :] -= y @ self._lever.T
         return Regression(y, f, z, block.h)
 
+    def _edges(self, block: Block, model_states: FloatArray) -> FloatArray:
+        """Signals at the edges of the cells, but for the inputs: rates, regressors, instruments."""
+        n, points = self._structure.size, len(block.x)
+        both = self._structure.regressor(np.concatenate((block.x, model_states)), _NO_INPUT)
+        edges = np.empty((points, self._channels))
+        edges[:, :3] = block.x
+        edges[:, 3 : 3 + n] = both[:points]
+        edges[:, 3 + n :] = both[points:, STATE_COLUMNS]
+        if n > INPUT_COLUMNS.stop:
+            edges[:, 3 + n - len(SPECIFIC_FORCES) : 3 + n] = block.force
+        return edges
+
 
 def without_negligible(signals: FloatArray) -> FloatArray:
     """Return signals with zeros where they are negligible."""
     return np.where(np.abs(signals) < NEGLIGIBLE, 0.0, signals)
+
+
+_NO_INPUT: FloatArray = np.zeros(len(INPUTS))

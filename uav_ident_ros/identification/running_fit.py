@@ -12,6 +12,10 @@ from uav_ident_ros.identification.structure import FloatArray
 PREDICTION_TIME = 1.0
 """Length of a prediction, s, as in the score of record."""
 
+PIECE_TIME = 0.25
+"""Length of the pieces in which a prediction is computed, s: all at once, it would make one tick
+a second twice as long as the others."""
+
 FIT_MEMORY = 30.0
 """Time constant of the running fit, s; half of its age while that is less, so that the first
 attempts are soon forgotten."""
@@ -48,14 +52,15 @@ class RunningFit:
         self.hold: FloatArray = np.zeros(3)
         self.saved: FloatArray = np.zeros(3)
         self.predictions = 0
-        self._blocks: list[Block] = []
-        self._time = self._age = 0.0
+        self._age = 0.0
         self._sums: FloatArray = np.zeros((6, 3))
+        self.restart()
 
     def restart(self) -> None:
         """Give up the prediction under way."""
-        self._blocks.clear()
-        self._time = 0.0
+        self._blocks: list[Block] = []
+        self._piece_time = self._time = 0.0
+        self._now: FloatArray = np.zeros((6, 3))
 
     def save(self) -> None:
         """Take note that the coefficients in use are saved: so far they have one history."""
@@ -75,28 +80,41 @@ class RunningFit:
         """
         if block.restarted:
             self.restart()
-        if not self._blocks:
+        if self._time == 0.0 and not self._blocks:
             self._coefficients, self._saved = coefficients, saved
+            self._start = self._predicted = self._predicted_by_saved = block.x[0]
         self._blocks.append(block)
-        self._time += block.h * len(block.u)
-        if self._time >= PREDICTION_TIME - 0.5 * block.h:
+        self._piece_time += block.h * len(block.u)
+        rest = PREDICTION_TIME - self._time
+        if self._piece_time >= min(PIECE_TIME, rest) - 0.5 * block.h:
             self._predict(join(self._blocks))
+            self._time += self._piece_time
+            self._piece_time = 0.0
+            self._blocks.clear()
+        if self._time >= PREDICTION_TIME - 0.5 * block.h:
+            self._count()
             self.restart()
 
-    def _predict(self, second: Block) -> None:
-        """Predict a second, and compare."""
-        x = second.x[1:]
-        now = np.zeros((6, 3))
-        now[_SPREAD] = np.full(3, len(x)), x.sum(axis=0), (x * x).sum(axis=0)
-        now[_MODEL] = self._error(second, self._coefficients)
-        now[_HOLD] = ((x - second.x[0]) ** 2).sum(axis=0)
+    def _predict(self, piece: Block) -> None:
+        """Predict the next piece of the second, and compare."""
+        x, now = piece.x[1:], self._now
+        now[_SPREAD] += np.full(3, len(x)), x.sum(axis=0), (x * x).sum(axis=0)
+        now[_HOLD] += ((x - self._start) ** 2).sum(axis=0)
+        error, self._predicted = self._error(piece, self._coefficients, self._predicted)
+        now[_MODEL] += error
         if self._saved is not None:
-            now[_SAVED] = self._error(second, self._saved)
+            last = self._predicted_by_saved
+            error, self._predicted_by_saved = self._error(piece, self._saved, last)
+            now[_SAVED] += error
+
+    def _count(self) -> None:
+        """Count the second that was predicted."""
+        now = self._now
         self.predictions += 1
         self._age += self._time
         keep = np.exp(-self._time / min(FIT_MEMORY, 0.5 * self._age))
         sums = keep * self._sums + now
-        usual = _spread(sums) * len(x) / sums[0]
+        usual = _spread(sums) * now[0] / sums[0]
         failed = FAILED_PREDICTION * np.maximum(_spread(now), usual)
         errors = slice(_SPREAD.stop, None)
         sums[errors] -= np.maximum(now[errors] - failed, 0.0)
@@ -105,12 +123,14 @@ class RunningFit:
         if self._saved is None:
             self.saved = np.zeros(3)
 
-    def _error(self, second: Block, coefficients: FloatArray) -> FloatArray:
-        """Sum of the squared errors of a prediction, shape (3,)."""
-        predicted = self._model.propagate(coefficients, second, second.x[0])[1:]
+    def _error(
+        self, piece: Block, coefficients: FloatArray, x0: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Sum of the squared errors of a prediction from `x0`, and where it ends, shape (3,)."""
+        predicted = self._model.propagate(coefficients, piece, x0)[1:]
         # A divergent prediction is clipped, as in the score of record; NaN fails the test too.
         predicted = np.where(np.abs(predicted) < LARGEST_RATE, predicted, LARGEST_RATE)
-        return np.asarray(((second.x[1:] - predicted) ** 2).sum(axis=0))
+        return ((piece.x[1:] - predicted) ** 2).sum(axis=0), predicted[-1]
 
 
 def _spread(sums: FloatArray) -> FloatArray:

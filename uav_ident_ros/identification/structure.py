@@ -25,6 +25,8 @@ INPUTS = ("de", "dr", "da", "dth")
 
 RATE_PRODUCTS = ("pq", "qr", "pr", "pp", "rr")
 RATES = ("p", "q", "r")
+_FIRST_FACTOR = np.array([RATES.index(product[0]) for product in RATE_PRODUCTS])
+_SECOND_FACTOR = np.array([RATES.index(product[1]) for product in RATE_PRODUCTS])
 SPECIFIC_FORCES = ("ay", "az")
 CONSTANT = "1"
 
@@ -126,12 +128,7 @@ class Structure:
             The regressors, in the order of `regressors`.
         """
         f = np.empty((*np.shape(x)[:-1], self.size))
-        p, q, r = x[..., 0], x[..., 1], x[..., 2]
-        f[..., 0] = p * q
-        f[..., 1] = q * r
-        f[..., 2] = p * r
-        f[..., 3] = p * p
-        f[..., 4] = r * r
+        f[..., PRODUCT_COLUMNS] = x.take(_FIRST_FACTOR, axis=-1) * x.take(_SECOND_FACTOR, axis=-1)
         f[..., RATE_COLUMNS] = x
         f[..., INPUT_COLUMNS] = u
         if self.size > len(PAPER_REGRESSORS):

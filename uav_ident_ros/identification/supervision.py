@@ -16,7 +16,6 @@ from uav_ident_ros.identification.gates import (
     SensorGate,
     grounded,
 )
-from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
@@ -165,19 +164,18 @@ class Supervisor:
         )
         self.closed = next(filter(None, reasons), "")
 
-    def weigh(self, data: Regression, coefficients: FloatArray) -> FloatArray:
+    def weigh(self, residual: FloatArray, time: float) -> FloatArray:
         """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
 
         Parameters
         ----------
-        data : Regression
-            The samples.
-        coefficients : (3, n) array
-            What is known, of which `data` tells more.
+        residual : (m, 3) array
+            Their residuals, rad/s^2.
+        time : float
+            Time that they stand for, s.
         """
         limit = self.settings.supervision.max_residual
-        error = data.y - data.f @ coefficients.T
-        weight = self._residuals.weigh(error, data.dt * len(error), limit)
+        weight = self._residuals.weigh(residual, time, limit)
         if not self._proven:
             weight = np.ones(3)  # what was never good must be free to change at once
         self._within = weight > 0.0

@@ -46,8 +46,18 @@ class Estimator(Protocol):
     def sigma(self) -> FloatArray:
         """Standard deviations, shape (3, n); 0 where a coefficient is not free."""
 
-    def update(self, data: Regression, weight: FloatArray) -> None:
-        """Learn from the samples of a tick; they count for `weight` of each row, 0 ... 1."""
+    def update(self, data: Regression, residual: FloatArray, weight: FloatArray) -> None:
+        """Learn from the samples of a tick.
+
+        Parameters
+        ----------
+        data : Regression
+            m samples.
+        residual : (m, 3) array
+            Their residuals from the coefficients as they are, rad/s^2.
+        weight : (3,) array
+            How much they count in each row, 0 ... 1.
+        """
 
     def reconfigure(self, settings: Settings) -> None:
         """Take over the settings that may change in flight."""

@@ -87,6 +87,7 @@ class ChangeDetector:
     def __init__(self, free: BoolArray) -> None:
         # Throttle acts through the propeller's speed: its column has no single true value.
         self._watched: BoolArray = free[:, INPUT_COLUMNS] & SURFACES
+        self._row, self._input = np.nonzero(self._watched)
         self.recent: deque[TickMean] = deque()
         self.slope: FloatArray = np.zeros((3, 4))
         self._recent_time = 0.0
@@ -112,8 +113,7 @@ class ChangeDetector:
         lively : (3, 4) bool array
             Inputs that move enough to tell, in rows that see excitation.
         """
-        dt = data.dt * len(data.y)
-        m = len(data.y)
+        dt, m = data.time, len(data.y)
         y, f, z = (np.add.reduce(part) / m for part in (data.y, data.f, data.z))
         self.recent.append(TickMean(y, f, z, dt))
         self._recent_time += dt
@@ -167,21 +167,32 @@ class ChangeDetector:
         u = f[:, INPUT_COLUMNS]
         u = u - np.add.reduce(u) / len(u)
         rho = self._correlation(residual)
-        white = residual[1:] - rho * residual[:-1]
-        u_white = u[1:, None, :] - rho[:, None] * u[:-1, None, :]
+        white = (residual[1:] - rho * residual[:-1])[:, self._row]
+        # One column for each watched coefficient.
+        u_white = u[1:, self._input] - rho[self._row] * u[:-1, self._input]
         power = np.add.reduce(u_white * u_white)
         power[power < np.finfo(float).tiny ** 0.5] = np.inf  # a constant input has no slope
-        self.slope = np.add.reduce(u_white * white[:, :, None]) / power
-        # Scores of the slope, (ticks, 3, 4); sums over sliding blocks of the correlation
-        # time give the Bartlett estimate of their long-run variance.
-        scores = u_white * (white[:, :, None] - self.slope * u_white)
-        sums = np.zeros((len(white) + 1, 3, 4))
+        slope = np.add.reduce(u_white * white) / power
+        deviation = np.sqrt(self._long_run(u_white * (white - slope * u_white))) / power
+        t = np.zeros((3, 4))
+        t[self._watched] = np.divide(
+            np.abs(slope), deviation, out=np.zeros(len(slope)), where=deviation > 0.0
+        )
+        self.slope = np.zeros((3, 4))
+        self.slope[self._watched] = slope
+        return t
+
+    def _long_run(self, scores: FloatArray) -> FloatArray:
+        """Return the variance of the sums of scores of shape (ticks, k), shape (k,).
+
+        Sums over sliding blocks of the correlation time give the Bartlett estimate.
+        """
+        ticks = len(scores)
+        sums = np.zeros((ticks + 1, scores.shape[1]))
         np.add.accumulate(scores, out=sums[1:])
-        length = min(max(1, round(CORRELATION_TIME / self.recent[-1].dt)), len(white))
+        length = min(max(1, round(CORRELATION_TIME / self.recent[-1].dt)), ticks)
         blocks = sums[length:] - sums[:-length]
-        variance = np.add.reduce(blocks * blocks) * (len(white) / (length * len(blocks)))
-        deviation = np.sqrt(variance) / power
-        return np.divide(np.abs(self.slope), deviation, out=np.zeros((3, 4)), where=deviation > 0.0)
+        return np.asarray(np.add.reduce(blocks * blocks) * (ticks / (length * len(blocks))))
 
     def _correlation(self, residual: FloatArray) -> FloatArray:
         """Return the running correlation of the residuals from tick to tick, shape (3,)."""

@@ -71,22 +71,24 @@ class ExcitationGate:
         self.learning: BoolArray = np.ones(3, dtype=bool)
         self.quiet: BoolArray = np.zeros(free.shape[1], dtype=bool)
 
-    def update(self, data: Regression, coefficients: FloatArray, sigma: FloatArray) -> BoolArray:
+    def update(
+        self, data: Regression, residual: FloatArray, coefficients: FloatArray, sigma: FloatArray
+    ) -> BoolArray:
         """Return which rows may learn from the samples of this tick, shape (3,).
 
         Parameters
         ----------
         data : Regression
             Samples of the tick.
+        residual : (m, 3) array
+            Their residuals, rad/s^2.
         coefficients, sigma : (3, n) arrays
             What is known, and how well.
         """
         u = data.f[:, INPUT_COLUMNS]
-        error = data.y - data.f @ coefficients.T
-        dt = data.dt * len(u)
-        sums = ((len(u),), np.add.reduce(u), np.add.reduce(u * u), np.add.reduce(error * error))
-        self._window.append(data.dt * np.concatenate(sums))
-        self._since_look += dt
+        sums = (np.add.reduce(u), np.add.reduce(u * u), np.add.reduce(residual * residual))
+        self._window.append(data.dt * np.concatenate(((len(u),), *sums)))
+        self._since_look += data.time
         if self._since_look >= LOOK_TIME or len(self._window) == 1:
             self._look(coefficients[:, INPUT_COLUMNS], sigma[:, INPUT_COLUMNS])
         return self.learning

@@ -148,14 +148,14 @@ class GradientEstimator:
         distance = self.coefficients - self.information.solve()
         return np.where(self._start.free, np.hypot(self.information.sigma, distance), 0.0)
 
-    def update(self, data: Regression, weight: FloatArray) -> None:
+    def update(self, data: Regression, residual: FloatArray, weight: FloatArray) -> None:
         """Take one step of the law over the time that the samples stand for.
 
         The law knows no weights: a row that counts at all takes the whole step.
         """
-        dt = data.dt * len(data.y)
+        dt = data.time
         self.learning = weight > 0.0
-        self._reference.accumulate(data, self.coefficients, weight)
+        self._reference.accumulate(data, residual, weight)
         y, f = data.y[-1], data.f[-1]
         moved, step = gradient_step(
             self.coefficients,

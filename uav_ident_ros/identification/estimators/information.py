@@ -101,6 +101,13 @@ class Columns:
         return out
 
 
+def _parts(sums: FloatArray, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return views of R (3, k, k), r and score (3, k), in sums of shape (3, k * k + 2 * k)."""
+    square = k * k
+    matrix = sums[:, :square].reshape(3, k, k)
+    return matrix, sums[:, square : square + k], sums[:, square + k :]
+
+
 class Information:
     """Information of three rows, with forgetting and prior.
 
@@ -129,23 +136,23 @@ class Information:
         self.columns = Columns(start.free)
         k, n = self.columns.size, start.values.shape[1]
         self._precision = self.columns.gather(start.precision)
-        # Where the entries of each row stand in the product of a tick: z, then residuals,
-        # by f, deviations, residuals.
+        # Where the entries of each row stand in the product of a tick, which is z by f,
+        # deviations, residuals: first those of R, (k, k), then those of r and of the score, (k,).
         index, rows = self.columns.index, np.arange(3)[:, None]
-        width = n + 6
-        self._take_matrix = index[:, :, None] * width + index[:, None, :]
-        self._take_vector = index * width + n + rows
-        self._take_score = index * width + n + 3 + rows
-        self._take_square = ((n + rows) * width + n + 3 + rows)[:, 0]
-        self._pairs = (self.columns.used[:, :, None] & self.columns.used[:, None, :]) * 1.0
-        self.matrix: FloatArray = np.zeros((3, k, k))
-        self.vector: FloatArray = np.zeros((3, k))
+        used, width = self.columns.used, n + 6
+        matrix = index[:, :, None] * width + index[:, None, :]
+        self._take = np.hstack(
+            [matrix.reshape(3, -1), index * width + n + rows, index * width + n + 3 + rows]
+        )
+        pairs = used[:, :, None] & used[:, None, :]
+        self._used = np.hstack([pairs.reshape(3, -1), used, used]) * 1.0
+        self._sums: FloatArray = np.zeros((3, k * k + 2 * k))
+        self.matrix, self.vector, self._score = _parts(self._sums, k)
         self.added: tuple[FloatArray, FloatArray] = (self.matrix, self.vector)
         self.residual_variance: FloatArray = np.full(3, FIRST_RESIDUAL_VARIANCE)
         self.time: FloatArray = np.zeros(3)
         self._square: FloatArray = np.zeros(3)
         self._scores: FloatArray = np.zeros((3, k, k))
-        self._score: FloatArray = np.zeros((3, k))
         self._score_time: FloatArray = np.zeros(3)
         self._blocks: FloatArray = np.zeros(3)
         self._quiet: BoolArray | None = None
@@ -155,7 +162,7 @@ class Information:
         self,
         data: Regression,
         z: FloatArray,
-        coefficients: FloatArray,
+        residual: FloatArray,
         weight: FloatArray,
         quiet: BoolArray | None = None,
     ) -> None:
@@ -167,8 +174,8 @@ class Information:
             Samples of y = A f.
         z : (m, n) array
             Instruments.
-        coefficients : (3, n) array
-            The estimate before the tick, from which the residuals are taken.
+        residual : (m, 3) array
+            Residuals from the estimate before the tick.
         weight : (3,) array
             How much the samples count in each row, 0 ... 1; a row with 0 stays as it is, the
             others also forget.
@@ -178,23 +185,15 @@ class Information:
         self._quiet = quiet
         dt = (weight > 0.0) * data.dt
         weight = weight * data.dt
-        residual = data.y - data.f @ coefficients.T
         # Deviations from the start, so that what is fixed or unexcited stays where it is.
-        deviation = data.y - data.f @ self._start.values.T
-        product = np.concatenate([z, residual], axis=1).T @ np.concatenate(
-            [data.f, deviation, residual], axis=1
-        )
-        row = weight[:, None] * self.columns.used
-        self.added = (
-            product.take(self._take_matrix) * (weight[:, None, None] * self._pairs),
-            product.take(self._take_vector) * row,
-        )
-        self.matrix += self.added[0]
-        self.vector += self.added[1]
-        self._score += product.take(self._take_score) * row
-        self._square += product.take(self._take_square) * dt
+        deviation = data.residual(self._start.values)
+        product = z.T @ np.concatenate((data.f, deviation, residual), axis=1)
+        added = product.take(self._take) * (weight[:, None] * self._used)
+        self._sums += added
+        self.added = _parts(added, self.columns.size)[:2]
+        self._square += np.add.reduce(residual * residual) * dt
         self._score_time += dt * len(data.y)
-        if self._score_time.max() >= BLOCK_TIME:
+        if max(self._score_time.tolist()) >= BLOCK_TIME:
             self._close_blocks(self._score_time >= BLOCK_TIME)
 
     def _close_blocks(self, full: BoolArray) -> None:

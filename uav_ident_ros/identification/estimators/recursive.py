@@ -99,7 +99,7 @@ class InstrumentalVariable:
     def accumulate(
         self,
         data: Regression,
-        coefficients: FloatArray,
+        residual: FloatArray,
         weight: FloatArray,
         quiet: BoolArray | None = None,
     ) -> None:
@@ -108,11 +108,11 @@ class InstrumentalVariable:
             self.warming_up = False
             self._fading = self.information.snapshot()
         if self._fading is not None:
-            self._since_fade += (weight > 0.0) * (data.dt * len(data.y))
+            self._since_fade += (weight > 0.0) * data.time
             if self._since_fade.max() >= FADE_STEP:
                 self._fading = self._fade(self._fading)
         z = data.f if self.warming_up else data.z
-        self.information.accumulate(data, z, coefficients, weight, quiet)
+        self.information.accumulate(data, z, residual, weight, quiet)
 
     def _fade(self, start: Snapshot) -> Snapshot | None:
         """Fade the least-squares start a step further; return what is left of it."""
@@ -188,14 +188,14 @@ class RecursiveRegression:
         distance = self.coefficients - self._reference.information.solve()
         return np.where(self._start.free, np.hypot(sigma, distance), 0.0)
 
-    def update(self, data: Regression, weight: FloatArray) -> None:
+    def update(self, data: Regression, residual: FloatArray, weight: FloatArray) -> None:
         """Add the samples of a tick and solve."""
-        weight = weight * self._gate.update(data, self.coefficients, self.information.sigma)
+        known = (self.coefficients, self.information.sigma)
+        weight = weight * self._gate.update(data, residual, *known)
         self.learning = weight > 0.0
-        known = (self.coefficients, weight, self._gate.quiet)
-        self._reference.accumulate(data, *known)
+        self._reference.accumulate(data, residual, weight, self._gate.quiet)
         if not self._instrumental:
-            self.information.accumulate(data, data.f, *known)
+            self.information.accumulate(data, data.f, residual, weight, self._gate.quiet)
         self._follow_changes(data)
         self._accept(self.information.solve())
 
@@ -232,7 +232,7 @@ class RecursiveRegression:
         self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
         for i, j in changed:
             self._release(i, INPUT_COLUMNS.start + j, float(self._detector.slope[i, j]))
-        self._since_snapshot += data.dt * len(data.y)
+        self._since_snapshot += data.time
         if self._since_snapshot >= SNAPSHOT_TIME:
             self._snapshots.append(self.information.snapshot())
             self._since_snapshot = 0.0
@@ -259,7 +259,7 @@ class RecursiveRegression:
         y = data.y[:, row]
         trial.old_error += float(np.sum((y - data.f @ trial.old) ** 2))
         trial.new_error += float(np.sum((y - data.f @ self.coefficients[row]) ** 2))
-        trial.time += data.dt * len(y)
+        trial.time += data.time
         if trial.time >= TRIAL_TIME:
             del self._trials[row]
             if trial.new_error > TRIAL_RATIO * trial.old_error:
