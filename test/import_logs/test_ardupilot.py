@@ -182,9 +182,9 @@ def test_the_unit_can_be_chosen(tmp_path: Path, capsys) -> None:
     rows = imu(0) + imu(1, 3.0) + rcou()
     bag, _, said = imported(tmp_path, capsys, rows, PLANE, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, 3.0 * RATES, rtol=1e-6)
-    assert "units [0, 1] of IMU" in said
+    assert "instances [0, 1] of IMU" in said
     log = [str(tmp_path / "flight.bin"), "--output", str(tmp_path / "other")]
-    assert "unit 2); it has" in refusal([*log, "--rates-instance", "2"], capsys)
+    assert "instance 2); it has" in refusal([*log, "--rates-instance", "2"], capsys)
     assert "one set of actuators" in refusal([*log, "--actuators-instance", "1"], capsys)
 
 

@@ -106,7 +106,7 @@ def test_a_ulog_with_garbage_inside_says_so(tmp_path: Path, capsys, out) -> None
 
 def test_a_ulog_without_gyro_or_actuators(tmp_path: Path, capsys, out) -> None:
     for key, what in (
-        (("sensor_combined", 0), "gyro"),
+        (("sensor_combined", 0), "rates"),
         (("vehicle_torque_setpoint", 0), "actuators"),
     ):
         log = write_ulog(tmp_path / "part.ulg", {k: v for k, v in GOOD.items() if k != key}, {})
@@ -176,7 +176,7 @@ def test_a_whole_dataflash_log_is_not_called_damaged(tmp_path: Path, capsys, out
     assert "damaged" not in said
 
 
-@pytest.mark.parametrize(("left_out", "what"), [("IMU", "gyro"), ("RCOU", "actuators")])
+@pytest.mark.parametrize(("left_out", "what"), [("IMU", "rates"), ("RCOU", "actuators")])
 def test_a_dataflash_log_without_one_of_both(
     tmp_path: Path, capsys, out, left_out: str, what: str
 ) -> None:

@@ -9,6 +9,17 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.ardupilot_outputs import PINS, READERS, read_outputs
+from uav_ident_ros.import_logs.autopilot import (
+    BOOT_TIME,
+    ENOUGH_RATE,
+    NO_FORCE,
+    choose_rates,
+    find_messages,
+    read_lever_arm,
+    say_changes,
+    say_other_rates,
+    say_stretches,
+)
 from uav_ident_ros.import_logs.dataflash import DataflashLog, Messages
 from uav_ident_ros.import_logs.flight_log import (
     Airspeed,
@@ -20,9 +31,6 @@ from uav_ident_ros.import_logs.flight_log import (
 )
 from uav_ident_ros.import_logs.orientation import describe_rotation
 from uav_ident_ros.import_logs.stamps import hold, interpolate, intervals
-
-ENOUGH_RATE = 20.0
-"""Slowest rates the identifier works with, Hz."""
 
 RAW, FILTERED = "GYR", "IMU"
 RATES_TYPES = (RAW, FILTERED)
@@ -77,13 +85,11 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     rates = _read_rates(log, findings, choice.rates_topic, unit)
     actuators = read_outputs(log, findings, choice.actuators_topic)
     flown = _flown(log, findings)
-    lever_arm = _lever_arm(log, findings, unit)
+    lever_arm = read_lever_arm(log.parameters, f"INS_POS{unit + 1}_", findings)
     airspeed = _airspeed(log, findings)
-    for t, name, value in log.changes:
-        if name.startswith(EXPLAINING):
-            findings.lost.append(f"{name} became {value:g} at {t:.1f} s: the first value is used")
+    say_changes((change for change in log.changes if change[1].startswith(EXPLAINING)), findings)
     _say_dropouts(log, findings)
-    findings.read.append("stamps are the autopilot's time since its start, not the time of day")
+    findings.read.append(BOOT_TIME)
     title = next((text for text in log.texts if text.startswith("Ardu")), "ArduPilot")
     return FlightLog(path, title, rates, actuators, findings, airspeed, lever_arm, flown)
 
@@ -93,35 +99,16 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
 
 def _read_rates(log: DataflashLog, findings: Findings, wanted: str | None, unit: int) -> Rates:
     """Read the raw gyro if it was logged, else the filtered one."""
-    if wanted is not None and wanted not in RATES_TYPES:
-        raise ImportLogError(
-            f"log '{log.path}': '{wanted}' are no messages of rates: there are "
-            f"{', '.join(RATES_TYPES)}"
-        )
-    found = {name: _of_unit(log, name, unit) for name in ([wanted] if wanted else RATES_TYPES)}
-    usable = {
-        n: m for n, m in found.items() if m is not None and set(GYRO_FIELDS) <= set(m.columns)
-    }
-    if not usable:
-        raise ImportLogError(
-            f"log '{log.path}' has no gyro ({', '.join(found)}, unit {unit}); it has "
-            f"{log.contents()}"
-        )
-    fast = [name for name, messages in usable.items() if messages.rate >= ENOUGH_RATE]
-    name = fast[0] if fast else max(usable, key=lambda n: usable[n].rate)
+
+    def find(name: str, unit: int) -> Messages | None:
+        messages = _of_unit(log, name, unit)
+        return messages if messages and set(GYRO_FIELDS) <= set(messages.columns) else None
+
+    usable = find_messages(log, "rates", RATES_TYPES, wanted, unit, find)
+    name = choose_rates(usable, findings, "LOG_BITMASK")
     messages = usable[name]
-    if not fast:
-        findings.lost.append(
-            f"{name} has {messages.rate:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed (LOG_BITMASK)"
-        )
     _say_rates(log, messages, name, findings)
-    others = [f"{n} at {m.rate:.4g} Hz" for n, m in usable.items() if n != name]
-    units = log.instances(name)
-    if others or len(units) > 1:
-        findings.read.append(
-            f"other rates in the log, not used: {', '.join(others) or 'none'}; units {units} of "
-            f"{name}"
-        )
+    say_other_rates(usable, name, findings, name, log.instances(name))
     force = _force(log, messages, unit, findings)
     return Rates(messages.name, messages.sample_ns, messages.values(*GYRO_FIELDS), force)
 
@@ -173,22 +160,11 @@ def _force(log: DataflashLog, rates: Messages, unit: int, findings: Findings) ->
                 f"specific force: {messages.name}, interpolated to the rates' stamps"
             )
             return interpolate(rates.sample_ns, messages.sample_ns, messages.values(*FORCE_FIELDS))
-    findings.lost.append("there is no accelerometer at a useful rate: ay and az are zero")
+    findings.lost.append(NO_FORCE)
     return None
 
 
 # --- the rest -----------------------------------------------------------------------------------
-
-
-def _lever_arm(log: DataflashLog, findings: Findings, unit: int) -> tuple[float, float, float]:
-    x, y, z = (float(log.parameters.get(f"INS_POS{unit + 1}_{axis}", 0.0)) for axis in "XYZ")
-    if any((x, y, z)):
-        findings.read.append(f"accelerometer at {x:g} {y:g} {z:g} m (INS_POS{unit + 1}_X, Y, Z)")
-    else:
-        findings.assumed.append(
-            f"the accelerometer is at the centre of gravity (INS_POS{unit + 1}_* 0)"
-        )
-    return x, y, z
 
 
 def _airspeed(log: DataflashLog, findings: Findings) -> Airspeed | None:
@@ -209,12 +185,7 @@ def _airspeed(log: DataflashLog, findings: Findings) -> Airspeed | None:
 
 def _flown(log: DataflashLog, findings: Findings) -> list[tuple[int, int]] | None:
     """Stretches in the air (Plane) or armed; None if the log says neither."""
-    sources = (
-        ("in the air", "STAT", "isFlying"),
-        ("armed", "ARM", "ArmState"),
-        ("armed", "EV", "Id"),
-    )
-    for state, name, field in sources:
+    for state, name, field in FLIGHT_STATES:
         messages = log.messages(name)
         if messages is None or field not in messages:
             continue
@@ -228,10 +199,7 @@ def _flown(log: DataflashLog, findings: Findings) -> list[tuple[int, int]] | Non
         if not stretches:
             findings.lost.append(f"the vehicle was never {state} ({name}.{field})")
             return []
-        seconds = sum(end - start for start, end in stretches) * 1e-9
-        findings.read.append(
-            f"{state} for {seconds:.1f} s in {len(stretches)} stretch(es) ({name}.{field})"
-        )
+        say_stretches(state, f"{name}.{field}", stretches, findings)
         return stretches
     findings.assumed.append("the log does not say when it flew: all of it counts as flight")
     return None

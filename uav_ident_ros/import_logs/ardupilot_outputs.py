@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.autopilot import find_messages, first_fast
 from uav_ident_ros.import_logs.dataflash import DataflashLog, Messages
 from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
@@ -25,9 +26,6 @@ from uav_ident_ros.import_logs.flight_log import (
 )
 from uav_ident_ros.import_logs.mixing import from_torques, on_a_circle, rotor_effects
 from uav_ident_ros.import_logs.stamps import join
-
-ENOUGH_RATE = 20.0
-"""Outputs slower than this, Hz, are thinned out too much to identify from if there are others."""
 
 HALF = 0.5
 """Each of a pair: the input is the mean of their deflections, as with elevons in config/."""
@@ -113,19 +111,8 @@ def read_outputs(log: DataflashLog, findings: Findings, wanted: str | None) -> A
     ImportLogError
         If there are none, or those asked for are missing or cannot be interpreted.
     """
-    if wanted is not None and wanted not in READERS:
-        raise ImportLogError(
-            f"log '{log.path}': '{wanted}' are no messages of actuators: there are "
-            f"{', '.join(READERS)}"
-        )
-    names = [wanted] if wanted else list(READERS)
-    usable = {name: found for name in names if (found := log.messages(name)) is not None}
-    if not usable:
-        raise ImportLogError(
-            f"log '{log.path}' has no actuators ({', '.join(names)}); it has {log.contents()}"
-        )
-    fast = [name for name, found in usable.items() if found.rate >= ENOUGH_RATE]
-    name = fast[0] if fast else max(usable, key=lambda n: usable[n].rate)
+    usable = find_messages(log, "actuators", READERS, wanted, 0, log.messages)
+    name = first_fast({name: messages.rate for name, messages in usable.items()})
     for passed in list(usable)[: list(usable).index(name)]:
         findings.lost.append(
             f"{passed} is logged at {usable[passed].rate:.0f} Hz only (LOG_BITMASK); {name}, at "

@@ -9,6 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.autopilot import (
+    BOOT_TIME,
+    ENOUGH_RATE,
+    NO_FORCE,
+    choose_rates,
+    find_messages,
+    read_lever_arm,
+    say_changes,
+    say_other_rates,
+    say_stretches,
+)
 from uav_ident_ros.import_logs.flight_log import (
     Airspeed,
     Choice,
@@ -21,9 +32,6 @@ from uav_ident_ros.import_logs.orientation import board_to_body, describe_rotati
 from uav_ident_ros.import_logs.px4_actuators import read_actuators
 from uav_ident_ros.import_logs.px4_log import Px4Log, Topic
 from uav_ident_ros.import_logs.stamps import interpolate, intervals
-
-ENOUGH_RATE = 20.0
-"""Slowest rates the identifier works with, Hz."""
 
 ARMED = 2
 """vehicle_status.arming_state of an armed vehicle, in old and new logs."""
@@ -57,18 +65,15 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     rates = _read_rates(log, findings, choice)
     actuators = read_actuators(log, findings, choice)
     flown = _flown(log, findings)
-    lever_arm = _lever_arm(log, findings)
+    lever_arm = read_lever_arm(log.parameters, "EKF2_IMU_POS_", findings)
     airspeed = _airspeed(log, findings)
-    for t, name, value in log.changes(EXPLAINING):
-        findings.lost.append(
-            f"{name} became {value:g} at {t:.1f} s: the value at the start is used"
-        )
+    say_changes(log.changes(EXPLAINING), findings)
     if dropouts := log.dropouts:
         findings.lost.append(
             f"the logger lost messages {len(dropouts)} times, together {sum(dropouts):.3g} s, at "
             f"most {max(dropouts):.3g} s (dropouts)"
         )
-    findings.read.append("stamps are the autopilot's time since its start, not the time of day")
+    findings.read.append(BOOT_TIME)
     return FlightLog(path, log.title, rates, actuators, findings, airspeed, lever_arm, flown)
 
 
@@ -77,35 +82,12 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
 
 def _read_rates(log: Px4Log, findings: Findings, choice: Choice) -> Rates:
     """Read the topic asked for, or the first that is fast enough, or the fastest."""
-    wanted = choice.rates_topic
-    if wanted is not None and wanted not in RATES_READERS:
-        raise ImportLogError(
-            f"log '{log.path}': '{wanted}' is no topic of rates: there are "
-            f"{', '.join(RATES_READERS)}"
-        )
-    topics = {
-        name: log.topic(name, choice.rates_instance)
-        for name in ([wanted] if wanted else RATES_READERS)
-    }
-    usable = {name: topic for name, topic in topics.items() if topic is not None}
-    if not usable:
-        raise ImportLogError(
-            f"log '{log.path}' has no gyro ({', '.join(topics)}); it has {log.contents()}"
-        )
-    fast = [name for name, topic in usable.items() if topic.rate >= ENOUGH_RATE]
-    name = fast[0] if fast else max(usable, key=lambda n: usable[n].rate)
-    topic = usable[name]
-    if not fast:
-        findings.lost.append(f"{name} has {topic.rate:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed")
-    rates = RATES_READERS[name](log, topic, findings)
-    others = [n for n in usable if n != name]
-    gyros = log.instances("sensor_gyro")
-    if others or len(gyros) > 1:
-        findings.read.append(
-            "other rates in the log, not used: "
-            + (", ".join(f"{n} at {usable[n].rate:.4g} Hz" for n in others) or "none")
-            + (f"; {len(gyros)} instances of sensor_gyro" if len(gyros) > 1 else "")
-        )
+    usable = find_messages(
+        log, "rates", RATES_READERS, choice.rates_topic, choice.rates_instance, log.topic
+    )
+    name = choose_rates(usable, findings, "SDLOG_PROFILE")
+    rates = RATES_READERS[name](log, usable[name], findings)
+    say_other_rates(usable, name, findings, "sensor_gyro", log.instances("sensor_gyro"))
     return rates
 
 
@@ -185,7 +167,7 @@ def _force_at(log: Px4Log, rates: Topic, findings: Findings) -> FloatArray | Non
         if topic is not None and topic.rate >= ENOUGH_RATE:
             findings.read.append(f"specific force: {name}, interpolated to the stamps of the rates")
             return interpolate(rates.sample_ns, topic.sample_ns, topic.vector(field))
-    findings.lost.append("there is no accelerometer at a useful rate: ay and az are zero")
+    findings.lost.append(NO_FORCE)
     return None
 
 
@@ -225,15 +207,6 @@ def _gyro_offset(log: Px4Log, topic: Topic, findings: Findings) -> FloatArray:
 # --- the rest -----------------------------------------------------------------------------------
 
 
-def _lever_arm(log: Px4Log, findings: Findings) -> tuple[float, float, float]:
-    x, y, z = (float(log.parameters.get(f"EKF2_IMU_POS_{a}", 0.0)) for a in "XYZ")
-    if any((x, y, z)):
-        findings.read.append(f"accelerometer at {x:g} {y:g} {z:g} m (EKF2_IMU_POS_X, Y, Z)")
-    else:
-        findings.assumed.append("the accelerometer is at the centre of gravity (EKF2_IMU_POS_* 0)")
-    return x, y, z
-
-
 def _airspeed(log: Px4Log, findings: Findings) -> Airspeed | None:
     """Find the true airspeed: validated by PX4 (newer logs) or as measured."""
     for name in ("airspeed_validated", "airspeed"):
@@ -262,16 +235,11 @@ def _flown(log: Px4Log, findings: Findings) -> list[tuple[int, int]] | None:
         stretches = intervals(
             landed.stamp_ns, landed.column("landed") == 0, log.end_ns, log.start_ns
         )
-        findings.read.append(_say_stretches("in the air", "vehicle_land_detected", stretches))
+        say_stretches("in the air", "vehicle_land_detected", stretches, findings)
         return stretches
     if status is not None:
         stretches = intervals(status.stamp_ns, armed, log.end_ns, log.start_ns)
-        findings.read.append(_say_stretches("armed", "vehicle_status.arming_state", stretches))
+        say_stretches("armed", "vehicle_status.arming_state", stretches, findings)
         return stretches
     findings.assumed.append("the log does not say when it flew: all of it counts as flight")
     return None
-
-
-def _say_stretches(state: str, source: str, stretches: list[tuple[int, int]]) -> str:
-    seconds = sum(end - start for start, end in stretches) * 1e-9
-    return f"{state} for {seconds:.1f} s in {len(stretches)} stretch(es) ({source})"

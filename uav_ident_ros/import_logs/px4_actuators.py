@@ -14,6 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.autopilot import ENOUGH_RATE, find_messages, first_fast
 from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
     Actuators,
@@ -27,10 +28,6 @@ from uav_ident_ros.import_logs.flight_log import (
 from uav_ident_ros.import_logs.mixing import from_torques, on_a_circle, rotor_effects
 from uav_ident_ros.import_logs.px4_log import Px4Log, Topic
 from uav_ident_ros.import_logs.stamps import join
-
-ENOUGH_RATE = 20.0
-"""Commands slower than this, Hz, are thinned out too much to identify from if there are others:
-PX4 logs the motors at 10 Hz by default, while it commands them at several hundred."""
 
 MULTIROTOR, FIXED_WING = 0, 1
 HYBRIDS = (2, 3, 4)
@@ -97,16 +94,7 @@ def read_actuators(log: Px4Log, findings: Findings, choice: Choice) -> Actuators
         If there is none, or the one asked for is missing or cannot be interpreted.
     """
     wanted, instance = choice.actuators_topic, choice.actuators_instance
-    if wanted is not None and wanted not in READERS:
-        raise ImportLogError(
-            f"log '{log.path}': '{wanted}' is no topic of actuators: there are {', '.join(READERS)}"
-        )
-    found = {name: log.topic(name, instance) for name in ([wanted] if wanted else READERS)}
-    usable = {name: topic for name, topic in found.items() if topic is not None}
-    if not usable:
-        raise ImportLogError(
-            f"log '{log.path}' has no actuators ({', '.join(found)}); it has {log.contents()}"
-        )
+    usable = find_messages(log, "actuators", READERS, wanted, instance, log.topic)
     name = wanted or _choose(log, usable, findings)
     actuators = READERS[name](log, findings, instance)
     others = [n for n in usable if n != name and n not in actuators.source]
@@ -133,8 +121,7 @@ def _choose(log: Px4Log, usable: dict[str, Topic], findings: Findings) -> str:
     # Motors and servos count as one: what is slower decides.
     slowest = min((rates[n] for n in ALLOCATED if n in rates), default=0.0)
     rates |= {n: slowest for n in ALLOCATED if n in rates}
-    fast = [n for n in candidates if rates[n] >= ENOUGH_RATE]
-    chosen = fast[0] if fast else max(candidates, key=lambda n: rates[n])
+    chosen = first_fast(rates)
     for name in candidates[: candidates.index(chosen)]:
         if usable[name].rate < ENOUGH_RATE:
             findings.lost.append(
