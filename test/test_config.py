@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.gates import LimitGate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.settings import Settings
@@ -50,6 +51,31 @@ def test_its_types_fields_and_axes_agree(path: Path) -> None:
     assert frame_fault(own.imu.convention, "base_link", own.imu.type) == ""
     text = path.read_text(encoding="utf-8")
     assert "nable" in text.split("/**:")[0], "what to enable on the autopilot"
+
+
+def is_normalised(name: str) -> bool:
+    return "normalised" in ACTUATORS[settings(name).actuators.type].unit
+
+
+def test_only_normalised_commands_have_a_range_that_is_known_beforehand() -> None:
+    limited = {path.stem for path in VEHICLES if settings(path.stem).actuators.lower_limit}
+    assert limited == {path.stem for path in VEHICLES if is_normalised(path.stem)} != set()
+
+
+@pytest.mark.parametrize("name", [path.stem for path in VEHICLES if is_normalised(path.stem)])
+def test_limits_fit_the_channels_and_stop_what_is_wild(name: str) -> None:
+    actuators = settings(name).actuators
+    low, high = np.array(actuators.lower_limit), np.array(actuators.upper_limit)
+    assert len(low) == len(high) == len(actuators.channels)
+    assert (low >= -1.0).all() and (high <= 1.0).all()
+    gate = LimitGate(actuators)
+    inside = np.vstack([actuators.trim, low + 0.01, high - 0.01])
+    assert gate.check(inside) == ""
+    for i, channel in enumerate(actuators.channels):
+        for wild in (low[i], high[i], -10.0, 10.0):
+            raw = np.array([actuators.trim])
+            raw[0, i] = wild
+            assert gate.check(raw) == f"channel {channel} is at its limit"
 
 
 def test_all_systems_are_covered() -> None:
