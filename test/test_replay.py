@@ -29,7 +29,7 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.types import entry_names
 from uav_ident_ros.offline.estimates_bag import write_estimates
-from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.offline.run import OfflineRun, Refusals, choose_inputs
 from uav_ident_ros.replay import main
 from uav_ident_ros.replay.job import NOT_USABLE
 
@@ -486,13 +486,16 @@ def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
     assert fit.windows == pytest.approx(20 * (0.4e-9 * (last_ns - first_ns) - 1.0), abs=2)
 
 
-def test_nothing_is_learned_while_disarmed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("boot_s", [0, 1_600_000_000])
+def test_nothing_is_learned_while_disarmed(tmp_path: Path, boot_s: int) -> None:
+    """What carries no time is taken, also if the others' stamps count from a boot."""
     armed = "std_msgs/msg/Bool"
     with Bag(BAGS / "multisine") as bag, BagWriter(tmp_path / "bag") as writer:
         types = {IMU: bag.type_of(IMU), ACTUATORS: bag.type_of(ACTUATORS), "/armed": armed}
         for topic, msgtype in types.items():
             writer.topic(topic, msgtype)
         writer.write("/armed", bag.start_ns, message_class(armed)(data=False))
+        decoders = {topic: bag.decoder(topic) for topic in (IMU, ACTUATORS)}
         said = False
         for topic, log_ns, data in bag.messages([IMU, ACTUATORS]):
             if log_ns > bag.start_ns + 20 * SECOND_NS:
@@ -500,7 +503,9 @@ def test_nothing_is_learned_while_disarmed(tmp_path: Path) -> None:
             if not said and log_ns > bag.start_ns + 10 * SECOND_NS:
                 said = True
                 writer.write("/armed", log_ns, message_class(armed)(data=True))
-            writer.write(topic, log_ns, data)
+            message = decoders[topic](data)
+            message.header.stamp.sec -= boot_s
+            writer.write(topic, log_ns, message)
     values = load_parameters(BAGS / "multisine" / "identifier.yaml", "identifier")
     with Bag(tmp_path / "bag") as bag:
         assert choose_inputs(bag, values).armed_topic == ""
@@ -508,7 +513,7 @@ def test_nothing_is_learned_while_disarmed(tmp_path: Path) -> None:
         run = OfflineRun(inputs)
         run.run(bag, lambda messages, total: messages)
     assert inputs.armed_topic == "/armed"
-    assert run.refusals("armed").received == 2
+    assert run.refusals("armed") == Refusals(2, {})
     start_ns = run.estimates[0].t_ns
     learned = [(e.t_ns - start_ns) / SECOND_NS for e in run.estimates if e.adapting]
     assert 9.8 < min(learned) < 10.5

@@ -12,6 +12,7 @@ from geometry_msgs.msg import TwistStamped
 from node_process import StartNode
 from rclpy.serialization import serialize_message
 from recordings import MakePlayer, recording
+from std_msgs.msg import Float64
 
 from uav_ident_ros.bags import reading as bags
 from uav_ident_ros.identification.settings import AIRSPEED_TYPES
@@ -86,3 +87,26 @@ def test_node_waits_for_airspeed_and_learns_with_it(
     shown = {entry.key: entry.value for entry in player.outputs.status[-1].values}
     assert int(shown["airspeed: dropped: not finite"]) > 0
     assert int(shown["airspeed: messages"]) == sum(m.topic == TOPIC for m in messages)
+
+
+def test_node_takes_an_unstamped_airspeed_on_another_clock(
+    start_node: StartNode, make_player: MakePlayer
+) -> None:
+    plain = recording("multisine", 4.0)
+    node = start_node(
+        parameter_file=plain.parameter_file,
+        parameters={"airspeed.type": "std_msgs/msg/Float64"},
+    )
+    flight = replace(plain, types={**plain.types, TOPIC: "std_msgs/msg/Float64"})
+    player = make_player(flight, clock=False)  # arrivals are years from the recorded stamps
+    player.wait_for_node()
+    messages = []
+    for number, message in enumerate(flight.messages):
+        if number % AIRSPEED_EVERY == 0:
+            data = serialize_message(Float64(data=20.0))
+            messages.append(bags.Message(TOPIC, message.log_ns, data))
+        messages.append(message)
+    player.play_in_step(messages)
+    assert any(player.outputs.coefficients[-1].data)
+    assert "'/airspeed': its messages carry no time" in node.log
+    assert "'/airspeed': message dropped" not in node.log

@@ -39,15 +39,19 @@ def test_the_types_are_those_of_the_settings() -> None:
     assert tuple(ARMED) == ARMED_TYPES
 
 
-def test_node_learns_only_while_armed(start_node: StartNode, make_player: MakePlayer) -> None:
+@pytest.mark.parametrize("one_clock", [True, False])
+def test_node_learns_only_while_armed(
+    start_node: StartNode, make_player: MakePlayer, one_clock: bool
+) -> None:
+    """An unstamped message is stamped on arrival: on the Imu's clock, whichever that is."""
     plain = recording("multisine", 6.0)
-    start_node(
+    node = start_node(
         parameter_file=plain.parameter_file,
         parameters={"armed.type": "std_msgs/msg/Bool"},
-        sim_time=True,  # an unstamped message is stamped on arrival
+        sim_time=one_clock,  # without, arrivals are years from the recorded stamps
     )
     flight = replace(plain, types={**plain.types, TOPIC: "std_msgs/msg/Bool"})
-    player = make_player(flight)
+    player = make_player(flight, clock=one_clock)
     player.wait_for_node()
 
     def part(begin: float, end: float, armed: bool) -> list[bags.Message]:
@@ -61,10 +65,12 @@ def test_node_learns_only_while_armed(start_node: StartNode, make_player: MakePl
         tuple(player.outputs.coefficients[0].data)
     }
     player.wait_until(
-        lambda: any("armed" in s.message for s in player.outputs.status), "the reason"
+        lambda: any("not armed" in s.message for s in player.outputs.status), "the reason"
     )
     player.play_in_step(part(2.0, 4.0, armed=True))
     learned = player.outputs.coefficients[-1].data
     assert learned != player.outputs.coefficients[0].data
     player.play_in_step(part(4.0, 6.0, armed=False))
     assert player.outputs.coefficients[-1].data == player.outputs.coefficients[-20].data
+    assert ("'/armed': its messages carry no time" in node.log) is not one_clock
+    assert "'/armed': message dropped" not in node.log

@@ -253,6 +253,11 @@ class OnlineIdentifier:
 
     # -- samples in ------------------------------------------------------------------------
 
+    @property
+    def newest_ns(self) -> int | None:
+        """Newest stamp of the rates, ns: what time it is on the Imu's clock; None before any."""
+        return self._guard.newest
+
     def add_rates(
         self, t_ns: int, pqr: Sequence[float], specific_force: Sequence[float] | None = None
     ) -> Drop | None:

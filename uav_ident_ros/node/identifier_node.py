@@ -101,15 +101,12 @@ class IdentifierNode(Node):
         warnings = Throttle(self._say_warning)
         to = Wiring(self, self.identifier, self._inbox, warnings, self._guard)
         self._rates = RatesInput(to)
-        inputs: dict[str, RatesInput | ArrayInput] = {
-            RATES: self._rates,
-            ACTUATORS: actuator_input(to),
-        }
+        self._optional: dict[str, ArrayInput] = {}
         if settings.airspeed.type:
-            inputs[AIRSPEED] = airspeed_input(to)
+            self._optional[AIRSPEED] = airspeed_input(to)
         if settings.armed.type:
-            inputs[ARMED] = armed_input(to)
-        return inputs
+            self._optional[ARMED] = armed_input(to)
+        return {RATES: self._rates, ACTUATORS: actuator_input(to), **self._optional}
 
     def _offer_services(self) -> None:
         guard = self._guard
@@ -142,6 +139,8 @@ class IdentifierNode(Node):
     def _on_timer(self) -> None:
         self._meter.called()
         self._inbox.empty()
+        for source in self._optional.values():
+            source.settle()
         while (t_ns := self.identifier.due()) is not None:
             start = time.perf_counter()
             estimate = self.identifier.update(t_ns)

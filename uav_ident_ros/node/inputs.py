@@ -16,6 +16,7 @@ from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.messages.airspeed import AIRSPEED
 from uav_ident_ros.messages.armed import ARMED
+from uav_ident_ros.messages.arrival import Arrivals
 from uav_ident_ros.messages.cdr import ChannelsDecoder
 from uav_ident_ros.messages.types import (
     RATES,
@@ -235,6 +236,8 @@ class ArrayInput:
         Stamp and values to the identifier; returns why it dropped them, or None.
     read_bytes : callable, optional
         The same as `read` from the bytes, without a message; None if they are of another form.
+    arrivals : Arrivals, optional
+        Takes what carries no time, in place of `add`.
     """
 
     def __init__(
@@ -245,12 +248,19 @@ class ArrayInput:
         read: Callable[[Any], Reading],
         add: Callable[[int, Any], Drop | None],
         read_bytes: Callable[[bytes], Reading | None] | None = None,
+        arrivals: Arrivals[Any] | None = None,
     ) -> None:
         self._read = read
         self._read_bytes = read_bytes
         self._add = add
+        self._arrivals = arrivals
         self._input = _Input(wiring, type_name, topic, self._take, timed=True)
         self.monitor = self._input.monitor
+
+    def settle(self) -> None:
+        """Place what came before the Imu did; to be called before a tick is computed."""
+        if self._arrivals is not None:
+            self._arrivals.settle()
 
     def _take(self, data: bytes, arrival_ns: int) -> None:
         self.monitor.arrived()
@@ -263,7 +273,10 @@ class ArrayInput:
         if reading is None:
             return
         stamp_ns, values = reading
-        drop = self._add(arrival_ns if stamp_ns is None else stamp_ns, values)
+        if stamp_ns is None and self._arrivals is not None:
+            drop = self._arrivals.add(arrival_ns, values)
+        else:
+            drop = self._add(arrival_ns if stamp_ns is None else stamp_ns, values)
         if drop is not None:
             self._input.warn(drop.value, drop.value)
 
@@ -309,11 +322,31 @@ def airspeed_input(wiring: Wiring) -> ArrayInput:
     """Subscribe to the airspeed, for vehicles that have one."""
     identifier = wiring.identifier
     name = identifier.settings.airspeed.type
-    return ArrayInput(wiring, name, AIRSPEED_TOPIC, AIRSPEED[name], identifier.add_airspeed)
+    return _optional_input(wiring, name, AIRSPEED_TOPIC, AIRSPEED[name], identifier.add_airspeed)
 
 
 def armed_input(wiring: Wiring) -> ArrayInput:
     """Subscribe to whether the vehicle is armed, for autopilots that say it."""
     identifier = wiring.identifier
     name = identifier.settings.armed.type
-    return ArrayInput(wiring, name, ARMED_TOPIC, ARMED[name], identifier.add_armed)
+    return _optional_input(wiring, name, ARMED_TOPIC, ARMED[name], identifier.add_armed)
+
+
+def _optional_input(
+    wiring: Wiring,
+    type_name: str,
+    topic: str,
+    read: Callable[[Any], Reading],
+    add: Callable[[int, Any], Drop | None],
+) -> ArrayInput:
+    """Subscribe to what may come on any clock: nothing is lost if it counts some ms later."""
+
+    def say(seconds: float) -> None:
+        name = wiring.node.resolve_topic_name(topic)
+        wiring.node.get_logger().info(
+            f"'{name}': its messages carry no time and arrive {seconds:+.1f} s from the Imu's "
+            "stamps: each counts from the newest of them"
+        )
+
+    arrivals = Arrivals(wiring.identifier, add, say)
+    return ArrayInput(wiring, type_name, topic, read, add, arrivals=arrivals)

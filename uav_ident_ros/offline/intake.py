@@ -27,6 +27,7 @@ from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.airspeed import AIRSPEED as AIRSPEED_READERS
 from uav_ident_ros.messages.armed import ARMED as ARMED_READERS
+from uav_ident_ros.messages.arrival import Arrivals
 from uav_ident_ros.messages.cdr import ChannelsDecoder
 from uav_ident_ros.messages.types import (
     RATES as RATES_READERS,
@@ -152,6 +153,8 @@ class Intake:
         self._received: Counter[str] = Counter()
         self._refused: dict[str, Counter[str]] = {s: Counter() for s in identifier.drops}
         self._stream_of = {topic: stream for stream, topic in inputs.streams.items()}
+        self._airspeeds = Arrivals(identifier, identifier.add_airspeed)
+        self._armings = Arrivals(identifier, identifier.add_armed)
         self._take = {
             RATES: self._take_rates,
             ACTUATORS: self._take_actuators,
@@ -260,6 +263,8 @@ class Intake:
                 self._newest_ns = t_ns
             self._newest_ns = max(t_ns, self._newest_ns or t_ns)
             self.rates.append(t_ns, (*rates, *(force or _NO_FORCE)), self.era)
+            self._airspeeds.settle()
+            self._armings.settle()
 
     def _take_actuators(self, message: Message) -> None:
         read = self._read_channels
@@ -280,12 +285,18 @@ class Intake:
     def _take_airspeed(self, message: Message) -> None:
         read = AIRSPEED_READERS[self._inputs.settings.airspeed.type]
         stamp_ns, airspeed = read(self._decode[AIRSPEED](message.data))
-        self._identifier.add_airspeed(message.log_ns if stamp_ns is None else stamp_ns, airspeed)
+        if stamp_ns is None:
+            self._airspeeds.add(message.log_ns, airspeed)
+        else:
+            self._identifier.add_airspeed(stamp_ns, airspeed)
 
     def _take_armed(self, message: Message) -> None:
         read = ARMED_READERS[self._inputs.settings.armed.type]
         stamp_ns, armed = read(self._decode[ARMED](message.data))
-        self._identifier.add_armed(message.log_ns if stamp_ns is None else stamp_ns, armed)
+        if stamp_ns is None:
+            self._armings.add(message.log_ns, armed)
+        else:
+            self._identifier.add_armed(stamp_ns, armed)
 
 
 def _others(count: int, chosen: Sequence[int]) -> list[int]:
