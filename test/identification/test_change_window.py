@@ -22,6 +22,6 @@ def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> N
     for length in lengths:
         f = chance.normal(size=(10, STRUCTURE.size))
         data = Regression(y=chance.normal(size=(10, 3)), f=f, z=f, dt=length / 10)
-        changed = detector.update(data, np.zeros((3, STRUCTURE.size)), np.ones((3, 4), dtype=bool))
+        changed = detector.update(data, np.zeros((3, STRUCTURE.size)), np.ones(4, dtype=bool), np.ones(3, dtype=bool))
         assert changed == []
         assert np.isfinite(detector.slope).all()

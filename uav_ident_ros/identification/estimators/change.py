@@ -37,12 +37,26 @@ MIN_HISTORY_RATIO = 3.5
 HISTORY_TIME = 30.0
 """Memory of a slope's usual size, s."""
 
+HISTORY_DELAY = 10.0
+"""Newest stretch that the usual size leaves out, s: a change has so long to be noticed before it
+becomes usual itself."""
+
+SHORTEST_HISTORY = 20.0
+"""Time after which there is a usual size, s."""
+
+MIN_EXPLAINED = 0.33
+"""Share of a row's whitened residual that the slope explains below which nothing has changed."""
+
+MIN_EXPLAINED_UNCLEAR = 0.5
+"""The same where the inputs do not stand out from all else that moves the aircraft: the answers of
+an autopilot to a storm explain up to 0.4."""
+
 LIVELY_SHARE = 0.25
 """Variance of an input, relative to its mean while learning, below which it shows no change."""
 
 CLEAR_SIGNAL = 0.5
-"""Variance that the inputs explain in a row, relative to that of the residual, below which none of
-them shows a change: in a storm, what an autopilot answers looks like one."""
+"""Variance that the inputs explain in a row, relative to that of the residual, below which they
+do not stand out: in a storm, what an autopilot answers looks like a change."""
 
 LARGEST_CORRELATION = 0.9
 """Correlation of the residuals from tick to tick up to which they are whitened: beyond it, what
@@ -82,6 +96,8 @@ class ChangeDetector:
         The ticks of the window.
     slope : (3, 4) array
         Slope found at the last look: how much each control derivative seems to have changed.
+    explained : (3, 4) array
+        Share of the row's whitened residual that it explains, 0 ... 1.
     """
 
     def __init__(self, free: BoolArray) -> None:
@@ -92,15 +108,18 @@ class ChangeDetector:
         self.slope: FloatArray = np.zeros((3, 4))
         self._recent_time = 0.0
         self._since_look = 0.0
+        self.explained: FloatArray = np.zeros((3, 4))
         self._usual: FloatArray = np.zeros((3, 4))
         self._usual_time = 0.0
+        self._newest: deque[tuple[float, FloatArray]] = deque()
+        self._newest_time = 0.0
         self._square: FloatArray = np.zeros(3)
         self._product: FloatArray = np.zeros(3)
         self._agreeing = np.zeros((3, 4), dtype=np.int64)
         self._hold_off: FloatArray = np.full(3, WINDOW_TIME)
 
     def update(
-        self, data: Regression, coefficients: FloatArray, lively: BoolArray
+        self, data: Regression, coefficients: FloatArray, lively: BoolArray, clear: BoolArray
     ) -> list[tuple[int, int]]:
         """Return (row, input) of each control derivative that has changed.
 
@@ -110,8 +129,10 @@ class ChangeDetector:
             Samples of this tick.
         coefficients : (3, n) array
             The estimate.
-        lively : (3, 4) bool array
-            Inputs that move enough to tell, in rows that see excitation.
+        lively : (4,) bool array
+            Inputs that move enough to tell.
+        clear : (3,) bool array
+            Rows in which the inputs stand out from all else that moves the aircraft.
         """
         dt, m = data.time, len(data.y)
         y, f, z = (np.add.reduce(part) / m for part in (data.y, data.f, data.z))
@@ -126,10 +147,10 @@ class ChangeDetector:
             return []
         elapsed, self._since_look = self._since_look, 0.0
         self._hold_off = np.maximum(self._hold_off - elapsed, 0.0)
-        return self._look(coefficients, lively, elapsed)
+        return self._look(coefficients, lively, clear, elapsed)
 
     def _look(
-        self, coefficients: FloatArray, lively: BoolArray, elapsed: float
+        self, coefficients: FloatArray, lively: BoolArray, clear: BoolArray, elapsed: float
     ) -> list[tuple[int, int]]:
         t = self._slopes(coefficients)
         size = np.abs(self.slope)
@@ -137,16 +158,15 @@ class ChangeDetector:
         alarm = (
             self._watched
             & lively
+            & (self.explained >= np.where(clear, MIN_EXPLAINED, MIN_EXPLAINED_UNCLEAR)[:, None])
             & (t > MIN_T)
             & (size > MIN_CHANGE * np.abs(coefficients[:, INPUT_COLUMNS]))
             & (size > MIN_HISTORY_RATIO * usual)
             & (self._hold_off == 0.0)[:, None]
-            & (self._usual_time >= HISTORY_TIME)
+            & (self._usual_time >= SHORTEST_HISTORY)
         )
         self._agreeing = np.where(alarm, self._agreeing + 1, 0)
-        self._usual_time = min(self._usual_time + elapsed, HISTORY_TIME)
-        weight = np.where(alarm, 0.0, elapsed / self._usual_time)
-        self._usual += weight * (self.slope**2 - self._usual)
+        self._remember(np.where(alarm, self._usual, self.slope**2), elapsed)
         changed = []
         for i in range(3):
             # One release at a time in a row: the strongest, the others may only mirror it.
@@ -155,7 +175,19 @@ class ChangeDetector:
                 changed.append((i, strongest))
                 self._hold_off[i] = WINDOW_TIME
                 self._agreeing[i] = 0
+                for _, square in self._newest:
+                    square[i] = self._usual[i]
         return changed
+
+    def _remember(self, square: FloatArray, elapsed: float) -> None:
+        """Let what is old enough of the squared slopes count in their usual size."""
+        self._newest.append((elapsed, square))
+        self._newest_time += elapsed
+        while self._newest_time > HISTORY_DELAY:
+            time, old = self._newest.popleft()
+            self._newest_time -= time
+            self._usual_time = min(self._usual_time + time, HISTORY_TIME)
+            self._usual += time / self._usual_time * (old - self._usual)
 
     def _slopes(self, coefficients: FloatArray) -> FloatArray:
         """Update `slope`; return its t-ratios by the long-run variance, shape (3, 4)."""
@@ -173,6 +205,12 @@ class ChangeDetector:
         power = np.add.reduce(u_white * u_white)
         power[power < np.finfo(float).tiny ** 0.5] = np.inf  # a constant input has no slope
         slope = np.add.reduce(u_white * white) / power
+        explained = slope * slope * power
+        total = np.add.reduce(white * white)
+        self.explained = np.zeros((3, 4))
+        self.explained[self._watched] = np.divide(
+            explained, total, out=np.zeros(len(slope)), where=total > 0.0
+        )
         deviation = np.sqrt(self._long_run(u_white * (white - slope * u_white))) / power
         t = np.zeros((3, 4))
         t[self._watched] = np.divide(

@@ -54,12 +54,13 @@ CONSTANT_COLUMN = AUGMENTED_REGRESSORS.index(CONSTANT)
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Copy of what was accumulated: ``R`` (3, k, k), ``r`` (3, k), and the scores ``S``."""
+    """Copy of what is known: ``R`` (3, k, k), ``r`` (3, k), the scores ``S``, and the prior."""
 
     matrix: FloatArray
     vector: FloatArray
     scores: FloatArray
     blocks: FloatArray
+    precision: FloatArray
 
     def scaled(self, weight: FloatArray) -> Snapshot:
         """Return it at a weight per row, shape (3,)."""
@@ -69,6 +70,7 @@ class Snapshot:
             self.vector * weight[:, None],
             self.scores * row**2,
             self.blocks * weight,
+            self.precision,
         )
 
 
@@ -222,7 +224,11 @@ class Information:
     def snapshot(self) -> Snapshot:
         """Return a copy of what was accumulated."""
         return Snapshot(
-            self.matrix.copy(), self.vector.copy(), self._scores.copy(), self._blocks.copy()
+            self.matrix.copy(),
+            self.vector.copy(),
+            self._scores.copy(),
+            self._blocks.copy(),
+            self._precision.copy(),
         )
 
     def fade(self, part: Snapshot, keep: FloatArray) -> Snapshot:
@@ -246,13 +252,15 @@ class Information:
         self.vector[row] = snapshot.vector[row]
         self._scores[row] = snapshot.scores[row]
         self._blocks[row] = snapshot.blocks[row]
+        self._precision[row] = snapshot.precision[row]
 
     def release(self, row: int, column: int, shift: float) -> None:
         """Take out what is known of one coefficient, and of the constant, in one row.
 
         A Schur step removes the column's information and leaves that of the others as it is
         with this one unknown; the vector is rebuilt for the coefficient moved by `shift`. The
-        scores follow, so that the standard deviations tell what is left.
+        scores follow, so that the standard deviations tell what is left. The prior goes too:
+        it was knowledge of the aircraft as it was before.
         """
         believed = self.columns.gather(self.solve() - self._start.values)[row]
         matrix, scores = self.matrix[row], self._scores[row]
@@ -263,6 +271,7 @@ class Information:
             if regressor in (column, CONSTANT_COLUMN) and matrix[j, j] > 0.0:
                 step = np.eye(len(matrix))
                 step[:, j] -= RELEASED_SHARE * matrix[:, j] / matrix[j, j]
+                self._precision[row, j] = 0.0
                 # The share that is left has the scatter of so few blocks.
                 step[j, j] = np.sqrt(1.0 - RELEASED_SHARE)
                 scores[:] = step @ scores @ step.T

@@ -227,8 +227,8 @@ class RecursiveRegression:
         for row in list(self._trials):
             self._continue_trial(row, data)
         clear = self._gate.learning & (self._gate.signal >= CLEAR_SIGNAL)
-        lively = clear[:, None] & (self._gate.share >= LIVELY_SHARE)
-        changed = self._detector.update(data, self.coefficients, lively)
+        lively = self._gate.share >= LIVELY_SHARE
+        changed = self._detector.update(data, self.coefficients, lively, clear)
         self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
         for i, j in changed:
             self._release(i, INPUT_COLUMNS.start + j, float(self._detector.slope[i, j]))
