@@ -170,8 +170,8 @@ class ResidualGate:
     """Keeps what is far from usual away from coefficients that were good.
 
     Samples count less the further their residuals are above the usual size, and not at all far
-    beyond it. The usual size is learned with the outliers clipped: a lasting change becomes
-    usual in time, a storm passes by.
+    beyond it, or where the inputs no longer stand out: then it is a storm, and they answer it.
+    The usual size grows slowly, and never in a storm, however long that lasts.
     """
 
     def __init__(self) -> None:
@@ -181,7 +181,9 @@ class ResidualGate:
         """Learn anew what is usual in a row."""
         self._rows[row].time = 0.0
 
-    def weigh(self, residual: FloatArray, dt: float, max_residual: float) -> FloatArray:
+    def weigh(
+        self, residual: FloatArray, dt: float, max_residual: float, clear: BoolArray
+    ) -> FloatArray:
         """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
 
         Parameters
@@ -192,11 +194,13 @@ class ResidualGate:
             Time that they stand for, s.
         max_residual : float
             Residual, relative to its usual size, that is too much; 0 for none.
+        clear : (3,) bool array
+            Rows in which the inputs stand out from all else that moves the aircraft.
         """
         squares = (np.add.reduce(residual * residual) / len(residual)).tolist()
         weights = [
-            row.weigh(square, dt, max_residual)
-            for row, square in zip(self._rows, squares, strict=True)
+            row.weigh(square, dt, max_residual, clear=stands_out)
+            for row, square, stands_out in zip(self._rows, squares, clear.tolist(), strict=True)
         ]
         return np.array(weights)
 
@@ -217,11 +221,11 @@ class _RowResidual:
     recent: float = 0.0
     time: float = 0.0
 
-    def weigh(self, square: float, dt: float, max_residual: float) -> float:
+    def weigh(self, square: float, dt: float, max_residual: float, *, clear: bool) -> float:
         """Return how much samples with the mean square `square` count, 0 ... 1."""
         usual = self.usual if self.time >= KNOWN_RESIDUAL else math.inf
         self.time = min(self.time + dt, RESIDUAL_MEMORY)
-        clipped = min(square, LARGEST_GROWTH * usual)
+        clipped = min(square, (LARGEST_GROWTH if clear else 1.0) * usual)
         self.usual += dt / self.time * (clipped - self.usual)
         if max_residual <= 0.0:
             return 1.0
@@ -230,9 +234,9 @@ class _RowResidual:
         recent = min(square, LARGEST_GROWTH * limit)
         self.recent += min(dt / RECENT_TIME, 1.0) * (recent - self.recent)
         largest = max(square, self.recent)
-        if largest > limit:
-            return 0.0
-        return 1.0 if largest <= OUTLYING * usual else OUTLYING * usual / largest
+        if largest <= OUTLYING * usual:
+            return 1.0
+        return OUTLYING * usual / largest if clear and largest <= limit else 0.0
 
 
 def grounded(

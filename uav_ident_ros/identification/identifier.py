@@ -613,7 +613,8 @@ class OnlineIdentifier:
         if learns:
             self._learned_time += regression.time
             residual = regression.residual(self._estimator.coefficients)
-            weight = self._supervisor.weigh(residual, regression.time)
+            clear = self._estimator.clear
+            weight = self._supervisor.weigh(residual, regression.time, clear)
             self._estimator.update(regression, residual, weight)
         t = int(block.t_ns[-1]) * NS
         self._supervisor.follow(t, self._estimator, learns, regression.time)

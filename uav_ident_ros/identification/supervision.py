@@ -164,7 +164,7 @@ class Supervisor:
         )
         self.closed = next(filter(None, reasons), "")
 
-    def weigh(self, residual: FloatArray, time: float) -> FloatArray:
+    def weigh(self, residual: FloatArray, time: float, clear: BoolArray) -> FloatArray:
         """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
 
         Parameters
@@ -173,9 +173,11 @@ class Supervisor:
             Their residuals, rad/s^2.
         time : float
             Time that they stand for, s.
+        clear : (3,) bool array
+            Rows in which the inputs stand out from all else that moves the aircraft.
         """
         limit = self.settings.supervision.max_residual
-        weight = self._residuals.weigh(residual, time, limit)
+        weight = self._residuals.weigh(residual, time, limit, clear)
         if not self._proven:
             weight = np.ones(3)  # what was never good must be free to change at once
         self._within = weight > 0.0

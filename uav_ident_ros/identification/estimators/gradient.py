@@ -126,6 +126,7 @@ class GradientEstimator:
         self._guarded = settings.step == "guarded"
         self._start = start
         self.learning: BoolArray = np.ones(3, dtype=bool)
+        self.clear: BoolArray = np.ones(3, dtype=bool)  # it does not look
         self.changes: list[tuple[int, int]] = []
         self._reference = InstrumentalVariable(start, forgetting_time=0.0)
         self.coefficients: FloatArray = start.values.copy()

@@ -151,6 +151,8 @@ class RecursiveRegression:
     ----------
     learning : (3,) bool array
         Rows that learned at the last tick.
+    clear : (3,) bool array
+        Rows in which the inputs stand out from all else that moves the aircraft.
     changes : list of (row, column)
         Coefficients released at the last tick.
     information : Information
@@ -162,6 +164,7 @@ class RecursiveRegression:
         self.coefficients: FloatArray = start.values.copy()
         self.problem = ""
         self.learning: BoolArray = np.ones(3, dtype=bool)
+        self.clear: BoolArray = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
         self._start = start
         self._instrumental = instrumental
@@ -193,6 +196,7 @@ class RecursiveRegression:
         known = (self.coefficients, self.information.sigma)
         weight = weight * self._gate.update(data, residual, *known)
         self.learning = weight > 0.0
+        self.clear = self._gate.learning & (self._gate.signal >= CLEAR_SIGNAL)
         self._reference.accumulate(data, residual, weight, self._gate.quiet)
         if not self._instrumental:
             self.information.accumulate(data, data.f, residual, weight, self._gate.quiet)
@@ -226,9 +230,8 @@ class RecursiveRegression:
         """Release what has changed, and take back a release that does not prove itself."""
         for row in list(self._trials):
             self._continue_trial(row, data)
-        clear = self._gate.learning & (self._gate.signal >= CLEAR_SIGNAL)
         lively = self._gate.share >= LIVELY_SHARE
-        changed = self._detector.update(data, self.coefficients, lively, clear)
+        changed = self._detector.update(data, self.coefficients, lively, self.clear)
         self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
         for i, j in changed:
             self._release(i, INPUT_COLUMNS.start + j, float(self._detector.slope[i, j]))
