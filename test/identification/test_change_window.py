@@ -22,6 +22,19 @@ def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> N
     for length in lengths:
         f = chance.normal(size=(10, STRUCTURE.size))
         data = Regression(y=chance.normal(size=(10, 3)), f=f, z=f, dt=length / 10)
-        changed = detector.update(data, np.zeros((3, STRUCTURE.size)), np.ones(4, dtype=bool), np.ones(3, dtype=bool))
+        changed = detector.update(
+            data, np.zeros((3, STRUCTURE.size)), np.ones(4, dtype=bool), np.ones(3, dtype=bool)
+        )
         assert changed == []
-        assert np.isfinite(detector.slope).all()
+        assert np.isfinite(detector.found.slope).all()
+
+
+def test_a_window_does_not_reach_over_a_gap() -> None:
+    chance = np.random.default_rng(1)
+    detector = ChangeDetector(STRUCTURE.mask)
+    everything = (np.zeros((3, STRUCTURE.size)), np.ones(4, dtype=bool), np.ones(3, dtype=bool))
+    for k in range(130):
+        f = chance.normal(size=(10, STRUCTURE.size))
+        data = Regression(chance.normal(size=(10, 3)), f, f, 0.005, restarted=k == 120)
+        detector.update(data, *everything)
+    assert len(detector.recent) == 10

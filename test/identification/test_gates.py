@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,11 @@ from flying import AMPLITUDES, Message, give, messages, plant_flight, run, setti
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import SettingsError
+from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import CoefficientChange
+from uav_ident_ros.simulation.plant import Autopilot, CoefficientChange
+from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT
 
 STRUCTURE = "throttle_coupled"
 
@@ -209,6 +212,43 @@ def test_a_halved_elevator_is_named_and_not_usable_until_learned_anew() -> None:
     last = estimates[-1]
     assert last.usable
     assert last.coefficients[1, 8] == pytest.approx(0.5 * before.coefficients[1, 8], rel=0.1)
+
+
+def test_a_surface_lost_after_a_warm_start_is_learned_anew() -> None:
+    """What was known of it must not hold it where it was."""
+    healthy = identifier(measured(40.0))
+    run(healthy, messages(measured(40.0)))
+    sure = healthy.coefficient_set()
+    sure = replace(sure, sigma=0.2 * sure.sigma)
+    halved = measured(60.0, changes=(CoefficientChange(45.0, {"qdot/de": 0.5}),))
+    flown = OnlineIdentifier(settings(halved, structure=STRUCTURE), sure)
+    last = run(flown, messages(halved))[-1]
+    assert [change.name for change in flown.changed] == ["qdot/de"]
+    assert last.coefficients[1, 8] == pytest.approx(0.5 * sure.values[1, 8], rel=0.15)
+
+
+@pytest.mark.parametrize("gusts", [1.5, 4.0])
+def test_a_long_storm_under_an_autopilot_moves_nothing(gusts: float) -> None:
+    def flight(rms: float, duration: float, seed: int) -> Measurements:
+        excitation = Segment("multisine", duration=46.0, amplitudes=AMPLITUDES, seed=1)
+        return measured(
+            duration,
+            segments=(excitation,),
+            gusts=ColouredNoise(rms, 0.3),
+            autopilot=Autopilot(**SMALL_UAV_AUTOPILOT),
+            seed=seed,
+        )
+
+    calm = flight(0.3, 50.0, 2)
+    flown = identifier(calm)
+    before = run(flown, messages(calm))[-1]
+    assert before.usable
+    stream = messages(flight(gusts, 175.0, 4))
+    # Its excitation is over by then; its turbulence goes on.
+    last = run(flown, [m for m in stream if m.t_ns - stream[0].t_ns > 55e9])[-1]
+    moved = np.abs(last.coefficients - before.coefficients)
+    assert (moved <= 2.0 * before.sigma).all()
+    assert flown.changed == []
 
 
 def test_a_pause_is_told_row_by_row() -> None:

@@ -45,12 +45,15 @@ class Regression:
         Instruments: the regressors of the model's own state, filtered.
     dt : float
         Time that each sample stands for, s.
+    restarted : bool
+        Whether the first sample does not continue those before.
     """
 
     y: FloatArray
     f: FloatArray
     z: FloatArray
     dt: float
+    restarted: bool = False
 
     @property
     def time(self) -> float:
@@ -123,7 +126,7 @@ class StateVariableFilter:
         if self._corrects_lever:
             f = f.copy()
             f[:, -len(SPECIFIC_FORCES) :] -= y @ self._lever.T
-        return Regression(y, f, z, block.h)
+        return Regression(y, f, z, block.h, block.restarted)
 
     def _edges(self, block: Block, model_states: FloatArray) -> FloatArray:
         """Signals at the edges of the cells, but for the inputs: rates, regressors, instruments."""

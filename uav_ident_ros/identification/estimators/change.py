@@ -47,7 +47,7 @@ SHORTEST_HISTORY = 20.0
 MIN_EXPLAINED = 0.33
 """Share of a row's whitened residual that the slope explains below which nothing has changed."""
 
-MIN_EXPLAINED_UNCLEAR = 0.5
+MIN_EXPLAINED_UNCLEAR = 0.42
 """The same where the inputs do not stand out from all else that moves the aircraft: the answers of
 an autopilot to a storm explain up to 0.4."""
 
@@ -82,6 +82,30 @@ class TickMean:
     dt: float
 
 
+@dataclass(frozen=True)
+class Slopes:
+    """How much each control derivative seems to have changed, from the residuals of a window.
+
+    Parameters
+    ----------
+    slope, deviation : (3, 4) array
+        Slope of the residual along each input, and its standard deviation, by the long-run
+        variance.
+    t : (3, 4) array
+        Their ratio.
+    explained : (3, 4) array
+        Share of the row's whitened residual that the slope explains, 0 ... 1.
+    power : (4,) array
+        Integral of each input's square over the window, about its mean.
+    """
+
+    slope: FloatArray
+    deviation: FloatArray
+    t: FloatArray
+    explained: FloatArray
+    power: FloatArray
+
+
 class ChangeDetector:
     """Watches the residuals for a changed control derivative.
 
@@ -94,10 +118,8 @@ class ChangeDetector:
     ----------
     recent : deque of TickMean
         The ticks of the window.
-    slope : (3, 4) array
-        Slope found at the last look: how much each control derivative seems to have changed.
-    explained : (3, 4) array
-        Share of the row's whitened residual that it explains, 0 ... 1.
+    found : Slopes
+        What the last look found.
     """
 
     def __init__(self, free: BoolArray) -> None:
@@ -105,10 +127,10 @@ class ChangeDetector:
         self._watched: BoolArray = free[:, INPUT_COLUMNS] & SURFACES
         self._row, self._input = np.nonzero(self._watched)
         self.recent: deque[TickMean] = deque()
-        self.slope: FloatArray = np.zeros((3, 4))
+        nothing = np.zeros((3, 4))
+        self.found = Slopes(nothing, nothing, nothing, nothing, np.zeros(4))
         self._recent_time = 0.0
         self._since_look = 0.0
-        self.explained: FloatArray = np.zeros((3, 4))
         self._usual: FloatArray = np.zeros((3, 4))
         self._usual_time = 0.0
         self._newest: deque[tuple[float, FloatArray]] = deque()
@@ -117,6 +139,12 @@ class ChangeDetector:
         self._product: FloatArray = np.zeros(3)
         self._agreeing = np.zeros((3, 4), dtype=np.int64)
         self._hold_off: FloatArray = np.full(3, WINDOW_TIME)
+
+    def restart(self) -> None:
+        """Forget the window: what comes does not continue it."""
+        self.recent.clear()
+        self._recent_time = self._since_look = 0.0
+        self._agreeing.fill(0)
 
     def update(
         self, data: Regression, coefficients: FloatArray, lively: BoolArray, clear: BoolArray
@@ -134,6 +162,8 @@ class ChangeDetector:
         clear : (3,) bool array
             Rows in which the inputs stand out from all else that moves the aircraft.
         """
+        if data.restarted:
+            self.restart()
         dt, m = data.time, len(data.y)
         y, f, z = (np.add.reduce(part) / m for part in (data.y, data.f, data.z))
         self.recent.append(TickMean(y, f, z, dt))
@@ -152,25 +182,27 @@ class ChangeDetector:
     def _look(
         self, coefficients: FloatArray, lively: BoolArray, clear: BoolArray, elapsed: float
     ) -> list[tuple[int, int]]:
-        t = self._slopes(coefficients)
-        size = np.abs(self.slope)
+        self.found = found = self._slopes(coefficients)
+        size = np.abs(found.slope)
         usual = np.sqrt(self._usual)
         alarm = (
             self._watched
             & lively
-            & (self.explained >= np.where(clear, MIN_EXPLAINED, MIN_EXPLAINED_UNCLEAR)[:, None])
-            & (t > MIN_T)
+            & (found.explained >= np.where(clear, MIN_EXPLAINED, MIN_EXPLAINED_UNCLEAR)[:, None])
+            & (found.t > MIN_T)
             & (size > MIN_CHANGE * np.abs(coefficients[:, INPUT_COLUMNS]))
             & (size > MIN_HISTORY_RATIO * usual)
             & (self._hold_off == 0.0)[:, None]
             & (self._usual_time >= SHORTEST_HISTORY)
         )
         self._agreeing = np.where(alarm, self._agreeing + 1, 0)
-        self._remember(np.where(alarm, self._usual, self.slope**2), elapsed)
+        self._remember(np.where(alarm, self._usual, found.slope**2), elapsed)
         changed = []
         for i in range(3):
             # One release at a time in a row: the strongest, the others may only mirror it.
-            strongest = int(np.argmax(np.where(self._agreeing[i] >= CONFIRMATIONS, t[i], 0.0)))
+            strongest = int(
+                np.argmax(np.where(self._agreeing[i] >= CONFIRMATIONS, found.t[i], 0.0))
+            )
             if self._agreeing[i, strongest] >= CONFIRMATIONS:
                 changed.append((i, strongest))
                 self._hold_off[i] = WINDOW_TIME
@@ -189,8 +221,8 @@ class ChangeDetector:
             self._usual_time = min(self._usual_time + time, HISTORY_TIME)
             self._usual += time / self._usual_time * (old - self._usual)
 
-    def _slopes(self, coefficients: FloatArray) -> FloatArray:
-        """Update `slope`; return its t-ratios by the long-run variance, shape (3, 4)."""
+    def _slopes(self, coefficients: FloatArray) -> Slopes:
+        """Look for slopes over the window."""
         # Far quicker than to make an array of a list of arrays.
         y = np.concatenate([tick.y for tick in self.recent]).reshape(-1, 3)
         f = np.concatenate([tick.f for tick in self.recent]).reshape(len(y), -1)
@@ -204,21 +236,22 @@ class ChangeDetector:
         u_white = u[1:, self._input] - rho[self._row] * u[:-1, self._input]
         power = np.add.reduce(u_white * u_white)
         power[power < np.finfo(float).tiny ** 0.5] = np.inf  # a constant input has no slope
-        slope = np.add.reduce(u_white * white) / power
-        explained = slope * slope * power
-        total = np.add.reduce(white * white)
-        self.explained = np.zeros((3, 4))
-        self.explained[self._watched] = np.divide(
-            explained, total, out=np.zeros(len(slope)), where=total > 0.0
-        )
+        product = np.add.reduce(u_white * white)
+        slope = product / power
         deviation = np.sqrt(self._long_run(u_white * (white - slope * u_white))) / power
-        t = np.zeros((3, 4))
-        t[self._watched] = np.divide(
-            np.abs(slope), deviation, out=np.zeros(len(slope)), where=deviation > 0.0
+        return Slopes(
+            self._scatter(slope),
+            self._scatter(deviation),
+            self._scatter(_ratio(np.abs(slope), deviation)),
+            self._scatter(_ratio(slope * product, np.add.reduce(white * white))),
+            np.add.reduce(u * u) * self.recent[-1].dt,
         )
-        self.slope = np.zeros((3, 4))
-        self.slope[self._watched] = slope
-        return t
+
+    def _scatter(self, values: FloatArray) -> FloatArray:
+        """Values of the watched coefficients at their places, zero elsewhere, shape (3, 4)."""
+        out = np.zeros((3, 4))
+        out[self._row, self._input] = values
+        return out
 
     def _long_run(self, scores: FloatArray) -> FloatArray:
         """Return the variance of the sums of scores of shape (ticks, k), shape (k,).
@@ -239,5 +272,9 @@ class ChangeDetector:
         keep = np.exp(-CHECK_TIME / HISTORY_TIME)
         self._square = keep * self._square + square
         self._product = keep * self._product + product
-        rho = np.divide(self._product, self._square, out=np.zeros(3), where=self._square > 0.0)
-        return np.clip(rho, 0.0, LARGEST_CORRELATION)
+        return np.clip(_ratio(self._product, self._square), 0.0, LARGEST_CORRELATION)
+
+
+def _ratio(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a / b, zero where b is not positive."""
+    return np.divide(a, b, out=np.zeros_like(a), where=b > 0.0)

@@ -254,9 +254,20 @@ class Information:
         self._blocks[row] = snapshot.blocks[row]
         self._precision[row] = snapshot.precision[row]
 
-    def release(self, row: int, column: int, shift: float) -> None:
+    def release(self, row: int, column: int, shift: float, sigma: float, power: float) -> None:
         """Take out what is known of one coefficient, and of the constant, in one row.
 
+        Parameters
+        ----------
+        row, column : int
+            The coefficient.
+        shift, sigma : float
+            By how much it seems to have changed, and the standard deviation of that.
+        power : float
+            Information that goes with the shift: integral of the regressor's square.
+
+        Notes
+        -----
         A Schur step removes the column's information and leaves that of the others as it is
         with this one unknown; the vector is rebuilt for the coefficient moved by `shift`. The
         scores follow, so that the standard deviations tell what is left. The prior goes too:
@@ -276,6 +287,9 @@ class Information:
                 step[j, j] = np.sqrt(1.0 - RELEASED_SHARE)
                 scores[:] = step @ scores @ step.T
                 matrix -= RELEASED_SHARE * np.outer(matrix[:, j], matrix[j]) / matrix[j, j]
+            if regressor == column:
+                matrix[j, j] += power
+                scores[j, j] += (power * sigma) ** 2
         self.vector[row] = matrix @ believed
         self.sigma = self._compute_sigma()
 

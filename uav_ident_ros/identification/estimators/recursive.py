@@ -43,8 +43,15 @@ FADED_SHARE = 1e-12
 SNAPSHOT_TIME = 0.5
 """Time between the copies of the information that a change goes back to, s."""
 
-READD_TIME = 1.5
-"""Newest stretch that surely lies after a noticed change, s."""
+READD_TIME = 2.5
+"""Newest stretch that lies after a noticed change, s, or very nearly."""
+
+SLOPE_SHARE = 0.1
+"""Share of the information behind the slope of a change that counts beside that stretch: most of
+it is in there already, and some may be from before the change."""
+
+SLOPE_ERROR = 0.15
+"""Relative error of that slope, for the same reason."""
 
 TRIAL_TIME = 10.0
 """Time in which a release has to prove itself, s."""
@@ -234,18 +241,22 @@ class RecursiveRegression:
         changed = self._detector.update(data, self.coefficients, lively, self.clear)
         self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
         for i, j in changed:
-            self._release(i, INPUT_COLUMNS.start + j, float(self._detector.slope[i, j]))
+            self._release(i, j)
         self._since_snapshot += data.time
         if self._since_snapshot >= SNAPSHOT_TIME:
             self._snapshots.append(self.information.snapshot())
             self._since_snapshot = 0.0
 
-    def _release(self, row: int, column: int, shift: float) -> None:
-        """Forget one coefficient of one row, back to before the change, and learn it anew."""
+    def _release(self, row: int, j: int) -> None:
+        """Forget what input `j` did in one row, back to before the change, and learn it anew."""
+        found, column = self._detector.found, INPUT_COLUMNS.start + j
+        shift = float(found.slope[row, j])
         self._trials[row] = Trial(self.information.snapshot(), self.coefficients[row].copy())
         if self._snapshots:
             self.information.restore(row, self._snapshots[0])
-        self.information.release(row, column, shift)
+        sigma = max(float(found.deviation[row, j]), SLOPE_ERROR * abs(shift))
+        power = SLOPE_SHARE * float(found.power[j])
+        self.information.release(row, column, shift, sigma, power)
         time = 0.0
         for tick in reversed(self._detector.recent):
             time += tick.dt
