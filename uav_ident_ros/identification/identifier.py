@@ -618,6 +618,8 @@ class OnlineIdentifier:
             self._estimator.update(regression, residual, weight)
         t = int(block.t_ns[-1]) * NS
         self._supervisor.follow(t, self._estimator, learns, regression.time)
+        if learns and self._estimator.changes:
+            self.running_fit.forget()
 
     def _paper_tick(self, t_ns: int) -> bool:
         """Learn as the paper does: backward differences of the rates at the ticks."""

@@ -52,15 +52,20 @@ class RunningFit:
         self.hold: FloatArray = np.zeros(3)
         self.saved: FloatArray = np.zeros(3)
         self.predictions = 0
-        self._age = 0.0
         self._sums: FloatArray = np.zeros((6, 3))
-        self.restart()
+        self.forget()
 
     def restart(self) -> None:
         """Give up the prediction under way."""
         self._blocks: list[Block] = []
         self._piece_time = self._time = 0.0
         self._now: FloatArray = np.zeros((6, 3))
+
+    def forget(self) -> None:
+        """Judge by what comes: the aircraft is another now. `fit` stays until there is a new one."""
+        self.restart()
+        self._age = 0.0
+        self._sums.fill(0.0)
 
     def save(self) -> None:
         """Take note that the coefficients in use are saved: so far they have one history."""
