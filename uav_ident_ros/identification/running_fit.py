@@ -62,7 +62,7 @@ class RunningFit:
         self._now: FloatArray = np.zeros((6, 3))
 
     def forget(self) -> None:
-        """Judge by what comes: the aircraft is another now. `fit` stays until there is a new one."""
+        """Judge by what comes: the aircraft has changed. `fit` stays until there is a new one."""
         self.restart()
         self._age = 0.0
         self._sums.fill(0.0)
