@@ -55,16 +55,8 @@ MODES: dict[str, Loop] = {
     "fixed": Loop(DURATION, mode="fixed"),
     "adaptive": Loop(DURATION),
     "adaptive, by sigma": Loop(DURATION, heed_verdict=False),
-    "adaptive, by sigma, gates open": Loop(
-        DURATION,
-        heed_verdict=False,
-        parameters={
-            "identifier": {"supervision.max_residual": "0.0", "supervision.min_signal": "0.0"}
-        },
-    ),
 }
-"""The controllers. 'By sigma' ignores the verdict and trusts each coefficient by its sigma; 'gates
-open' lets the identifier learn from residuals of any size."""
+"""The controllers. 'By sigma' ignores the verdict and trusts each coefficient by its sigma."""
 
 FLIGHT_TIMEOUT = 600.0
 ATTEMPTS = 3
