@@ -99,10 +99,19 @@ class BlockFilter:
         powers[0] = np.eye(d)
         for i in range(BLOCK):
             powers[i + 1] = system.a @ powers[i]
-        # _free[c, i]: state component c after i + 1 cells, from the state at the start.
-        self._free = np.ascontiguousarray(powers[1:].transpose(1, 0, 2))
-        self._forced_left = self._forced(powers, system.b_left)
-        self._forced_right = self._forced(powers, system.b_right)
+        # free[c, i]: state component c after i + 1 cells, from the state at the start.
+        free = powers[1:].transpose(1, 0, 2)
+        left, right = (self._forced(powers, b) for b in (system.b_left, system.b_right))
+        self._response = (free, left, right)
+        self._kernels: dict[int, FloatArray] = {}
+
+    def _kernel(self, m: int) -> FloatArray:
+        """Matrix from the state at the start and the inputs of `m` cells to the states."""
+        if m not in self._kernels:
+            free, left, right = self._response
+            parts = [free[:, :m], left[:, :m, :m], right[:, :m, :m]]
+            self._kernels[m] = np.concatenate(parts, axis=2).reshape(len(free) * m, -1)
+        return self._kernels[m]
 
     @staticmethod
     def _forced(powers: FloatArray, b: FloatArray) -> FloatArray:
@@ -130,12 +139,9 @@ class BlockFilter:
         parts = []
         for start in range(0, len(left), BLOCK):
             a, b = left[start : start + BLOCK], right[start : start + BLOCK]
-            m = len(a)
-            states = (
-                self._free[:, :m] @ self.state
-                + self._forced_left[:, :m, :m] @ a
-                + self._forced_right[:, :m, :m] @ b
-            )
+            d, channels = self.state.shape
+            known = np.concatenate((self.state, a, b))
+            states = (self._kernel(len(a)) @ known).reshape(d, len(a), channels)
             self.state = states[:, -1].copy()
             parts.append(states)
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)

@@ -15,7 +15,6 @@ from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
     EXOGENOUS_COLUMNS,
     INPUT_COLUMNS,
-    RATE_COLUMNS,
     SPECIFIC_FORCES,
     FloatArray,
     Structure,
@@ -50,6 +49,7 @@ class IdentifiedModel:
     def __init__(self, structure: Structure, lever_arm: FloatArray) -> None:
         self._structure = structure
         self._lever = lever_arm_matrix(lever_arm)
+        self._offset = bool(lever_arm.any()) and structure.size > INPUT_COLUMNS.stop
         self.state: FloatArray = np.zeros(3)
         self.resets = 0
 
@@ -63,7 +63,7 @@ class IdentifiedModel:
         With ``f = f_cg + L xdot`` the model ``xdot = A f_cg(...)`` is
         ``xdot = (I + A_f L)^-1 A f``, where A_f are the columns of ay and az.
         """
-        if not self._lever.any() or self._structure.size == INPUT_COLUMNS.stop:
+        if not self._offset:
             return coefficients
         force_columns = coefficients[:, -len(SPECIFIC_FORCES) :]
         return np.asarray(np.linalg.solve(np.eye(3) + force_columns @ self._lever, coefficients))
@@ -201,10 +201,11 @@ def _acceleration(
     a: FloatArray, leak: float
 ) -> Callable[[float, float, float], tuple[float, float, float]]:
     """Return the part of A f that depends on the state, less the leak, as a function of it."""
-    rows = a[:, : INPUT_COLUMNS.start].copy()
-    rows[:, RATE_COLUMNS] -= leak * np.eye(3)
-    (a1, a2, a3, a4, a5, a6, a7, a8), (b1, b2, b3, b4, b5, b6, b7, b8), third = rows.tolist()
+    first, second, third = a[:, : INPUT_COLUMNS.start].tolist()
+    a1, a2, a3, a4, a5, a6, a7, a8 = first
+    b1, b2, b3, b4, b5, b6, b7, b8 = second
     c1, c2, c3, c4, c5, c6, c7, c8 = third
+    a6, b7, c8 = a6 - leak, b7 - leak, c8 - leak
 
     def xdot(p: float, q: float, r: float) -> tuple[float, float, float]:
         pq, qr, pr, pp, rr = p * q, q * r, p * r, p * p, r * r
