@@ -38,3 +38,26 @@ def test_a_window_does_not_reach_over_a_gap() -> None:
         data = Regression(chance.normal(size=(10, 3)), f, f, 0.005, restarted=k == 120)
         detector.update(data, *everything)
     assert len(detector.recent) == 10
+
+
+@pytest.mark.parametrize(("noise", "noticed"), [(0.05, True), (0.5, False)])
+def test_what_does_not_stand_out_must_explain_the_residual(noise: float, noticed: bool) -> None:
+    """A lost surface does; what an autopilot answers to a storm explains little of it."""
+    chance = np.random.default_rng(2)
+    detector = ChangeDetector(STRUCTURE.mask)
+    coefficients = np.zeros((3, STRUCTURE.size))
+    coefficients[1, 8] = -20.0
+    found = []
+    for k in range(1400):  # ticks of 0.05 s
+        f = np.zeros((10, STRUCTURE.size))
+        f[:, 8] = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal()
+        lost = 12.0 if k >= 1200 else 0.0
+        y = f @ coefficients.T + noise * chance.normal(size=3)
+        y[:, 1] += lost * f[:, 8]
+        data = Regression(y, f, f, 0.005)
+        changed = detector.update(
+            data, coefficients, np.ones(4, dtype=bool), np.zeros(3, dtype=bool)
+        )
+        found += [(k, *change) for change in changed]
+    assert [(i, j) for _, i, j in found[:1]] == ([(1, 0)] if noticed else [])
+    assert all(1200 < k < 1320 for k, _, _ in found[:1])
