@@ -40,11 +40,12 @@ class RegressionRecorder:
         self.sigma: FloatArray = np.zeros(shape)
         self.problem = ""
         self.learning = np.ones(3, dtype=bool)
+        self.clear = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
         self.y: list[FloatArray] = []
         self.f: list[FloatArray] = []
 
-    def update(self, data: Regression, weight: FloatArray) -> None:
+    def update(self, data: Regression, residual: FloatArray, weight: FloatArray) -> None:
         """Keep the last sample."""
         self.y.append(data.y[-1].copy())
         self.f.append(data.f[-1].copy())
