@@ -32,7 +32,7 @@ SEEDS = 5
 
 
 def bound(name: str, coefficient: str, seed: int) -> FloatArray:
-    """Standard deviations of the changed coefficient at `TIMES`, relative to its new value."""
+    """Return its standard deviations at `TIMES` after the change, relative to the new value."""
     definition = flights.definition(name)
     flight = flights.load_flight(name, seed)
     structure = STRUCTURES[flight.structure]
