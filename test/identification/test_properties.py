@@ -393,6 +393,49 @@ def test_batching_and_order_change_no_bit(
     assert also_dropped == dropped
 
 
+def give_in_one_piece(world: World, samples: list[Sample]) -> None:
+    """Give samples as a reader of bags does: orderly rates many at a time, up to each tick."""
+    take = world.identifier
+    rates = [(t_ns, values) for stream, t_ns, values in samples if stream == "rates"]
+    stamps = np.array([t_ns for t_ns, _ in rates], dtype=np.int64)
+    if not rates or not take.orderly(stamps, np.array([values for _, values in rates])):
+        for sample in samples:
+            world.give(*sample)
+            world.update()
+        return
+    waiting: list[tuple[int, tuple[float, ...]]] = []
+    for stream, t_ns, values in [*samples, ("end", 0, ())]:
+        if stream == "rates":
+            waiting.append((t_ns, values))
+        if waiting and (stream != "rates" or t_ns >= take.next_due_ns):
+            take.add_orderly_rates([t for t, _ in waiting], [v for _, v in waiting])
+            waiting.clear()
+            world.update()
+        if stream not in ("rates", "end"):
+            world.give(stream, t_ns, values)
+
+
+@hypothesis_settings(PLAIN, max_examples=15)
+@given(
+    settings=any_settings,
+    legs=legs,
+    sizes=st.lists(st.integers(2, 500), min_size=1, max_size=8),
+)
+def test_many_orderly_samples_at_a_time_change_no_bit(
+    settings: Settings, legs: list[tuple[Fly, int]], sizes: list[int]
+) -> None:
+    samples = flown(legs)
+    reference, dropped = estimates_of(settings, samples, itertools.repeat(1))
+    world, left, size = World(OnlineIdentifier(settings)), samples, itertools.cycle(sizes)
+    while left:
+        piece = next(size)
+        give_in_one_piece(world, left[:piece])
+        left = left[piece:]
+    world.update()
+    assert list(map(exactly, world.estimates)) == list(map(exactly, reference))
+    assert world.identifier.drops == dropped
+
+
 new_bases = st.lists(
     st.tuples(steady_flights, st.sampled_from([2 * S, 400 * MS, 3600 * S])), min_size=2, max_size=3
 )
