@@ -160,6 +160,9 @@ def _integrate(
             p, q, r = p + dt * (mp + bp), q + dt * (mq + bq), r + dt * (mr + br)
         states.append((p, q, r))
     coarse = np.array(states)
+    if not abs(p) + abs(q) + abs(r) < LARGEST_RATE:  # NaN fails too
+        # Diverged is diverged: what lies between infinite states would be no number.
+        coarse = np.clip(coarse, -2.0 * LARGEST_RATE, 2.0 * LARGEST_RATE)
     if stride == 1:
         return coarse
     low = coarse[steps.left]
