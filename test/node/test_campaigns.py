@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import random
+import subprocess
 import sys
 from pathlib import Path
 
@@ -26,13 +27,14 @@ SHORT = {"LEARNING_TIME": 12.0, "FLOOD_TIME": 0.1, "SILENCE": 0.1, "LARGEST_LOSS
 quite."""
 
 
-def test_a_node_killed_while_it_saves_leaves_a_whole_file_and_the_next_goes_on(
-    tmp_path: Path,
-) -> None:
-    result = kills.campaign(2, seed=1, folder=tmp_path)
-    assert result.problems == []
-    assert result.killed == 2
-    assert result.saves > 2
+def test_a_node_killed_while_it_saves_leaves_a_whole_file_and_the_next_goes_on() -> None:
+    # A process of its own: in leaving a graph of killed participants, Fast DDS may crash.
+    command = [sys.executable, str(ROOT / "benchmarks" / "kills.py"), "--kills", "2"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+    first, verdict = done.stdout.splitlines()
+    assert first.startswith("2 kills")
+    assert int(first.split()[2]) > 2, "files written"
+    assert verdict == kills.GOOD
 
 
 @pytest.mark.parametrize("sim_time", [False, True], ids=["system-time", "simulated-time"])
