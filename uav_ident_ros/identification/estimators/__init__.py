@@ -29,8 +29,6 @@ class Estimator(Protocol):
         What went wrong, in a sentence; empty if nothing did.
     learning : (3,) bool array
         Rows that learned at the last tick; the others saw no excitation.
-    clear : (3,) bool array
-        Rows in which the inputs stand out from all else that moves the aircraft.
     changes : list of (row, column)
         Coefficients that were found changed, and released, at the last tick.
     """
@@ -38,8 +36,11 @@ class Estimator(Protocol):
     coefficients: FloatArray
     problem: str
     learning: BoolArray
-    clear: BoolArray
     changes: list[tuple[int, int]]
+
+    @property
+    def clear(self) -> BoolArray:
+        """Rows in which the inputs stand out from all else that moves the aircraft."""
 
     @property
     def information(self) -> Information:

@@ -54,10 +54,6 @@ an autopilot to a storm explain up to 0.4."""
 LIVELY_SHARE = 0.25
 """Variance of an input, relative to its mean while learning, below which it shows no change."""
 
-CLEAR_SIGNAL = 0.5
-"""Variance that the inputs explain in a row, relative to that of the residual, below which they
-do not stand out: in a storm, what an autopilot answers looks like a change."""
-
 LARGEST_CORRELATION = 0.9
 """Correlation of the residuals from tick to tick up to which they are whitened: beyond it, what
 is left of a slow input would be noise."""
@@ -124,8 +120,7 @@ class ChangeDetector:
 
     def __init__(self, free: BoolArray) -> None:
         # Throttle acts through the propeller's speed: its column has no single true value.
-        self._watched: BoolArray = free[:, INPUT_COLUMNS] & SURFACES
-        self._row, self._input = np.nonzero(self._watched)
+        self._row, self._input = np.nonzero(free[:, INPUT_COLUMNS] & SURFACES)
         self.recent: deque[TickMean] = deque()
         nothing = np.zeros((3, 4))
         self.found = Slopes(nothing, nothing, nothing, nothing, np.zeros(4))
@@ -186,8 +181,7 @@ class ChangeDetector:
         size = np.abs(found.slope)
         usual = np.sqrt(self._usual)
         alarm = (
-            self._watched
-            & lively
+            lively
             & (found.explained >= np.where(clear, MIN_EXPLAINED, MIN_EXPLAINED_UNCLEAR)[:, None])
             & (found.t > MIN_T)
             & (size > MIN_CHANGE * np.abs(coefficients[:, INPUT_COLUMNS]))

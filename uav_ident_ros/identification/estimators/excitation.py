@@ -26,6 +26,11 @@ LOOK_TIME = 0.25
 NEWEST_PART = 3
 """The residuals are taken over the newest third of the window: a gust front shows at once."""
 
+CLEAR_SIGNAL = 0.5
+"""Variance that the inputs explain in a row, relative to that of the residual, below which they
+do not stand out: in a storm, an autopilot's answers look like a change, and large residuals are
+no reason to learn."""
+
 LIKELY_SIGMAS = 2.0
 """An input may have this many standard deviations more effect than is known."""
 
@@ -54,6 +59,8 @@ class ExcitationGate:
         Variance that the inputs explain in each row, relative to that of the residual.
     learning : (3,) bool array
         Rows that see excitation.
+    clear : (3,) bool array
+        Those of them in which the inputs stand out from all else that moves the aircraft.
     quiet : (n,) bool array
         Regressors that are inputs and say nothing at present.
     """
@@ -69,6 +76,7 @@ class ExcitationGate:
         self.share: FloatArray = np.zeros(4)
         self.signal: FloatArray = np.zeros(3)
         self.learning: BoolArray = np.ones(3, dtype=bool)
+        self.clear: BoolArray = np.ones(3, dtype=bool)
         self.quiet: BoolArray = np.zeros(free.shape[1], dtype=bool)
 
     def update(
@@ -113,6 +121,7 @@ class ExcitationGate:
         largest = self._watched * (np.abs(effect) + LIKELY_SIGMAS * sigma)
         audible = largest**2 @ variance >= self.settings.min_signal * residual
         self.learning = (lively.any(axis=1) & audible) | ~self._watched.any(axis=1)
+        self.clear = self.learning & (self.signal >= CLEAR_SIGNAL)
         heard = (self._watched & self.learning[:, None]).any(axis=0)
         spent = np.where(heard, elapsed, 0.0)
         self._usual_time += spent

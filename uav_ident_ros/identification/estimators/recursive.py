@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.estimators.change import (
-    CLEAR_SIGNAL,
     LIVELY_SHARE,
     WINDOW_TIME,
     ChangeDetector,
@@ -158,8 +157,6 @@ class RecursiveRegression:
     ----------
     learning : (3,) bool array
         Rows that learned at the last tick.
-    clear : (3,) bool array
-        Rows in which the inputs stand out from all else that moves the aircraft.
     changes : list of (row, column)
         Coefficients released at the last tick.
     information : Information
@@ -171,7 +168,6 @@ class RecursiveRegression:
         self.coefficients: FloatArray = start.values.copy()
         self.problem = ""
         self.learning: BoolArray = np.ones(3, dtype=bool)
-        self.clear: BoolArray = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
         self._start = start
         self._instrumental = instrumental
@@ -184,6 +180,11 @@ class RecursiveRegression:
         self._snapshots: deque[Snapshot] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
         self._trials: dict[int, Trial] = {}
         self._since_snapshot = 0.0
+
+    @property
+    def clear(self) -> BoolArray:
+        """Rows in which the inputs stand out from all else that moves the aircraft."""
+        return self._gate.clear
 
     @property
     def sigma(self) -> FloatArray:
@@ -200,10 +201,9 @@ class RecursiveRegression:
 
     def update(self, data: Regression, residual: FloatArray, weight: FloatArray) -> None:
         """Add the samples of a tick and solve."""
-        known = (self.coefficients, self.information.sigma)
-        weight = weight * self._gate.update(data, residual, *known)
+        seen = self._gate.update(data, residual, self.coefficients, self.information.sigma)
+        weight = weight * seen
         self.learning = weight > 0.0
-        self.clear = self._gate.learning & (self._gate.signal >= CLEAR_SIGNAL)
         self._reference.accumulate(data, residual, weight, self._gate.quiet)
         if not self._instrumental:
             self.information.accumulate(data, data.f, residual, weight, self._gate.quiet)
