@@ -31,7 +31,7 @@ class Flight:
         self.elapsed_ns = 0
 
     def say(self, armed: bool) -> Drop | None:
-        return self.words.add(NODE_NS + self.elapsed_ns, armed)
+        return self.words.add(None, NODE_NS + self.elapsed_ns, armed)
 
     def fly(self, seconds: float) -> str:
         """Let the Imu go on; return why nothing was learned at last."""
@@ -83,7 +83,7 @@ def test_a_word_from_before_the_imu_counts(imu_ns: int) -> None:
 
 def test_bad_values_are_counted_once() -> None:
     flight = Flight(BOOT_NS)
-    assert flight.airspeeds.add(NODE_NS, math.nan) is Drop.NOT_FINITE
+    assert flight.airspeeds.add(None, NODE_NS, math.nan) is Drop.NOT_FINITE
     flight.fly(0.5)
-    assert flight.airspeeds.add(NODE_NS + STEP_NS, 20.0) is None
+    assert flight.airspeeds.add(None, NODE_NS + STEP_NS, 20.0) is None
     assert +flight.identifier.drops[AIRSPEED] == {Drop.NOT_FINITE: 1}

@@ -43,8 +43,20 @@ class Arrivals(Generic[Values]):
         self._after_ns = 0
         self._place = 0
 
-    def add(self, arrival_ns: int, values: Values) -> Drop | None:
-        """Take values that arrived at a time of the node's clock, ns; return why not, or None."""
+    def add(self, stamp_ns: int | None, arrival_ns: int, values: Values) -> Drop | None:
+        """Take values of a message; return why not, or None.
+
+        Parameters
+        ----------
+        stamp_ns : int or None
+            Its own time, ns; None if it carries none.
+        arrival_ns : int
+            When it arrived, by the node's clock, ns.
+        values
+            What `add` takes.
+        """
+        if stamp_ns is not None:
+            return self._add(stamp_ns, values)
         newest_ns = self._identifier.newest_ns
         if newest_ns is not None:
             self.settle()

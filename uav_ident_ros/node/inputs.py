@@ -237,7 +237,7 @@ class ArrayInput:
     read_bytes : callable, optional
         The same as `read` from the bytes, without a message; None if they are of another form.
     arrivals : Arrivals, optional
-        Takes what carries no time, in place of `add`.
+        Takes stamp and values in place of `add`, and knows what to do without a stamp.
     """
 
     def __init__(
@@ -273,8 +273,8 @@ class ArrayInput:
         if reading is None:
             return
         stamp_ns, values = reading
-        if stamp_ns is None and self._arrivals is not None:
-            drop = self._arrivals.add(arrival_ns, values)
+        if self._arrivals is not None:
+            drop = self._arrivals.add(stamp_ns, arrival_ns, values)
         else:
             drop = self._add(arrival_ns if stamp_ns is None else stamp_ns, values)
         if drop is not None:

@@ -285,18 +285,12 @@ class Intake:
     def _take_airspeed(self, message: Message) -> None:
         read = AIRSPEED_READERS[self._inputs.settings.airspeed.type]
         stamp_ns, airspeed = read(self._decode[AIRSPEED](message.data))
-        if stamp_ns is None:
-            self._airspeeds.add(message.log_ns, airspeed)
-        else:
-            self._identifier.add_airspeed(stamp_ns, airspeed)
+        self._airspeeds.add(stamp_ns, message.log_ns, airspeed)
 
     def _take_armed(self, message: Message) -> None:
         read = ARMED_READERS[self._inputs.settings.armed.type]
         stamp_ns, armed = read(self._decode[ARMED](message.data))
-        if stamp_ns is None:
-            self._armings.add(message.log_ns, armed)
-        else:
-            self._identifier.add_armed(stamp_ns, armed)
+        self._armings.add(stamp_ns, message.log_ns, armed)
 
 
 def _others(count: int, chosen: Sequence[int]) -> list[int]:
