@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Identified derivatives beside the true ones: ``python benchmarks/derivatives.py [AIRCRAFT ...]``.
+
+Each aircraft flies two minutes of multisines in calm air and is identified once, online. What came
+out is compared, name by name, with the derivatives of the aircraft at its cruise point, found by
+central differences of its accelerations (`uav_ident_ros.simulation.linearisation`). With
+``--coefficients FILE`` no flight is flown: the file is compared.
+
+Derivatives by the throttle are left out: an engine takes a second to follow, so that there is no
+one number. The augmented structure's derivatives hold at given ay and az, the true ones at given
+alpha and beta: there, compare the aileron's alone. The last column counts the differences in the
+sigmas that the identifier gave itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from cases import Case, identify
+
+from uav_ident_ros.files.coefficients_file import load_coefficients
+from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.simulation.aircraft import AIRFRAMES
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
+from uav_ident_ros.simulation.linearisation import Linearisation, linearise
+from uav_ident_ros.simulation.live_aircraft import LiveAircraft
+from uav_ident_ros.simulation.noise import Sensors, measure
+from uav_ident_ros.simulation.recording import parameters
+
+DURATION = 120.0
+SENSORS = Sensors(rate=200.0, gyro_noise=0.005, accelerometer_noise=0.05)
+AMPLITUDES: dict[str, dict[str, float]] = {
+    "c172p": {"de": 0.04, "dr": 0.08, "da": 0.06, "dth": 0.1},
+    "T37": {"de": 0.04, "dr": 0.06, "da": 0.05, "dth": 0.1},
+    "OV10": {"de": 0.05, "dr": 0.1, "da": 0.06, "dth": 0.1},
+}
+
+
+def truth_of(aircraft: str) -> Linearisation:
+    """Linearise an aircraft in steady flight at its cruise point."""
+    return linearise(LiveAircraft(aircraft, Sensors(rate=100.0)).aircraft)
+
+
+def identified(aircraft: str, seed: int, values: Mapping[str, object]) -> CoefficientSet:
+    """Fly an aircraft and identify it; the coefficients at the end of the flight."""
+    segment = Segment("multisine", start=2.0, amplitudes=AMPLITUDES[aircraft], seed=seed)
+    m = measure(fly(AircraftFlight(aircraft, (segment,), DURATION, seed=seed)), SENSORS, seed)
+    case = Case(
+        name=aircraft,
+        seed=seed,
+        parameters=parameters(m),
+        imu_t_ns=m.imu_t_ns,
+        imu_arrival_ns=m.imu_log_ns,
+        rates=m.rates,
+        force=m.specific_force,
+        actuator_t_ns=m.actuator_t_ns,
+        actuator_arrival_ns=m.actuator_log_ns,
+        actuators=m.actuators,
+    )
+    track = identify(case, values)
+    return CoefficientSet(track.structure.name, track.coefficients[-1], track.sigma[-1])
+
+
+def lines(found: CoefficientSet, truth: Linearisation) -> Iterator[str]:
+    """Table of the derivatives that both have, and the largest errors of it."""
+    structure, true = STRUCTURES[found.structure], truth.derivatives
+    yield f"{'':12} {'true':>10} {'identified':>10} {'sigma':>9} {'error, %':>9} {'in sigma':>9}"
+    for name in structure.names:
+        if name not in true or name.endswith("/dth"):
+            continue
+        value, sigma = (
+            float(matrix[structure.index(name)]) for matrix in (found.values, found.sigma)
+        )
+        error = value - true[name]
+        percent = 100.0 * error / abs(true[name]) if abs(true[name]) > 1e-3 else np.nan
+        share = error / sigma if sigma > 0.0 else np.nan
+        yield f"{name:12} {true[name]:10.3f} {value:10.3f} {sigma:9.3f} {percent:9.1f} {share:9.1f}"
+
+
+def mode_lines(truth: Linearisation) -> Iterator[str]:
+    """Frequency and damping of the true modes."""
+    for name, values in truth.modes().items():
+        texts = [f"{v.real:.2f}{v.imag:+.2f}j" if v.imag else f"{v.real:.2f}" for v in values]
+        yield f"{name:12} {', '.join(texts)} 1/s"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the tables; the return value is the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("aircraft", nargs="*", default=list(AIRFRAMES), help="default: all")
+    parser.add_argument("--structure", choices=tuple(STRUCTURES), help="default: the setting's")
+    parser.add_argument("--coefficients", type=Path, help="compare this file: fly nothing")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(arguments)
+    values = {"structure": options.structure} if options.structure else {}
+    for aircraft in options.aircraft:
+        truth = truth_of(aircraft)
+        found = (
+            load_coefficients(options.coefficients)
+            if options.coefficients
+            else identified(aircraft, options.seed, values)
+        )
+        print(f"\n{aircraft}, {truth.airspeed:.1f} m/s, structure {found.structure}")
+        for line in (*lines(found, truth), *mode_lines(truth)):
+            print(line)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

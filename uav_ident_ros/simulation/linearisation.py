@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""True derivatives of a JSBSim aircraft where it flies: central differences of its accelerations.
+
+Nothing is fitted. JSBSim is put into the state it is in, a little to one side and to the other,
+with the surfaces it has, and says what the accelerations are there. Engine speed, fuel and mass
+stay; the throttle's derivatives are those at the speed that the engine has, not a second later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.simulation.aircraft import COLUMN, Aircraft
+
+STATES = ("p", "q", "r", "beta", "alpha")
+"""States of the linear model: rad/s and rad."""
+
+ROWS = ("pdot", "qdot", "rdot", "ay", "az", "betadot", "alphadot")
+"""What is differentiated: rad/s^2, m/s^2 (specific force at the centre of gravity), rad/s."""
+
+STEP = 1e-3
+"""Perturbation of a state (rad/s, rad) or an input (rad, throttle 0..1). JSBSim's tables are
+piecewise linear over a degree and more, its numbers are doubles: so it is neither too long nor
+too short, and the derivatives do not depend on it (a test holds them to that)."""
+
+_INITIAL = {
+    "p": "ic/p-rad_sec",
+    "q": "ic/q-rad_sec",
+    "r": "ic/r-rad_sec",
+    "beta": "ic/beta-rad",
+    "alpha": "ic/alpha-rad",
+}
+_KEPT = {
+    "ic/h-sl-ft": "position/h-sl-ft",
+    "ic/vt-fps": "velocities/vt-fps",
+    "ic/alpha-rad": "aero/alpha-rad",
+    "ic/beta-rad": "aero/beta-rad",
+    "ic/phi-rad": "attitude/phi-rad",
+    "ic/theta-rad": "attitude/theta-rad",
+    "ic/psi-true-rad": "attitude/psi-rad",
+    "ic/p-rad_sec": "velocities/p-rad_sec",
+    "ic/q-rad_sec": "velocities/q-rad_sec",
+    "ic/r-rad_sec": "velocities/r-rad_sec",
+}
+"""Properties that make an initial condition of a flight's state, in the order of writing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Derivatives of an aircraft about a flight condition.
+
+    Parameters
+    ----------
+    by_state : (7, 5) array
+        Of `ROWS` by `STATES`, at a fixed attitude, airspeed and surfaces.
+    by_input : (7, 4) array
+        Of `ROWS` by de, dr, da, dth: whole control derivatives, at fixed states.
+    airspeed : float
+        True, m/s.
+    alpha : float
+        Angle of attack, rad.
+    """
+
+    by_state: FloatArray
+    by_input: FloatArray
+    airspeed: float
+    alpha: float
+
+    @property
+    def derivatives(self) -> dict[str, float]:
+        """All derivatives by name, ``pdot/da`` and so on."""
+        names = [f"{row}/{column}" for row in ROWS for column in (*STATES, *INPUTS)]
+        values = np.hstack([self.by_state, self.by_input]).ravel().tolist()
+        return dict(zip(names, values, strict=True))
+
+    @property
+    def a(self) -> FloatArray:
+        """A of ``xdot = A x + B u``, x = [p q r beta alpha], shape (5, 5)."""
+        return self.by_state[[0, 1, 2, 5, 6]]
+
+    @property
+    def b(self) -> FloatArray:
+        """B of the same, u = [de dr da dth], shape (5, 4)."""
+        return self.by_input[[0, 1, 2, 5, 6]]
+
+    def modes(self) -> dict[str, FloatArray]:
+        """Eigenvalues of `a` by name, 1/s; see `named_modes`."""
+        return named_modes(self.a)
+
+
+def named_modes(a: FloatArray) -> dict[str, FloatArray]:
+    """Eigenvalues of A of the states p q r beta alpha, 1/s, by the name of the mode.
+
+    The lateral and the longitudinal block are taken by themselves: ``short period`` (2,),
+    ``dutch roll`` (2,) and ``roll`` (1,); of three real lateral ones, roll is the fastest.
+    """
+    lateral = np.linalg.eigvals(a[np.ix_([0, 2, 3], [0, 2, 3])])
+    real = np.flatnonzero(np.abs(lateral.imag) < 1e-9)
+    roll = real[np.argmin(lateral[real].real)]
+    return {
+        "short period": np.sort_complex(np.linalg.eigvals(a[np.ix_([1, 4], [1, 4])])),
+        "dutch roll": np.sort_complex(np.delete(lateral, roll)),
+        "roll": lateral[[roll]],
+    }
+
+
+def linearise(aircraft: Aircraft, step: float = STEP) -> Linearisation:
+    """Differentiate an aircraft where it is, with the surfaces and the mass that it has.
+
+    Best in steady, calm flight. Afterwards the aircraft is in the same state as before, at
+    latitude and longitude zero.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft; of one in the loop, ``live.aircraft``.
+    step : float
+        Perturbation to each side.
+    """
+    fdm, surfaces = aircraft.fdm, aircraft.surfaces
+    state = {name: float(fdm[now]) for name, now in _KEPT.items()}
+    base = _signals(aircraft, state)
+
+    def slope(changes: Mapping[str, float], moved: FloatArray) -> FloatArray:
+        ends = []
+        for side in (1.0, -1.0):
+            aircraft.set_surfaces(surfaces + side * moved)
+            there = {name: state[name] + side * change for name, change in changes.items()}
+            ends.append(_outputs(aircraft, {**state, **there}))
+        return (ends[0] - ends[1]) / (2.0 * step)
+
+    by_state = [slope({_INITIAL[name]: step}, np.zeros(4)) for name in STATES]
+    by_input = [slope({}, step * unit) for unit in np.eye(len(INPUTS))]
+    aircraft.set_surfaces(surfaces)
+    _signals(aircraft, state)
+    return Linearisation(
+        np.column_stack(by_state),
+        np.column_stack(by_input),
+        float(base[COLUMN["airspeed"]]),
+        float(base[COLUMN["alpha"]]),
+    )
+
+
+def _outputs(aircraft: Aircraft, state: Mapping[str, float]) -> FloatArray:
+    """`ROWS` in a state, shape (7,)."""
+    signals = _signals(aircraft, state)
+    rows = [COLUMN[name] for name in ("pdot", "qdot", "rdot", "fy", "fz")]
+    flow = [aircraft.fdm[f"aero/{angle}dot-rad_sec"] for angle in ("beta", "alpha")]
+    return np.append(signals[rows], flow)
+
+
+def _signals(aircraft: Aircraft, state: Mapping[str, float]) -> FloatArray:
+    """`SIGNALS` in a state, SI, shape (21,)."""
+    fdm = aircraft.fdm
+    for name, value in state.items():
+        fdm[name] = value
+    fdm.run_ic()
+    with _standing_still(fdm):
+        # once for the flow angles' rates, which JSBSim's moments may use, and once with them
+        aircraft.step()
+        return aircraft.to_si(np.array(aircraft.step()))
+
+
+@contextmanager
+def _standing_still(fdm: object) -> Iterator[None]:
+    """No time passes in JSBSim meanwhile."""
+    fdm.suspend_integration()  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        fdm.resume_integration()  # type: ignore[attr-defined]
