@@ -240,18 +240,11 @@ OF_EVERY_NODE = re.compile(r"^/(rosout|parameter_events|clock)$|parameter|type_d
 
 
 @pytest.fixture(scope="module")
-def interfaces(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, str]]:
+def interfaces() -> dict[str, dict[str, str]]:
     """Topics and services of a running node: name to type."""
-    environment = {
-        **os.environ,
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 101),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_LOG_DIR": str(tmp_path_factory.mktemp("log")),
-    }
     done = subprocess.run(
         [sys.executable, "-c", ASK_NODE],
         cwd=ROOT,
-        env=environment,
         capture_output=True,
         text=True,
         timeout=60.0,

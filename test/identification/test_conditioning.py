@@ -20,7 +20,7 @@ from flying import (
     settings,
     worst,
 )
-from hypothesis import HealthCheck, given
+from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
@@ -68,9 +68,7 @@ def same(a: list[Estimate], b: list[Estimate]) -> bool:
 # -- order and batching ------------------------------------------------------------------------
 
 
-@hypothesis_settings(
-    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@hypothesis_settings(max_examples=hypothesis_settings().max_examples // 5)
 @given(seed=st.integers(0, 2**32 - 1), batch=st.integers(1, 400), delayed=st.booleans())
 def test_batching_and_order_of_arrival_do_not_change_a_bit(
     short_flight: Flight, seed: int, batch: int, delayed: bool

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What holds for every sequence of inputs: finite and bounded estimates, whatever the batching.
 
-The sequences are drawn by hypothesis from a fixed seed: each run draws the same ones.
+The sequences are drawn by hypothesis, by the profiles of test/conftest.py.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ MS = 1_000_000
 
 START_NS = 1_700_000_000 * S
 
-PLAIN = hypothesis_settings(deadline=None, derandomize=True, database=None)
+FEWER = hypothesis_settings(max_examples=hypothesis_settings().max_examples // 5)
+"""Where one example takes a second."""
 
 HOSTILE = (
     math.nan, math.inf, -math.inf, 1.7e308, -1.7e308, 1e154, 5e-324, -5e-324, 2.2e-308, 1e-160,
@@ -297,7 +298,7 @@ DENORMAL_IN_THE_PAPER = [Fly(3.0, 50.0, 0.0, 0.02, 2)]
 PAPER = Settings.from_values({"estimator": "gradient", "filter.method": "backward_difference"})
 
 
-@hypothesis_settings(PLAIN, max_examples=40)
+@FEWER
 @example(settings=Settings(), history=DENORMAL)
 @example(settings=PAPER, history=DENORMAL_IN_THE_PAPER)
 @example(settings=Settings(), history=BEYOND_64_BITS)
@@ -374,7 +375,7 @@ def shuffled(samples: list[Sample], wait_ns: int, seed: int) -> list[Sample]:
     return [samples[k] for k in order]
 
 
-@hypothesis_settings(PLAIN, max_examples=25)
+@FEWER
 @given(
     settings=any_settings,
     legs=legs,
@@ -415,7 +416,7 @@ def give_in_one_piece(world: World, samples: list[Sample]) -> None:
             world.give(stream, t_ns, values)
 
 
-@hypothesis_settings(PLAIN, max_examples=15)
+@FEWER
 @given(
     settings=any_settings,
     legs=legs,
@@ -441,7 +442,7 @@ new_bases = st.lists(
 )
 
 
-@hypothesis_settings(PLAIN, max_examples=15)
+@FEWER
 @given(
     settings=any_settings,
     legs=new_bases,
@@ -492,7 +493,6 @@ any_notes = st.builds(
 )
 
 
-@hypothesis_settings(PLAIN, max_examples=40)
 @given(saved=coefficient_sets(), notes=any_notes)
 def test_saving_and_loading_coefficients_is_the_identity(
     tmp_path_factory: pytest.TempPathFactory, saved: CoefficientSet, notes: Notes
@@ -558,7 +558,6 @@ def every_setting(draw: st.DrawFn) -> Settings:
     return changed(values)
 
 
-@hypothesis_settings(PLAIN, max_examples=40)
 @given(settings=every_setting())
 def test_settings_survive_the_way_to_a_parameter_file_and_back(
     tmp_path_factory: pytest.TempPathFactory, settings: Settings

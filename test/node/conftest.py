@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node under test: its own process, its own ROS domain, its own log folder."""
+"""The node under test: its own process, its own saved coefficients."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -12,25 +11,6 @@ from node_process import NodeProcess, StartNode
 from recordings import MakePlayer, Recording
 
 from uav_ident_ros.player import Player
-
-HIGHEST_DOMAIN = 101
-"""Highest ROS domain whose ports are free of the system's ephemeral ones."""
-
-
-@pytest.fixture(scope="session", autouse=True)
-def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep this session's traffic, logs and saved files to itself."""
-    environment = {
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % HIGHEST_DOMAIN),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_LOG_DIR": str(tmp_path_factory.mktemp("log")),
-        "ROS_PYTHON_CHECK_FIELDS": "1",
-        "RCUTILS_LOGGING_BUFFERED_STREAM": "0",
-    }
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in environment.items():
-            patch.setenv(name, value)
-        yield
 
 
 @pytest.fixture
