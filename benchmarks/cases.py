@@ -30,6 +30,7 @@ from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Struc
 from uav_ident_ros.messages.types import RATES
 from uav_ident_ros.offline.intake import IMU_TYPE
 from uav_ident_ros.simulation.flight import Flight
+from uav_ident_ros.simulation.noise import Measurements
 from uav_ident_ros.simulation.recording import parameters
 
 TimeArray = NDArray[np.int64]
@@ -120,11 +121,15 @@ def simulated(name: str, seed: int | None = None, **sensor_changes: Any) -> Case
     **sensor_changes
         Fields of `Sensors` that differ.
     """
-    m = flights.load(name, seed, **sensor_changes)
     own = flights.definition(name).get("seed", 0)
+    return measured(flights.load(name, seed, **sensor_changes), name, own if seed is None else seed)
+
+
+def measured(m: Measurements, name: str, seed: int | None) -> Case:
+    """Return a simulated flight as its sensors saw it."""
     return Case(
         name=name,
-        seed=own if seed is None else seed,
+        seed=seed,
         parameters=parameters(m),
         imu_t_ns=m.imu_t_ns,
         imu_arrival_ns=m.imu_log_ns,

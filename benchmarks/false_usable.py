@@ -1,0 +1,335 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether "usable" means usable: ``python benchmarks/false_usable.py [--classes NAME ...]``.
+
+Flies the trials of `verdict_flights.py`, gives each to an identifier and holds what it publishes
+against the truth, tick by tick: the *whole* control derivatives pdot/da, qdot/de and rdot/dr, what
+the surface does at fixed rates and flow. One is wrong if it has the wrong sign or is off by more
+than half, with an error above three of its sigmas.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # ten-by-ten matrices; before NumPy loads
+
+import cases
+import flights
+import numpy as np
+import verdict_flights
+from verdict_flights import GLITCH_TIME, Trial
+
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
+
+MAIN = ("pdot/da", "qdot/de", "rdot/dr")
+"""The control derivatives judged, one a row."""
+
+SIGMAS, LARGEST_ERROR = 3.0, 0.5
+"""Wrong is an error of more than so many sigmas and so much of the truth."""
+
+START = 30.0
+"""The share of time usable is counted from here on, s, for the classes that should be usable."""
+
+GLITCH_LOOK = 20.0
+"""Time after the glitch in which the verdict is missed, s."""
+
+NAMED_WITHIN = 10.0
+"""A mistake has to be named by then, s of flight."""
+
+BUILD = flights.ROOT / "build"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one trial.
+
+    Parameters
+    ----------
+    kind, name, seed
+        The trial.
+    duration : float
+        Time judged, s.
+    usable : float
+        Share of the time after `START` with the verdict, of all rows.
+    ever : float
+        Share of the whole flight in which some row is usable.
+    wrong, wrong_sign : float
+        Share of the whole flight with a usable row that is wrong; that has the wrong sign.
+    lost : float
+        Time without the verdict in the seconds after the glitch, less those before, s.
+    within : (one, two) tuple of float
+        Coverage of the derivatives known to half of their value, 1 and 2 sigma; NaN if none was.
+    counted : int
+        How many values that was.
+    last : mapping
+        The control derivatives at the end: estimate, sigma, truth.
+    named : float
+        When a mistake was named, s; NaN if never.
+    reason : str
+        What the identifier said last.
+    """
+
+    kind: str
+    name: str
+    seed: int
+    duration: float
+    usable: float
+    ever: float
+    wrong: float
+    wrong_sign: float
+    lost: float
+    within: tuple[float, float]
+    counted: int
+    feedback: bool
+    last: Mapping[str, tuple[float, float, float]]
+    named: float
+    reason: str
+
+
+def whole(
+    structure: Structure,
+    true: Mapping[str, float],
+    name: str,
+    values: FloatArray,
+    sigma: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return a whole derivative and its sigma, shape (K,), from coefficients (K, rows, n).
+
+    With the angles of the flow as regressors, or neither them nor forces, it is the coefficient
+    itself; with the forces as regressors, what the surface does by its force is added.
+    """
+    row, _, regressor = name.partition("/")
+    i, j = structure.index(name)
+    value, variance = values[:, i, j].copy(), sigma[:, i, j] ** 2
+    for force in ("ay", "az"):
+        if f"{row}/{force}" in structure.names:
+            by_force = true.get(f"{force}/{regressor}", 0.0)
+            k, m = structure.index(f"{row}/{force}")
+            value += by_force * values[:, k, m]
+            variance += (by_force * sigma[:, k, m]) ** 2
+    return value, np.sqrt(variance)
+
+
+def judge(value: FloatArray, spread: FloatArray, truth: FloatArray) -> tuple[Any, Any]:
+    """Return where an estimate is wrong at three sigma, and where its sign is, (K,) bool arrays.
+
+    A lost surface has no sign: what is claimed of it is wrong, its sign is not.
+    """
+    error = np.abs(value - truth)
+    sure = error > SIGMAS * spread
+    sign = sure & (value * truth < 0.0) & (np.abs(value) > SIGMAS * spread)
+    return sign | (sure & (error > LARGEST_ERROR * np.abs(truth))), sign
+
+
+def run(trial: Trial, structure_name: str) -> Outcome:
+    """Fly one trial, identify it as the node would, and judge what came out."""
+    measured = trial.fly()
+    case = cases.measured(measured, trial.name, trial.seed)
+    named = {"structure": structure_name} if structure_name else {}
+    settings = case.settings({**named, **trial.settings})
+    structure = STRUCTURES[settings.structure]
+    initial = None
+    if trial.warm:
+        initial = verdict_flights.warm_start(
+            structure, verdict_flights.truth(measured.flight, -1.0)
+        )
+    time, values, sigma, usable, reasons = _identify(case, settings, initial)
+    true = [verdict_flights.truth(measured.flight, t) for t in time]
+    wrong = np.zeros(len(time), dtype=bool)
+    wrong_sign = wrong.copy()
+    last = {}
+    for row, name in enumerate(MAIN):
+        value, spread = whole(structure, true[0], name, values, sigma)
+        truth = np.array([at[name] for at in true])
+        far, sign = judge(value, spread, truth)
+        wrong |= usable[:, row] & far
+        wrong_sign |= usable[:, row] & sign
+        last[name] = (float(value[-1]), float(spread[-1]), float(truth[-1]))
+    within, counted = _coverage(structure, true, values, sigma, time)
+    every = usable.all(axis=1)
+    late = time >= START
+    return Outcome(
+        kind=trial.kind,
+        name=trial.name,
+        seed=trial.seed,
+        duration=float(time[-1]),
+        usable=float(every[late].mean()),
+        ever=float(usable.any(axis=1).mean()),
+        wrong=float(wrong.mean()),
+        wrong_sign=float(wrong_sign.mean()),
+        lost=_lost(time, every),
+        within=within,
+        counted=counted,
+        feedback=trial.feedback,
+        last=last,
+        named=_named(trial, time, reasons),
+        reason=reasons[-1],
+    )
+
+
+def _identify(
+    case: cases.Case, settings: Settings, initial: Any
+) -> tuple[FloatArray, FloatArray, FloatArray, Any, list[str]]:
+    """Time of the ticks (K,), coefficients and sigma (K, rows, n), usable (K, 3), reasons."""
+    identifier = OnlineIdentifier(settings, initial)
+    estimates = []
+    for _, is_rates, t, v in cases.messages(case):
+        if not is_rates:
+            identifier.add_actuators(t, v)
+            continue
+        identifier.add_rates(t, v[:3], v[3:])
+        while (due := identifier.due()) is not None:
+            estimate = identifier.update(due)
+            assert estimate is not None
+            estimates.append(estimate)
+    rows = [getattr(e, "usable_rows", None) for e in estimates]
+    usable = [
+        np.full(3, e.usable) if r is None else np.asarray(r, dtype=bool)[:3]
+        for e, r in zip(estimates, rows, strict=True)
+    ]
+    return (
+        np.array([(e.t_ns - case.imu_t_ns[0]) * 1e-9 for e in estimates]),
+        np.array([e.coefficients for e in estimates]),
+        np.array([e.sigma for e in estimates]),
+        np.array(usable),
+        [e.reason for e in estimates],
+    )
+
+
+def _coverage(
+    structure: Structure,
+    true: Sequence[Mapping[str, float]],
+    values: FloatArray,
+    sigma: FloatArray,
+    time: FloatArray,
+) -> tuple[tuple[float, float], int]:
+    """Share of the errors within one and two sigma, once a second, where something is known."""
+    chosen = np.flatnonzero(time >= START)[::20]
+    ratios = []
+    for name in true[0]:
+        if name not in structure.names or name.startswith(("ay", "az")):
+            continue
+        value, spread = whole(structure, true[0], name, values[chosen], sigma[chosen])
+        truth = np.array([true[k][name] for k in chosen])
+        known = (spread > 0.0) & (spread < LARGEST_ERROR * np.abs(truth))
+        ratios.append(np.abs(value - truth)[known] / spread[known])
+    ratio = np.concatenate(ratios)
+    if not len(ratio):
+        return (float("nan"), float("nan")), 0
+    return (float(np.mean(ratio < 1.0)), float(np.mean(ratio < 2.0))), len(ratio)
+
+
+def _lost(time: FloatArray, usable: Any) -> float:
+    """Time without the verdict after the glitch, less that before it, s."""
+    if time[-1] < GLITCH_TIME:
+        return 0.0
+    before = (time < GLITCH_TIME) & (time >= GLITCH_TIME - GLITCH_LOOK)
+    after = (time >= GLITCH_TIME) & (time < GLITCH_TIME + GLITCH_LOOK)
+    return float(GLITCH_LOOK * (np.mean(usable[before]) - np.mean(usable[after])))
+
+
+def _named(trial: Trial, time: FloatArray, reasons: Sequence[str]) -> float:
+    if not trial.names:
+        return float("nan")
+    for t, reason in zip(time, reasons, strict=True):
+        if re.search(trial.names, reason):
+            return float(t)
+    return float("nan")
+
+
+def report(outcomes: Sequence[Outcome]) -> str:
+    """Return the table of the classes and the totals."""
+    lines = [
+        f"{'class':14} {'flights':>7} {'usable':>7} {'wrong':>7} {'wrong sign':>10} "
+        f"{'1 sigma':>8} {'2 sigma':>8}   (usable after {START:g} s; wrong: share of usable time)"
+    ]
+    for kind in dict.fromkeys(o.kind for o in outcomes):
+        own = [o for o in outcomes if o.kind == kind]
+        lines.append(_line(kind, own))
+        if kind == "glitch":
+            lost = ", ".join(f"{o.lost:.1f}" for o in own)
+            lines.append(f"{'':14} verdict lost after the glitch, s: {lost}")
+        if kind == "mistakes":
+            lines += [
+                f"{'':14} {o.name}: "
+                + ("not named" if not o.named <= NAMED_WITHIN else f"named at {o.named:.1f} s")
+                for o in own
+            ]
+    lines.append(_line("all", outcomes))
+    lines.append(_line("open loop", [o for o in outcomes if not o.feedback]))
+    lines.append(_line("under feedback", [o for o in outcomes if o.feedback]))
+    return "\n".join(lines)
+
+
+def _line(label: str, outcomes: Sequence[Outcome]) -> str:
+    if not outcomes:
+        return f"{label:14} {0:7}"
+    time = np.array([o.duration for o in outcomes])
+    ever = float(np.sum(time * [o.ever for o in outcomes]))
+    wrong = float(np.sum(time * [o.wrong for o in outcomes]))
+    sign = float(np.sum(time * [o.wrong_sign for o in outcomes]))
+    counted = np.array([o.counted for o in outcomes])
+    within = np.array([np.nan_to_num(o.within) for o in outcomes])
+    coverage = counted @ within / counted.sum() if counted.any() else np.full(2, np.nan)
+    per_usable = 1.0 / ever if ever > 0.0 else 0.0
+    return (
+        f"{label:14} {len(outcomes):7} {np.mean([o.usable for o in outcomes]):7.1%} "
+        f"{wrong * per_usable:7.1%} {sign * per_usable:10.1%} "
+        f"{coverage[0]:8.0%} {coverage[1]:8.0%}"
+    )
+
+
+def details(outcome: Outcome) -> str:
+    """Return one line about a trial."""
+    last = "  ".join(
+        f"{name} {value:.1f}+-{spread:.1f} ({true:.1f})"
+        for name, (value, spread, true) in outcome.last.items()
+    )
+    return (
+        f"{outcome.kind:14} {outcome.name} [{outcome.seed}]: usable {outcome.usable:.0%}, wrong "
+        f"{outcome.wrong:.0%}, sign {outcome.wrong_sign:.0%} of the flight; {last}; "
+        f"{outcome.reason or '-'}"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the campaign; the status is 0 whatever comes out."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("--structure", choices=tuple(STRUCTURES), default="")
+    parser.add_argument("--classes", nargs="+", choices=tuple(verdict_flights.CLASSES))
+    parser.add_argument("--seeds", type=int, default=2, help="seeds 1 to N of each flight")
+    parser.add_argument("--short", action="store_true", help="one seed, shorter flights")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--verbose", action="store_true", help="a line for each flight")
+    parser.add_argument("--output", type=Path, default=BUILD)
+    options = parser.parse_args(arguments)
+    classes = options.classes or list(verdict_flights.CLASSES)
+    seeds = range(1, 2 if options.short else options.seeds + 1)
+    length = verdict_flights.SHORT if options.short else verdict_flights.LONG
+    jobs = verdict_flights.trials(classes, tuple(seeds), length)
+    outcomes = []
+    with ProcessPoolExecutor(options.workers) as pool:
+        for outcome in pool.map(run, jobs, [options.structure] * len(jobs)):
+            outcomes.append(outcome)
+            if options.verbose:
+                print(details(outcome), flush=True)
+    print(report(outcomes))
+    options.output.mkdir(parents=True, exist_ok=True)
+    path = options.output / "false_usable.json"
+    path.write_text(json.dumps([asdict(o) for o in outcomes], indent=1), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights that try whether "usable" means usable, class by class, and the truth about each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.structure import FloatArray, Structure
+from uav_ident_ros.simulation import jsbsim_flight, light_aircraft
+from uav_ident_ros.simulation.flight import GRAVITY, CoefficientChange, Flight
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+
+EXCITED, CHANGED = 60.0, 75.0
+"""When the excitation of the flights with old knowledge ends, and when the surface fails, s."""
+
+GLITCH_TIME, GLITCH = 75.0, 34.9
+"""When one gyro sample is wrong, s, and what it says, rad/s: 2000 deg/s."""
+
+LONG, SHORT = 1.0, 0.8
+"""Length of the flights, relative; `SHORT` still holds the failure and the glitch."""
+
+FORCE_TRUTH: Mapping[str, Mapping[str, float]] = {
+    "light_aircraft": {},
+    "c172p": {"ay/beta": -13.0, "ay/dr": 5.53, "az/alpha": -157.0, "az/de": -12.7},
+    "T37": {"ay/beta": -21.8, "ay/dr": 11.3, "az/alpha": -275.0, "az/de": -28.2},
+    "OV10": {"ay/beta": -17.5, "ay/dr": 0.0, "az/alpha": -79.7, "az/de": 0.0},
+}
+"""Force derivatives of the JSBSim aircraft in trim, m/s^2 per rad: by regression of the noise-free
+forces of calm flights with multisines on all four inputs (R^2 above 0.999)."""
+
+AMPLITUDES: Mapping[str, Mapping[str, float]] = {
+    "light_aircraft": {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1},
+    "c172p": {"de": 0.05, "dr": 0.06, "da": 0.05, "dth": 0.1},
+    "T37": {"de": 0.03, "dr": 0.04, "da": 0.04, "dth": 0.1},
+    "OV10": {"de": 0.08, "dr": 0.08, "da": 0.08, "dth": 0.1},
+}
+"""Peak excitation of each aircraft, rad and throttle."""
+
+DELAY = 0.02
+"""Delay of the actuators, told, s."""
+
+SENSORS = Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15, stamped=True)
+WEAK = Sensors(rate=25.0, gyro_noise=0.03, accelerometer_noise=0.6, stamped=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One flight and what an identifier is told about it.
+
+    Parameters
+    ----------
+    kind : str
+        Its class.
+    name : str
+        What it is, in words.
+    seed : int
+        Seed of wind and noise.
+    fly : callable
+        Returns the measurements; called where the trial is run.
+    settings : mapping
+        Settings that differ from those that fit the topics.
+    warm : bool
+        Start from the true coefficients of the healthy aircraft.
+    feedback : bool
+        No excitation: coverage is counted apart.
+    names : str
+        What the identifier has to say, as a regular expression; of mistakes only.
+    """
+
+    kind: str
+    name: str
+    seed: int
+    fly: Callable[[], Measurements]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    warm: bool = False
+    feedback: bool = False
+    names: str = ""
+
+
+def truth(flight: Flight, time: float) -> dict[str, float]:
+    """Return the derivatives at `time`, s: of the healthy aircraft times what has changed."""
+    out = {**flight.local_truth, **FORCE_TRUTH[flight.name]}
+    for change in flight.changes:
+        if change.time <= time:
+            for name in out:
+                out[name] *= change.factors.get(name.partition("/")[2], 1.0)
+    return out
+
+
+def coefficients(structure: Structure, true: Mapping[str, float]) -> FloatArray:
+    """Lay the true derivatives out in a structure, shape of its mask.
+
+    Where the forces are regressors in place of the angles of the flow, the moment of a surface is
+    divided: what goes by its force belongs to the force.
+    """
+    out = np.zeros(structure.mask.shape)
+    for name, value in true.items():
+        if name in structure.names:
+            out[structure.index(name)] = value
+    if "az/1" in structure.names:
+        out[structure.index("az/1")] = -GRAVITY
+    for force, angle in (("ay", "beta"), ("az", "alpha")):
+        for row in ("pdot", "qdot", "rdot"):
+            if f"{row}/{force}" not in structure.names or f"{row}/{angle}" not in true:
+                continue
+            share = true[f"{row}/{angle}"] / true[f"{force}/{angle}"]
+            out[structure.index(f"{row}/{force}")] = share
+            if force == "az":  # in trim it carries the weight, and the moments are none
+                out[structure.index(f"{row}/1")] = share * GRAVITY
+            for surface in ("de", "dr", "da"):
+                name = f"{row}/{surface}"
+                if name in structure.names:
+                    out[structure.index(name)] -= share * true.get(f"{force}/{surface}", 0.0)
+    return out
+
+
+def warm_start(structure: Structure, true: Mapping[str, float]) -> CoefficientSet:
+    """Return what a good flight of the healthy aircraft would have saved."""
+    values = coefficients(structure, true)
+    sigma = np.where(structure.mask, 0.05 * np.abs(values) + 0.02, 0.0)
+    return CoefficientSet(structure.name, values, sigma)
+
+
+def _fly(
+    aircraft: str,
+    seed: int,
+    *,
+    excitation: Sequence[tuple[float, float]] = (),
+    scale: float = 1.0,
+    duration: float = 120.0,
+    bank: float = 0.0,
+    wind: float = 0.0,
+    changes: tuple[CoefficientChange, ...] = (),
+    delay: float = DELAY,
+    sensors: Sensors = SENSORS,
+    spoil: Callable[[Measurements], Measurements] | None = None,
+    **light: Any,
+) -> Measurements:
+    """Fly one and measure it; `wind` in m/s rms, of JSBSim aircraft the severity 0 to 7."""
+    peaks = {name: scale * peak for name, peak in AMPLITUDES[aircraft].items()}
+    segments = [
+        Segment("multisine", start, until - start, peaks, seed=seed) for start, until in excitation
+    ]
+    if aircraft == "light_aircraft":
+        flight = light_aircraft.fly(
+            light_aircraft.LightFlight(
+                segments, duration, bank=bank, gust=wind, changes=changes, delay=delay, seed=seed,
+                **light,
+            )
+        )  # fmt: skip
+    else:
+        flight = jsbsim_flight.fly(
+            jsbsim_flight.AircraftFlight(
+                aircraft, segments, duration, rate=200.0, actuator_rate=50.0, bank=bank,
+                turbulence=int(wind), changes=changes, delay=delay, seed=seed,
+            )
+        )  # fmt: skip
+    measured = measure(flight, sensors, seed)
+    return measured if spoil is None else spoil(measured)
+
+
+def _change(name: str, factor: float, time: float = CHANGED) -> tuple[CoefficientChange, ...]:
+    return (CoefficientChange(time, {name: factor}),)
+
+
+def _feedback(seed: int, length: float) -> list[Trial]:
+    """Bank commands, yaw damper and gusts; nobody excites."""
+    return [
+        Trial(
+            "feedback",
+            f"{aircraft}, wind {wind:g}",
+            seed,
+            partial(_fly, aircraft, seed, bank=bank, wind=wind, duration=length * 150.0),
+            feedback=True,
+        )
+        for aircraft, bank, wind in (
+            ("light_aircraft", 30.0, 0.3),
+            ("light_aircraft", 30.0, 0.8),
+            ("light_aircraft", 15.0, 1.5),
+            ("c172p", 30.0, 5),
+            ("T37", 30.0, 3),
+            ("OV10", 30.0, 3),
+        )
+    ]
+
+
+def _old_knowledge(seed: int, length: float) -> list[Trial]:
+    """Excited, then bank commands alone: a surface fails, or was reversed on the ground."""
+    out = []
+    for aircraft, wind in (("light_aircraft", 0.5), ("c172p", 3)):
+        fly = partial(_fly, aircraft, seed, bank=20.0, wind=wind, duration=length * 150.0)
+        failures = [("dr", -1.0), ("dr", 0.0), ("dr", 0.33), ("de", 0.33), ("da", 0.33)]
+        out += [
+            Trial(
+                "old_knowledge",
+                f"{aircraft}, {surface} x {factor:g} after the excitation",
+                seed,
+                partial(fly, excitation=((2.0, EXCITED),), changes=_change(surface, factor)),
+            )
+            for surface, factor in failures
+        ]
+        out.append(
+            Trial(
+                "old_knowledge",
+                f"{aircraft}, warm start, rudder reversed on the ground",
+                seed,
+                partial(fly, changes=_change("dr", -1.0, 0.0)),
+                warm=True,
+                feedback=True,
+            )
+        )
+    return out
+
+
+def _unmodelled(seed: int, length: float) -> list[Trial]:
+    """Excited, with servos that nobody told of."""
+    light = partial(
+        _fly, "light_aircraft", seed, excitation=((2.0, 1e3),), bank=20.0, wind=0.5,
+        duration=length * 110.0,
+    )  # fmt: skip
+    jsbsim = partial(_fly, "c172p", seed, excitation=((2.0, 1e3),), duration=length * 110.0)
+    late = DELAY + 0.15
+    return [
+        Trial("unmodelled", "light_aircraft, servo lag 120 ms", seed,
+              partial(light, time_constant=0.12), {"actuators.time_constant": 0.0}),
+        Trial("unmodelled", "light_aircraft, delay 150 ms longer than told", seed,
+              partial(light, delay=late), {"actuators.delay": DELAY}),
+        Trial("unmodelled", "light_aircraft, commands saturate", seed,
+              partial(light, travel=0.04, scale=2.5)),
+        Trial("unmodelled", "c172p, delay 150 ms longer than told", seed,
+              partial(jsbsim, delay=late), {"actuators.delay": DELAY}),
+    ]  # fmt: skip
+
+
+def _weak(seed: int, length: float) -> list[Trial]:
+    """Noisy instruments at 25 Hz, little excitation."""
+    return [
+        Trial(
+            "weak",
+            f"{aircraft}, 25 Hz, excitation x {scale:g}",
+            seed,
+            partial(
+                _fly, aircraft, seed, excitation=((2.0, 1e3),), scale=scale, bank=20.0, wind=wind,
+                sensors=WEAK, duration=length * 110.0,
+            ),
+        )
+        for aircraft, wind, scale in (
+            ("light_aircraft", 0.5, 0.3), ("light_aircraft", 0.5, 1.0), ("c172p", 3, 0.3),
+        )
+    ]  # fmt: skip
+
+
+def _glitched(measured: Measurements) -> Measurements:
+    rates = measured.rates.copy()
+    rates[
+        np.searchsorted(measured.imu_t_ns, measured.imu_t_ns[0] + round(GLITCH_TIME * 1e9)), 0
+    ] = GLITCH
+    return replace(measured, rates=rates)
+
+
+def _excited(kind: str, seed: int, length: float, flights: Sequence[tuple[str, float, float]],
+             **more: Any) -> list[Trial]:  # fmt: skip
+    return [
+        Trial(
+            kind,
+            f"{aircraft}, bank {bank:g}, wind {wind:g}",
+            seed,
+            partial(
+                _fly, aircraft, seed, excitation=((2.0, 1e3),), bank=bank, wind=wind,
+                duration=length * 110.0, **more,
+            ),
+        )
+        for aircraft, bank, wind in flights
+    ]  # fmt: skip
+
+
+def _clean(seed: int, length: float) -> list[Trial]:
+    """Excited flights of which everything is known."""
+    flights = (
+        ("light_aircraft", 0.0, 0.0), ("light_aircraft", 20.0, 0.3), ("light_aircraft", 20.0, 0.8),
+        ("c172p", 0.0, 0), ("c172p", 20.0, 3), ("T37", 0.0, 0), ("OV10", 0.0, 0),
+    )  # fmt: skip
+    return _excited("clean", seed, length, flights)
+
+
+def _glitch(seed: int, length: float) -> list[Trial]:
+    """One gyro sample of 2000 deg/s in an excited flight."""
+    flights = (("light_aircraft", 20.0, 0.3), ("c172p", 0.0, 0))
+    return _excited("glitch", seed, length, flights, spoil=_glitched)
+
+
+def _closed_loop(seed: int, length: float) -> list[Trial]:
+    """Correct coefficients from the start, every surface moved for ten seconds, then quiet."""
+    return [
+        Trial(
+            "closed_loop",
+            f"{aircraft}, gyro noise {noise:g}",
+            seed,
+            partial(
+                _fly, aircraft, seed, excitation=((2.0, 12.0),), bank=20.0, wind=wind,
+                duration=length * 110.0, sensors=replace(SENSORS, gyro_noise=noise),
+            ),
+            warm=True,
+            feedback=True,
+        )
+        for aircraft, wind, noise in (
+            ("c172p", 3, 0.01), ("c172p", 3, 0.03), ("light_aircraft", 0.3, 0.03),
+        )
+    ]  # fmt: skip
+
+
+CLASSES: dict[str, Callable[[int, float], list[Trial]]] = {
+    "feedback": _feedback,
+    "old_knowledge": _old_knowledge,
+    "unmodelled": _unmodelled,
+    "weak": _weak,
+    "glitch": _glitch,
+    "clean": _clean,
+    "closed_loop": _closed_loop,
+}
+"""Flights of each class: from seed and relative length."""
+
+
+def trials(classes: Sequence[str], seeds: Sequence[int], length: float = LONG) -> list[Trial]:
+    """Return the trials of the classes named, with each seed."""
+    return [trial for kind in classes for seed in seeds for trial in CLASSES[kind](seed, length)]

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The judge of the verdict itself: what is wrong, and against which truth."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
+
+import false_usable
+import verdict_flights
+
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.simulation.light_aircraft import TRUTH
+
+
+def test_wrong_is_far_off_and_sure_of_it() -> None:
+    value = np.array([40.0, 20.0, 20.0, -20.0, -2.0, 10.0])
+    spread = np.array([1.0, 1.0, 10.0, 1.0, 20.0, 1.0])
+    truth = np.array([45.0, 45.0, 45.0, 45.0, 45.0, 0.0])
+    far, sign = false_usable.judge(value, spread, truth)
+    assert far.tolist() == [False, True, False, True, False, True]
+    assert sign.tolist() == [False, False, False, True, False, False]
+
+
+@pytest.mark.parametrize("name", sorted(STRUCTURES))
+def test_whole_derivatives_of_the_true_coefficients_are_the_truth(name: str) -> None:
+    structure = STRUCTURES[name]
+    values = verdict_flights.coefficients(structure, TRUTH)[None]
+    for derivative in false_usable.MAIN:
+        value, _ = false_usable.whole(structure, TRUTH, derivative, values, np.zeros_like(values))
+        assert value[0] == pytest.approx(TRUTH[derivative])
+
+
+def test_every_class_flies_and_a_failure_changes_the_truth() -> None:
+    trials = verdict_flights.trials(list(verdict_flights.CLASSES), (1, 2))
+    assert len(trials) >= 40
+    assert {trial.kind for trial in trials} == set(verdict_flights.CLASSES)
+    reversed_ = next(t for t in trials if t.name == "c172p, dr x -1 after the excitation")
+    flight = partial(reversed_.fly, duration=80.0)().flight
+    assert verdict_flights.truth(flight, 70.0)["rdot/dr"] == pytest.approx(-4.33)
+    assert verdict_flights.truth(flight, 76.0)["rdot/dr"] == pytest.approx(4.33)
+
+
+def test_a_clean_flight_is_usable_and_right() -> None:
+    trial = verdict_flights.trials(["clean"], (1,), 0.5)[0]
+    outcome = false_usable.run(trial, "")
+    assert outcome.usable > 0.9
+    assert outcome.wrong == outcome.wrong_sign == 0.0
+    assert "clean" in false_usable.report([outcome])

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A light aircraft of 3 kg in six degrees of freedom, its aerodynamics linear in the angles.
+
+The moments and forces are linear in rates, sideslip, angle of attack and surfaces, scaled with the
+dynamic pressure; the rest is a rigid body under gravity (Stevens and Lewis, "Aircraft Control and
+Simulation"). The true derivatives are known, the forces follow from the flow, and the autopilot
+feeds back: what an identified model has to find out on a real flight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.simulation.disturbance import ColouredNoise
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.flight import GRAVITY, CoefficientChange, Flight, stamps
+from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
+
+SPEED = 20.0
+"""True airspeed in trim, m/s."""
+
+TRUTH: dict[str, float] = {
+    "pdot/p": -9.0, "pdot/r": 2.0, "pdot/beta": -25.0, "pdot/dr": 3.0, "pdot/da": 45.0,
+    "qdot/q": -6.0, "qdot/alpha": -40.0, "qdot/de": -30.0,
+    "rdot/p": -0.5, "rdot/r": -1.8, "rdot/beta": 12.0, "rdot/dr": -9.0, "rdot/da": -1.5,
+    "ay/beta": -12.0, "ay/dr": 5.0,
+    "az/alpha": -190.0, "az/de": -15.0,
+}  # fmt: skip
+"""Derivatives in trim, 1/s or 1/s^2 per rad, m/s^2 per rad. `alpha` is counted from trim."""
+
+_QR, _PR, _PQ = -0.70, 0.85, -0.25
+"""Inertial coupling of roll, pitch and yaw, from the inertias."""
+
+_DRAG, _AX_ALPHA, _AX_THROTTLE = 1.5, 4.0, 3.0
+"""Drag in trim, m/s^2, forward force per rad and per unit of throttle."""
+
+DEFAULT_TRIM = (0.0, 0.0, 0.0, 0.5)
+"""Surfaces centred (rad), half throttle."""
+
+TURN_TIME = 10.0
+"""Time of each of the alternating turns, s."""
+
+GUST_TIME, ROLL_GUST_TIME = 1.5, 0.3
+"""Correlation times of wind and of its rolling part, s: 30 m and 6 m of flight."""
+
+ROLL_GUST = 0.15
+"""Rolling part, rad/s per m/s of wind."""
+
+LOST = math.radians(85.0)
+"""Roll or pitch angle at which a flight counts as lost, rad."""
+
+
+@dataclass(frozen=True)
+class LightFlight:
+    """Everything that defines a flight of the light aircraft.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Excitation, added to the autopilot's commands.
+    duration : float
+        Length of the flight, s.
+    rate : float
+        Rate of integration and of the noise-free samples, Hz.
+    actuator_rate : float
+        Rate of the commands, Hz; each is held until the next.
+    bank : float
+        Bank angle of alternating turns, deg.
+    gust : float
+        Wind on each axis, m/s rms.
+    delay, time_constant : float
+        From command to surface, and the servos' first-order lag, s.
+    travel : float
+        Largest deflection of a surface, rad: commands beyond it are without effect.
+    yaw_damper : float
+        Rudder per rad/s of yaw rate.
+    changes : tuple of CoefficientChange
+        From a time on, an input (``de`` and so on) has its effect multiplied.
+    seed : int
+        Seed of the wind.
+    """
+
+    segments: Sequence[Segment]
+    duration: float
+    rate: float = 200.0
+    actuator_rate: float = 50.0
+    bank: float = 0.0
+    gust: float = 0.0
+    delay: float = 0.0
+    time_constant: float = 0.0
+    travel: float = math.inf
+    yaw_damper: float = 0.15
+    changes: tuple[CoefficientChange, ...] = ()
+    seed: int = 0
+    truth: Mapping[str, float] = field(default_factory=lambda: dict(TRUTH))
+
+    def effect(self, time: float) -> FloatArray:
+        """Effect of each input at `time` (s), relative to the truth, shape (4,)."""
+        effect = np.ones(len(INPUTS))
+        for change in self.changes:
+            if change.time <= time:
+                for name, factor in change.factors.items():
+                    effect[INPUTS.index(name)] *= factor
+        return effect
+
+
+State = tuple[float, float, float, float, float, float, float, float, float]
+"""Rates p q r (rad/s), speed u v w through the air (m/s), roll and pitch (rad), altitude (m)."""
+
+
+def fly(spec: LightFlight, name: str = "light_aircraft") -> Flight:
+    """Fly the light aircraft on its autopilot.
+
+    Raises
+    ------
+    SimulationError
+        If the actuator rate is no whole fraction of the rate, or the aircraft is lost.
+    """
+    every = round(spec.rate / spec.actuator_rate)
+    if every < 1 or abs(every * spec.actuator_rate - spec.rate) > 1e-6 * spec.rate:
+        raise SimulationError(
+            f"actuator rate {spec.actuator_rate:g} Hz is no whole fraction of {spec.rate:g} Hz"
+        )
+    count = round(spec.duration * spec.rate) + 1
+    excitation = sample_inputs(spec.segments, np.arange(0, count, every) / spec.rate)
+    record, commands, surfaces = _integrate(spec, count, every, excitation)
+    return Flight(
+        name=name,
+        t_ns=stamps(np.arange(count) / spec.rate),
+        rates=record[:, 0:3],
+        angular_acceleration=record[:, 9:12],
+        specific_force=record[:, 12:15],
+        actuator_t_ns=stamps(np.arange(0, count, every) / spec.rate),
+        inputs=commands,
+        trim=np.array(DEFAULT_TRIM),
+        delay=spec.delay,
+        time_constant=spec.time_constant,
+        changes=spec.changes,
+        local_truth=dict(spec.truth),
+        excitation=excited_intervals(spec.segments, spec.duration),
+        airspeed=np.linalg.norm(record[:, 3:6], axis=1),
+        extra={
+            "alpha": np.arctan2(record[:, 5], record[:, 3]),
+            "beta": np.arcsin(record[:, 4] / np.linalg.norm(record[:, 3:6], axis=1)),
+            "roll": record[:, 6],
+            "pitch": record[:, 7],
+            "altitude": record[:, 8],
+            "surfaces": surfaces,
+        },
+    )
+
+
+def _integrate(
+    spec: LightFlight, count: int, every: int, excitation: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fly: record (N, 15), commands (M, 4) and surfaces (N, 4); midpoint rule, 5 ms a step."""
+    h, delay = 1.0 / spec.rate, round(spec.delay * spec.rate)
+    wind = _wind(spec, count)
+    keep = math.exp(-h / spec.time_constant) if spec.time_constant > 0.0 else 0.0
+    state: State = (0.0, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0, 0.0)
+    surface = np.zeros(len(INPUTS))
+    commands = np.zeros_like(excitation)
+    record, surfaces = np.empty((count, 15)), np.empty((count, len(INPUTS)))
+    switches = sorted(change.time for change in spec.changes)
+    effect = spec.effect(0.0)
+    for k in range(count):
+        t = k * h
+        if switches and t >= switches[0]:
+            switches.pop(0)
+            effect = spec.effect(t)
+        if k % every == 0:
+            commands[k // every] = _autopilot(spec, state, t) + excitation[k // every]
+        due = k - delay
+        target = commands[due // every] if due >= 0 else np.zeros(len(INPUTS))
+        surface = target + (surface - target) * keep
+        surface[:3] = np.clip(surface[:3], -spec.travel, spec.travel)
+        surfaces[k] = surface
+        u = (surface * effect).tolist()
+        gust = wind[k]
+        slope, acceleration, force = _slope(spec.truth, state, u, gust)
+        record[k] = (*state, *acceleration, *force)
+        middle = tuple(x + 0.5 * h * dx for x, dx in zip(state, slope, strict=True))
+        slope, _, _ = _slope(spec.truth, middle, u, gust)  # type: ignore[arg-type]
+        state = tuple(x + h * dx for x, dx in zip(state, slope, strict=True))  # type: ignore[assignment]
+        if not (abs(state[6]) < LOST and abs(state[7]) < LOST):  # NaN fails too
+            raise SimulationError(
+                f"the light aircraft is lost at {t:.1f} s: use smaller amplitudes or less wind"
+            )
+    return record, commands, surfaces
+
+
+def _wind(spec: LightFlight, count: int) -> list[list[float]]:
+    """Wind v, w (m/s) and rolling p (rad/s) at each step."""
+    rng = np.random.default_rng([spec.seed, 7])
+    v_w = ColouredNoise(spec.gust, GUST_TIME).sample(count, 2, spec.rate, rng)
+    p = ColouredNoise(ROLL_GUST * spec.gust, ROLL_GUST_TIME).sample(count, 1, spec.rate, rng)
+    out: list[list[float]] = np.column_stack([v_w, p]).tolist()
+    return out
+
+
+def _autopilot(spec: LightFlight, state: State, t: float) -> FloatArray:
+    """Hold bank, altitude and speed, damp the yaw: de, dr, da, dth as deviations from trim."""
+    p, q, r, u, _, w, roll, pitch, altitude = state
+    side = 1.0 if int(t / TURN_TIME) % 2 == 0 else -1.0
+    bank = math.radians(spec.bank) * side
+    climb = u * math.sin(pitch) - w * math.cos(pitch)
+    wanted = max(-0.2, min(0.2, -0.01 * altitude - 0.02 * climb + 0.1 * abs(math.sin(roll)) ** 2))
+    return np.array(
+        [
+            0.3 * (pitch - wanted) + 0.03 * q,
+            spec.yaw_damper * (r - GRAVITY / SPEED * math.sin(roll) * math.cos(pitch)),
+            0.2 * (bank - roll) - 0.02 * p,
+            max(-0.5, min(0.5, 0.1 * (SPEED - u))),
+        ]
+    )
+
+
+def _slope(
+    c: Mapping[str, float], state: State, surfaces: Sequence[float], gust: Sequence[float]
+) -> tuple[State, tuple[float, float, float], tuple[float, float, float]]:
+    """Return the slope of the state, angular acceleration, rad/s^2, and specific force, m/s^2."""
+    p, q, r, u, v, w, roll, pitch, _ = state
+    de, dr, da, dth = surfaces
+    beta, alpha = math.atan2(v + gust[0], u), math.atan2(w + gust[1], u)
+    ratio = math.sqrt(u * u + v * v + w * w) / SPEED
+    pressure = ratio * ratio
+    p_air = p + gust[2]
+    pdot = ratio * (c["pdot/p"] * p_air + c["pdot/r"] * r)
+    pdot += pressure * (c["pdot/beta"] * beta + c["pdot/dr"] * dr + c["pdot/da"] * da)
+    pdot += 0.5 * dth + _QR * q * r
+    qdot = ratio * c["qdot/q"] * q + pressure * (c["qdot/alpha"] * alpha + c["qdot/de"] * de)
+    qdot += -dth + _PR * p * r
+    rdot = ratio * (c["rdot/p"] * p_air + c["rdot/r"] * r)
+    rdot += pressure * (c["rdot/beta"] * beta + c["rdot/dr"] * dr + c["rdot/da"] * da)
+    rdot += -0.5 * dth + _PQ * p * q
+    ax = pressure * (_AX_ALPHA * alpha - _DRAG) + _DRAG + _AX_THROTTLE * dth
+    ay = pressure * (c["ay/beta"] * beta + c["ay/dr"] * dr)
+    az = pressure * (c["az/alpha"] * alpha + c["az/de"] * de - GRAVITY)
+    sin_roll, cos_roll = math.sin(roll), math.cos(roll)
+    sin_pitch, cos_pitch = math.sin(pitch), math.cos(pitch)
+    return (
+        (
+            pdot,
+            qdot,
+            rdot,
+            ax + r * v - q * w - GRAVITY * sin_pitch,
+            ay + p * w - r * u + GRAVITY * sin_roll * cos_pitch,
+            az + q * u - p * v + GRAVITY * cos_roll * cos_pitch,
+            p + (q * sin_roll + r * cos_roll) * sin_pitch / cos_pitch,
+            q * cos_roll - r * sin_roll,
+            u * sin_pitch - (v * sin_roll + w * cos_roll) * cos_pitch,
+        ),
+        (pdot, qdot, rdot),
+        (ax, ay, az),
+    )
