@@ -9,7 +9,7 @@ import pytest
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import GRAVITY, CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.light_aircraft import SPEED, TRUTH, LightFlight, fly
+from uav_ident_ros.simulation.light_aircraft import TRUTH, LightFlight, fly
 
 EXCITATION = Segment("multisine", amplitudes={"de": 0.03, "dr": 0.04, "da": 0.03})
 REGRESSORS = {
@@ -58,8 +58,9 @@ def test_level_flight_carries_the_weight_and_turns_carry_more() -> None:
     roll = turn.extra["roll"][late].mean()
     assert math.radians(30.0) < roll < math.radians(45.0)
     assert turn.specific_force[late, 2].mean() == pytest.approx(-GRAVITY / math.cos(roll), rel=0.1)
+    speed = turn.airspeed[late].mean()
     sideways = turn.specific_force[late, 1].mean() + GRAVITY * math.sin(roll)
-    assert turn.rates[late, 2].mean() == pytest.approx(sideways / SPEED, rel=0.05)
+    assert turn.rates[late, 2].mean() == pytest.approx(sideways / speed, rel=0.05)
 
 
 def test_a_reversed_rudder_yaws_the_other_way() -> None:
