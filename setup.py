@@ -43,8 +43,7 @@ setup(
     # here would break every machine that has them from apt.
     install_requires=["setuptools", "numpy"],
     extras_require={
-        # import_log: the reader of each kind of log (tables need none)
-        "ardupilot": ["pymavlink", "pyyaml", "rosbags"],
+        # import_log: the reader of PX4 logs (the others need none)
         "px4": ["pyulog", "pyyaml", "rosbags"],
         "jsbsim": ["jsbsim"],
         "monitor": ["rich"],

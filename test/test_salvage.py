@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -411,6 +412,28 @@ def test_messages_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
     dropped = [summary["inputs"][s]["dropped"].get("unreadable", 0) for s in ("rates", "actuators")]
     assert sum(dropped) == 13
     assert summary["ticks"] > 90
+
+
+def test_a_first_message_without_a_byte(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with Bag(BAGS / "multisine") as source, BagWriter(bag) as writer:
+        for topic, name in TYPES.items():
+            writer.topic(topic, name)
+            writer.write(topic, source.start_ns, b"")
+        for topic, log_ns, data in source.messages(TYPES):
+            if log_ns < source.start_ns + 3 * SECOND_NS:
+                writer.write(topic, log_ns, data)
+    _, summary = replayed(bag, tmp_path / "out")
+    dropped = [summary["inputs"][s]["dropped"]["unreadable"] for s in ("rates", "actuators")]
+    assert dropped == [1, 1]
+
+
+def test_what_is_no_file_on_a_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "pipe.mcap")
+    for path in (tmp_path / "pipe.mcap", Path("/dev/zero")):
+        assert replayed(path, tmp_path / "out") == (NO_RESULT, {})
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"'{path}' is neither a file on a disk nor a folder" in line
 
 
 def test_imus_of_an_unknown_type(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

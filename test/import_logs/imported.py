@@ -35,12 +35,12 @@ def flight(duration: float = 30.0, **sensors: Any) -> Measurements:
     return build_measurements("flight", definition)
 
 
-def run(arguments: list[str], capsys: Any) -> str:
-    """Import a log; return what was printed."""
-    status = main(arguments)
+def run(arguments: list[str], capsys: Any, status: int = 0) -> str:
+    """Import a log; return what was printed, as one line."""
+    ended = main(arguments)
     printed = capsys.readouterr()
-    assert status == 0, printed.err
-    return str(printed.out)
+    assert ended == status, printed.err
+    return " ".join(str(printed.out).split())
 
 
 def refusal(arguments: list[str], capsys: Any) -> str:

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import os
+import re
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +17,8 @@ from imported import contents, refusal, run
 from ulog_writing import commands, sensor_combined, write_ulog
 
 from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.import_logs.cli import DAMAGED
+from uav_ident_ros.import_logs.dataflash import HEADER, DataflashLog
 
 IMU_NS = 5_000_000 * np.arange(1, 2001)
 VALUES = np.random.default_rng(1).normal(size=(len(IMU_NS), 3))
@@ -59,6 +64,31 @@ def test_a_foreign_file(tmp_path: Path, capsys, out, name: str) -> None:
     assert "of no known kind" in refusal([str(tmp_path / name), *out], capsys)
 
 
+def test_what_is_no_file_on_a_disk(tmp_path: Path, capsys, out) -> None:
+    os.mkfifo(tmp_path / "pipe.bin")
+    for name in (str(tmp_path / "pipe.bin"), "/dev/zero"):
+        assert f"'{name}' is no regular file" in refusal([name, *out], capsys)
+
+
+def test_nothing_half_written_stays_behind(tmp_path: Path, capsys, out) -> None:
+    """A limit on the size of files fails the writing in the middle of the bag."""
+    log = write_ulog(tmp_path / "good.ulg", GOOD, {})
+    program = (
+        "import resource, signal, sys\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))\n"
+        "from uav_ident_ros.import_logs.cli import main\n"
+        f"sys.exit(main({[str(log), *out]!r}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("import_log: cannot write")
+    assert not (tmp_path / "bag").exists()
+
+
 def test_the_output_is_not_overwritten(tmp_path: Path, capsys, out) -> None:
     (tmp_path / "bag").mkdir()
     log = write_ulog(tmp_path / "good.ulg", GOOD, {})
@@ -100,8 +130,24 @@ def test_a_ulog_with_garbage_inside_says_so(tmp_path: Path, capsys, out) -> None
     middle = len(whole) // 2
     whole[middle : middle + 2000] = np.random.default_rng(5).bytes(2000)
     (tmp_path / "bad.ulg").write_bytes(whole)
-    said = run([str(tmp_path / "bad.ulg"), *out], capsys)
-    assert "damaged" in said or "cut off" in said
+    said = run([str(tmp_path / "bad.ulg"), *out], capsys, DAMAGED)
+    (lost,) = re.findall(r"the file is damaged: (\d+) of \d+ bytes \(.* %\) could not be", said)
+    assert 2000 <= int(lost) < len(whole) // 2
+
+
+def test_a_ulog_with_a_stamp_that_no_clock_gave(tmp_path: Path, capsys, out) -> None:
+    """Beyond what a ROS stamp holds, and within it: the samples around it stay where they are."""
+    topics = {key: {n: v.copy() for n, v in columns.items()} for key, columns in GOOD.items()}
+    topics["sensor_combined", 0]["timestamp"][[1000, 1700]] = 2**62, 9_000_000_000
+    topics["vehicle_torque_setpoint", 0]["timestamp"][200] = 2**63
+    # the writer sorts by the stamps: what is damaged goes to the end
+    log = write_ulog(tmp_path / "flight.ulg", topics, {})
+    said = run([str(log), *out], capsys, DAMAGED)
+    assert "2 of 2000 messages sensor_combined have a stamp that no clock gave" in said
+    assert "1 of 500 messages vehicle_torque_setpoint have a stamp that no clock gave" in said
+    found = contents(tmp_path / "bag")
+    np.testing.assert_array_equal(found.imu_t_ns, np.delete(IMU_NS, [1000, 1700]))
+    assert found.log_ns[-1] == IMU_NS[-1]
 
 
 def test_a_ulog_without_gyro_or_actuators(tmp_path: Path, capsys, out) -> None:
@@ -166,8 +212,69 @@ def test_a_dataflash_log_with_garbage_inside_says_so(tmp_path: Path, capsys, out
     middle = len(whole) // 2
     whole[middle : middle + 1000] = bytes(1000)
     (tmp_path / "bad.bin").write_bytes(whole)
-    said = run([str(tmp_path / "bad.bin"), *out], capsys)
-    assert "damaged, pymavlink left out what it could not read" in " ".join(said.split())
+    said = run([str(tmp_path / "bad.bin"), *out], capsys, DAMAGED)
+    assert re.search(r"the file is damaged: \d{3,4} of \d+ bytes \(.* %\) in 1 place", said)
+    assert len(contents(tmp_path / "bag").imu_t_ns) > len(IMU_NS) - 30
+    assert "# Damaged:" in (tmp_path / "bag" / "identifier.yaml").read_text()
+
+
+@pytest.mark.parametrize("part", ["header", "type", "known type", "stamp"])
+def test_one_damaged_byte_costs_one_message(tmp_path: Path, capsys, out, part: str) -> None:
+    """pymavlink's index stops at it, and with it went the rest of the log."""
+    whole = bytearray(plane_log(tmp_path).read_bytes())
+    reader = DataflashLog(tmp_path / "plane.bin", ("IMU", "RCOU"))
+    assert reader.messages("IMU").stamp_ns.tolist() == IMU_NS.tolist()
+    kind = whole[whole.index(b"IMU\0") - 2]
+    pattern = HEADER + bytes([kind])
+    place = whole.index(pattern, len(whole) // 2)
+    at, value = {
+        "header": (0, 0),
+        "type": (2, 0),
+        "known type": (2, whole[whole.index(b"RCOU") - 2]),
+        "stamp": (9, 0x55),
+    }[part]
+    whole[place + at] = value
+    (tmp_path / "bad.bin").write_bytes(whole)
+    said = run([str(tmp_path / "bad.bin"), *out], capsys, DAMAGED)
+    found = contents(tmp_path / "bag")
+    assert len(found.imu_t_ns) == len(IMU_NS) - 1
+    assert set(found.imu_t_ns) < set(IMU_NS)
+    assert len(found.actuator_t_ns) == len(IMU_NS) // 4
+    if part == "stamp":
+        assert "1 of 2000 messages IMU have a stamp that no clock gave" in said
+    else:
+        size = struct.calcsize("<3xQBffffffIIfBBHH")
+        assert f"{size} of {len(whole)} bytes (" in said
+        assert "in 1 place, about 0.005 s of the log" in said
+
+
+def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
+    """An undamaged one, that is: its reader is the reference for fields and units."""
+    from pymavlink.DFReader import DFReader_binary
+
+    writer = DataflashWriter(tmp_path)
+    writer.add_parameters({"SERVO1_FUNCTION": 4, "INS_POS1_X": 0.1})
+    numbers = np.random.default_rng(3)
+    for t in range(50):
+        writer.add("IMU", 1000 * t, t % 2, *numbers.normal(size=6))
+        writer.add("ARSP", 1000 * t, 0, *numbers.normal(size=2), 1234)
+        writer.add("CTUN", 1000 * t, *numbers.integers(-9000, 9000, 4), *numbers.normal(size=6))
+    path = writer.write(tmp_path / "flight.bin")
+    log = DataflashLog(path, ("IMU", "ARSP", "CTUN"))
+    theirs: dict[str, list] = {}
+    reader = DFReader_binary(str(path), zero_time_base=True)
+    while (message := reader.recv_msg()) is not None:
+        theirs.setdefault(message.get_type(), []).append(message)
+    reader.close()
+    assert log.parameters == {m.Name: m.Value for m in theirs["PARM"]}
+    for name, count in (("IMU", 2), ("ARSP", 1), ("CTUN", 1)):
+        assert log.instances(name) == list(range(count))
+        for instance in range(count):
+            ours = log.messages(name, instance)
+            wanted = [m for m in theirs[name] if getattr(m, "I", 0) == instance]
+            for field in wanted[0].get_fieldnames():
+                values = [getattr(m, field) for m in wanted]
+                np.testing.assert_array_equal(ours.columns[field], values, err_msg=field)
 
 
 def test_a_whole_dataflash_log_is_not_called_damaged(tmp_path: Path, capsys, out) -> None:
@@ -226,6 +333,10 @@ def test_a_table_without_a_map(tmp_path: Path, capsys, out) -> None:
         (TABLE.replace("t,p,q,r,de", "t,p,q,R,de"), "no column 'r'"),
         (TABLE.replace("1.00,0.1", "1.00,fast"), "line 102: 'fast' is no number"),
         (TABLE.replace("1.00,0.1", "noon,0.1"), "line 102: the time is 'noon'"),
+        (TABLE.replace("1.00,0.1", "-1.0,0.1"), "line 102: the time is '-1.0': a stamp holds 0 to"),
+        (TABLE.replace("1.00,0.1", "1e300,0.1"), "line 102: the time is '1e300': a stamp holds"),
+        (TABLE.replace("1.00,0.1", "inf,0.1"), "line 102: the time is 'inf'"),
+        (TABLE.replace("1.00,0.1", "nan,0.1"), "line 102: the time is 'nan', which is no number"),
         ("t,p,q,r,de\n", "no complete row"),
         ("t,p,q,r,de\n1.0,,,,0.5\n", "has no rates: columns p, q, r are empty"),
         ("t,p,q,r,de\n1.0,1,2,3,\n", "has no actuators: columns de are empty"),
@@ -274,24 +385,20 @@ def test_the_example_of_the_help_is_a_good_map(tmp_path: Path) -> None:
 # --- without the libraries ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("missing", "extra"), [("pyulog", "px4"), ("pymavlink", "ardupilot")])
-def test_a_missing_reader_names_its_extra(tmp_path: Path, missing: str, extra: str) -> None:
-    make = {
-        "pyulog": lambda: write_ulog(tmp_path / "a.ulg", GOOD, {}),
-        "pymavlink": lambda: plane_log(tmp_path),
-    }
+def test_a_missing_reader_names_its_extra(tmp_path: Path) -> None:
+    log = write_ulog(tmp_path / "a.ulg", GOOD, {})
     program = (
-        f"import sys; sys.modules['{missing}'] = None\n"
+        "import sys; sys.modules['pyulog'] = None\n"
         "from uav_ident_ros.import_logs.cli import main\n"
-        f"sys.exit(main([{str(make[missing]())!r}, '--output', {str(tmp_path / 'bag')!r}]))"
+        f"sys.exit(main([{str(log)!r}, '--output', {str(tmp_path / 'bag')!r}]))"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
-    assert f"{missing} is not installed" in line
-    assert f"uav_ident_ros[{extra}]" in line
+    assert "pyulog is not installed" in line
+    assert "uav_ident_ros[px4]" in line
 
 
 def test_every_message_type_and_default_is_one_the_settings_know() -> None:

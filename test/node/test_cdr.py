@@ -115,6 +115,18 @@ def test_other_byte_order_is_read_too() -> None:
         assert found.values == (1.5, -2.5)
 
 
+@pytest.mark.parametrize("size", [0, 1, 3, 4, 11])
+def test_a_message_of_too_few_bytes_is_of_another_form(size: int) -> None:
+    """The first one, too, before anything is known to compare it with."""
+    for name, field in (
+        ("std_msgs/msg/Float64MultiArray", "data"),
+        ("sensor_msgs/msg/JointState", "position"),
+    ):
+        decode = ChannelsDecoder(name, field)
+        assert decode(bytes(size)) is None
+        assert decode(bytes(size)) is None
+
+
 def test_a_template_is_what_rclpy_serializes() -> None:
     mark = np.pi * np.arange(1.0, 4.0)
     vector = Vector3(**dict(zip("xyz", mark.tolist(), strict=True)))

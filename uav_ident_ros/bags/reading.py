@@ -272,6 +272,8 @@ def _opened(path: Path, damage: list[str]) -> list[Reader | SalvageReader]:
         if path.suffix not in STORAGE_SUFFIXES:
             raise BagError(f"bag '{path}' is no bag: an .mcap file or a rosbag2 folder is needed")
         return [_open_file(path, path, damage)]
+    if not path.is_dir():
+        raise BagError(f"bag '{path}' is neither a file on a disk nor a folder")
     reason = f"there is no {METADATA_FILE}"
     if (path / METADATA_FILE).exists():
         try:

@@ -80,7 +80,7 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     if choice.actuators_instance:
         raise ImportLogError(f"log '{path}': ArduPilot logs one set of actuators, instance 0")
     log = DataflashLog(path, tuple(dict.fromkeys(TYPES)))
-    findings = Findings(lost=list(log.damage))
+    findings = Findings(lost=list(log.remarks), damage=list(log.damage))
     unit = choice.rates_instance
     rates = _read_rates(log, findings, choice.rates_topic, unit)
     actuators = read_outputs(log, findings, choice.actuators_topic)

@@ -17,8 +17,8 @@ from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
 from uav_ident_ros.import_logs.flight_log import TRIMS, Choice, FlightLog, ImportLogError
 from uav_ident_ros.import_logs.stamps import describe, doubts
 
-USAGE_ERROR = 2
-"""Exit status for bad input."""
+DAMAGED, USAGE_ERROR = 1, 2
+"""Exit status if a part of the log could not be read, and for bad input."""
 
 WIDTH = 100
 
@@ -76,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; the return value is the exit status: 2 for bad input."""
+    """Run the command; return the exit status: `DAMAGED` if a part of the log is lost."""
     options = parser().parse_args(arguments)
     try:
         from uav_ident_ros.bags.writing import BagWriteError
@@ -84,15 +84,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"import_log: {error.name} is not installed: pip install rosbags", file=sys.stderr)
         return USAGE_ERROR
     try:
-        import_log(options)
+        log = import_log(options)
     except (ImportLogError, BagWriteError) as error:
         print(f"import_log: {error}", file=sys.stderr)
         return USAGE_ERROR
-    return 0
+    return DAMAGED if log.findings.damage else 0
 
 
-def import_log(options: argparse.Namespace) -> None:
-    """Read the log, write the bag and say what was done.
+def import_log(options: argparse.Namespace) -> FlightLog:
+    """Read the log, write the bag and say what was done; return what was read.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def import_log(options: argparse.Namespace) -> None:
     folder = options.output or Path(options.log.stem)
     if folder.exists():
         raise ImportLogError(f"'{folder}' exists already: choose another --output")
-    log = read_log(options)
+    log = _guarded(options)
     if options.airspeed and log.airspeed is None:
         raise ImportLogError(f"log '{log.path}' has no airspeed: leave --airspeed out")
     if options.flight_only:
@@ -124,6 +124,20 @@ def import_log(options: argparse.Namespace) -> None:
         for sentence in sentences:
             print(textwrap.fill(sentence, WIDTH, initial_indent="  - ", subsequent_indent="    "))
     print(f"\nwritten to {folder}; next: replay {folder} --params-file {path}")
+    return log
+
+
+def _guarded(options: argparse.Namespace) -> FlightLog:
+    """Read the log; whatever its bytes do to a reader becomes one line."""
+    try:
+        return read_log(options).with_plausible_stamps()
+    except ImportLogError:
+        raise
+    except Exception as error:  # what damaged bytes mean is not to be foreseen
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise ImportLogError(
+            f"log '{options.log}' cannot be used: what it says makes no sense ({reason})"
+        ) from error
 
 
 def read_log(options: argparse.Namespace) -> FlightLog:
@@ -175,6 +189,8 @@ FIRST_BYTES = 400
 
 
 def _first_bytes(path: Path) -> bytes:
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ImportLogError(f"log '{path}' is no regular file: give a file on a disk")
     try:
         with path.open("rb") as file:
             start = file.read(FIRST_BYTES)

@@ -17,12 +17,12 @@ from uav_ident_ros.import_logs.column_map import ColumnMap
 from uav_ident_ros.import_logs.flight_log import (
     Actuators,
     Airspeed,
-    BoolArray,
     Findings,
     FlightLog,
     ImportLogError,
     Rates,
 )
+from uav_ident_ros.import_logs.stamps import LATEST_NS, NS_PER_S, BoolArray
 
 COMMENT = "#"
 """Lines that begin with it are skipped."""
@@ -161,12 +161,17 @@ def _convert(
 
 
 def _stamp(path: Path, line: int, cell: str, columns: ColumnMap) -> int:
+    where = f"table '{path}', line {line}: the time is '{cell.strip()}'"
     try:
-        return int((Decimal(cell.strip()) * columns.time_ns).to_integral_value())
+        t_ns = Decimal(cell.strip()) * columns.time_ns
+        if not 0 <= t_ns < LATEST_NS:
+            raise ImportLogError(
+                f"{where}: a stamp holds 0 to {LATEST_NS // NS_PER_S} s; shift the column, or say "
+                "its unit in the column map"
+            )
+        return int(t_ns.to_integral_value())
     except (InvalidOperation, ValueError, OverflowError):
-        raise ImportLogError(
-            f"table '{path}', line {line}: the time is '{cell.strip()}', which is no number"
-        ) from None
+        raise ImportLogError(f"{where}, which is no number") from None
 
 
 def _number(path: Path, line: int, cell: str) -> float:

@@ -1,24 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An ArduPilot dataflash log file, opened with pymavlink: messages as arrays, parameters."""
+"""An ArduPilot dataflash log file: messages as arrays, parameters, what is damaged.
+
+The format describes itself: every message begins with two fixed bytes and the number of its type,
+and FMT messages say how long a type is and what it holds. Where that does not hold, the reader
+looks for the next place where it does, and says how much lies between.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import io
+import mmap
+import re
+import struct
+from bisect import bisect_left
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column, ImportLogError
-from uav_ident_ros.import_logs.stamps import rate
+from uav_ident_ros.import_logs.stamps import plausible, rate
 
-MAGIC = b"\xa3\x95\x80"
-"""First bytes of every dataflash log: the header of a FMT message."""
+HEADER = b"\xa3\x95"
+"""First bytes of every message."""
+
+HEADER_SIZE = 3
+"""The header and the number of the type, bytes."""
+
+FMT = 0x80
+"""Type of the messages that declare the types."""
+
+MAGIC = HEADER + bytes([FMT])
+"""First bytes of every dataflash log."""
+
+TRAILER = 528
+"""Logs are written in pages of at most so many bytes: less than one behind the last message is
+no damage."""
+
+STAMPS = {"TimeUS": NS_PER_US, "TimeMS": 1_000_000}
+"""Fields of the time since the autopilot's start, and their unit, ns; TimeMS until 2015."""
 
 INSTANCE_FIELD = "I"
+
+FIELD_TYPES: dict[str, tuple[str, float]] = {
+    **dict.fromkeys("bM", ("i1", 1.0)),
+    **{"B": ("u1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0)},
+    **{"I": ("<u4", 1.0), "q": ("<i8", 1.0), "Q": ("<u8", 1.0)},
+    **{"g": ("<f2", 1.0), "f": ("<f4", 1.0), "d": ("<f8", 1.0)},
+    **{"c": ("<i2", 100.0), "C": ("<u2", 100.0), "e": ("<i4", 100.0), "E": ("<u4", 100.0)},
+    **{"L": ("<i4", 1e7), "n": ("S4", 1.0), "N": ("S16", 1.0), "Z": ("S64", 1.0)},
+    "a": ("S64", 1.0),
+}
+"""NumPy type of each format character, and what its integers are to be divided by."""
 
 
 class Messages:
@@ -43,15 +77,16 @@ class Messages:
     @property
     def stamp_ns(self) -> TimeArray:
         """When they were logged, ns since the start of the autopilot."""
-        return self._ns("TimeUS")
+        name = next(name for name in STAMPS if name in self)
+        return self._ns(name, STAMPS[name])
 
     @property
     def sample_ns(self) -> TimeArray:
         """When what they hold was sampled, ns; when it was logged if that is not said."""
-        return self._ns("SampleUS" if "SampleUS" in self else "TimeUS")
+        return self._ns("SampleUS", NS_PER_US) if "SampleUS" in self else self.stamp_ns
 
-    def _ns(self, field: str) -> TimeArray:
-        return np.asarray(self.columns[field], dtype=np.int64) * NS_PER_US
+    def _ns(self, name: str, unit: int) -> TimeArray:
+        return np.asarray(self.columns[name]).astype(np.int64) * unit
 
     @property
     def rate(self) -> float:
@@ -61,6 +96,32 @@ class Messages:
     def values(self, *fields: str) -> FloatArray:
         """Values of some fields, shape (k, number of fields)."""
         return np.column_stack([self.columns[field] for field in fields]).astype(float)
+
+
+@dataclass(frozen=True)
+class _Format:
+    """One type of messages: its name, length in bytes, fields."""
+
+    name: str
+    size: int
+    dtype: np.dtype[np.void]
+    divisors: tuple[float, ...]
+
+
+@dataclass
+class _Contents:
+    """What a walk through a file has found: types and places of their messages, and gaps."""
+
+    formats: dict[int, _Format] = field(default_factory=dict)
+    places: dict[int, list[int]] = field(default_factory=dict)
+    gaps: list[tuple[int, int]] = field(default_factory=list)
+    sizes: list[int] = field(default_factory=lambda: [0] * 256)
+
+    def declare(self, number: int, declared: _Format) -> None:
+        """Take a type; the first declaration counts, a later one may be damaged."""
+        self.formats.setdefault(number, declared)
+        self.places.setdefault(number, [])
+        self.sizes[number] = self.formats[number].size
 
 
 class DataflashLog:
@@ -82,12 +143,16 @@ class DataflashLog:
     texts : list of str
         The MSG messages.
     damage : list of str
-        What could not be read.
+        What could not be read, and how much it is.
+    remarks : list of str
+        What else there is to say about the file.
+    end_ns : int
+        Newest stamp, ns.
 
     Raises
     ------
     ImportLogError
-        If pymavlink is missing or the file is none that it can read.
+        If the file cannot be read.
     """
 
     def __init__(self, path: Path, types: tuple[str, ...]) -> None:
@@ -96,105 +161,198 @@ class DataflashLog:
         self.changes: list[tuple[float, str, float]] = []
         self.texts: list[str] = []
         self.damage: list[str] = []
+        self.remarks: list[str] = []
         self.end_ns = 0
-        self._types: list[str] = []
-        self._rows: dict[tuple[str, int], list[list[float]]] = {}
-        self._fields: dict[str, list[str]] = {}
-        self._read(types)
+        self._columns: dict[str, dict[str, Column]] = {}
+        try:
+            with (
+                path.open("rb") as file,
+                mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+            ):
+                contents = _walk(data)
+                self._types = sorted(
+                    f.name for n, f in contents.formats.items() if contents.places[n]
+                )
+                stamped = self._read(data, contents, types)
+                self._say_gaps(data, contents.gaps, stamped)
+        except OSError as error:
+            raise ImportLogError(
+                f"log '{path}' cannot be read: {error.strerror or error}"
+            ) from None
 
     def messages(self, name: str, instance: int = 0) -> Messages | None:
-        """Return the messages of a type and instance, if there are any."""
-        rows = self._rows.get((name, instance))
-        if not rows:
+        """Return the messages of a type and instance, if there are any with a stamp."""
+        columns = self._columns.get(name)
+        if columns is None or instance not in self.instances(name):
             return None
-        columns = dict(zip(self._fields[name], np.array(rows).T, strict=True))
-        if "TimeUS" not in columns:
-            return None
+        if INSTANCE_FIELD in columns:
+            chosen = columns[INSTANCE_FIELD] == instance
+            columns = {field: values[chosen] for field, values in columns.items()}
         return Messages(f"{name}[{instance}]" if instance else name, columns)
 
     def instances(self, name: str) -> list[int]:
         """Instances of a type that have messages."""
-        return sorted(i for n, i in self._rows if n == name)
+        columns = self._columns.get(name, {})
+        if INSTANCE_FIELD in columns:
+            return [int(number) for number in np.unique(columns[INSTANCE_FIELD])]
+        return [0] if any(map(len, columns.values())) else []
 
     def contents(self) -> str:
         """List the message types in one line."""
         return ", ".join(self._types) or "no messages at all"
 
-    def _read(self, types: tuple[str, ...]) -> None:
-        """Run through the file once."""
-        reader_class = _reader_class(self.path)
-        said = io.StringIO()
-        try:
-            # The reader reports damage on both streams.
-            with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-                reader = reader_class(str(self.path), zero_time_base=True)
-                try:
-                    self._types = sorted(
-                        name for name, number in reader.name_to_id.items() if reader.counts[number]
+    def _read(
+        self, data: mmap.mmap, contents: _Contents, types: tuple[str, ...]
+    ) -> list[tuple[int, int]]:
+        """Keep the messages wanted; return place and stamp (ns) of all that have one, in order."""
+        stamped: list[tuple[int, int]] = []
+        for number, declared in contents.formats.items():
+            places = contents.places[number]
+            if not places or declared.name not in {*types, "PARM", "MSG"}:
+                continue
+            columns = _columns(data, declared, places)
+            if declared.name == "MSG" and "Message" in columns:
+                self.texts += [_text(message) for message in columns["Message"]]
+            elif declared.name == "PARM" and {"Name", "Value"} <= set(columns):
+                self._take_parameters(columns)
+            elif declared.name not in self._columns and any(name in columns for name in STAMPS):
+                t_ns = Messages(declared.name, columns).stamp_ns
+                good = plausible(t_ns)
+                self._columns[declared.name] = {n: values[good] for n, values in columns.items()}
+                if good.any():
+                    self.end_ns = max(self.end_ns, int(t_ns[good].max()))
+                if not good.all():
+                    self.damage.append(
+                        f"{int((~good).sum())} of {len(good)} messages {declared.name} have a "
+                        "stamp that no clock gave, and were left out"
                     )
-                    self._collect(reader, types)
-                    if _ends_early(reader):
-                        self.damage.append("the file is cut off at its end: what is there was read")
-                finally:
-                    reader.close()
-        except OSError as error:
-            raise ImportLogError(
-                f"log '{self.path}' cannot be read: {error.strerror or error}"
-            ) from None
-        except ImportLogError:
-            raise
-        except Exception as error:
-            # Damaged bytes make a parser fail in many ways.
-            raise ImportLogError(
-                f"log '{self.path}' is no readable dataflash log: {error}"
-            ) from error
-        if complaints := said.getvalue().splitlines():
-            self.damage.append(
-                f"the file is damaged, pymavlink left out what it could not read: {complaints[0]}"
-                + (f", and {len(complaints) - 1} more" if len(complaints) > 1 else "")
-            )
+                kept = np.flatnonzero(good)
+                stamped += zip(np.array(places)[kept].tolist(), t_ns[kept].tolist(), strict=True)
+        return sorted(stamped)
 
-    def _collect(self, reader: Any, types: tuple[str, ...]) -> None:
-        wanted = {*types, "PARM", "MSG"}
-        while (message := reader.recv_match(type=wanted, strict=True)) is not None:
-            name = message.get_type()
-            if name == "PARM":
-                self._take_parameter(message)
-            elif name == "MSG":
-                self.texts.append(str(message.Message))
-            elif name in types:
-                fields = self._fields.setdefault(name, list(message.get_fieldnames()))
-                row = [_number(getattr(message, field)) for field in fields]
-                instance = int(getattr(message, INSTANCE_FIELD, 0))
-                self._rows.setdefault((name, instance), []).append(row)
-                self.end_ns = max(self.end_ns, int(getattr(message, "TimeUS", 0)) * NS_PER_US)
+    def _take_parameters(self, columns: dict[str, Column]) -> None:
+        stamps = [(columns[name], unit) for name, unit in STAMPS.items() if name in columns]
+        for i, (name, value) in enumerate(zip(columns["Name"], columns["Value"], strict=True)):
+            if not np.isfinite(value):
+                continue
+            before = self.parameters.setdefault(_text(name), float(value))
+            if before != value:
+                t = float(stamps[0][0][i]) * stamps[0][1] * 1e-9 if stamps else 0.0
+                self.changes.append((t, _text(name), float(value)))
 
-    def _take_parameter(self, message: Any) -> None:
-        name, value = str(message.Name), float(message.Value)
-        before = self.parameters.setdefault(name, value)
-        if before != value:
-            self.changes.append((getattr(message, "TimeUS", 0) * 1e-6, name, value))
+    def _say_gaps(
+        self, data: mmap.mmap, gaps: list[tuple[int, int]], stamped: list[tuple[int, int]]
+    ) -> None:
+        """Say how much could not be read: bytes, share of the file, time."""
+        size = len(data)
+        if gaps and gaps[-1][1] == size and size - gaps[-1][0] < TRAILER:
+            begin, _ = gaps.pop()
+            if data[begin : begin + 2] == HEADER:
+                self.remarks.append("the file is cut off at its end: what is there was read")
+        if not gaps:
+            return
+        lost = sum(end - begin for begin, end in gaps)
+        places = [place for place, _ in stamped]
+        seconds = 0.0
+        for begin, end in gaps:
+            before, after = bisect_left(places, begin) - 1, bisect_left(places, end)
+            if before >= 0 and after < len(places):
+                seconds += max(stamped[after][1] - stamped[before][1], 0) * 1e-9
+        self.damage.append(
+            f"the file is damaged: {lost} of {size} bytes ({100.0 * lost / size:.2g} %) in "
+            f"{len(gaps)} place{'s' if len(gaps) > 1 else ''}, about {seconds:.2g} s of the log, "
+            "could not be read; all the rest was"
+        )
 
 
-def _ends_early(reader: Any) -> bool:
-    """Whether the last message of some type reaches beyond the end of the file."""
-    return any(
-        offsets[-1] + reader.formats[number].len > reader.data_len
-        for number, offsets in enumerate(reader.offsets)
-        if len(offsets) and number in reader.formats
-    )
+def _walk(data: mmap.mmap) -> _Contents:
+    """Find every message of a file.
+
+    A message counts if it begins where the one before it ends, or, behind a gap, if another one
+    begins where it ends.
+    """
+    contents = _Contents()
+    contents.declare(FMT, _format(b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"))
+    sizes, places, size = contents.sizes, contents.places, len(data)
+    at, last, last_number = 0, 0, FMT
+    while at + HEADER_SIZE <= size:
+        number = data[at + 2]
+        length = sizes[number]
+        if length and at + length <= size and data[at : at + 2] == HEADER:
+            places[number].append(at)
+            if number == FMT:
+                _declare(contents, data[at : at + length])
+            last, last_number = at, number
+            at += length
+            continue
+        following = _next_message(data, contents, last + HEADER_SIZE if last < at else at + 1)
+        # What has led to no message was none itself, if it reaches into the one that follows, or
+        # if with it the gap is as long as a message, and without it not: its type is damaged.
+        misread = following - last in sizes and following - at not in sizes
+        if last < at and (following < at or misread):
+            places[last_number].pop()
+            at = last
+        contents.gaps.append((at, following))
+        at = last = following
+    if at < size:
+        contents.gaps.append((at, size))
+    return contents
 
 
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else float("nan")
+def _next_message(data: mmap.mmap, contents: _Contents, start: int) -> int:
+    """Find the next place where a message begins and, where it ends, another; else the end."""
+    known = bytes(number for number, size in enumerate(contents.sizes) if size)
+    pattern = re.compile(re.escape(HEADER) + b"[" + re.escape(known) + b"]", re.DOTALL)
+    size = len(data)
+    place = start
+    while (found := pattern.search(data, place)) is not None:
+        begin = found.start()
+        end = begin + contents.sizes[data[begin + 2]]
+        if end == size or pattern.match(data, end):
+            return begin
+        place = begin + 1
+    return size
 
 
-def _reader_class(path: Path) -> Any:
+def _declare(contents: _Contents, message: bytes) -> None:
+    """Take the declaration of a type, unless it contradicts itself."""
+    number, length, name, characters, columns = struct.unpack("<BB4s16s64s", message[HEADER_SIZE:])
     try:
-        from pymavlink.DFReader import DFReader_binary  # type: ignore[import-untyped]
-    except ImportError:
-        raise ImportLogError(
-            f"log '{path}': pymavlink is not installed, which reads ArduPilot logs: "
-            "pip install 'uav_ident_ros[ardupilot]' or pip install pymavlink"
-        ) from None
-    return DFReader_binary
+        declared = _format(name, characters, columns)
+    except ValueError:
+        return
+    if declared.size == length and number != FMT:
+        contents.declare(number, declared)
+
+
+def _format(name: bytes, characters: bytes, columns: bytes) -> _Format:
+    """Return a type of messages as its declaration describes it.
+
+    Raises
+    ------
+    ValueError
+        If there is no such field type, or there are not as many names as types, or one twice.
+    """
+    kinds = _text(characters)
+    names = _text(columns).split(",") if _text(columns) else []
+    if any(kind not in FIELD_TYPES for kind in kinds) or len(names) != len(kinds):
+        raise ValueError("no such format")
+    fields = [(n, FIELD_TYPES[kind][0]) for n, kind in zip(names, kinds, strict=True)]
+    dtype = np.dtype([("", "S3"), *fields])
+    divisors = tuple(FIELD_TYPES[kind][1] for kind in kinds)
+    return _Format(_text(name), dtype.itemsize, dtype, divisors)
+
+
+def _columns(data: mmap.mmap, declared: _Format, places: list[int]) -> dict[str, Column]:
+    """Return the fields of messages as arrays, in the units of their declaration."""
+    size = declared.size
+    table = np.frombuffer(b"".join(data[at : at + size] for at in places), dtype=declared.dtype)
+    names = (declared.dtype.names or ())[1:]
+    return {
+        name: table[name] if divisor == 1.0 else table[name] / divisor
+        for name, divisor in zip(names, declared.divisors, strict=True)
+    }
+
+
+def _text(characters: bytes) -> str:
+    return bytes(characters).split(b"\0")[0].decode(errors="replace")

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.stamps import BoolArray, plausible
 
 Effect = tuple[float, float, float, float]
 """Share of a channel in de, dr, da, dth; see `Channel`."""
@@ -19,13 +20,9 @@ Effect = tuple[float, float, float, float]
 Column = NDArray[Any]
 """Values of one field, in the type of the log."""
 
-BoolArray = NDArray[np.bool_]
-
 NO_EFFECT: Effect = (0.0, 0.0, 0.0, 0.0)
 
-NS_PER_S = 1_000_000_000
 NS_PER_US = 1_000
-
 
 TRIMS = ("flight", "neutral", "learn")
 """Where the trim comes from: the median in flight, the channels' rest positions, or the identifier
@@ -165,12 +162,15 @@ class Findings:
     assumed : list of str
         What it does not say and was taken for granted.
     lost : list of str
-        What is missing, damaged or doubtful.
+        What is missing or doubtful.
+    damage : list of str
+        How much of the file could not be read.
     """
 
     read: list[str] = field(default_factory=list)
     assumed: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
+    damage: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +213,26 @@ class FlightLog:
         inside = [(start <= t_ns) & (t_ns <= end) for start, end in self.flown]
         return np.asarray(np.logical_or.reduce(inside))
 
+    def with_plausible_stamps(self) -> FlightLog:
+        """Return the log without samples whose stamp no clock gave.
+
+        Raises
+        ------
+        ImportLogError
+            If no rates or no actuators are left.
+        """
+        streams = {"rates": self.rates, "actuators": self.actuators, "airspeed": self.airspeed}
+        changed: dict[str, Any] = {}
+        for name, stream in streams.items():
+            if stream is None or (good := plausible(stream.t_ns)).all():
+                continue
+            self.findings.damage.append(
+                f"{name}: {int((~good).sum())} of {len(good)} samples have a stamp that no clock "
+                "gave, and were left out"
+            )
+            changed[name] = _chosen(stream, good)
+        return self._with(changed, "left with a usable stamp")
+
     def only_flight(self) -> FlightLog:
         """Return the log without what is known to be on the ground.
 
@@ -224,21 +244,33 @@ class FlightLog:
         if not self.flown:
             reason = "it never flew" if self.flown is not None else "it does not say when it flew"
             raise ImportLogError(f"log '{self.path}': {reason}: leave --flight-only out")
-        rates, actuators, airspeed = self.rates, self.actuators, self.airspeed
-        keep = self.in_flight(rates.t_ns)
-        force = None if rates.force is None else rates.force[keep]
-        rates = replace(rates, t_ns=rates.t_ns[keep], rates=rates.rates[keep], force=force)
-        keep = self.in_flight(actuators.t_ns)
-        actuators = replace(actuators, t_ns=actuators.t_ns[keep], values=actuators.values[keep])
-        if airspeed is not None:
-            keep = self.in_flight(airspeed.t_ns)
-            airspeed = replace(airspeed, t_ns=airspeed.t_ns[keep], values=airspeed.values[keep])
-        if not len(rates.t_ns) or not len(actuators.t_ns):
-            raise ImportLogError(
-                f"log '{self.path}' has no samples in flight: leave --flight-only out"
-            )
+        log = self._with(
+            {
+                name: _chosen(stream, self.in_flight(stream.t_ns))
+                for name in ("rates", "actuators", "airspeed")
+                if (stream := getattr(self, name)) is not None
+            },
+            "in flight: leave --flight-only out",
+        )
         self.findings.lost.append("what was logged on the ground is left out (--flight-only)")
-        return replace(self, rates=rates, actuators=actuators, airspeed=airspeed)
+        return log
+
+    def _with(self, changed: dict[str, Any], where: str) -> FlightLog:
+        log = replace(self, **changed)
+        for name in ("rates", "actuators"):
+            if not len(getattr(log, name).t_ns):
+                raise ImportLogError(f"log '{self.path}' has no {name} {where}")
+        return log
+
+
+def _chosen(stream: Any, keep: BoolArray) -> Any:
+    """Return a stream with some of its samples only."""
+    arrays = {
+        f.name: value[keep]
+        for f in fields(stream)
+        if isinstance(value := getattr(stream, f.name), np.ndarray)
+    }
+    return replace(stream, **arrays)
 
 
 def unique_names(names: list[str]) -> list[str]:

@@ -61,7 +61,7 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
         If the file cannot be read, or has no rates or no actuators.
     """
     log = Px4Log(path)
-    findings = Findings(lost=list(log.damage))
+    findings = Findings(lost=list(log.remarks), damage=list(log.damage))
     rates = _read_rates(log, findings, choice)
     actuators = read_actuators(log, findings, choice)
     flown = _flown(log, findings)

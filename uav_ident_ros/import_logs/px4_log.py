@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,21 @@ import numpy as np
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column, ImportLogError
-from uav_ident_ros.import_logs.stamps import rate
+from uav_ident_ros.import_logs.stamps import plausible, rate
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 """First bytes of every ULog file."""
 
+FILE_HEADER = 16
+"""Bytes before the first message."""
+
 MESSAGE_HEADER = 3
 """Bytes before each message: its size and its type."""
+
+DATA_MESSAGE, OTHER_MESSAGES = ord("D"), b"BFIMPQARLCSO"
+"""Types of the messages."""
+
+CUT_OFF = "the file is cut off at its end: what is there was read"
 
 
 class Topic:
@@ -61,8 +69,7 @@ class Topic:
         return float(np.median(self._ns("timestamp") - self.sample_ns)) * 1e-9
 
     def _ns(self, field: str) -> TimeArray:
-        stamps = self._data[field if field in self._data else "timestamp"]
-        return np.asarray(stamps, dtype=np.int64) * NS_PER_US
+        return _in_ns(self._data[field if field in self._data else "timestamp"])
 
     @property
     def rate(self) -> float:
@@ -82,6 +89,10 @@ class Topic:
         return sum(1 for name in self._data if name.startswith(f"{field}["))
 
 
+def _in_ns(t_us: Column) -> TimeArray:
+    return np.asarray(t_us).astype(np.int64) * NS_PER_US
+
+
 class Px4Log:
     """A PX4 log in memory.
 
@@ -96,6 +107,8 @@ class Px4Log:
         Parameters at the start of the log, by name.
     damage : list of str
         What could not be read.
+    remarks : list of str
+        What else there is to say about the file.
 
     Raises
     ------
@@ -105,16 +118,35 @@ class Px4Log:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._ulog, self.damage = _load(path)
-        self.parameters: dict[str, float] = dict(self._ulog.initial_parameters)
-        self._topics = {(d.name, d.multi_id): d for d in self._ulog.data_list}
+        self._ulog, self.damage, self.remarks = _load(path)
+        self.parameters: dict[str, float] = {
+            name: value
+            for name, value in self._ulog.initial_parameters.items()
+            if isinstance(value, int | float) and np.isfinite(value)
+        }
+        self._topics = {
+            (d.name, d.multi_id): self._stamped(d.name, d.data)
+            for d in self._ulog.data_list
+            if "timestamp" in d.data
+        }
 
     def topic(self, name: str, instance: int = 0) -> Topic | None:
         """Return a topic if the log has messages of it."""
         data = self._topics.get((name, instance))
-        if data is None or not len(data.data["timestamp"]):
+        if data is None or not len(data["timestamp"]):
             return None
-        return Topic(f"{name}[{instance}]" if instance else name, data.data)
+        return Topic(f"{name}[{instance}]" if instance else name, data)
+
+    def _stamped(self, name: str, data: dict[str, Column]) -> dict[str, Column]:
+        """Leave out the messages whose stamp no clock gave."""
+        good = plausible(_in_ns(data["timestamp"]))
+        if good.all():
+            return data
+        self.damage.append(
+            f"{int((~good).sum())} of {len(good)} messages {name} have a stamp that no clock gave, "
+            "and were left out"
+        )
+        return {field: values[good] for field, values in data.items()}
 
     def instances(self, name: str) -> list[int]:
         """Instances of a topic that have messages."""
@@ -127,7 +159,10 @@ class Px4Log:
     @property
     def end_ns(self) -> int:
         """Newest stamp, ns."""
-        return int(self._ulog.last_timestamp) * NS_PER_US
+        newest = [
+            data["timestamp"].max() for data in self._topics.values() if len(data["timestamp"])
+        ]
+        return int(max(newest, default=0)) * NS_PER_US
 
     @property
     def start_ns(self) -> int:
@@ -161,30 +196,65 @@ class Px4Log:
 
 
 class _Watched:
-    """A file for reading that remembers whether it ended in the middle of a message."""
+    """A file for reading that remembers which of its bytes became messages.
+
+    Attributes
+    ----------
+    cut : bool
+        Whether it ended in the middle of a message.
+    understood : int
+        Bytes of the file's header and of messages without data.
+    data : dict
+        Number and bytes of the data messages by the number of their topic.
+    """
 
     def __init__(self, file: Any) -> None:
         self._file = file
+        self._message: tuple[int, int] | None = None
         self.cut = False
+        self.understood = FILE_HEADER
+        self.data: dict[int, tuple[int, int]] = {}
 
     def read(self, size: int) -> bytes:
         data: bytes = self._file.read(size)
         at_the_end = not data and size == MESSAGE_HEADER
         self.cut |= len(data) < size and not at_the_end
+        message, self._message = self._message, None
+        if message is not None and message[0] == size == len(data):
+            self._take(message[1], data)
+        elif size == len(data) == MESSAGE_HEADER:
+            self._message = (int.from_bytes(data[:2], "little"), data[2])
         return data
 
+    def _take(self, kind: int, data: bytes) -> None:
+        if kind == DATA_MESSAGE:
+            number = int.from_bytes(data[:2], "little")
+            count, size = self.data.get(number, (0, 0))
+            self.data[number] = (count + 1, size + MESSAGE_HEADER + len(data))
+        elif kind in OTHER_MESSAGES:
+            self.understood += MESSAGE_HEADER + len(data)
+
     def seek(self, *arguments: int) -> int:
+        self._message = None
         return int(self._file.seek(*arguments))
 
     def tell(self) -> int:
         return int(self._file.tell())
 
     def close(self) -> None:
-        self._file.close()
+        """Leave the file open: its owner closes it."""
+
+    def lost(self, topics: Collection[Any]) -> int:
+        """Return how many bytes are in no message that pyulog has understood."""
+        used = self.understood
+        for topic in topics:
+            count, size = self.data.get(topic.msg_id, (0, 0))
+            used += round(size * min(len(topic.data["timestamp"]) / max(count, 1), 1.0))
+        return int(self._file.seek(0, 2)) - used
 
 
-def _load(path: Path) -> tuple[Any, list[str]]:
-    """Parse a file; return pyulog's object and what is damaged."""
+def _load(path: Path) -> tuple[Any, list[str], list[str]]:
+    """Parse a file; return pyulog's object, what is damaged and what else there is to say."""
     try:
         from pyulog import ULog  # type: ignore[import-untyped]
     except ImportError:
@@ -197,14 +267,14 @@ def _load(path: Path) -> tuple[Any, list[str]]:
         with path.open("rb") as file, contextlib.redirect_stdout(said):
             watched = _Watched(file)
             ulog = ULog(watched)
+            size, lost = path.stat().st_size, watched.lost(ulog.data_list)
     except OSError as error:
         raise ImportLogError(f"log '{path}' cannot be read: {error.strerror}") from None
     except Exception as error:
         # Damaged bytes make a parser fail in many ways, beyond the library's own exceptions.
         raise ImportLogError(f"log '{path}' is no readable ULog file: {error}") from error
-    damage = []
     if ulog.file_corruption:
-        damage.append("the file is damaged inside: pyulog left out what it could not read")
-    elif watched.cut:
-        damage.append("the file is cut off at its end: what is there was read")
-    return ulog, damage
+        share = 100.0 * lost / size
+        damage = f"the file is damaged: {lost} of {size} bytes ({share:.2g} %) could not be read"
+        return ulog, [damage], []
+    return ulog, [], [CUT_OFF] if watched.cut else []

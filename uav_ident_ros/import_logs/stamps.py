@@ -4,10 +4,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.flight_log import NS_PER_S, BoolArray
+
+BoolArray = NDArray[np.bool_]
+
+NS_PER_S = 1_000_000_000
 
 GAP_INTERVALS = 3.0
 """An interval of more than so many median ones is a gap: jitter stays below, a lost sample or
@@ -19,6 +23,30 @@ SHORTEST_GAP = 0.02
 JOIN_NS = 200_000
 """Samples of two topics this close, ns, are of one cycle of the controller: the fastest run at
 1 kHz or so, and what is published in one cycle is some microseconds apart."""
+
+LATEST_NS = 2**31 * NS_PER_S
+"""What a ROS stamp can hold, ns."""
+
+NEIGHBOURS = 5
+"""Stamps whose median a stamp is held against: up to two damaged ones in a row are found out."""
+
+FARTHEST_NS, FARTHEST_STEPS = 1_000_000_000, 20
+"""A stamp farther from the median of its neighbours than so many ns, and so many median intervals,
+is none that the clock gave. The node lets a stamp jump by a second, too (time_jump)."""
+
+
+def plausible(t_ns: TimeArray) -> BoolArray:
+    """Whether each stamp is one that a clock can have given, by the stamps around it."""
+    result = (t_ns >= 0) & (t_ns < LATEST_NS)
+    inside = np.flatnonzero(result)
+    half = NEIGHBOURS // 2
+    if len(inside) >= NEIGHBOURS:
+        stamps = np.pad(t_ns[inside], half, mode="reflect")
+        around = np.median(np.lib.stride_tricks.sliding_window_view(stamps, NEIGHBOURS), axis=1)
+        usual = float(np.median(np.abs(np.diff(t_ns[inside]))))
+        farthest = max(FARTHEST_NS, FARTHEST_STEPS * usual)
+        result[inside] = np.abs(t_ns[inside] - around) <= farthest
+    return np.asarray(result)
 
 
 def rate(t_ns: TimeArray) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import heapq
 import json
+import shutil
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
@@ -69,8 +70,20 @@ def write_import(
     Raises
     ------
     BagWriteError
-        If the folder exists or cannot be written.
+        If the folder exists or cannot be written; nothing half-written stays behind.
     """
+    existed = folder.exists()
+    try:
+        return _write(log, folder, parameters, use_airspeed)
+    except BaseException as error:
+        if not existed:
+            shutil.rmtree(folder, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise BagWriteError(f"cannot write to '{folder}': {error.strerror}") from None
+        raise
+
+
+def _write(log: FlightLog, folder: Path, parameters: dict[str, Any], use_airspeed: bool) -> Path:
     with BagWriter(folder) as bag:
         bag.topic(IMU_TOPIC, IMU_TYPE, qos(500, reliable=False))
         bag.topic(ACTUATORS_TOPIC, ACTUATORS_TYPE, qos(10))
@@ -82,10 +95,7 @@ def write_import(
         for log_ns, topic, message in heapq.merge(*streams, key=lambda entry: entry[0]):
             bag.write(topic, log_ns, message)
     path = folder / PARAMETER_FILE
-    try:
-        path.write_text(_parameter_text(log, parameters, use_airspeed), encoding="utf-8")
-    except OSError as error:
-        raise BagWriteError(f"cannot write to '{path}': {error.strerror}") from None
+    path.write_text(_parameter_text(log, parameters, use_airspeed), encoding="utf-8")
     Settings.from_values(load_parameters(path, "/identifier"))  # what was written can be used
     return path
 
@@ -251,6 +261,7 @@ def _parameter_text(log: FlightLog, parameters: dict[str, Any], use_airspeed: bo
 def findings_by_title(findings: Findings) -> list[tuple[str, list[str]]]:
     """Return the findings under their headings, those that are empty left out."""
     titled = [
+        ("Damaged", findings.damage),
         ("From the log", findings.read),
         ("Assumed", findings.assumed),
         ("Missing or doubtful", findings.lost),

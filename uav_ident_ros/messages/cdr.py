@@ -27,6 +27,10 @@ BYTE_ORDERS = {b"\x00\x01": "<", b"\x00\x00": ">"}
 """Byte order, for struct, by the encapsulation of plain CDR."""
 
 
+NOT_UNDERSTOOD = -1
+"""Size of no message: an empty one has 0 bytes."""
+
+
 class _OtherFormError(Exception):
     """The bytes are not such a message, or not in plain CDR."""
 
@@ -133,7 +137,7 @@ class ChannelsDecoder:
     def __init__(self, type_name: str, field: str) -> None:
         self._find, self._format, self._stamped = _FORMS[type_name, field]
         self._before = slice(STAMP_END if self._stamped else HEADER_SIZE, 0)
-        self._size = 0
+        self._size = NOT_UNDERSTOOD
         self._encapsulation = self._known = b""
         self._names: list[str] | None = None
         self._stamp = self._numbers = struct.Struct("")
@@ -165,7 +169,7 @@ class ChannelsDecoder:
             walk = _Walk(data)
             begin, count, self._names = self._find(walk)
         except _OtherFormError:
-            self._size = 0
+            self._size = NOT_UNDERSTOOD
             return False
         self._size = len(data)
         self._encapsulation = data[:HEADER_SIZE]
