@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -25,18 +26,21 @@ def demo(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_it_shows_scores_and_draws_a_flight(tmp_path: Path) -> None:
+def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_path: Path) -> None:
     flight = recording("multisine", 10.0)
     bag = write_bag(flight, tmp_path / "short")
     shutil.copy(flight.parameter_file, bag)
     run = demo(str(bag), "--speed", "4", "--output", str(tmp_path))
     assert run.returncode == 0, run.stderr
-    assert "learning" in run.stdout
     lines = run.stdout.splitlines()
     (fit,) = [line.split() for line in lines if line.startswith("identified model")]
     (hold,) = [line.split() for line in lines if line.startswith("holding the rates")]
     assert all(float(f) > 50.0 > float(h) for f, h in zip(fit[-3:], hold[-3:], strict=True))
-    assert (tmp_path / "demo_short.png").read_bytes().startswith(PNG)
+    folder = tmp_path / "demo_short"
+    assert (folder / "replay.png").read_bytes().startswith(PNG)
+    assert (folder / "report.html").is_file()
+    # the monitor's view of the live node
+    assert re.search(r"^/identifier  (learning|converged)  ", run.stdout, re.MULTILINE)
 
 
 def test_wrong_input_is_refused_in_one_line(tmp_path: Path) -> None:

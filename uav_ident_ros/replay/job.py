@@ -21,6 +21,7 @@ from uav_ident_ros.pictures import PictureError
 from uav_ident_ros.replay.advice import advise
 from uav_ident_ros.replay.evidence import measure
 from uav_ident_ros.replay.notes import notes_on
+from uav_ident_ros.replay.picture import write_picture
 from uav_ident_ros.replay.replayed import Replayed
 from uav_ident_ros.replay.results import write_results
 from uav_ident_ros.report.page import write_report
@@ -113,7 +114,9 @@ def replay(job: Job, progress: Progress = lambda messages, _: messages) -> Outco
         fits = run.score()
         evidence = measure(run, fits)
         replayed = Replayed(job.name, run, fits, notes, advise(evidence))
-        summary, table = write_results(job.folder, replayed, NODE_NAME, plot=job.plot)
+        summary, table = write_results(job.folder, replayed, NODE_NAME)
+        if job.plot:
+            write_picture(job.folder / "replay.png", job.bag, replayed)
         if job.report:
             write_report(job.folder / "report.html", job.bag, run, summary, evidence)
     except REFUSALS as error:

@@ -7,21 +7,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.files.coefficients_file import save_coefficients
 from uav_ident_ros.offline.estimates_bag import write_estimates
-from uav_ident_ros.pictures import save_overview
-from uav_ident_ros.replay.evidence import FIT_WINDOWS
 from uav_ident_ros.replay.replayed import Replayed
 from uav_ident_ros.replay.summary import summarise
 from uav_ident_ros.replay.table import write_table
 
 
-def write_results(
-    folder: Path, replayed: Replayed, node: str, *, plot: bool = False
-) -> tuple[dict[str, Any], str]:
+def write_results(folder: Path, replayed: Replayed, node: str) -> tuple[dict[str, Any], str]:
     """Write the bag of estimates, the summary, the table and the coefficients.
 
     Parameters
@@ -32,8 +26,6 @@ def write_results(
         The replay.
     node : str
         Node whose topics the bag of estimates has.
-    plot : bool
-        Whether to draw the picture too.
 
     Returns
     -------
@@ -42,7 +34,7 @@ def write_results(
 
     Raises
     ------
-    BagWriteError, CoefficientsFileError, PictureError
+    BagWriteError, CoefficientsFileError
         If something cannot be written.
     """
     run = replayed.run
@@ -56,29 +48,4 @@ def write_results(
         raise BagWriteError(f"cannot write to '{folder}': {error.strerror}") from None
     write_estimates(folder / "estimates", run.estimates, run.structure, node, run.frame_id or "")
     save_coefficients(run.result(), folder / "coefficients.yaml")
-    if plot:
-        _draw(folder / "replay.png", replayed)
     return summary, table
-
-
-def _draw(path: Path, replayed: Replayed) -> None:
-    """Draw the flight."""
-    run = replayed.run
-    first_ns = run.estimates[0].t_ns
-    fit = replayed.fits[FIT_WINDOWS]
-    notes = [
-        f"1-second prediction fit {model:.1f} %, holding the rates {hold:.1f} %"
-        for model, hold in zip(fit.model, fit.hold, strict=True)
-    ]
-    predicted = np.array([estimate.predicted_rates for estimate in run.estimates])
-    error = np.array([estimate.prediction_error for estimate in run.estimates])
-    save_overview(
-        path,
-        t=np.array([(estimate.t_ns - first_ns) * 1e-9 for estimate in run.estimates]),
-        measured=predicted + error,
-        predicted=predicted,
-        coefficients=np.array([estimate.coefficients for estimate in run.estimates]),
-        structure=run.structure,
-        title=f"{replayed.name}: {run.inputs.settings.estimator}, {run.structure.name}",
-        notes=(notes[0], notes[1], notes[2]),
-    )

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.bags.writing import BagWriter, header, message_class, qos
+from uav_ident_ros.files.truth_file import TRUTH_FILE
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.simulation.noise import Measurements
 
@@ -22,7 +23,6 @@ NO_ORIENTATION = np.array([-1.0, *[0.0] * 8])
 """orientation_covariance of an Imu without orientation (sensor_msgs/Imu)."""
 
 PARAMETER_FILE = "identifier.yaml"
-TRUTH_FILE = "truth.yaml"
 
 FIGURES = 9
 """Significant figures of the numbers in the files beside the bag."""

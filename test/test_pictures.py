@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The picture of a flight: its labels can be read, its truth is the one that compares."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uav_ident_ros.files.truth_file import read_truth
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.pictures import COLOURS, MEASURED, PREDICTED, spread, with_sigma
+
+BAGS = Path(__file__).parents[1] / "bags"
+
+
+@given(st.lists(st.floats(0.0, 1.0), max_size=8).map(sorted))
+def test_labels_are_apart_and_in_order(wanted: list[float]) -> None:
+    places = spread(np.array(wanted), 0.1)
+    assert (np.diff(places) >= 0.1 - 1e-9).all()
+    assert places.max(initial=0.0) <= 1.0 + 1e-9
+
+
+def test_labels_with_room_stay_where_they_belong() -> None:
+    np.testing.assert_allclose(spread(np.array([0.1, 0.5, 0.9]), 0.1), [0.1, 0.5, 0.9])
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "text"),
+    [
+        (-10.0219, 0.0254, "-10.022 ± 0.025"),
+        (59.94, 0.13, "59.94 ± 0.13"),
+        (31.2, 12.0, "31 ± 12"),
+        (0.5, 0.0, "0.5"),
+        (0.5, float("inf"), "0.5"),
+    ],
+)
+def test_a_value_has_the_figures_of_its_sigma(value: float, sigma: float, text: str) -> None:
+    assert with_sigma(value, sigma) == text
+
+
+def test_no_two_things_share_a_colour() -> None:
+    colours = [MEASURED, PREDICTED, *COLOURS.values()]
+    assert len(set(colours)) == len(colours)
+
+
+def test_only_a_truth_that_compares_is_read() -> None:
+    augmented = STRUCTURES["augmented"]
+    assert read_truth(BAGS / "multisine", augmented)["pdot/da"] == pytest.approx(59.94, abs=0.01)
+    # local derivatives hold at fixed flow angles, which this structure does not have
+    assert read_truth(BAGS / "c172p", augmented) == {}
+    for structure in STRUCTURES.values():
+        if {"alpha", "beta"} <= set(structure.regressors):
+            assert read_truth(BAGS / "c172p", structure)["pdot/da"] == 31.2
