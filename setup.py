@@ -43,8 +43,7 @@ setup(
     # here would break every machine that has them from apt.
     install_requires=["setuptools", "numpy"],
     extras_require={
-        # import_log: the reader of PX4 logs (the others need none)
-        "px4": ["pyulog", "pyyaml", "rosbags"],
+        "import_log": ["pyyaml", "rosbags"],
         "jsbsim": ["jsbsim"],
         "monitor": ["rich"],
         "replay": ["pyyaml", "matplotlib", "mcap", "rosbags", "tqdm"],

@@ -11,8 +11,7 @@ from __future__ import annotations
 import mmap
 import re
 import struct
-from bisect import bisect_left
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ import numpy as np
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column, ImportLogError
+from uav_ident_ros.import_logs.resync import Gap, loss_in_words, walk
 from uav_ident_ros.import_logs.stamps import plausible, rate
 
 HEADER = b"\xa3\x95"
@@ -108,20 +108,71 @@ class _Format:
     divisors: tuple[float, ...]
 
 
-@dataclass
-class _Contents:
-    """What a walk through a file has found: types and places of their messages, and gaps."""
+class _Walker:
+    """Finds the messages of a file.
 
-    formats: dict[int, _Format] = field(default_factory=dict)
-    places: dict[int, list[int]] = field(default_factory=dict)
-    gaps: list[tuple[int, int]] = field(default_factory=list)
-    sizes: list[int] = field(default_factory=lambda: [0] * 256)
+    Attributes
+    ----------
+    formats : dict
+        Types, by their number.
+    places : dict
+        Where the messages of each type begin.
+    lengths : set of int
+        Lengths of the types, bytes.
+    """
 
-    def declare(self, number: int, declared: _Format) -> None:
+    def __init__(self, data: mmap.mmap) -> None:
+        self._data, self._size = data, len(data)
+        self.formats: dict[int, _Format] = {}
+        self.places: dict[int, list[int]] = {}
+        self.lengths: set[int] = set()
+        self._sizes = [0] * 256
+        self._last = FMT
+        self._begin = re.compile(rb"(?!)")
+        self._declare(FMT, _format(b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"))
+
+    def length(self, at: int) -> int:
+        data = self._data
+        if at + HEADER_SIZE > self._size or data[at : at + 2] != HEADER:
+            return 0
+        size = self._sizes[data[at + 2]]
+        return size if at + size <= self._size else 0
+
+    def next_certain(self, start: int) -> int:
+        for found in self._begin.finditer(self._data, start):
+            at = found.start()
+            end = at + self._sizes[self._data[at + 2]]
+            if end == self._size or self._begin.match(self._data, end):
+                return at
+        return self._size
+
+    def take(self, at: int) -> None:
+        self._last = number = self._data[at + 2]
+        self.places[number].append(at)
+        if number == FMT:
+            self._take_format(self._data[at : at + self._sizes[FMT]])
+
+    def take_back(self) -> None:
+        self.places[self._last].pop()
+
+    def _take_format(self, message: bytes) -> None:
+        """Take the declaration of a type, unless it contradicts itself."""
+        number, length, *texts = struct.unpack("<BB4s16s64s", message[HEADER_SIZE:])
+        try:
+            declared = _format(*texts)
+        except ValueError:
+            return
+        if declared.size == length:
+            self._declare(number, declared)
+
+    def _declare(self, number: int, declared: _Format) -> None:
         """Take a type; the first declaration counts, a later one may be damaged."""
-        self.formats.setdefault(number, declared)
-        self.places.setdefault(number, [])
-        self.sizes[number] = self.formats[number].size
+        if number not in self.formats:
+            self.formats[number], self.places[number] = declared, []
+            self._sizes[number] = declared.size
+            self.lengths.add(declared.size)
+            known = re.escape(bytes(self.formats))
+            self._begin = re.compile(re.escape(HEADER) + b"[" + known + b"]", re.DOTALL)
 
 
 class DataflashLog:
@@ -169,12 +220,13 @@ class DataflashLog:
                 path.open("rb") as file,
                 mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
             ):
-                contents = _walk(data)
+                contents = _Walker(data)
+                gaps = walk(contents, 0, len(data))
                 self._types = sorted(
                     f.name for n, f in contents.formats.items() if contents.places[n]
                 )
                 stamped = self._read(data, contents, types)
-                self._say_gaps(data, contents.gaps, stamped)
+                self._say_gaps(data, gaps, stamped)
         except OSError as error:
             raise ImportLogError(
                 f"log '{path}' cannot be read: {error.strerror or error}"
@@ -202,7 +254,7 @@ class DataflashLog:
         return ", ".join(self._types) or "no messages at all"
 
     def _read(
-        self, data: mmap.mmap, contents: _Contents, types: tuple[str, ...]
+        self, data: mmap.mmap, contents: _Walker, types: tuple[str, ...]
     ) -> list[tuple[int, int]]:
         """Keep the messages wanted; return place and stamp (ns) of all that have one, in order."""
         stamped: list[tuple[int, int]] = []
@@ -240,89 +292,14 @@ class DataflashLog:
                 t = float(stamps[0][0][i]) * stamps[0][1] * 1e-9 if stamps else 0.0
                 self.changes.append((t, _text(name), float(value)))
 
-    def _say_gaps(
-        self, data: mmap.mmap, gaps: list[tuple[int, int]], stamped: list[tuple[int, int]]
-    ) -> None:
-        """Say how much could not be read: bytes, share of the file, time."""
-        size = len(data)
-        if gaps and gaps[-1][1] == size and size - gaps[-1][0] < TRAILER:
+    def _say_gaps(self, data: mmap.mmap, gaps: list[Gap], stamped: list[tuple[int, int]]) -> None:
+        """Say how much could not be read."""
+        if gaps and gaps[-1][1] == len(data) and len(data) - gaps[-1][0] < TRAILER:
             begin, _ = gaps.pop()
             if data[begin : begin + 2] == HEADER:
                 self.remarks.append("the file is cut off at its end: what is there was read")
-        if not gaps:
-            return
-        lost = sum(end - begin for begin, end in gaps)
-        places = [place for place, _ in stamped]
-        seconds = 0.0
-        for begin, end in gaps:
-            before, after = bisect_left(places, begin) - 1, bisect_left(places, end)
-            if before >= 0 and after < len(places):
-                seconds += max(stamped[after][1] - stamped[before][1], 0) * 1e-9
-        self.damage.append(
-            f"the file is damaged: {lost} of {size} bytes ({100.0 * lost / size:.2g} %) in "
-            f"{len(gaps)} place{'s' if len(gaps) > 1 else ''}, about {seconds:.2g} s of the log, "
-            "could not be read; all the rest was"
-        )
-
-
-def _walk(data: mmap.mmap) -> _Contents:
-    """Find every message of a file.
-
-    A message counts if it begins where the one before it ends, or, behind a gap, if another one
-    begins where it ends.
-    """
-    contents = _Contents()
-    contents.declare(FMT, _format(b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"))
-    sizes, places, size = contents.sizes, contents.places, len(data)
-    at, last, last_number = 0, 0, FMT
-    while at + HEADER_SIZE <= size:
-        number = data[at + 2]
-        length = sizes[number]
-        if length and at + length <= size and data[at : at + 2] == HEADER:
-            places[number].append(at)
-            if number == FMT:
-                _declare(contents, data[at : at + length])
-            last, last_number = at, number
-            at += length
-            continue
-        following = _next_message(data, contents, last + HEADER_SIZE if last < at else at + 1)
-        # What has led to no message was none itself, if it reaches into the one that follows, or
-        # if with it the gap is as long as a message, and without it not: its type is damaged.
-        misread = following - last in sizes and following - at not in sizes
-        if last < at and (following < at or misread):
-            places[last_number].pop()
-            at = last
-        contents.gaps.append((at, following))
-        at = last = following
-    if at < size:
-        contents.gaps.append((at, size))
-    return contents
-
-
-def _next_message(data: mmap.mmap, contents: _Contents, start: int) -> int:
-    """Find the next place where a message begins and, where it ends, another; else the end."""
-    known = bytes(number for number, size in enumerate(contents.sizes) if size)
-    pattern = re.compile(re.escape(HEADER) + b"[" + re.escape(known) + b"]", re.DOTALL)
-    size = len(data)
-    place = start
-    while (found := pattern.search(data, place)) is not None:
-        begin = found.start()
-        end = begin + contents.sizes[data[begin + 2]]
-        if end == size or pattern.match(data, end):
-            return begin
-        place = begin + 1
-    return size
-
-
-def _declare(contents: _Contents, message: bytes) -> None:
-    """Take the declaration of a type, unless it contradicts itself."""
-    number, length, name, characters, columns = struct.unpack("<BB4s16s64s", message[HEADER_SIZE:])
-    try:
-        declared = _format(name, characters, columns)
-    except ValueError:
-        return
-    if declared.size == length and number != FMT:
-        contents.declare(number, declared)
+        if gaps:
+            self.damage.insert(0, loss_in_words(gaps, len(data), stamped))
 
 
 def _format(name: bytes, characters: bytes, columns: bytes) -> _Format:

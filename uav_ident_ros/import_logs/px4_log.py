@@ -1,34 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A PX4 log file, opened with pyulog: topics as arrays, parameters, what is damaged."""
+"""A PX4 log file (ULog): topics as arrays, parameters, what is damaged.
+
+The format describes itself, by https://docs.px4.io/main/en/dev_log/ulog_file_format: behind a
+header of 16 bytes every message begins with its size and a letter for its type. F declares a
+format, A a topic of it, P a parameter, I a fact; D is a sample of a topic.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import io
-from collections.abc import Collection, Iterator
+import mmap
+import re
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column, ImportLogError
+from uav_ident_ros.import_logs.resync import Gap, loss_in_words, walk
 from uav_ident_ros.import_logs.stamps import plausible, rate
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 """First bytes of every ULog file."""
 
-FILE_HEADER = 16
-"""Bytes before the first message."""
+FILE_HEADER, MESSAGE_HEADER, DATA_HEADER = 16, 3, 5
+"""Bytes before the first message, before what a message holds, before the values of a sample."""
 
-MESSAGE_HEADER = 3
-"""Bytes before each message: its size and its type."""
+SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
+"""Content of the messages that PX4 writes to be found behind damage."""
 
-DATA_MESSAGE, OTHER_MESSAGES = ord("D"), b"BFIMPQARLCSO"
-"""Types of the messages."""
+FIELD_TYPES = {
+    **{f"{sign}int{8 * n}_t": f"<{sign or 'i'}{n}" for n in (1, 2, 4, 8) for sign in ("", "u")},
+    **{"float": "<f4", "double": "<f8", "bool": "i1", "char": "i1"},
+}
+"""NumPy type of each type of a field."""
 
-CUT_OFF = "the file is cut off at its end: what is there was read"
+LARGEST = 0xFFFF
+"""Bytes of the largest message: no format can be larger."""
+
+DEEPEST = 8
+"""How deep formats may contain formats."""
 
 
 class Topic:
@@ -38,11 +52,11 @@ class Topic:
     ----------
     name : str
         Name, with ``[i]`` behind it for an instance beyond the first.
-    data : mapping
-        Arrays by field name, as pyulog gives them.
+    data : dict
+        Array by field name; an entry of an array field is ``field[0]`` and so on.
     """
 
-    def __init__(self, name: str, data: Any) -> None:
+    def __init__(self, name: str, data: dict[str, Column]) -> None:
         self.name = name
         self._data = data
 
@@ -69,7 +83,8 @@ class Topic:
         return float(np.median(self._ns("timestamp") - self.sample_ns)) * 1e-9
 
     def _ns(self, field: str) -> TimeArray:
-        return _in_ns(self._data[field if field in self._data else "timestamp"])
+        stamps = self._data[field if field in self._data else "timestamp"]
+        return stamps.astype(np.int64) * NS_PER_US
 
     @property
     def rate(self) -> float:
@@ -78,7 +93,7 @@ class Topic:
 
     def column(self, field: str) -> Column:
         """Values of one field, in the type of the log."""
-        return np.asarray(self._data[field])
+        return self._data[field]
 
     def vector(self, field: str, size: int = 3) -> FloatArray:
         """Values of an array field, shape (k, size)."""
@@ -89,8 +104,21 @@ class Topic:
         return sum(1 for name in self._data if name.startswith(f"{field}["))
 
 
-def _in_ns(t_us: Column) -> TimeArray:
-    return np.asarray(t_us).astype(np.int64) * NS_PER_US
+@dataclass
+class _Subscription:
+    """One topic and instance: its fields, the sizes of its messages, where they are."""
+
+    name: str
+    instance: int
+    dtype: np.dtype[np.void]
+    sizes: range
+    places: list[int] = field(default_factory=list)
+
+    def columns(self, data: mmap.mmap) -> dict[str, Column]:
+        end = DATA_HEADER + self.dtype.itemsize
+        rows = b"".join(data[at + DATA_HEADER : at + end] for at in self.places)
+        table = np.frombuffer(rows, dtype=self.dtype)
+        return {name: table[name] for name in self.dtype.names or ()}
 
 
 class Px4Log:
@@ -106,175 +134,317 @@ class Px4Log:
     parameters : dict
         Parameters at the start of the log, by name.
     damage : list of str
-        What could not be read.
+        What could not be read, and how much it is.
     remarks : list of str
         What else there is to say about the file.
+    start_ns, end_ns : int
+        Stamp of the start of the log, and the newest one, ns.
+    dropouts : list of float
+        Lengths of the stretches in which the logger itself lost messages, s.
 
     Raises
     ------
     ImportLogError
-        If pyulog is missing or the file is none that it can read.
+        If the file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._ulog, self.damage, self.remarks = _load(path)
-        self.parameters: dict[str, float] = {
-            name: value
-            for name, value in self._ulog.initial_parameters.items()
-            if isinstance(value, int | float) and np.isfinite(value)
-        }
-        self._topics = {
-            (d.name, d.multi_id): self._stamped(d.name, d.data)
-            for d in self._ulog.data_list
-            if "timestamp" in d.data
-        }
+        self.damage: list[str] = []
+        self.remarks: list[str] = []
+        self._topics: dict[tuple[str, int], dict[str, Column]] = {}
+        try:
+            with (
+                path.open("rb") as file,
+                mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+            ):
+                if len(data) < FILE_HEADER:
+                    raise ImportLogError(f"log '{path}' is no readable ULog file: it is cut off")
+                self.start_ns = int.from_bytes(data[8:16], "little") * NS_PER_US
+                found = _Walker(data, path)
+                gaps = walk(found, FILE_HEADER, len(data))
+                for subscription in found.topics.values():
+                    self._take(subscription, data)
+                self._say_gaps(found, gaps, len(data))
+        except OSError as error:
+            raise ImportLogError(f"log '{path}' cannot be read: {error.strerror}") from None
+        self.parameters, self._changes, self.dropouts = (
+            found.parameters,
+            found.changes,
+            found.dropouts,
+        )
+        self._facts = found.facts
+        stamps = [columns["timestamp"] for columns in self._topics.values()]
+        self.end_ns = int(max((t_us.max() for t_us in stamps), default=0)) * NS_PER_US
+
+    def _take(self, subscription: _Subscription, data: mmap.mmap) -> None:
+        """Keep the messages of a topic whose stamp a clock gave."""
+        if "timestamp" not in (subscription.dtype.names or ()) or not subscription.places:
+            return
+        columns = subscription.columns(data)
+        good = plausible(columns["timestamp"].astype(np.int64) * NS_PER_US)
+        if not good.all():
+            self.damage.append(
+                f"{int((~good).sum())} of {len(good)} messages {subscription.name} have a stamp "
+                "that no clock gave, and were left out"
+            )
+            columns = {name: values[good] for name, values in columns.items()}
+            subscription.places = [subscription.places[i] for i in np.flatnonzero(good)]
+        if good.any():
+            self._topics[subscription.name, subscription.instance] = columns
+
+    def _say_gaps(self, found: _Walker, gaps: list[Gap], size: int) -> None:
+        """Say how much could not be read."""
+        if gaps and gaps[-1][1] == size and found.may_begin(gaps[-1][0]):
+            gaps.pop()
+            self.remarks.append("the file is cut off at its end: what is there was read")
+        if gaps:
+            stamped = [
+                (place, int(t_us) * NS_PER_US)
+                for topic in found.topics.values()
+                if (columns := self._topics.get((topic.name, topic.instance))) is not None
+                for place, t_us in zip(topic.places, columns["timestamp"].tolist(), strict=True)
+            ]
+            self.damage.insert(0, loss_in_words(gaps, size, sorted(stamped)))
 
     def topic(self, name: str, instance: int = 0) -> Topic | None:
         """Return a topic if the log has messages of it."""
         data = self._topics.get((name, instance))
-        if data is None or not len(data["timestamp"]):
+        if data is None:
             return None
         return Topic(f"{name}[{instance}]" if instance else name, data)
 
-    def _stamped(self, name: str, data: dict[str, Column]) -> dict[str, Column]:
-        """Leave out the messages whose stamp no clock gave."""
-        good = plausible(_in_ns(data["timestamp"]))
-        if good.all():
-            return data
-        self.damage.append(
-            f"{int((~good).sum())} of {len(good)} messages {name} have a stamp that no clock gave, "
-            "and were left out"
-        )
-        return {field: values[good] for field, values in data.items()}
-
     def instances(self, name: str) -> list[int]:
         """Instances of a topic that have messages."""
-        return sorted(i for n, i in self._topics if n == name and self.topic(n, i) is not None)
+        return sorted(i for n, i in self._topics if n == name)
 
     def contents(self) -> str:
         """List the topics in one line."""
         return ", ".join(sorted({name for name, _ in self._topics})) or "no topics at all"
 
-    @property
-    def end_ns(self) -> int:
-        """Newest stamp, ns."""
-        newest = [
-            data["timestamp"].max() for data in self._topics.values() if len(data["timestamp"])
-        ]
-        return int(max(newest, default=0)) * NS_PER_US
-
-    @property
-    def start_ns(self) -> int:
-        """Stamp of the start of the log, ns."""
-        return int(self._ulog.start_timestamp) * NS_PER_US
-
-    @property
-    def dropouts(self) -> list[float]:
-        """Lengths of the stretches in which the logger itself lost messages, s."""
-        return [dropout.duration * 1e-3 for dropout in self._ulog.dropouts]
-
     def changes(self, prefixes: tuple[str, ...]) -> Iterator[tuple[float, str, float]]:
         """Yield time (s), name and value of the parameters that were changed while logging."""
-        for t_us, name, value in self._ulog.changed_parameters:
+        for t_us, name, value in self._changes:
             if name.startswith(prefixes) and self.parameters.get(name) != value:
                 yield t_us * 1e-6, name, value
 
     @property
     def title(self) -> str:
         """Which board and firmware wrote it."""
-        info = self._ulog.msg_info_dict
-        words = [str(info.get("sys_name", "PX4"))]
-        release = info.get("ver_sw_release")
+        words = [str(self._facts.get("sys_name", "PX4"))]
+        release = self._facts.get("ver_sw_release")
         if isinstance(release, int) and release:
             words.append("v" + ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8)))
-        elif "ver_sw" in info:
-            words.append(f"firmware {str(info['ver_sw'])[:10]}")
-        if "ver_hw" in info:
-            words.append(f"on {info['ver_hw']}")
+        elif "ver_sw" in self._facts:
+            words.append(f"firmware {str(self._facts['ver_sw'])[:10]}")
+        if "ver_hw" in self._facts:
+            words.append(f"on {self._facts['ver_hw']}")
         return " ".join(words)
 
 
-class _Watched:
-    """A file for reading that remembers which of its bytes became messages.
+_FORMAT = re.compile(rb"[\w/]+:[\w/ ;\[\]]*")
+_KEY = re.compile(rb"[a-z0-9_]+(\[\d+\])? [\w-]+")
 
-    Attributes
+
+class _Walker:
+    """Finds the messages of a file, and takes them in.
+
+    Parameters
     ----------
-    cut : bool
-        Whether it ended in the middle of a message.
-    understood : int
-        Bytes of the file's header and of messages without data.
-    data : dict
-        Number and bytes of the data messages by the number of their topic.
+    data : mmap
+        The file.
+    path : Path
+        Its name, for messages.
     """
 
-    def __init__(self, file: Any) -> None:
-        self._file = file
-        self._message: tuple[int, int] | None = None
-        self.cut = False
-        self.understood = FILE_HEADER
-        self.data: dict[int, tuple[int, int]] = {}
+    def __init__(self, data: mmap.mmap, path: Path) -> None:
+        self._data, self._size, self._path = data, len(data), path
+        self.topics: dict[int, _Subscription] = {}
+        self.lengths: set[int] = set()
+        self.parameters: dict[str, float] = {}
+        self.changes: list[tuple[int, str, float]] = []
+        self.facts: dict[str, int | float | str] = {}
+        self.dropouts: list[float] = []
+        self._formats: dict[str, list[tuple[str, int, str]]] = {}
+        self._newest: _Subscription | None = None
+        self._last: _Subscription | None = None
+        self._known = {
+            "B": lambda at, size: size == 40,
+            "F": lambda at, size: _FORMAT.fullmatch(data, at, at + size) is not None,
+            "I": self._has_key,
+            "M": lambda at, size: self._has_key(at + 1, size - 1),
+            "P": self._has_key,
+            "Q": lambda at, size: self._has_key(at + 1, size - 1),
+            "A": lambda at, size: _text(data[at + 3 : at + size]) in self._formats,
+            "D": self._is_sample,
+            "S": lambda at, size: data[at : at + size] == SYNC,
+            "L": lambda at, size: size >= 9,
+            "C": lambda at, size: size >= 11,
+            "R": lambda at, size: size == 2,
+            "O": lambda at, size: size == 2,
+        }
+        self._certain = re.compile(b"[FIMPQADS]")
+        self._takers = {
+            "B": self._take_flags,
+            "F": self._take_format,
+            "I": self._take_fact,
+            "P": self._take_parameter,
+            "A": self._take_topic,
+            "O": self._take_dropout,
+        }
 
-    def read(self, size: int) -> bytes:
-        data: bytes = self._file.read(size)
-        at_the_end = not data and size == MESSAGE_HEADER
-        self.cut |= len(data) < size and not at_the_end
-        message, self._message = self._message, None
-        if message is not None and message[0] == size == len(data):
-            self._take(message[1], data)
-        elif size == len(data) == MESSAGE_HEADER:
-            self._message = (int.from_bytes(data[:2], "little"), data[2])
-        return data
+    # -- what a message is -------------------------------------------------------------------
 
-    def _take(self, kind: int, data: bytes) -> None:
-        if kind == DATA_MESSAGE:
-            number = int.from_bytes(data[:2], "little")
-            count, size = self.data.get(number, (0, 0))
-            self.data[number] = (count + 1, size + MESSAGE_HEADER + len(data))
-        elif kind in OTHER_MESSAGES:
-            self.understood += MESSAGE_HEADER + len(data)
+    def _header(self, at: int) -> tuple[int, str]:
+        """Return the size of a message's content and its type."""
+        size, kind = struct.unpack("<HB", self._data[at : at + MESSAGE_HEADER])
+        return size, chr(kind)
 
-    def seek(self, *arguments: int) -> int:
-        self._message = None
-        return int(self._file.seek(*arguments))
+    def may_begin(self, at: int) -> bool:
+        """Whether a message may begin here of which the file holds a part only."""
+        if at + MESSAGE_HEADER > self._size:
+            return True
+        size, kind = self._header(at)
+        return kind in self._known and at + MESSAGE_HEADER + size > self._size
 
-    def tell(self) -> int:
-        return int(self._file.tell())
+    def length(self, at: int) -> int:
+        if at + MESSAGE_HEADER > self._size:
+            return 0
+        size, kind = self._header(at)
+        end = at + MESSAGE_HEADER + size
+        known = self._known.get(kind)
+        if known is None or end > self._size or not known(at + MESSAGE_HEADER, size):
+            return 0
+        return MESSAGE_HEADER + size
 
-    def close(self) -> None:
-        """Leave the file open: its owner closes it."""
+    def next_certain(self, start: int) -> int:
+        for found in self._certain.finditer(self._data, start + 2):
+            at = found.start() - 2
+            length = self.length(at)
+            if length and (at + length == self._size or self.length(at + length)):
+                return at
+        return self._size
 
-    def lost(self, topics: Collection[Any]) -> int:
-        """Return how many bytes are in no message that pyulog has understood."""
-        used = self.understood
-        for topic in topics:
-            count, size = self.data.get(topic.msg_id, (0, 0))
-            used += round(size * min(len(topic.data["timestamp"]) / max(count, 1), 1.0))
-        return int(self._file.seek(0, 2)) - used
+    def _has_key(self, at: int, size: int) -> bool:
+        """Whether a type, a name and a value of that type begin here."""
+        count = self._data[at] if size > 0 else 0
+        return count < size and _KEY.fullmatch(self._data, at + 1, at + 1 + count) is not None
+
+    def _is_sample(self, at: int, size: int) -> bool:
+        topic = self.topics.get(int.from_bytes(self._data[at : at + 2], "little"))
+        return topic is not None and size - 2 in topic.sizes
+
+    # -- what it says ------------------------------------------------------------------------
+
+    def take(self, at: int) -> None:
+        size, kind = self._header(at)
+        begin = at + MESSAGE_HEADER
+        self._last = None
+        if kind == "D":
+            self._last = self._newest = self.topics[
+                int.from_bytes(self._data[begin : begin + 2], "little")
+            ]
+            self._last.places.append(at)
+        elif kind in self._takers:
+            self._takers[kind](self._data[begin : begin + size])
+
+    def take_back(self) -> None:
+        if self._last is not None:
+            self._last.places.pop()
+
+    def _take_flags(self, content: bytes) -> None:
+        incompatible = content[8:16]
+        if incompatible[0] & ~1 or any(incompatible[1:]):
+            raise ImportLogError(
+                f"log '{self._path}' is no readable ULog file: its flags {incompatible.hex()} say "
+                "that it is of a later format"
+            )
+
+    def _take_format(self, content: bytes) -> None:
+        name, _, declared = content.decode().partition(":")
+        fields = []
+        for entry in filter(None, declared.split(";")):
+            found = re.fullmatch(r"(\w+)(?:\[(\d{1,5})\])? (\w+)", entry)
+            if found is None:
+                return
+            fields.append((found[1], int(found[2] or 0), found[3]))
+        self._formats.setdefault(name, fields)
+
+    def _take_topic(self, content: bytes) -> None:
+        number, name = int.from_bytes(content[1:3], "little"), _text(content[3:])
+        try:
+            fields = list(self._flat(name, "", 0, [0]))
+            padding = 0
+            while fields and fields[-1][0].startswith("_padding"):
+                padding += np.dtype(fields.pop()[1]).itemsize
+            dtype = np.dtype(fields)
+        except ValueError:  # formats that contradict each other
+            return
+        sizes = range(dtype.itemsize, dtype.itemsize + padding + 1)
+        self.topics.setdefault(number, _Subscription(name, content[0], dtype, sizes))
+        self.lengths.update(size + DATA_HEADER for size in (sizes[0], sizes[-1]))
+
+    def _flat(
+        self, name: str, prefix: str, depth: int, total: list[int]
+    ) -> Iterator[tuple[str, str]]:
+        """Yield names and NumPy types of a format's fields, those of formats in it one by one.
+
+        Raises
+        ------
+        ValueError
+            If there is no such format, or it is larger than a message can be.
+        """
+        if depth > DEEPEST or not self._formats.get(name):
+            raise ValueError(name)
+        for kind, count, entry in self._formats[name]:
+            for i in range(max(count, 1)):
+                full = f"{prefix}{entry}[{i}]" if count else f"{prefix}{entry}"
+                if kind in FIELD_TYPES:
+                    total[0] += np.dtype(FIELD_TYPES[kind]).itemsize
+                    if total[0] > LARGEST:
+                        raise ValueError(name)
+                    yield full, FIELD_TYPES[kind]
+                else:
+                    yield from self._flat(kind, f"{full}.", depth + 1, total)
+
+    def _take_fact(self, content: bytes) -> None:
+        kind, name, value = _entry(content)
+        if kind.startswith("char["):
+            self.facts[name] = _text(value)
+        elif (number := _number(kind, value)) is not None:
+            self.facts[name] = number
+
+    def _take_parameter(self, content: bytes) -> None:
+        kind, name, content = _entry(content)
+        value = _number(kind, content)
+        if value is None or not np.isfinite(value):
+            return
+        if self._newest is None:
+            self.parameters[name] = value
+            return
+        place = self._newest.dtype.fields or {}
+        at = self._newest.places[-1] + DATA_HEADER + int(place["timestamp"][1])
+        self.changes.append((int.from_bytes(self._data[at : at + 8], "little"), name, value))
+
+    def _take_dropout(self, content: bytes) -> None:
+        self.dropouts.append(int.from_bytes(content, "little") * 1e-3)
 
 
-def _load(path: Path) -> tuple[Any, list[str], list[str]]:
-    """Parse a file; return pyulog's object, what is damaged and what else there is to say."""
-    try:
-        from pyulog import ULog  # type: ignore[import-untyped]
-    except ImportError:
-        raise ImportLogError(
-            f"log '{path}': pyulog is not installed, which reads PX4 logs: "
-            "pip install 'uav_ident_ros[px4]' or pip install pyulog"
-        ) from None
-    said = io.StringIO()
-    try:
-        with path.open("rb") as file, contextlib.redirect_stdout(said):
-            watched = _Watched(file)
-            ulog = ULog(watched)
-            size, lost = path.stat().st_size, watched.lost(ulog.data_list)
-    except OSError as error:
-        raise ImportLogError(f"log '{path}' cannot be read: {error.strerror}") from None
-    except Exception as error:
-        # Damaged bytes make a parser fail in many ways, beyond the library's own exceptions.
-        raise ImportLogError(f"log '{path}' is no readable ULog file: {error}") from error
-    if ulog.file_corruption:
-        share = 100.0 * lost / size
-        damage = f"the file is damaged: {lost} of {size} bytes ({share:.2g} %) could not be read"
-        return ulog, [damage], []
-    return ulog, [], [CUT_OFF] if watched.cut else []
+def _entry(content: bytes) -> tuple[str, str, bytes]:
+    """Return type, name and value of a fact or parameter."""
+    end = 1 + content[0]
+    kind, _, name = _text(content[1:end]).partition(" ")
+    return kind, name, content[end:]
+
+
+def _number(kind: str, value: bytes) -> int | float | None:
+    """Return the number that some bytes are; None if they are none of this type."""
+    dtype = np.dtype(FIELD_TYPES.get(kind, "V"))
+    if dtype.kind == "V" or len(value) != dtype.itemsize:
+        return None
+    number: int | float = np.frombuffer(value, dtype)[0].item()
+    return number
+
+
+def _text(content: bytes) -> str:
+    return content.decode(errors="replace").rstrip("\0")
