@@ -30,7 +30,9 @@ setup(
     maintainer="uav_ident_ros maintainers",
     maintainer_email="uav_ident_ros@example.org",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={
+        PACKAGE: ["py.typed", "simulation/airframes/*.yaml", "simulation/airframes/jsbsim/*/*.xml"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (SHARE, ["package.xml"]),

@@ -25,31 +25,20 @@ from cases import Case, identify
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.simulation.aircraft import AIRFRAMES
+from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
-from uav_ident_ros.simulation.linearisation import Linearisation, linearise
-from uav_ident_ros.simulation.live_aircraft import LiveAircraft
+from uav_ident_ros.simulation.linearisation import Linearisation, linearise_cruise
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.recording import parameters
 
 DURATION = 120.0
 SENSORS = Sensors(rate=200.0, gyro_noise=0.005, accelerometer_noise=0.05)
-AMPLITUDES: dict[str, dict[str, float]] = {
-    "c172p": {"de": 0.04, "dr": 0.08, "da": 0.06, "dth": 0.1},
-    "T37": {"de": 0.04, "dr": 0.06, "da": 0.05, "dth": 0.1},
-    "OV10": {"de": 0.05, "dr": 0.1, "da": 0.06, "dth": 0.1},
-}
-
-
-def truth_of(aircraft: str) -> Linearisation:
-    """Linearise an aircraft in steady flight at its cruise point."""
-    return linearise(LiveAircraft(aircraft, Sensors(rate=100.0)).aircraft)
 
 
 def identified(aircraft: str, seed: int, values: Mapping[str, object]) -> CoefficientSet:
     """Fly an aircraft and identify it; the coefficients at the end of the flight."""
-    segment = Segment("multisine", start=2.0, amplitudes=AMPLITUDES[aircraft], seed=seed)
+    segment = Segment("multisine", start=2.0, amplitudes=airframe(aircraft).excitation, seed=seed)
     m = measure(fly(AircraftFlight(aircraft, (segment,), DURATION, seed=seed)), SENSORS, seed)
     case = Case(
         name=aircraft,
@@ -93,14 +82,14 @@ def mode_lines(truth: Linearisation) -> Iterator[str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the tables; the return value is the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("aircraft", nargs="*", default=list(AIRFRAMES), help="default: all")
+    parser.add_argument("aircraft", nargs="*", default=list(airframe_names()), help="default: all")
     parser.add_argument("--structure", choices=tuple(STRUCTURES), help="default: the setting's")
     parser.add_argument("--coefficients", type=Path, help="compare this file: fly nothing")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args(arguments)
     values = {"structure": options.structure} if options.structure else {}
     for aircraft in options.aircraft:
-        truth = truth_of(aircraft)
+        truth = linearise_cruise(aircraft)
         found = (
             load_coefficients(options.coefficients)
             if options.coefficients

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.airframe import MODELS, Airframe, airframe
 from uav_ident_ros.simulation.errors import SimulationError
 
 FOOT = 0.3048
@@ -24,6 +24,16 @@ FOOT = 0.3048
 
 FULL_TRIM = 1
 """JSBSim's trim in all six degrees of freedom."""
+
+TRIM_GUESS = (0.05, 0.0, 0.0, 0.0, 0.5)
+"""Angle of attack, elevator, rudder, aileron (rad) and throttle to start a trim from."""
+
+TRIM_STEP, TRIM_TOLERANCE, TRIM_ITERATIONS = 1e-4, 1e-6, 20
+"""Perturbation of these; largest acceleration left, ft/s^2 and rad/s^2; steps of Newton's method,
+which needs five."""
+
+UNBALANCES = ("udot-ft_sec2", "wdot-ft_sec2", "pdot-rad_sec2", "qdot-rad_sec2", "rdot-rad_sec2")
+"""Accelerations that a trim removes."""
 
 TURBULENCE_TUSTIN = 4
 """JSBSim's MIL-F-8785C turbulence, discretised by Tustin's rule."""
@@ -43,8 +53,15 @@ SURFACES = (
 COMMANDS = ("fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm", "fcs/aileron-cmd-norm")
 _TRIMS = ("fcs/pitch-trim-cmd-norm", "fcs/yaw-trim-cmd-norm", "fcs/roll-trim-cmd-norm")
 
-COMMAND_POINTS = (-1.0, 0.0, 1.0)
-"""Commands between which a surface's travel is linear."""
+SETTLING_TIME = 20.0
+"""Time on the autopilot before others fly an aircraft, s."""
+
+AUTOPILOT_RATE = 100.0
+"""Rate of that autopilot, Hz."""
+
+COMMAND_POINTS = np.linspace(-1.0, 1.0, 81)
+"""Commands between which a surface's travel is linear: about its centre it may have a corner, and
+some stop short of the full command (the A4's rudder at 0.35 of it)."""
 
 # What is read after every step, and the factor that makes it SI.
 SIGNALS = {
@@ -73,103 +90,6 @@ SIGNALS = {
 COLUMN = {name: i for i, name in enumerate(SIGNALS)}
 
 
-@dataclass(frozen=True)
-class Airframe:
-    """A JSBSim aircraft and how it is flown here.
-
-    Parameters
-    ----------
-    speed : float
-        True airspeed, m/s.
-    altitude : float
-        Above sea level, m.
-    roll_gain, pitch_gain : float
-        Aileron per rad of roll error, elevator per rad of pitch error.
-    pitch_damping : float
-        Elevator per rad/s of pitch rate.
-    altitude_gain, climb_gain : float
-        Pitch reference per m of altitude error and per m/s of climb, rad.
-    speed_gain : float
-        Throttle per m/s of speed error.
-    local_truth : mapping
-        Local derivatives in this flight condition, 1/s or 1/s^2 per rad.
-    """
-
-    speed: float
-    altitude: float
-    roll_gain: float
-    pitch_gain: float
-    pitch_damping: float = 0.0
-    altitude_gain: float = 1e-3
-    climb_gain: float = 5e-3
-    speed_gain: float = 0.02
-    local_truth: Mapping[str, float] = field(default_factory=dict)
-
-
-AIRFRAMES: dict[str, Airframe] = {
-    # Four-seat propeller aircraft, 853 kg, at 175 ft/s and 3000 ft.
-    "c172p": Airframe(
-        speed=175.0 * FOOT,
-        altitude=3000.0 * FOOT,
-        roll_gain=0.1,
-        pitch_gain=0.15,
-        local_truth={
-            "pdot/p": -6.81, "pdot/r": 1.38, "pdot/dr": 3.24, "pdot/da": 31.2,
-            "pdot/beta": -15.5,
-            "qdot/q": -5.59, "qdot/de": -27.3, "qdot/alpha": -33.4,
-            "rdot/p": -0.277, "rdot/r": -0.785, "rdot/dr": -4.33, "rdot/da": -0.230,
-            "rdot/beta": 4.83,
-        },
-    ),
-    # Jet trainer with two engines, 2.2 t.
-    "T37": Airframe(
-        speed=420.0 * FOOT,
-        altitude=10000.0 * FOOT,
-        roll_gain=0.05,
-        pitch_gain=0.1,
-        # by regression of the noise-free accelerations of calm flights
-        local_truth={
-            "pdot/p": -2.10, "pdot/r": 0.465, "pdot/dr": 2.23, "pdot/da": 17.76,
-            "pdot/beta": -11.84,
-            "qdot/q": -9.37, "qdot/de": -23.1, "qdot/alpha": -14.2,
-            "rdot/p": -0.144, "rdot/r": -0.481, "rdot/dr": -3.01, "rdot/da": -2.05,
-            "rdot/beta": 9.12,
-        },
-    ),
-    # Turboprop with two engines, 6.7 t.
-    "OV10": Airframe(
-        speed=290.0 * FOOT,
-        altitude=5000.0 * FOOT,
-        roll_gain=0.1,
-        pitch_gain=0.2,
-        # by regression, as above
-        local_truth={
-            "pdot/p": -1.307, "pdot/r": 0.485, "pdot/dr": 0.439, "pdot/da": 7.18,
-            "pdot/beta": -5.74,
-            "qdot/q": -1.764, "qdot/de": -4.17, "qdot/alpha": -1.164,
-            "rdot/p": -0.008, "rdot/r": -0.465, "rdot/dr": -1.646, "rdot/da": -0.042,
-            "rdot/beta": 4.01,
-        },
-    ),
-}  # fmt: skip
-"""Aircraft that fly here, by JSBSim's name."""
-
-
-def airframe(name: str) -> Airframe:
-    """Return how an aircraft is flown here.
-
-    Raises
-    ------
-    SimulationError
-        If it is not set up here.
-    """
-    if name not in AIRFRAMES:
-        raise SimulationError(
-            f"JSBSim aircraft '{name}' is not set up here: use one of {', '.join(AIRFRAMES)}"
-        )
-    return AIRFRAMES[name]
-
-
 def _load(name: str, rate: float) -> Any:
     """Return a quiet JSBSim executive with the aircraft loaded.
 
@@ -195,16 +115,18 @@ def _load(name: str, rate: float) -> Any:
     fdm.set_debug_level(0)
     fdm.disable_output()  # some aircraft write files of their own
     fdm.set_dt(1.0 / rate)
+    if (MODELS / name).is_dir():
+        fdm.set_aircraft_path(str(MODELS))
     if not fdm.load_model(name):
-        raise SimulationError(f"JSBSim has no aircraft '{name}'")
+        raise SimulationError(f"JSBSim has no aircraft '{name}': it is the 'model' of its file")
     return fdm
 
 
 def _surface_ranges(name: str, rate: float) -> FloatArray:
-    """Elevator, rudder and aileron at commands -1, 0, 1, shape (3, 3), rad."""
+    """Elevator, rudder and aileron at `COMMAND_POINTS`, shape (3, 81), rad."""
     fdm = _load(name, rate)
     fdm.run_ic()
-    out = np.empty((3, 3))
+    out = np.empty((3, len(COMMAND_POINTS)))
     for i, command in enumerate(COMMAND_POINTS):
         for target in COMMANDS:
             fdm[target] = command
@@ -213,18 +135,33 @@ def _surface_ranges(name: str, rate: float) -> FloatArray:
     return out
 
 
+def _trimmed(fdm: Any) -> bool:
+    """Let JSBSim trim; return whether it could. It knows no thrust but its engines'."""
+    try:
+        fdm.do_trim(FULL_TRIM)
+    except Exception:  # jsbsim.TrimFailureError is no public base class
+        return False
+    return True
+
+
 class Aircraft:
     """JSBSim aircraft in trimmed flight: takes surfaces, gives signals.
 
     Parameters
     ----------
     name : str
-        One of `AIRFRAMES`.
+        As in `airframe`.
     rate : float
         Rate of the simulation, Hz.
+    speed : float, optional
+        True airspeed in place of its own, m/s.
 
     Attributes
     ----------
+    airframe : Airframe
+        What it is.
+    rate : float
+        Rate of the simulation, Hz.
     fdm : jsbsim.FGFDMExec
         JSBSim itself, for what has no method here.
     surfaces : (4,) array
@@ -236,18 +173,21 @@ class Aircraft:
         If JSBSim is not installed, or has no such aircraft, or cannot trim it.
     """
 
-    def __init__(self, name: str, rate: float) -> None:
-        self.airframe = airframe(name)
-        self.ranges = _surface_ranges(name, rate)
-        self.fdm = _load(name, rate)
-        self._trim(name)
+    def __init__(self, name: str, rate: float, speed: float | None = None) -> None:
+        self.airframe = airframe(name, speed)
+        self.rate = rate
+        self.ranges = _surface_ranges(self.airframe.model, rate)
+        self.fdm = _load(self.airframe.model, rate)
         nodes = self.fdm.get_property_manager()
         self._read = [nodes.get_node(name) for name, _ in SIGNALS.values()]
         self._scale = np.array([scale for _, scale in SIGNALS.values()])
         self._command = [nodes.get_node(name) for name in COMMANDS]
-        engines = int(self.fdm["propulsion/engine-count"]) if self._counts_engines() else 1
-        suffixes = [""] + [f"[{i}]" for i in range(1, engines)]
+        self._engines = 0
+        while nodes.hasNode(f"propulsion/engine[{self._engines}]/set-running"):
+            self._engines += 1
+        suffixes = [""] + [f"[{i}]" for i in range(1, self._engines)]
         self._throttle = [nodes.get_node(f"fcs/throttle-cmd-norm{s}") for s in suffixes]
+        self._trim()
         self.surfaces = np.array([self.fdm[s] for s in SURFACES])
 
     @property
@@ -255,10 +195,7 @@ class Aircraft:
         """Mass, slug."""
         return float(self.fdm["inertia/mass-slugs"])
 
-    def _counts_engines(self) -> bool:
-        return bool(self.fdm.get_property_manager().hasNode("propulsion/engine-count"))
-
-    def _trim(self, name: str) -> None:
+    def _trim(self) -> None:
         fdm = self.fdm
         fdm["ic/h-sl-ft"] = self.airframe.altitude / FOOT
         fdm["ic/vt-fps"] = self.airframe.speed / FOOT
@@ -267,12 +204,44 @@ class Aircraft:
         fdm["gear/gear-pos-norm"] = 0.0
         fdm.run_ic()
         fdm["propulsion/fuel_freeze"] = 1  # mass and inertia stay what they are
-        try:
-            fdm.do_trim(FULL_TRIM)
-        except Exception as error:  # jsbsim.TrimFailureError is no public base class
-            raise SimulationError(f"JSBSim cannot trim '{name}': {error}") from None
+        if not (self._engines and _trimmed(fdm)):
+            self._solve_trim()
         for name in _TRIMS:
             fdm[name] = 0.0  # the surfaces take over what the trim tabs held
+
+    def _solve_trim(self) -> None:
+        """Trim by Newton's method, where JSBSim's own trim fails.
+
+        Raises
+        ------
+        SimulationError
+            If that does not converge either.
+        """
+        x = np.array(TRIM_GUESS)
+        for _ in range(TRIM_ITERATIONS):
+            rest = self._unbalance(x)
+            if np.abs(rest).max() < TRIM_TOLERANCE:
+                return
+            steps = TRIM_STEP * np.eye(len(x))
+            jacobian = np.array([self._unbalance(x + step) - rest for step in steps]).T / TRIM_STEP
+            x = x - np.linalg.lstsq(jacobian, rest, rcond=None)[0]
+        raise SimulationError(
+            f"JSBSim aircraft '{self.airframe.name}' cannot be trimmed at "
+            f"{self.airframe.speed:.1f} m/s and {self.airframe.altitude:.0f} m"
+        )
+
+    def _unbalance(self, x: FloatArray) -> FloatArray:
+        """Accelerations in level flight, shape (5,).
+
+        Parameters
+        ----------
+        x : (5,) array
+            Angle of attack, elevator, rudder, aileron, rad; throttle.
+        """
+        self.fdm["ic/alpha-rad"] = self.fdm["ic/theta-rad"] = float(x[0])
+        self.set_surfaces(self.clip(x[1:]))
+        self.fdm.run_ic()
+        return np.array([self.fdm[f"accelerations/{name}"] for name in UNBALANCES])
 
     def set_surfaces(self, surfaces: FloatArray) -> None:
         """Command elevator, rudder, aileron (rad) and throttle from now on."""
@@ -284,7 +253,7 @@ class Aircraft:
 
     def clip(self, surfaces: FloatArray) -> FloatArray:
         """Limit surfaces to what the aircraft can do."""
-        low, high = np.append(self.ranges[:, 0], 0.0), np.append(self.ranges[:, 2], 1.0)
+        low, high = np.append(self.ranges[:, 0], 0.0), np.append(self.ranges[:, -1], 1.0)
         return np.clip(surfaces, low, high)
 
     def step(self) -> list[float]:
@@ -307,21 +276,50 @@ class Autopilot:
 
     def surfaces(self, signals: Sequence[float], climb: float, bank: float) -> FloatArray:
         """Elevator, rudder, aileron, throttle from the signals (JSBSim's units)."""
-        a = self.airframe
+        a, gains = self.airframe, self.airframe.autopilot
         altitude = signals[COLUMN["altitude"]] * FOOT
         speed = signals[COLUMN["airspeed"]] * FOOT
-        reference = self.pitch + a.altitude_gain * (a.altitude - altitude) - a.climb_gain * climb
-        pitch_error = signals[COLUMN["pitch"]] - reference
+        reference = self.pitch + gains.altitude_gain * (a.altitude - altitude)
+        pitch_error = signals[COLUMN["pitch"]] - (reference - gains.climb_gain * climb)
         roll_error = signals[COLUMN["roll"]] - bank
         correction = np.array(
             [
-                a.pitch_gain * pitch_error + a.pitch_damping * signals[COLUMN["q"]],
+                gains.pitch_gain * pitch_error + gains.pitch_damping * signals[COLUMN["q"]],
                 0.0,
-                -a.roll_gain * roll_error,
-                a.speed_gain * (a.speed - speed),
+                -gains.roll_gain * roll_error,
+                gains.speed_gain * (a.speed - speed),
             ]
         )
         return np.asarray(self.trim + correction)
+
+
+def settle(aircraft: Aircraft, time: float = SETTLING_TIME) -> list[float]:
+    """Fly on the autopilot until nothing moves any more.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        As trimmed.
+    time : float
+        How long, s.
+
+    Returns
+    -------
+    list of float
+        The signals at the end; the surfaces are ``aircraft.surfaces``.
+    """
+    signals = aircraft.step()
+    autopilot = Autopilot(aircraft.airframe, aircraft.surfaces, signals[COLUMN["pitch"]])
+    every = round(aircraft.rate / AUTOPILOT_RATE)
+    altitude = signals[COLUMN["altitude"]]
+    for step in range(round(time * aircraft.rate)):
+        if step % every == 0:
+            climb = (signals[COLUMN["altitude"]] - altitude) * FOOT * AUTOPILOT_RATE
+            altitude = signals[COLUMN["altitude"]]
+            wanted = autopilot.surfaces(signals, climb, 0.0)
+            aircraft.set_surfaces(aircraft.clip(wanted))
+        signals = aircraft.step()
+    return signals
 
 
 def start_turbulence(fdm: Any, severity: int, seed: int) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.channels import CHANNEL_SETS
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.inputs import INPUT_KINDS
@@ -24,8 +25,7 @@ START = 2.0
 """Time before the excitation begins, s."""
 
 PLANT_AMPLITUDES = (0.08, 0.12, 0.06, 0.2)
-AIRCRAFT_AMPLITUDES = (0.08, 0.18, 0.1, 0.1)
-"""Default peaks of de, dr, da (rad), dth."""
+"""Default peaks of de, dr, da (rad), dth; an aircraft has its own."""
 
 FORCE_NOISE = {"rms": 0.3, "correlation_time": 0.5}
 """Variation of a plant's specific force, which its structure does not determine, m/s^2 and s."""
@@ -74,11 +74,16 @@ def make_parser() -> argparse.ArgumentParser:
 def _add_flight_options(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     add("--plant", choices=VEHICLE_NAMES, help="plant of the paper's structure (small_uav)")
-    add("--jsbsim", metavar="AIRCRAFT", help="a JSBSim aircraft instead, c172p for one")
+    add(
+        "--jsbsim",
+        metavar="AIRCRAFT",
+        help=f"a JSBSim aircraft instead: {', '.join(airframe_names())}, or a file like theirs",
+    )
+    add("--speed", type=float, metavar="M/S", help="aircraft: true airspeed (its own)")  # fmt: skip
     add("--input", choices=INPUT_KINDS, default="multisine", help="excitation (multisine)")
     add("--amplitude", nargs=4, type=float, metavar=("DE", "DR", "DA", "DTH"),
         help="peaks, rad and throttle 0..1 "
-             f"({_words(PLANT_AMPLITUDES)}; aircraft {_words(AIRCRAFT_AMPLITUDES)})")  # fmt: skip
+             f"({_words(PLANT_AMPLITUDES)}; an aircraft has its own)")  # fmt: skip
     add("--duration", type=float, default=90.0, metavar="S",
         help="length of the excited flight, s (90)")  # fmt: skip
     add("--quiet", type=float, default=0.0, metavar="S",
@@ -128,7 +133,9 @@ def _words(values: Sequence[float]) -> str:
 
 def definition_from(options: argparse.Namespace) -> dict[str, Any]:
     """Flight definition (see `definition.build_flight`) that the options ask for."""
-    amplitudes = options.amplitude or (AIRCRAFT_AMPLITUDES if options.jsbsim else PLANT_AMPLITUDES)
+    amplitudes = dict(zip(INPUTS, options.amplitude or PLANT_AMPLITUDES, strict=True))
+    if options.jsbsim and not options.amplitude:
+        amplitudes = dict(airframe(options.jsbsim, options.speed).excitation)
     divides = BASE_RATE % options.imu_rate == 0.0
     definition: dict[str, Any] = {
         "duration": options.duration + options.quiet,
@@ -141,7 +148,7 @@ def definition_from(options: argparse.Namespace) -> dict[str, Any]:
                 "kind": options.input,
                 "start": START,
                 "duration": max(0.0, options.duration - START),
-                "amplitudes": dict(zip(INPUTS, amplitudes, strict=True)),
+                "amplitudes": amplitudes,
             }
         ],
         "sensors": {
@@ -179,6 +186,7 @@ def _plant_part(options: argparse.Namespace) -> dict[str, Any]:
 def _aircraft_part(options: argparse.Namespace) -> dict[str, Any]:
     return {
         "aircraft": options.jsbsim,
+        "speed": options.speed,
         "turbulence": options.turbulence,
         "bank": options.bank,
     }
@@ -190,7 +198,8 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         parser.error("--plant and --jsbsim exclude each other")
     plant_only = {"--gusts": options.gusts, "--servo-lag": options.servo_lag,
                   "--autopilot": options.autopilot}  # fmt: skip
-    aircraft_only = {"--turbulence": options.turbulence, "--bank": options.bank}
+    aircraft_only = {"--turbulence": options.turbulence, "--bank": options.bank,
+                     "--speed": options.speed}  # fmt: skip
     wrong = plant_only if options.jsbsim else aircraft_only
     for name, value in wrong.items():
         if value:

@@ -11,18 +11,18 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.aircraft import (
-    AIRFRAMES,
     COLUMN,
     FOOT,
     MAX_TURBULENCE,
     Aircraft,
     Autopilot,
-    airframe,
     start_turbulence,
 )
+from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight, IntArray, stamps
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
+from uav_ident_ros.simulation.linearisation import cruise_derivatives
 from uav_ident_ros.simulation.plant import GRID_TOLERANCE
 
 SETTLING_TIME = 20.0
@@ -51,7 +51,7 @@ class AircraftFlight:
     Parameters
     ----------
     aircraft : str
-        One of `AIRFRAMES`.
+        Its name, or the path of its file: see `uav_ident_ros.simulation.airframe`.
     segments : sequence of Segment
         Excitation, added to the autopilot's commands.
     duration : float
@@ -70,6 +70,8 @@ class AircraftFlight:
         From a time on, an input (``de`` and so on) has its effect about trim multiplied.
     seed : int
         Seed of the turbulence.
+    speed : float or None
+        True airspeed, m/s; None for the aircraft's own.
     """
 
     aircraft: str
@@ -82,9 +84,10 @@ class AircraftFlight:
     turbulence: int = 0
     changes: tuple[CoefficientChange, ...] = ()
     seed: int = 0
+    speed: float | None = None
 
     def __post_init__(self) -> None:
-        airframe(self.aircraft)
+        airframe(self.aircraft, self.speed)
         for name in ("duration", "rate", "actuator_rate"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SimulationError(f"{name} is {getattr(self, name)}: it must be positive")
@@ -147,7 +150,7 @@ def fly(spec: AircraftFlight, name: str = "") -> Flight:
     SimulationError
         If JSBSim is not installed, or the aircraft cannot be trimmed or is lost.
     """
-    aircraft = Aircraft(spec.aircraft, spec.rate)
+    aircraft = Aircraft(spec.aircraft, spec.rate, spec.speed)
     every = _whole(spec.rate / spec.actuator_rate, f"actuator rate {spec.actuator_rate:g} Hz")
     delay = _whole(spec.delay * spec.rate, f"delay {spec.delay:g} s")
     first = -round(SETTLING_TIME * spec.actuator_rate) * every
@@ -206,7 +209,7 @@ def _make_flight(
     extra = {key: record[:, COLUMN[key]] for key in ("alpha", "beta", "roll", "pitch", "altitude")}
     surfaces = [COLUMN[key] for key in ("elevator", "rudder", "aileron", "throttle")]
     return Flight(
-        name=name or spec.aircraft,
+        name=name or airframe(spec.aircraft).name,
         t_ns=stamps(np.arange(len(record)) / spec.rate),
         rates=record[:, 0:3],
         angular_acceleration=record[:, 3:6],
@@ -216,7 +219,7 @@ def _make_flight(
         trim=np.array(trim),
         delay=spec.delay,
         changes=spec.changes,
-        local_truth=dict(AIRFRAMES[spec.aircraft].local_truth),
+        local_truth=cruise_derivatives(spec.aircraft, spec.speed),
         excitation=excited_intervals(spec.segments, spec.duration),
         airspeed=record[:, COLUMN["airspeed"]],
         extra={**extra, "surfaces": record[:, surfaces]},

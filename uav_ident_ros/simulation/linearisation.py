@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.simulation.aircraft import COLUMN, Aircraft
+from uav_ident_ros.simulation.aircraft import COLUMN, Aircraft, settle
 
 STATES = ("p", "q", "r", "beta", "alpha")
 """States of the linear model: rad/s and rad."""
@@ -27,6 +28,12 @@ STEP = 1e-3
 """Perturbation of a state (rad/s, rad) or an input (rad, throttle 0..1). JSBSim's tables are
 piecewise linear over a degree and more, its numbers are doubles: so it is neither too long nor
 too short, and the derivatives do not depend on it (a test holds them to that)."""
+
+SIMULATION_RATE = 1000.0
+"""Rate at which an aircraft settles at its cruise point, Hz."""
+
+LEAST_DERIVATIVE = 0.01
+"""Derivatives up to this size are left out of `cruise_derivatives`; in the units of `ROWS`."""
 
 _INITIAL = {
     "p": "ic/p-rad_sec",
@@ -106,6 +113,41 @@ def named_modes(a: FloatArray) -> dict[str, FloatArray]:
         "short period": np.sort_complex(np.linalg.eigvals(a[np.ix_([1, 4], [1, 4])])),
         "dutch roll": np.sort_complex(np.delete(lateral, roll)),
         "roll": lateral[[roll]],
+    }
+
+
+def linearise_cruise(name: str, speed: float | None = None) -> Linearisation:
+    """Linearise an aircraft in steady, calm flight.
+
+    Parameters
+    ----------
+    name : str
+        As in `uav_ident_ros.simulation.airframe`.
+    speed : float, optional
+        True airspeed in place of its own, m/s.
+
+    Raises
+    ------
+    SimulationError
+        If it cannot be flown.
+    """
+    aircraft = Aircraft(name, SIMULATION_RATE, speed)
+    settle(aircraft)
+    return linearise(aircraft)
+
+
+@lru_cache
+def cruise_derivatives(name: str, speed: float | None = None) -> dict[str, float]:
+    """Return the derivatives of `linearise_cruise`, by name, for people and files to read.
+
+    Four figures; without those by the throttle, which an engine follows late, and without those
+    that are next to nothing.
+    """
+    found = linearise_cruise(name, speed).derivatives
+    return {
+        key: float(f"{value:.4g}")
+        for key, value in found.items()
+        if abs(value) > LEAST_DERIVATIVE and not key.endswith("/dth")
     }
 
 

@@ -11,19 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, Autopilot
+from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, settle
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import Fault, Faults
 from uav_ident_ros.simulation.noise import Sensors
 
 SIMULATION_RATE = 1000.0
 """Rate of the simulation, Hz."""
-
-SETTLING_TIME = 20.0
-"""Time on an autopilot before others fly it, s."""
-
-AUTOPILOT_RATE = 100.0
-"""Rate of that autopilot, Hz."""
 
 SPEED_GAIN = 0.05
 """Throttle per m/s of speed error: slow, and strong enough for climbs of a few degrees."""
@@ -67,7 +61,7 @@ class LiveAircraft:
     Parameters
     ----------
     name : str
-        JSBSim's name of it.
+        As in `uav_ident_ros.simulation.airframe`.
     sensors : Sensors
         Rate of the samples, noise and bias.
     delay : float
@@ -76,6 +70,8 @@ class LiveAircraft:
         Those that come at a time of their own.
     seed : int
         Seed of noise and turbulence.
+    speed : float, optional
+        True airspeed in place of the aircraft's own, m/s.
 
     Attributes
     ----------
@@ -102,36 +98,21 @@ class LiveAircraft:
         delay: float = 0.0,
         faults: Sequence[Fault] = (),
         seed: int = 0,
+        speed: float | None = None,
     ) -> None:
         self._substeps = _whole(SIMULATION_RATE / sensors.rate, f"Imu rate {sensors.rate:g} Hz")
         self._delay = _whole(delay * SIMULATION_RATE, f"delay {delay:g} s")
-        self.aircraft = Aircraft(name, SIMULATION_RATE)
+        self.aircraft = Aircraft(name, SIMULATION_RATE, speed)
         self._sensors = sensors
         self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(2)]
         self._step = 0
-        self._signals = self._settle()
+        self._signals = settle(self.aircraft)
         self.trim: FloatArray = self.aircraft.surfaces
         self.outputs: FloatArray = self.trim
         self._airspeed = self._signals[COLUMN["airspeed"]]
         self._acting = self.trim
         self._underway: deque[tuple[int, FloatArray]] = deque()
         self.faults = Faults(self.aircraft, self.trim, seed, faults)
-
-    def _settle(self) -> list[float]:
-        """Fly on the autopilot until nothing moves any more."""
-        aircraft = self.aircraft
-        signals = aircraft.step()
-        autopilot = Autopilot(aircraft.airframe, aircraft.surfaces, signals[COLUMN["pitch"]])
-        every = round(SIMULATION_RATE / AUTOPILOT_RATE)
-        altitude = signals[COLUMN["altitude"]]
-        for step in range(round(SETTLING_TIME * SIMULATION_RATE)):
-            if step % every == 0:
-                climb = (signals[COLUMN["altitude"]] - altitude) * FOOT * AUTOPILOT_RATE
-                altitude = signals[COLUMN["altitude"]]
-                wanted = autopilot.surfaces(signals, climb, 0.0)
-                aircraft.set_surfaces(aircraft.clip(wanted))
-            signals = aircraft.step()
-        return signals
 
     def command(self, surfaces: FloatArray | None) -> None:
         """Answer the newest sample.

@@ -57,7 +57,8 @@ CLOCK_AHEAD_NS = 100_000_000
 RELIABLE = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 
 PARAMETERS: dict[str, Any] = {
-    "aircraft": "c172p",
+    "aircraft": "c172p",  # a name or a file, see uav_ident_ros/simulation/airframe.py
+    "speed": 0.0,  # true airspeed, m/s; 0 for the aircraft's own
     "rate": 100.0,  # of the Imu and of the commands, Hz
     "delay": 0.02,  # from the stamp of a sample to the surface that its command moves, s
     "gyro_noise": 0.005,  # rms of a sample, rad/s
@@ -95,7 +96,12 @@ class PlantNode(Node):
         )
         faults = [parse_fault(text) for text in self._value("faults") if text]
         self._aircraft = LiveAircraft(
-            self._value("aircraft"), sensors, self._value("delay"), faults, self._value("seed")
+            self._value("aircraft"),
+            sensors,
+            self._value("delay"),
+            faults,
+            self._value("seed"),
+            self._value("speed") or None,
         )
         self._lock_step: bool = self._value("lock_step")
         self._period_ns = round(NS_PER_S / rate)

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Aircraft as data: what the files say, and what is wrong with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from uav_ident_ros.simulation.airframe import FOLDER, airframe, airframe_names
+from uav_ident_ros.simulation.errors import SimulationError
+
+TEXT = """\
+description: mine
+model: c172p
+speed: 50.0
+altitude: 1000.0
+autopilot: {roll_gain: 0.1, pitch_gain: 0.2}
+excitation: {de: 0.08, dth: 0.1}
+"""
+
+
+def test_every_file_is_an_aircraft() -> None:
+    assert {"c172p", "pa28", "T37", "A4", "J3Cub", "OV10", "ultra_stick_25e"} <= set(
+        airframe_names()
+    )
+    for name in airframe_names():
+        found = airframe(name)
+        assert found.name == name and found.description
+        assert set(found.excitation) == {"de", "dr", "da", "dth"}
+
+
+def test_a_file_of_the_users_own_is_as_good_as_a_name(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(TEXT)
+    found = airframe(str(path))
+    assert (found.name, found.model, found.speed) == ("mine", "c172p", 50.0)
+    assert found.autopilot.pitch_gain == 0.2
+
+
+def test_another_speed_scales_what_surfaces_do() -> None:
+    usual, fast = airframe("c172p"), airframe("c172p", 2.0 * airframe("c172p").speed)
+    assert fast.autopilot.roll_gain == pytest.approx(0.25 * usual.autopilot.roll_gain)
+    assert fast.excitation["de"] == pytest.approx(0.25 * usual.excitation["de"])
+    assert fast.excitation["dth"] == usual.excitation["dth"]
+    with pytest.raises(SimulationError, match="speed is -1"):
+        airframe("c172p", -1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (TEXT.replace("speed", "sped"), "no entry 'sped'.*speed"),
+        (TEXT.replace("roll_gain", "rol_gain"), "no entry 'autopilot.rol_gain'.*roll_gain"),
+        (TEXT.replace("model: c172p\n", ""), "'model' is missing"),
+        (TEXT.replace("50.0", "-3.0"), "speed is -3.0"),
+        (TEXT.replace("50.0", "fast"), "speed is fast"),
+        ("[1, 2]", "no entries like 'model: c172p'"),
+        ("a: [", "aircraft file"),
+    ],
+)
+def test_a_wrong_file_is_named_with_what_would_be_right(
+    tmp_path: Path, text: str, says: str
+) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(SimulationError, match=says) as raised:
+        airframe(str(path))
+    assert str(path) in str(raised.value)
+
+
+def test_an_unknown_name_lists_those_known() -> None:
+    with pytest.raises(SimulationError, match=r"'ufo' .*c172p.*NAME\.yaml"):
+        airframe("ufo")
+
+
+def test_the_files_are_installed() -> None:
+    """`pip install` and colcon copy what `package_data` names."""
+    setup = (Path(__file__).parents[2] / "setup.py").read_text()
+    for suffix in {
+        path.relative_to(FOLDER.parent).parent / f"*{path.suffix}" for path in FOLDER.rglob("*.*")
+    }:
+        parent = suffix.as_posix().replace("ultra_stick_25e", "*")
+        assert f'"simulation/{parent}"' in setup

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Aircraft as data: one YAML file each, in `airframes/`.
+
+    description: four-seat propeller aircraft, 853 kg
+    model: c172p               # JSBSim's name, of the wheel or of airframes/jsbsim
+    speed: 53.34               # true airspeed, m/s
+    altitude: 914.4            # above sea level, m
+    autopilot: {roll_gain: 0.1, pitch_gain: 0.15}
+    excitation: {de: 0.08, dr: 0.18, da: 0.1, dth: 0.1}
+
+Another aircraft is another file; its path is as good as a name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from uav_ident_ros.simulation.errors import SimulationError
+
+FOLDER = Path(__file__).parent / "airframes"
+MODELS = FOLDER / "jsbsim"
+"""JSBSim models that come with this package."""
+
+SUFFIX = ".yaml"
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of the simple autopilot, `uav_ident_ros.simulation.aircraft.Autopilot`.
+
+    Parameters
+    ----------
+    roll_gain, pitch_gain : float
+        Aileron per rad of roll error, elevator per rad of pitch error.
+    pitch_damping : float
+        Elevator per rad/s of pitch rate.
+    altitude_gain, climb_gain : float
+        Pitch reference per m of altitude error and per m/s of climb, rad.
+    speed_gain : float
+        Throttle per m/s of speed error.
+    """
+
+    roll_gain: float
+    pitch_gain: float
+    pitch_damping: float = 0.0
+    altitude_gain: float = 1e-3
+    climb_gain: float = 5e-3
+    speed_gain: float = 0.02
+
+
+@dataclass(frozen=True)
+class Airframe:
+    """A JSBSim aircraft and how it is flown here.
+
+    Parameters
+    ----------
+    name : str
+        Name of its file, without the ending.
+    description : str
+        What it is.
+    model : str
+        JSBSim's name of it.
+    speed : float
+        True airspeed, m/s.
+    altitude : float
+        Above sea level, m.
+    autopilot : Gains
+        For that speed.
+    excitation : mapping
+        Peaks of the multisines that identify it, by input: rad, throttle 0..1.
+    """
+
+    name: str
+    description: str
+    model: str
+    speed: float
+    altitude: float
+    autopilot: Gains
+    excitation: Mapping[str, float] = field(default_factory=dict)
+
+    def at_speed(self, speed: float) -> Airframe:
+        """Return the same at another true airspeed, m/s.
+
+        Surfaces act with its square: the gains and the excitation are scaled by as much.
+
+        Raises
+        ------
+        SimulationError
+            If it is not positive.
+        """
+        if not 0.0 < speed < math.inf:
+            raise SimulationError(f"speed is {speed}: it must be positive, m/s")
+        factor = (self.speed / speed) ** 2
+        gains = self.autopilot
+        return replace(
+            self,
+            speed=speed,
+            autopilot=replace(
+                gains,
+                roll_gain=factor * gains.roll_gain,
+                pitch_gain=factor * gains.pitch_gain,
+                pitch_damping=factor * gains.pitch_damping,
+            ),
+            excitation={
+                name: peak if name == "dth" else factor * peak
+                for name, peak in self.excitation.items()
+            },
+        )
+
+
+def airframe_names() -> tuple[str, ...]:
+    """Names of the aircraft that come with this package."""
+    return tuple(sorted((path.stem for path in FOLDER.glob(f"*{SUFFIX}")), key=str.lower))
+
+
+def airframe(name: str, speed: float | None = None) -> Airframe:
+    """Return an aircraft by name, or by the path of its file.
+
+    Parameters
+    ----------
+    name : str
+        One of `airframe_names`, or a path that ends in ``.yaml``.
+    speed : float, optional
+        True airspeed in place of its own, m/s.
+
+    Raises
+    ------
+    SimulationError
+        If there is none, or its file is wrong; the message says what would be right.
+    """
+    path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
+    if not name.endswith(SUFFIX) and name not in airframe_names():
+        raise SimulationError(
+            f"aircraft '{name}' is not set up here: use one of {', '.join(airframe_names())}, or "
+            "the path of a file like theirs (NAME.yaml)"
+        )
+    found = _read(path)
+    return found if speed is None else found.at_speed(speed)
+
+
+def _read(path: Path) -> Airframe:
+    import yaml
+
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError) as error:
+        raise SimulationError(f"aircraft file '{path}': {error}") from None
+    if not isinstance(content, dict):
+        raise SimulationError(f"aircraft file '{path}' has no entries like 'model: c172p'")
+    values: dict[str, Any] = dict(content)
+    _check(path, "", values, Airframe, given=("name",))
+    gains = values["autopilot"] if isinstance(values["autopilot"], dict) else {}
+    _check(path, "autopilot.", gains, Gains)
+    for key in ("speed", "altitude"):
+        if not (isinstance(values[key], int | float) and values[key] > 0.0):
+            raise SimulationError(f"aircraft file '{path}': {key} is {values[key]}, not positive")
+    return Airframe(name=path.stem, **{**values, "autopilot": Gains(**gains)})
+
+
+def _check(
+    path: Path, prefix: str, values: Mapping[str, Any], cls: Any, given: tuple[str, ...] = ()
+) -> None:
+    """Refuse entries that are unknown, and missing ones."""
+    names = [item.name for item in fields(cls) if item.name not in given]
+    for key in values:
+        if key not in names:
+            raise SimulationError(
+                f"aircraft file '{path}' has no entry '{prefix}{key}': there are "
+                f"{', '.join(prefix + name for name in names)}"
+            )
+    for name in names:
+        if name not in values and name not in _OPTIONAL:
+            raise SimulationError(f"aircraft file '{path}': '{prefix}{name}' is missing")
+
+
+_OPTIONAL = ("excitation", "pitch_damping", "altitude_gain", "climb_gain", "speed_gain")
