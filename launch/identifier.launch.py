@@ -68,6 +68,11 @@ def declare_arguments() -> list[DeclareLaunchArgument]:
             description="Topic that says whether the vehicle is armed; read only if the parameter"
             " armed.type names its type",
         ),
+        DeclareLaunchArgument(
+            "excitation_topic",
+            default_value="excitation",
+            description="Topic on which somebody else says what is injected into the inputs",
+        ),
     ]
 
 
@@ -88,6 +93,7 @@ def generate_launch_description() -> LaunchDescription:
             ("actuators", LaunchConfiguration("actuators_topic")),
             ("airspeed", LaunchConfiguration("airspeed_topic")),
             ("armed", LaunchConfiguration("armed_topic")),
+            ("excitation", LaunchConfiguration("excitation_topic")),
         ],
         ros_arguments=["--log-level", LaunchConfiguration("log_level")],
         output="screen",

@@ -78,6 +78,11 @@ def declare_arguments() -> list[DeclareLaunchArgument]:
             description="Topic of whether it is armed in the bag, if armed.type is set",
         ),
         DeclareLaunchArgument(
+            "excitation_topic",
+            default_value="/excitation",
+            description="Topic of what was injected into the inputs, if the bag has one",
+        ),
+        DeclareLaunchArgument(
             "rate", default_value="1.0", description="Speed of the playback, 1.0 for real time"
         ),
         DeclareLaunchArgument(
@@ -117,6 +122,7 @@ def generate_launch_description() -> LaunchDescription:
             ("actuators", LaunchConfiguration("actuators_topic")),
             ("airspeed", LaunchConfiguration("airspeed_topic")),
             ("armed", LaunchConfiguration("armed_topic")),
+            ("excitation", LaunchConfiguration("excitation_topic")),
         ],
         ros_arguments=["--log-level", LaunchConfiguration("log_level")],
         output="screen",

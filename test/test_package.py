@@ -325,7 +325,7 @@ def test_launch_can_rename_every_input(path: Path):
     }
     inputs = constants_of(ROOT / PACKAGE / "node" / "inputs.py")
     topics = {value for name, value in inputs.items() if name.endswith("_TOPIC")}
-    assert len(topics) == 4
+    assert len(topics) == 5
     assert set(arguments) == topics
     defaults = {
         ast.literal_eval(call.args[0]): word.value

@@ -683,3 +683,56 @@ def test_airspeed_topic_is_found_by_type_and_by_option(tmp_path: Path) -> None:
         writer.write("/pitot_a", START_NS, message_class(NUMBER)(data=20.0))
     with Bag(tmp_path / "two") as bag:  # one of them is silent
         assert choose_inputs(bag, {"airspeed.type": NUMBER}).airspeed_topic == "/pitot_a"
+
+
+# --- with what was injected --------------------------------------------------------------------
+
+
+def injected(names: list[str], topics: tuple[str, ...], values: list[float]) -> Any:
+    """A change of an excerpt: beside each actuator message, what was injected."""
+
+    def change(topic: str, log_ns: int, message: Any) -> list[tuple[str, int, Any]]:
+        if topic == IMU:
+            return [(topic, log_ns, message)]
+        empty = np.zeros(0)
+        word = message_class("sensor_msgs/msg/JointState")(
+            header=message.header,
+            name=names,
+            position=np.array(values),
+            velocity=empty,
+            effort=empty,
+        )
+        return [(topic, log_ns, message), *((name, log_ns, word) for name in topics)]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("topics", "chosen"),
+    [
+        (("/identifier/excitation",), "/identifier/excitation"),
+        (("/identifier/excitation", "/excitation"), "/excitation"),
+        (("/a/excitation", "/b/excitation"), ""),
+    ],
+)
+def test_what_was_injected_is_found_by_its_name(
+    tmp_path: Path, topics: tuple[str, ...], chosen: str
+) -> None:
+    bag = excerpt("multisine", tmp_path / "bag", 3.0, injected(["da", "de"], topics, [0.1, 0.2]))
+    with Bag(bag) as opened:
+        inputs = choose_inputs(opened, {})
+        assert (inputs.actuators_topic, inputs.excitation_topic) == (ACTUATORS, chosen)
+        run = OfflineRun(inputs)
+        run.run(opened, lambda messages, total: messages)
+    _, values = run.intake.injected.of_era(0)
+    assert len(values) == (len(run.intake.actuators) if chosen else 0)
+    assert all(row == [0.2, 0.0, 0.1, 0.0] for row in values.tolist())
+
+
+def test_a_word_of_something_else_is_no_excitation(tmp_path: Path) -> None:
+    change = injected(["flap"], ("/excitation",), [0.1])
+    with Bag(excerpt("multisine", tmp_path / "bag", 1.0, change)) as bag:
+        run = OfflineRun(choose_inputs(bag, {}))
+        run.run(bag, lambda messages, total: messages)
+    refusals = run.refusals("excitation")
+    assert refusals.dropped == {"wrong channels": refusals.received} and refusals.received > 50

@@ -5,8 +5,13 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.identification.waveforms import (
+    WaveformError,
+    disjoint_harmonics,
+    multisine,
+)
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.inputs import Segment, disjoint_harmonics, multisine, sample_inputs
+from uav_ident_ros.simulation.inputs import Segment, sample_inputs
 
 AMPLITUDES = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
 
@@ -43,8 +48,10 @@ def test_multisine_starts_at_zero_and_has_only_its_own_harmonics() -> None:
 def test_harmonics_are_disjoint_and_fill_the_band() -> None:
     dealt = disjoint_harmonics(4, 20.0, (0.1, 2.0))
     assert sorted(h for own in dealt for h in own) == list(range(2, 41))
-    with pytest.raises(SimulationError, match="at least 4"):
+    with pytest.raises(WaveformError, match="at least 4"):
         disjoint_harmonics(4, 1.0, (0.1, 2.0))
+    with pytest.raises(SimulationError, match="at least 4"):
+        Segment("multisine", period=1.0, amplitudes=AMPLITUDES).sample(np.zeros(1))
 
 
 def test_the_same_seed_gives_the_same_phases_and_another_others() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one line of ROS that a controller needs."""
+"""The lines of ROS that a controller needs: one for each topic of the identifier."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from collections.abc import Callable
 from typing import Any
 
 from uav_ident_ros.client.coefficients import Coefficients, MessageError
+from uav_ident_ros.client.excitation import Excitation
 from uav_ident_ros.client.source import CoefficientSource
 
 TOPIC = "identifier/coefficients_named"
 """Where the identifier of the node's own namespace publishes."""
+
+EXCITATION_TOPIC = "identifier/excitation"
+"""Where it publishes what a controller is asked to add."""
 
 DEPTH = 10
 """Depth of the queue: ticks that come in a burst, after a pause, are not lost."""
@@ -58,3 +62,30 @@ def subscribe(
         durability=DurabilityPolicy.TRANSIENT_LOCAL,
     )
     return node.create_subscription(JointState, topic, take, latched)
+
+
+def subscribe_excitation(node: Any, excitation: Excitation, topic: str = EXCITATION_TOPIC) -> Any:
+    """Feed `excitation` from a topic.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Owner of the subscription.
+    excitation : Excitation
+        What takes the messages.
+    topic : str
+        The topic; remappings apply.
+
+    Returns
+    -------
+    rclpy.subscription.Subscription
+        The subscription.
+    """
+    from sensor_msgs.msg import JointState
+
+    def take(message: JointState) -> None:
+        stamp = message.header.stamp
+        t_ns = int(stamp.sec) * 10**9 + int(stamp.nanosec)
+        excitation.add(t_ns, list(message.name), list(message.position))
+
+    return node.create_subscription(JointState, topic, take, DEPTH)

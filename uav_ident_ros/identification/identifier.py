@@ -28,6 +28,7 @@ from uav_ident_ros.identification.drops import (
 )
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
+from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import IdentifiedModel
@@ -45,10 +46,11 @@ from uav_ident_ros.identification.settings import (
 )
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
-from uav_ident_ros.identification.structure import ROWS, STRUCTURES, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import INPUTS, ROWS, STRUCTURES, BoolArray, FloatArray
 from uav_ident_ros.identification.supervision import Change, State, Supervisor
 
 RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
+EXCITATION = "excitation"
 """The streams, as `OnlineIdentifier.drops` names them."""
 
 SECOND_NS = 1_000_000_000
@@ -87,7 +89,7 @@ class OnlineIdentifier:
         self.settings = settings
         self.structure = STRUCTURES[settings.structure]
         self.drops: dict[str, Counter[Drop]] = {
-            stream: Counter() for stream in (RATES, ACTUATORS, AIRSPEED, ARMED)
+            stream: Counter() for stream in (RATES, ACTUATORS, AIRSPEED, ARMED, EXCITATION)
         }
         self._initial = initial
         self._frame = BodyFrame(settings.imu)
@@ -250,6 +252,14 @@ class OnlineIdentifier:
             tuple(f"{ROWS[i]}/{self.structure.regressors[j]}" for j in group)
             for i, group in self._estimator.information.collinear()
         ]
+
+    def flying(self) -> Flying:
+        """Return what is known of the flight, as of the last tick."""
+        return Flying(
+            self._newest_rates,
+            airspeed=self._speed.newest,
+            grounded=self._supervisor.grounded(self._speed.newest),
+        )
 
     # -- samples in ------------------------------------------------------------------------
 
@@ -495,6 +505,38 @@ class OnlineIdentifier:
             self.drops[ARMED][problem] += 1
         return problem
 
+    def add_excitation(self, t_ns: int, values: Sequence[float]) -> Drop | None:
+        """Take word of what was, or will be, injected into the inputs on purpose.
+
+        Parameters
+        ----------
+        t_ns : int
+            Stamp, ns: the values apply from then on, and those said before of a later time are
+            called off. What comes late still counts, from the next tick on.
+        values : sequence of 4 floats
+            de, dr, da, dth, in the units of the inputs.
+
+        Returns
+        -------
+        Drop or None
+            Why the word was dropped, None if it was taken.
+        """
+        if self._held is not None:
+            self._held.append(partial(self.add_excitation, t_ns, values))
+            return None
+        problem = value_problem(values, len(INPUTS), LARGEST_CHANNEL) or self._stamp_problem(t_ns)
+        if problem is Drop.LATE:
+            t_ns, problem = self._last_tick_ns + 1, None
+        if problem is None:
+            injected = self._sampler.injected
+            injected.call_off(t_ns)
+            injected.append(t_ns, values)
+            if self._next_tick is None:
+                injected.forget_waiting(t_ns, self._lookback_ns)
+        else:
+            self.drops[EXCITATION][problem] += 1
+        return problem
+
     # -- ticks -----------------------------------------------------------------------------
 
     def _tick_ns(self, k: int) -> int:
@@ -538,6 +580,7 @@ class OnlineIdentifier:
         self.drops[RATES][Drop.DUPLICATE] += self._sampler.rates.merge(t_ns)
         self.drops[ACTUATORS][Drop.DUPLICATE] += self._sampler.raw_inputs.merge(t_ns)
         self.drops[AIRSPEED][Drop.DUPLICATE] += self._speed.update(t_ns)
+        self._sampler.injected.merge(t_ns)
         if len(self._sampler.rates.t):
             self._newest_rates = self._frame.to_body(self._sampler.rates.v[-1, :3])
         self._look(t_ns)

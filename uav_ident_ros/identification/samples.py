@@ -59,6 +59,12 @@ class SampleBuffer:
         self._waiting_t.extend(t_ns)
         self._waiting_v.extend(values)
 
+    def call_off(self, t_ns: int) -> None:
+        """Drop what waits and is stamped at or after `t_ns`."""
+        kept = [i for i, t in enumerate(self._waiting_t) if t < t_ns]
+        self._waiting_t = [self._waiting_t[i] for i in kept]
+        self._waiting_v = [self._waiting_v[i] for i in kept]
+
     def forget_waiting(self, newest_ns: int, span_ns: int) -> None:
         """Keep only the last `span_ns` of what waits, where nothing asks for it yet.
 

@@ -15,8 +15,8 @@ import numpy as np
 from uav_ident_ros.identification.frames import BodyFrame, centripetal
 from uav_ident_ros.identification.inputs import InputMap, ServoLag, cell_means
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
-from uav_ident_ros.identification.settings import MAX_DELAY, Settings
-from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, MAX_DELAY, Settings
+from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
 
 RATE_SAMPLES = 20
 """Samples from which the Imu's rate is found: enough for a median that drop-outs don't move."""
@@ -64,6 +64,8 @@ class Block:
         Specific forces ay, az at the edges, m/s^2, less their centripetal part.
     restarted : bool
         Whether the first edge does not continue the block before.
+    excitation : (m, 4) array or None
+        The part of `u` that was injected on purpose; None before there was any.
     """
 
     t_ns: TimeArray
@@ -73,6 +75,7 @@ class Block:
     u_undelayed: FloatArray | None
     force: FloatArray
     restarted: bool
+    excitation: FloatArray | None = None
 
 
 def join(blocks: Sequence[Block]) -> Block:
@@ -86,6 +89,15 @@ def join(blocks: Sequence[Block]) -> Block:
         None,
         np.concatenate([first.force, *(block.force[1:] for block in rest)]),
         first.restarted,
+        _join_excitation(blocks),
+    )
+
+
+def _join_excitation(blocks: Sequence[Block]) -> FloatArray | None:
+    if all(block.excitation is None for block in blocks):
+        return None
+    return np.concatenate(
+        [np.zeros_like(b.u) if b.excitation is None else b.excitation for b in blocks]
     )
 
 
@@ -108,6 +120,7 @@ class Sampler:
         self._trim_known = settings.actuators.learn_trim_time == 0.0
         self.rates = SampleBuffer(6)
         self.raw_inputs = SampleBuffer(len(settings.actuators.channels))
+        self.injected = SampleBuffer(len(INPUTS))
         self.delay = settings.actuators.delay
         self._memory_ns = round(MAX_DELAY * 1e9)
         self._linear = settings.actuators.interpolation == "linear"
@@ -117,9 +130,11 @@ class Sampler:
         """Drop all samples and find the Imu's rate anew; a learned trim stays."""
         self.rates.clear()
         self.raw_inputs.clear()
+        self.injected.clear()
         self.h_ns: int | None = None
         self._lag: ServoLag | None = None
         self._undelayed_lag: ServoLag | None = None
+        self._injected_lag: ServoLag | None = None
         self._stale_ns = self._timeout_ns
         self._calls = 0
         self._edge_ns: int | None = None
@@ -164,6 +179,7 @@ class Sampler:
         needed = first_ns if self._edge_ns is None else max(first_ns, self._edge_ns)
         self.rates.trim(needed)
         self.raw_inputs.trim(needed - self._memory_ns)
+        self.injected.trim(needed - self._memory_ns)
 
     @property
     def _delay_ns(self) -> int:
@@ -179,6 +195,7 @@ class Sampler:
             self.h_ns = max(interval, FASTEST_CELL_NS)
             self._lag = ServoLag(self._actuators.time_constant, self.h_ns * NS)
             self._undelayed_lag = ServoLag(self._actuators.time_constant, self.h_ns * NS)
+            self._injected_lag = ServoLag(self._actuators.time_constant, self.h_ns * NS)
         if not len(self.raw_inputs.t):
             self.waiting_for = "actuators"
             self.rates.trim(int(self.rates.t[-1]))
@@ -283,7 +300,8 @@ class Sampler:
         undelayed = None
         if self._actuators.estimate_delay:
             undelayed = self._input_means(edges, self._undelayed_lag, restarted)
-        return Block(edges, self.h_ns * NS, x, u, undelayed, force, restarted)
+        injected = self._injected_means(edges - self._delay_ns, restarted)
+        return Block(edges, self.h_ns * NS, x, u, undelayed, force, restarted, injected)
 
     def _input_means(self, edges: TimeArray, lag: ServoLag | None, restarted: bool) -> FloatArray:
         """Cell means of the inputs after the servo lag, shape (m, 4)."""
@@ -294,6 +312,44 @@ class Sampler:
         if restarted:
             lag.restart(commanded[0])
         return lag.apply(commanded)
+
+    def _injected_means(self, edges: TimeArray, restarted: bool) -> FloatArray | None:
+        """Cell means of the excitation after the servo lag, shape (m, 4); None before any."""
+        if not len(self.injected.t):
+            return None
+        assert self._injected_lag is not None
+        t, v = with_silences(self.injected.t, self.injected.v, int(edges[0]))
+        means = cell_means(t, v, edges, "hold")
+        if restarted:
+            self._injected_lag.restart(means[0])
+        return self._injected_lag.apply(means)
+
+
+def with_silences(t_ns: TimeArray, v: FloatArray, first_ns: int) -> tuple[TimeArray, FloatArray]:
+    """Add zeros to a stream of excitation: before its start, and where it fell silent.
+
+    Parameters
+    ----------
+    t_ns : (k,) int array
+        Stamps, ns, rising.
+    v : (k, 4) array
+        Values; each counts until the next, or for `EXCITATION_TIMEOUT`.
+    first_ns : int
+        When the first value is needed, ns.
+
+    Returns
+    -------
+    tuple of arrays
+        Stamps from `first_ns` or before, and values.
+    """
+    timeout_ns = round(EXCITATION_TIMEOUT * 1e9)
+    silent = np.append(np.diff(t_ns) > timeout_ns, True)
+    stamps = np.concatenate([t_ns, t_ns[silent] + timeout_ns])
+    values = np.concatenate([v, np.zeros_like(v[silent])])
+    if t_ns[0] > first_ns:
+        stamps, values = np.append(stamps, first_ns), np.append(values, np.zeros_like(v[:1]), 0)
+    order = np.argsort(stamps, kind="stable")
+    return stamps[order], values[order]
 
 
 def _stretches(flags: BoolArray) -> list[tuple[int, int]]:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[int, ...] | tuple[str, ...]
 
@@ -528,6 +528,114 @@ class ArmedSettings:
     )
 
 
+EXCITATION_TIMEOUT = 0.25
+"""Time for which a value of excitation counts, s: five ticks at 20 Hz. Who stops saying what to
+inject, injects nothing."""
+
+EXCITATION_FORMS = ("multisine", "3211", "doublet", "probe")
+
+
+@dataclass(frozen=True)
+class ExcitationSettings:
+    """Programmed test inputs, which ``~/excite`` asks the controller to add."""
+
+    form: str = _setting(
+        "multisine",
+        "",
+        "'multisine' moves all inputs at once, each at frequencies of its own; '3211' and "
+        "'doublet' one after the other; 'probe' is one doublet of each, to confirm signs and "
+        "effect after take-off.",
+        choices=EXCITATION_FORMS,
+        read_only=False,
+    )
+    amplitude: tuple[float, ...] = _setting(
+        (0.04, 0.04, 0.04, 0.0),
+        "rad, throttle 0..1",
+        "Peak of de, dr, da, dth, in the units of the inputs; 0 leaves one out. Set it to a tenth "
+        "of the range of each surface.",
+        low=0.0,
+        high=1e3,
+        read_only=False,
+    )
+    band: tuple[float, ...] = _setting(
+        (0.2, 2.0),
+        "Hz",
+        "Lowest and highest frequency. From half the slowest to twice the fastest mode of "
+        "interest; lower it for a large aircraft, raise it for a multirotor.",
+        low=0.01,
+        high=20.0,
+        read_only=False,
+    )
+    duration: float = _setting(
+        60.0,
+        "s",
+        "Length of a run, if it does not end earlier.",
+        low=1.0,
+        high=3600.0,
+        read_only=False,
+    )
+    fade_time: float = _setting(
+        1.0,
+        "s",
+        "Time in which multisines come and go. An abort is at once.",
+        low=0.0,
+        high=60.0,
+        read_only=False,
+    )
+    lead: float = _setting(
+        0.15,
+        "s",
+        "How far ahead of the tick a value is stamped: the stamp says from when the controller "
+        "adds it, so that both know when it acted. Raise it for a slow link.",
+        low=0.0,
+        high=0.9,
+        read_only=False,
+    )
+    min_t_ratio: float = _setting(
+        15.0,
+        "",
+        "Value over sigma from which a coefficient is known; when all are, the run ends early. "
+        "15 is 7 %. 0 goes on to the end.",
+        low=0.0,
+        high=1000.0,
+        read_only=False,
+    )
+    max_rate: float = _setting(
+        1.5,
+        "rad/s",
+        "Rate about any axis at which the run is aborted. Raise it for an agile aircraft.",
+        low=0.0,
+        high=100.0,
+        read_only=False,
+    )
+    max_attitude: float = _setting(
+        0.8,
+        "rad",
+        "Roll or pitch angle, where it is known, at which the run is aborted.",
+        low=0.0,
+        high=math.pi,
+        read_only=False,
+    )
+    min_airspeed: float = _setting(
+        0.0,
+        "m/s",
+        "Airspeed, where it is known, below which the run is aborted; 0 for never. Set it well "
+        "above the stall.",
+        low=0.0,
+        high=400.0,
+        read_only=False,
+    )
+    max_airspeed: float = _setting(
+        0.0,
+        "m/s",
+        "Airspeed, where it is known, above which the run is aborted; 0 for never. Set it to the "
+        "manoeuvring speed.",
+        low=0.0,
+        high=400.0,
+        read_only=False,
+    )
+
+
 @dataclass(frozen=True)
 class SupervisionSettings:
     """When a controller may act on the coefficients."""
@@ -747,6 +855,7 @@ class Settings:
     model: ModelSettings = dataclasses.field(default_factory=ModelSettings)
     gradient: GradientSettings = dataclasses.field(default_factory=GradientSettings)
     supervision: SupervisionSettings = dataclasses.field(default_factory=SupervisionSettings)
+    excitation: ExcitationSettings = dataclasses.field(default_factory=ExcitationSettings)
 
     @classmethod
     def from_values(cls, values: Mapping[str, object]) -> Settings:
@@ -846,6 +955,8 @@ def _check_consistency(settings: Settings) -> None:
         "imu.rpy": (3,),
         "imu.lever_arm": (3,),
         "model.inertia": (0, 4),
+        "excitation.amplitude": (len(INPUTS),),
+        "excitation.band": (2,),
     }
     values = settings.values()
     for name, allowed in lengths.items():
@@ -863,6 +974,12 @@ def _check_consistency(settings: Settings) -> None:
             STRUCTURES[settings.structure].index(name)
         except ValueError as error:
             raise SettingsError("fixed_coefficients", f"'fixed_coefficients': {error}") from None
+    low, high = settings.excitation.band
+    if low >= high:
+        raise SettingsError(
+            "excitation.band",
+            f"'excitation.band' is [{low:g}, {high:g}]: write the lower frequency first",
+        )
     if settings.filter.method == "backward_difference" and settings.airspeed.type:
         raise SettingsError(
             "airspeed.type",

@@ -153,16 +153,20 @@ class Supervisor:
             True airspeed, m/s; None if there is none.
         """
         thresholds = self.settings.supervision
-        armed_told = self.settings.armed.type != ""
         # Every gate sees every tick, whichever of them is closed.
         reasons = (
             "" if self.adapt else "adaptation is switched off",
-            grounded(self.armed, armed_told, airspeed, thresholds.min_airspeed),
+            self.grounded(airspeed),
             self._sensors.check(t, samples, thresholds),
             self._limits.check(raw),
             self._rest.check(t, samples, thresholds),
         )
         self.closed = next(filter(None, reasons), "")
+
+    def grounded(self, airspeed: float | None) -> str:
+        """Return why it does not fly, at an airspeed, m/s; empty if there is no reason."""
+        armed_told = self.settings.armed.type != ""
+        return grounded(self.armed, armed_told, airspeed, self.settings.supervision.min_airspeed)
 
     def weigh(self, residual: FloatArray, time: float, clear: BoolArray) -> FloatArray:
         """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.

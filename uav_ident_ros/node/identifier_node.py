@@ -28,16 +28,19 @@ from uav_ident_ros.identification.identifier import (
     ACTUATORS,
     AIRSPEED,
     ARMED,
+    EXCITATION,
     RATES,
     OnlineIdentifier,
 )
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.node import diagnostics
+from uav_ident_ros.node.excite import Excite
 from uav_ident_ros.node.guard import Guard
 from uav_ident_ros.node.inputs import (
     ACTUATORS_TOPIC,
     AIRSPEED_TOPIC,
     ARMED_TOPIC,
+    EXCITATION_TOPIC,
     RATES_TOPIC,
     ArrayInput,
     Inbox,
@@ -46,6 +49,7 @@ from uav_ident_ros.node.inputs import (
     actuator_input,
     airspeed_input,
     armed_input,
+    excitation_input,
 )
 from uav_ident_ros.node.memory import Memory
 from uav_ident_ros.node.notices import OnChange, Throttle
@@ -64,7 +68,7 @@ SPIN_TIME = 1.0
 
 Response = TypeVar("Response", Trigger.Response, SetBool.Response)
 
-TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC, ARMED_TOPIC)
+TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC, ARMED_TOPIC, EXCITATION_TOPIC)
 
 
 class IdentifierNode(Node):
@@ -86,6 +90,7 @@ class IdentifierNode(Node):
         self._inbox = Inbox()
         self._inputs = self._subscribe(settings)
         self._outputs = Outputs(self, self.identifier.structure)
+        self._excite = Excite(self, self.identifier, self._injection_is_told)
         self._estimate: Estimate | None = None
         self._meter = diagnostics.TickMeter(1.0 / settings.update_rate)
         self._clock_seen = (0, time.monotonic())
@@ -106,17 +111,22 @@ class IdentifierNode(Node):
             self._optional[AIRSPEED] = airspeed_input(to)
         if settings.armed.type:
             self._optional[ARMED] = armed_input(to)
-        return {RATES: self._rates, ACTUATORS: actuator_input(to), **self._optional}
+        inputs = {RATES: self._rates, ACTUATORS: actuator_input(to), **self._optional}
+        return {**inputs, EXCITATION: excitation_input(to)}
+
+    def _injection_is_told(self) -> bool:
+        return self.count_publishers(self._inputs[EXCITATION].monitor.topic) > 0
 
     def _offer_services(self) -> None:
         guard = self._guard
         self.create_service(Trigger, "~/reset", guard(self._on_reset, self._failed))
         self.create_service(Trigger, "~/save", guard(self._on_save, self._failed))
         self.create_service(SetBool, "~/adapt", guard(self._on_adapt, self._failed))
+        self.create_service(SetBool, "~/excite", guard(self._on_excite, self._failed))
 
     def _watch_time(self, settings: Settings) -> None:
         """Ticks on the node's clock; diagnostics on one that never stops; jumps of /clock."""
-        tick = self._guard(self._on_timer, self.identifier.restart)
+        tick = self._guard(self._on_timer, self._recover)
         self.create_timer(1.0 / settings.update_rate, tick)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._said = OnChange()
@@ -148,11 +158,19 @@ class IdentifierNode(Node):
             if estimate is not None:
                 self._estimate = estimate
                 self._outputs.publish(estimate, self._rates.frame_id)
+                self._excite.tick(estimate)
                 self._meter.published((self.get_clock().now().nanoseconds - t_ns) * 1e-9)
+        self._excite.watch()
+
+    def _recover(self) -> None:
+        """Go on after an error that nobody foresaw."""
+        self._excite.abort("aborted: an internal error")
+        self.identifier.restart()
 
     def _on_jump(self, jump: TimeJump) -> None:
         """Start again after a jump of /clock; cold if it went back under use_sim_time."""
         self._inbox.empty()
+        self._excite.abort("aborted: the time jumped")
         now_ns = self.get_clock().now().nanoseconds
         if jump.clock_change == ClockChange.ROS_TIME_NO_CHANGE:
             if now_ns == jump.delta.nanoseconds:
@@ -174,6 +192,7 @@ class IdentifierNode(Node):
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._inbox.empty()
+        self._excite.abort("aborted: reset")
         self.identifier.reset()
         self._memory.forget()
         self._guard.problem = ""
@@ -199,6 +218,10 @@ class IdentifierNode(Node):
         response.message = "adaptation is switched " + ("on" if request.data else "off")
         self.get_logger().info(response.message)
         return response
+
+    def _on_excite(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._inbox.empty()
+        return self._excite.on_request(request, response)
 
     def _failed(self, _: object, response: Response) -> Response:
         """Answer a call that ended in an error."""
@@ -266,6 +289,8 @@ class IdentifierNode(Node):
         for stream, source in self._inputs.items():
             monitor = source.monitor
             age = monitor.age()
+            if stream == EXCITATION:
+                continue  # silence is the rule
             if age is None:
                 return f"no message on '{monitor.topic}' yet"
             # Whether it is armed, some say only when it changes.
@@ -295,7 +320,9 @@ class IdentifierNode(Node):
             groups[""] += diagnostics.estimate_values(self._estimate)
             groups[""] += diagnostics.knowledge_values(self.identifier)
         for stream, source in self._inputs.items():
-            groups[stream] = list(source.monitor.values(self.identifier.drops[stream]))
+            if stream != EXCITATION or source.monitor.received:
+                groups[stream] = list(source.monitor.values(self.identifier.drops[stream]))
+        groups["excite"] = list(self._excite.values())
         return groups
 
     def finish(self) -> None:

@@ -18,6 +18,7 @@ from uav_ident_ros.messages.airspeed import AIRSPEED
 from uav_ident_ros.messages.armed import ARMED
 from uav_ident_ros.messages.arrival import Arrivals
 from uav_ident_ros.messages.cdr import ChannelsDecoder
+from uav_ident_ros.messages.excitation import EXCITATION_TYPE, read_excitation
 from uav_ident_ros.messages.types import (
     RATES,
     ActuatorReader,
@@ -35,6 +36,7 @@ RATES_TOPIC = "imu/data"
 ACTUATORS_TOPIC = "actuators"
 AIRSPEED_TOPIC = "airspeed"
 ARMED_TOPIC = "armed"
+EXCITATION_TOPIC = "excitation"
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 
@@ -330,6 +332,12 @@ def armed_input(wiring: Wiring) -> ArrayInput:
     identifier = wiring.identifier
     name = identifier.settings.armed.type
     return _optional_input(wiring, name, ARMED_TOPIC, ARMED[name], identifier.add_armed)
+
+
+def excitation_input(wiring: Wiring) -> ArrayInput:
+    """Subscribe to what somebody injects into the inputs on purpose."""
+    add = wiring.identifier.add_excitation
+    return ArrayInput(wiring, EXCITATION_TYPE, EXCITATION_TOPIC, read_excitation, add)
 
 
 def _optional_input(

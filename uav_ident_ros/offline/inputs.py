@@ -7,7 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.identification.identifier import ACTUATORS, AIRSPEED, ARMED, RATES
+from uav_ident_ros.identification.identifier import (
+    ACTUATORS,
+    AIRSPEED,
+    ARMED,
+    EXCITATION,
+    RATES,
+)
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.settings import (
     ACTUATOR_TYPES,
@@ -16,6 +22,7 @@ from uav_ident_ros.identification.settings import (
     RATE_TYPES,
     Settings,
 )
+from uav_ident_ros.messages.excitation import EXCITATION_TYPE
 
 
 @dataclass(frozen=True)
@@ -29,11 +36,12 @@ class Stream:
     topic : str
         The node's topic, relative as in ``-r imu/data:=...``.
     setting : str
-        Setting that holds its message type.
+        Setting that holds its message type; empty if there is but one type.
     types : tuple of str
         Types that can be read.
     optional : bool
-        Whether it is read only if its type is set, or its topic asked for.
+        Whether it is read only if its type is set, or its topic asked for; where there is but one
+        type, if it is there.
     """
 
     name: str
@@ -48,10 +56,15 @@ STREAMS = (
     Stream(ACTUATORS, "actuators", "actuators.type", ACTUATOR_TYPES),
     Stream(AIRSPEED, "airspeed", "airspeed.type", AIRSPEED_TYPES, optional=True),
     Stream(ARMED, "armed", "armed.type", ARMED_TYPES, optional=True),
+    Stream(EXCITATION, "excitation", "", (EXCITATION_TYPE,), optional=True),
 )
 """The node's inputs."""
 
-OWN_TOPICS = ("/coefficients", "/coefficients_named")
+EXCITATION_END = "/excitation"
+"""End of the topics of what was injected on purpose: of the input, and of the node's own, which a
+controller adds."""
+
+OWN_TOPICS = ("/coefficients", "/coefficients_named", EXCITATION_END)
 """Ends of the node's own topics, which have the types of actuators: a bag may hold them, too."""
 
 
@@ -68,6 +81,8 @@ class Inputs:
     airspeed_topic, armed_topic : str
         Topics of the airspeed and of whether the vehicle is armed; empty if there is none in the
         settings.
+    excitation_topic : str
+        Topic of what was injected; empty if there is none.
     """
 
     rates_topic: str
@@ -75,11 +90,15 @@ class Inputs:
     settings: Settings
     airspeed_topic: str = ""
     armed_topic: str = ""
+    excitation_topic: str = ""
 
     @property
     def streams(self) -> dict[str, str]:
         """The topic of every stream that is read."""
-        topics = (self.rates_topic, self.actuators_topic, self.airspeed_topic, self.armed_topic)
+        topics = (
+            self.rates_topic, self.actuators_topic, self.airspeed_topic, self.armed_topic,
+            self.excitation_topic,
+        )  # fmt: skip
         names = (stream.name for stream in STREAMS)
         return {name: topic for name, topic in zip(names, topics, strict=True) if topic}
 
@@ -96,6 +115,7 @@ def choose_inputs(
     actuators_topic: str | None = None,
     airspeed_topic: str | None = None,
     armed_topic: str | None = None,
+    excitation_topic: str | None = None,
 ) -> Inputs:
     """Find the input topics of a bag.
 
@@ -111,6 +131,8 @@ def choose_inputs(
     airspeed_topic, armed_topic : str, optional
         Topics to take. Left out: none, or, if the type is set, ``/airspeed`` and ``/armed`` or
         else the only topic of that type.
+    excitation_topic : str, optional
+        Topic to take. Left out: ``/excitation``, or else the only one whose name ends so.
 
     Raises
     ------
@@ -121,17 +143,29 @@ def choose_inputs(
     """
     values = dict(parameters)
     Settings.from_values(values)  # what is wrong with the parameters comes before the bag
-    asked = (rates_topic, actuators_topic, airspeed_topic, armed_topic)
+    asked = (rates_topic, actuators_topic, airspeed_topic, armed_topic, excitation_topic)
     topics = []
     for stream, topic in zip(STREAMS, asked, strict=True):
+        if not stream.setting:
+            topics.append(_choose(bag, stream, topic, "") if topic else _find_injected(bag))
+            continue
         wanted = str(values.get(stream.setting) or "")
         if stream.optional and not topic and not wanted:
             topics.append("")
             continue
         topics.append(_choose(bag, stream, topic, wanted))
         values[stream.setting] = bag.type_of(topics[-1])
-    rates, actuators, airspeed, armed = topics
-    return Inputs(rates, actuators, Settings.from_values(values), airspeed, armed)
+    rates, actuators, airspeed, armed, excitation = topics
+    return Inputs(rates, actuators, Settings.from_values(values), airspeed, armed, excitation)
+
+
+def _find_injected(bag: Bag) -> str:
+    """Return the topic of what was injected; empty if the bag has none, or several."""
+    of_type = (topic for topic, kind in bag.types.items() if kind == EXCITATION_TYPE)
+    ends = [topic for topic in of_type if topic.endswith(EXCITATION_END)]
+    if EXCITATION_END in ends:
+        return EXCITATION_END
+    return ends[0] if len(ends) == 1 else ""
 
 
 def _choose(bag: Bag, stream: Stream, asked: str | None, wanted: str) -> str:

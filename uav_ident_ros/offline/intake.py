@@ -20,15 +20,17 @@ from uav_ident_ros.identification.identifier import (
     ACTUATORS,
     AIRSPEED,
     ARMED,
+    EXCITATION,
     RATES,
     OnlineIdentifier,
 )
 from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.messages.airspeed import AIRSPEED as AIRSPEED_READERS
 from uav_ident_ros.messages.armed import ARMED as ARMED_READERS
 from uav_ident_ros.messages.arrival import Arrivals
 from uav_ident_ros.messages.cdr import ChannelsDecoder
+from uav_ident_ros.messages.excitation import read_excitation
 from uav_ident_ros.messages.types import (
     RATES as RATES_READERS,
 )
@@ -123,6 +125,8 @@ class Intake:
     ----------
     rates, actuators : Record
         Samples that were taken, in the sensor's axes and as raw channels.
+    injected : Record
+        Excitation that was taken: de, dr, da, dth.
     era : int
         Restarts of the time base so far.
     frame_id : str or None
@@ -144,6 +148,7 @@ class Intake:
             self._read_bytes = ChannelsDecoder(settings.actuators.type, self._read_channels.field)
         self.rates = Record(6)
         self.actuators = Record(len(settings.actuators.channels))
+        self.injected = Record(len(INPUTS))
         self.era = 0
         self.frame_id: str | None = None
         self.frame_ids: set[str] = set()
@@ -160,6 +165,7 @@ class Intake:
             ACTUATORS: self._take_actuators,
             AIRSPEED: self._take_airspeed,
             ARMED: self._take_armed,
+            EXCITATION: self._take_excitation,
         }
         self._decode: dict[str, Callable[[bytes], object]] = {}
 
@@ -291,6 +297,16 @@ class Intake:
         read = ARMED_READERS[self._inputs.settings.armed.type]
         stamp_ns, armed = read(self._decode[ARMED](message.data))
         self._armings.add(stamp_ns, message.log_ns, armed)
+
+    def _take_excitation(self, message: Message) -> None:
+        try:
+            t_ns, values = read_excitation(self._decode[EXCITATION](message.data))
+        except ChannelError as error:
+            reason = NOT_FINITE if error.not_finite else WRONG_CHANNELS
+            self._refused[EXCITATION][reason] += 1
+            return
+        if self._identifier.add_excitation(t_ns, values) is None:
+            self.injected.append(t_ns, values, self.era)
 
 
 def _others(count: int, chosen: Sequence[int]) -> list[int]:

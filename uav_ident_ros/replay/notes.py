@@ -26,6 +26,8 @@ def _other_sensors(bag: Bag, run: OfflineRun) -> Iterator[str]:
     """Yield topics that might have been meant instead, or too."""
     taken = run.inputs.streams
     for stream in STREAMS:
+        if not stream.setting:
+            continue  # any JointState could be it: only the name tells
         others = [topic for topic in candidates(bag, stream.types) if topic not in taken.values()]
         if stream.name in taken and others:
             yield (

@@ -107,6 +107,8 @@ def _option(stream: Stream) -> str:
 
 def _default(stream: Stream) -> str:
     found = f"/{stream.topic}, else the only one"
+    if not stream.setting:
+        return f"{found} whose name ends so, if there is one"
     if stream.optional:
         return f"none, or with '{stream.setting}' {found} of that type"
     return f"{found} of a known type"

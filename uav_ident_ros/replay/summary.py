@@ -60,7 +60,10 @@ def summarise(replayed: Replayed) -> dict[str, Any]:
 def streams(inputs: Inputs) -> tuple[tuple[str, str, str], ...]:
     """Return name, topic and message type of the streams that are read."""
     settings = inputs.settings.values()
-    types = {stream.name: str(settings[stream.setting]) for stream in STREAMS}
+    types = {
+        stream.name: str(settings[stream.setting]) if stream.setting else stream.types[0]
+        for stream in STREAMS
+    }
     return tuple((name, topic, types[name]) for name, topic in inputs.streams.items())
 
 

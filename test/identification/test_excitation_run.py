@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run of excitation: its signals, its limits, its end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.excitation_run import (
+    ZERO_TIME_NS,
+    Asked,
+    ExcitationRun,
+    Flying,
+    Phase,
+)
+from uav_ident_ros.identification.programmed_input import ProgrammedInput
+from uav_ident_ros.identification.settings import ExcitationSettings, Settings, SettingsError
+from uav_ident_ros.identification.structure import STRUCTURES
+
+TICK_NS = 50_000_000
+T0_NS = 1_000 * TICK_NS
+STRUCTURE = STRUCTURES["augmented"]
+SETTINGS = ExcitationSettings(duration=20.0)
+LEVEL = Flying(np.zeros(3), roll=0.0, pitch=0.05, airspeed=20.0)
+
+
+def estimate(
+    t_ns: int, ratio: float = 1.0, state: str = "learning", value: float = 1.0
+) -> Estimate:
+    """An estimate whose coefficients are `ratio` times their sigma."""
+    coefficients = value * STRUCTURE.mask
+    three = np.zeros(3)
+    sigma = coefficients / ratio
+    return Estimate(
+        t_ns, coefficients, sigma, three, three, three, True, False, state, "why it waits"
+    )
+
+
+def started(settings: ExcitationSettings = SETTINGS) -> ExcitationRun:
+    run = ExcitationRun(STRUCTURE)
+    assert run.start(T0_NS, settings, LEVEL) == ""
+    return run
+
+
+def flown(run: ExcitationRun, ticks: int, flying: Flying = LEVEL) -> list[Asked | None]:
+    """Step through so many ticks after the start."""
+    steps = (T0_NS + (k + 1) * TICK_NS for k in range(ticks))
+    return [run.step(t_ns, flying, estimate(t_ns)) for t_ns in steps]
+
+
+def values(asked: list[Asked | None]) -> np.ndarray:
+    return np.array([a.values for a in asked if a is not None])
+
+
+# --- the signals -------------------------------------------------------------------------------
+
+
+def test_multisines_are_orthogonal_low_in_peak_and_as_large_as_asked_for() -> None:
+    design = ProgrammedInput(
+        ExcitationSettings(amplitude=(0.02, 0.03, 0.04, 0.1), band=(0.1, 2.0), fade_time=0.0)
+    )
+    t = np.arange(0.0, design.period, 0.01)
+    u = np.array([design.sample(float(v)) for v in t])
+    gram = u.T @ u
+    scale = np.sqrt(np.diag(gram))
+    np.testing.assert_allclose(gram / np.outer(scale, scale), np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(np.abs(u).max(axis=0), [0.02, 0.03, 0.04, 0.1], rtol=0.01)
+    relative_peak = np.ptp(u, axis=0) / (np.sqrt(8.0) * u.std(axis=0))
+    assert relative_peak.max() < 1.25  # a single sine has 1
+    power = np.abs(np.fft.rfft(u, axis=0)) ** 2
+    frequency = np.fft.rfftfreq(len(t), 0.01)
+    outside = (frequency < 0.1 - 1e-6) | (frequency > 2.0 + 1e-6)
+    assert power[outside].max() < 1e-12 * power.max()
+
+
+def test_multisines_fade_in_and_out() -> None:
+    settings = ExcitationSettings(duration=20.0, fade_time=2.0)
+    faded, plain = ProgrammedInput(settings), ProgrammedInput(replace(settings, fade_time=0.0))
+    for t, share in ((0.5, 0.25), (2.0, 1.0), (11.0, 1.0), (19.5, 0.25)):
+        np.testing.assert_allclose(faded.sample(t), share * plain.sample(t))
+    assert not faded.sample(20.0).any() and not faded.sample(-0.01).any()
+
+
+@pytest.mark.parametrize("form", ["3211", "doublet", "probe"])
+def test_pulses_move_one_input_at_a_time_and_all_of_them(form: str) -> None:
+    design = ProgrammedInput(ExcitationSettings(form=form, amplitude=(0.02, 0.03, 0.0, 0.1)))
+    u = np.array([design.sample(float(t)) for t in np.arange(0.0, design.duration, 0.01)])
+    moved = np.abs(u) > 0.0
+    assert moved.sum(axis=1).max() == 1
+    np.testing.assert_array_equal(moved.any(axis=0), [True, True, False, True])
+    np.testing.assert_allclose(u.max(axis=0), [0.02, 0.03, 0.0, 0.1])
+    np.testing.assert_allclose(u.min(axis=0), [-0.02, -0.03, 0.0, -0.1])
+    turns = design.duration / design.period
+    assert turns == 1.0 if form == "probe" else turns > 1.0 and turns == round(turns)
+
+
+def test_a_doublets_spectrum_is_highest_in_mid_band() -> None:
+    low, high = 0.5, 4.0
+    settings = ExcitationSettings(form="probe", amplitude=(1.0, 0.0, 0.0, 0.0), band=(low, high))
+    design = ProgrammedInput(settings)
+    t = np.arange(0.0, 40.0, 0.005)
+    power = np.abs(np.fft.rfft([design.sample(float(v))[0] for v in t])) ** 2
+    peak = np.fft.rfftfreq(len(t), 0.005)[power.argmax()]
+    assert peak == pytest.approx(np.sqrt(low * high), rel=0.03)
+
+
+# --- a run -------------------------------------------------------------------------------------
+
+
+def test_a_run_goes_from_nothing_over_the_signal_to_zero_and_silence() -> None:
+    run = ExcitationRun(STRUCTURE)
+    assert run.step(T0_NS, LEVEL, estimate(T0_NS)) is None  # silent before
+    assert run.start(T0_NS, SETTINGS, LEVEL) == ""
+    asked = flown(run, 440)
+    lead_ns = round(SETTINGS.lead * 1e9)
+    design = ProgrammedInput(SETTINGS)
+    for k in (0, 10, 100, 300):
+        answer = asked[k]
+        assert answer is not None
+        assert answer.t_ns == T0_NS + (k + 1) * TICK_NS + lead_ns
+        np.testing.assert_array_equal(answer.values, design.sample((k + 1) * 0.05))
+    assert np.abs(values(asked)).max() > 0.9 * max(SETTINGS.amplitude)
+    zeros = [a for a in asked[400:] if a is not None]
+    assert not values(asked[400:]).any()
+    assert len(zeros) == pytest.approx(ZERO_TIME_NS / TICK_NS, abs=1)
+    assert asked[-1] is None
+    assert run.why.startswith("complete; not known yet: pdot/p")
+
+
+def test_the_same_ticks_give_the_same_signal() -> None:
+    np.testing.assert_array_equal(values(flown(started(), 200)), values(flown(started(), 200)))
+
+
+@pytest.mark.parametrize("ticks", [0, 1, 10, 100, 396, 399])
+def test_an_abort_asks_for_zero_from_now_on_whatever_the_state(ticks: int) -> None:
+    run = started()
+    flown(run, ticks)
+    now_ns = T0_NS + ticks * TICK_NS + 7
+    asked = run.abort(now_ns, "aborted: asked for")
+    assert asked.t_ns == now_ns and not asked.values.any()
+    assert run.phase is Phase.IDLE and run.why == "aborted: asked for"
+    after = [run.step(now_ns + k * TICK_NS, LEVEL, estimate(0)) for k in range(1, 30)]
+    assert not values(after).any()
+    assert after[-1] is None
+
+
+@pytest.mark.parametrize(
+    ("flying", "named"),
+    [
+        (replace(LEVEL, rates=np.array([0.0, 1.6, 0.0])), "pitch rate 1.60"),
+        (replace(LEVEL, rates=np.array([np.nan, 0.0, 0.0])), "roll rate nan"),
+        (replace(LEVEL, rates=None), "no rates"),
+        (replace(LEVEL, roll=-0.9), "roll angle -0.90"),
+        (replace(LEVEL, pitch=0.81), "pitch angle 0.81"),
+        (replace(LEVEL, airspeed=14.0), "airspeed 14.0"),
+        (replace(LEVEL, airspeed=26.0), "airspeed 26.0"),
+        (replace(LEVEL, grounded="not armed"), "not armed"),
+    ],
+)
+def test_beyond_a_limit_it_does_not_start_and_a_run_ends_at_once(
+    flying: Flying, named: str
+) -> None:
+    settings = replace(SETTINGS, min_airspeed=15.0, max_airspeed=25.0)
+    assert named in ExcitationRun(STRUCTURE).start(T0_NS, settings, flying)
+    run = started(settings)
+    flown(run, 100)
+    t_ns = T0_NS + 101 * TICK_NS
+    asked = run.step(t_ns, flying, estimate(t_ns))
+    assert asked is not None
+    assert asked.t_ns == t_ns and not asked.values.any()
+    assert run.why.startswith("aborted: ") and named in run.why
+
+
+@pytest.mark.parametrize("state", ["waiting", "fault"])
+def test_without_its_inputs_a_run_ends_at_once(state: str) -> None:
+    run = started()
+    asked = run.step(T0_NS + TICK_NS, LEVEL, estimate(T0_NS + TICK_NS, state=state))
+    assert asked is not None and not asked.values.any()
+    assert run.why == f"aborted: {state}: why it waits"
+
+
+def test_what_is_not_known_of_the_flight_is_no_limit() -> None:
+    assert ExcitationRun(STRUCTURE).start(T0_NS, SETTINGS, Flying(np.zeros(3))) == ""
+
+
+def test_a_start_that_cannot_be_says_why() -> None:
+    assert "going on" in started().start(T0_NS, SETTINGS, LEVEL)
+    still = replace(SETTINGS, amplitude=(0.0,) * 4)
+    assert "'excitation.amplitude'" in ExcitationRun(STRUCTURE).start(T0_NS, still, LEVEL)
+    narrow = replace(SETTINGS, band=(1.0, 1.2))
+    assert "'excitation.band'" in ExcitationRun(STRUCTURE).start(T0_NS, narrow, LEVEL)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("excitation.amplitude", (0.1, 0.1, 0.1)),
+        ("excitation.amplitude", (0.1, -0.1, 0.1, 0.0)),
+        ("excitation.band", (2.0, 0.2)),
+        ("excitation.form", "sweep"),
+    ],
+)
+def test_wrong_settings_are_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(SettingsError, match=name):
+        Settings.from_values({name: value})
+
+
+# --- enough ------------------------------------------------------------------------------------
+
+
+def test_it_fades_out_when_everything_is_known_but_not_before_a_period() -> None:
+    settings = replace(SETTINGS, duration=60.0)
+    run = started(settings)
+    asked: list[Asked | None] = []
+    for k in range(1, 400):
+        t_ns = T0_NS + k * TICK_NS
+        asked.append(run.step(t_ns, LEVEL, estimate(t_ns, ratio=100.0)))
+        if not run.active:
+            break
+    period = ProgrammedInput(settings).period
+    assert k * 0.05 == pytest.approx(period + settings.fade_time, abs=0.1)
+    assert run.why == f"everything is known after {period:.0f} s"
+    size = np.abs(values(asked)).max(axis=1)
+    plain = np.abs([ProgrammedInput(settings).sample(0.05 * (i + 1)) for i in range(k)]).max(axis=1)
+    share = size[-20:-1] / plain[-20:-1]
+    assert (np.diff(share) < 0.0).all()  # out, not off
+
+
+def test_it_goes_on_to_the_end_if_that_is_wanted() -> None:
+    run = started(replace(SETTINGS, min_t_ratio=0.0))
+    for k in range(1, 399):
+        t_ns = T0_NS + k * TICK_NS
+        run.step(t_ns, LEVEL, estimate(t_ns, ratio=100.0))
+    assert run.active
+
+
+def test_the_time_until_known_follows_from_what_the_run_teaches() -> None:
+    """sigma^-2 = I0 + k t: with the run's own k, whatever was known before it."""
+    run = started(replace(SETTINGS, duration=300.0))
+    before, gain = 4.0, 0.5  # t-ratio squared at the start, and per second
+    for k in range(1, 201):
+        t_ns = T0_NS + k * TICK_NS
+        run.step(t_ns, LEVEL, estimate(t_ns, ratio=np.sqrt(before + gain * k * 0.05)))
+    assert run.sufficiency is not None
+    known_at = (SETTINGS.min_t_ratio**2 - before) / gain
+    assert run.sufficiency.time_left == pytest.approx(known_at - 10.0, rel=1e-6)
+    assert "pdot/da" in run.sufficiency.unknown
+    assert "pdot/dth" not in run.sufficiency.unknown  # dth is not excited
+
+
+def test_what_is_next_to_nothing_need_not_be_told_from_nothing() -> None:
+    run = started(replace(SETTINGS, min_t_ratio=10.0))
+    t_ns = T0_NS + TICK_NS
+    sharp = estimate(t_ns, ratio=100.0, value=10.0)
+    row, column = STRUCTURE.index("rdot/da")
+    for value, sigma, known in ((0.1, 0.5, True), (0.1, 1.5, False)):
+        coefficients, sigmas = sharp.coefficients.copy(), sharp.sigma.copy()
+        coefficients[row, column], sigmas[row, column] = value, sigma
+        run.step(t_ns, LEVEL, replace(sharp, coefficients=coefficients, sigma=sigmas))
+        assert run.sufficiency is not None
+        assert (run.sufficiency.unknown == ()) is known
+    assert run.sufficiency.effects["da"] == ("pdot/da", 10.0, pytest.approx(0.1))

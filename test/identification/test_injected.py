@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was injected, on the grid beside the inputs: the same delay, the same lag, exact means."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+from test_sampling import MS, add_inputs, add_rates, blocks, sampler
+
+from uav_ident_ros.identification.drops import Drop
+from uav_ident_ros.identification.identifier import EXCITATION, OnlineIdentifier
+from uav_ident_ros.identification.sampling import Sampler, join
+from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
+from uav_ident_ros.identification.structure import FloatArray
+
+RATES_NS = np.arange(0, 4000, 10) * MS
+INPUTS_NS = np.arange(0, 4000, 20) * MS
+TIMEOUT_NS = round(EXCITATION_TIMEOUT * 1e9)
+
+
+def inject(target: Sampler, stamps: FloatArray, values: FloatArray) -> None:
+    for t, v in zip(stamps, values, strict=True):
+        target.injected.append(int(t), tuple(v))
+
+
+def cells(target: Sampler) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """Edges (ns), inputs and excitation of all cells."""
+    out = []
+    for tick in range(0, 4001, 50):
+        target.injected.merge(tick * MS)
+        out += list(blocks(target, tick * MS, tick * MS))
+    whole = join(out)
+    return whole.t_ns, whole.u, whole.excitation
+
+
+@pytest.mark.parametrize("time_constant", [0.0, 0.06])
+def test_what_is_injected_is_treated_as_the_inputs_are(time_constant: float) -> None:
+    """Inputs that consist of nothing else must come out the same, cell by cell."""
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(len(INPUTS_NS), 4))
+    target = sampler(actuators__delay=0.043, actuators__time_constant=time_constant)
+    add_rates(target, RATES_NS)
+    for t, v in zip(INPUTS_NS, values, strict=True):
+        target.raw_inputs.append(int(t), tuple(v))
+    inject(target, INPUTS_NS, values)
+    _, u, excitation = cells(target)
+    assert excitation is not None and len(u) > 300
+    np.testing.assert_allclose(excitation, u, atol=1e-12)
+
+
+def test_there_is_none_before_the_first_word_and_zero_after_the_last() -> None:
+    target = sampler()
+    add_rates(target, RATES_NS)
+    add_inputs(target, INPUTS_NS)
+    assert cells(target)[2] is None
+
+    target = sampler()
+    add_rates(target, RATES_NS)
+    add_inputs(target, INPUTS_NS)
+    said_ns = np.array([1000, 1050, 2000]) * MS
+    inject(target, said_ns, np.full((3, 4), 0.1))
+    edges, _, excitation = cells(target)
+    assert excitation is not None
+    begin = edges[:-1]
+    on = ((begin >= said_ns[0]) & (begin < said_ns[1] + TIMEOUT_NS)) | (
+        (begin >= said_ns[2]) & (begin < said_ns[2] + TIMEOUT_NS)
+    )
+    np.testing.assert_allclose(excitation, np.where(on, 0.1, 0.0)[:, None] * np.ones(4))
+
+
+def identifier_over(stream: list[tuple[str, int, tuple[float, ...]]]) -> OnlineIdentifier:
+    identifier = OnlineIdentifier(Settings())
+    for kind, t_ns, values in stream:
+        if kind == "rates":
+            identifier.add_rates(t_ns, values)
+        elif kind == "actuators":
+            identifier.add_actuators(t_ns, values)
+        else:
+            identifier.add_excitation(t_ns, values)
+        while (due := identifier.due()) is not None:
+            identifier.update(due)
+    return identifier
+
+
+def test_a_word_calls_off_what_was_said_of_a_later_time() -> None:
+    identifier = OnlineIdentifier(Settings())
+    buffer = identifier._sampler.injected
+    for k in range(4):
+        assert identifier.add_excitation((1000 + 50 * k) * MS, (0.1,) * 4) is None
+    assert identifier.add_excitation(1060 * MS, (0.0,) * 4) is None
+    buffer.merge(3000 * MS)
+    assert buffer.t.tolist() == [1000 * MS, 1050 * MS, 1060 * MS]
+    assert not buffer.v[-1].any()
+
+
+def test_a_late_word_counts_from_the_next_tick_on() -> None:
+    stream = [("rates", int(t), (0.0, 0.0, 0.0)) for t in RATES_NS[:200]]
+    stream.insert(100, ("excitation", 500 * MS, (0.1,) * 4))
+    identifier = identifier_over(stream)
+    assert identifier.drops[EXCITATION][Drop.LATE] == 0
+    (stamp,) = identifier._sampler.injected.t.tolist()
+    assert 900 * MS < stamp <= 1000 * MS
+
+
+@pytest.mark.parametrize(
+    ("t_ns", "values", "drop"),
+    [
+        (1000 * MS, (0.1, 0.1, 0.1), Drop.WRONG_LENGTH),
+        (1000 * MS, (0.1, float("nan"), 0.1, 0.0), Drop.NOT_FINITE),
+        (0, (0.1,) * 4, Drop.ZERO_STAMP),
+        (9000 * MS, (0.1,) * 4, Drop.CLOCK_MISMATCH),
+    ],
+)
+def test_bad_words_are_dropped_and_counted(
+    t_ns: int, values: tuple[float, ...], drop: Drop
+) -> None:
+    identifier = OnlineIdentifier(Settings())
+    identifier.add_rates(900 * MS, (0.0, 0.0, 0.0))
+    assert identifier.add_excitation(t_ns, values) is drop
+    assert identifier.drops[EXCITATION] == {drop: 1}
+
+
+def test_nobody_who_injects_nothing_changes_the_estimate() -> None:
+    rng = random.Random(0)
+    plain = [("rates", int(t), (rng.gauss(0, 0.1), 0.0, 0.0)) for t in RATES_NS]
+    plain += [("actuators", int(t), (0.0, 0.0, rng.gauss(0, 0.1), 0.0)) for t in INPUTS_NS]
+    plain.sort(key=lambda entry: entry[1])
+    silent = [*plain]
+    silent.insert(50, ("excitation", silent[50][1], (0.0,) * 4))
+    first, second = identifier_over(plain), identifier_over(silent)
+    np.testing.assert_array_equal(first.coefficient_set().values, second.coefficient_set().values)

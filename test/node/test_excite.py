@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The service ``~/excite`` and the topic ``~/excitation`` over DDS."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from node_process import StartNode
+from recordings import NODE, MakePlayer, Recording, recording
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+
+from uav_ident_ros.bags.reading import Message
+from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.player import Player, stamp_ns
+
+MS = 1_000_000
+PARAMETERS = {
+    "excitation.max_rate": "50.0",  # the recording is lively
+    "excitation.amplitude": "[0.01, 0.02, 0.03, 0.0]",
+    "excitation.fade_time": "0.0",
+    "excitation.band": "[0.5, 3.0]",
+}
+
+
+@pytest.fixture
+def flight() -> Recording:
+    return recording("multisine", 8.0)
+
+
+def part(flight: Recording, begin: float, end: float) -> list[Message]:
+    start_ns = flight.messages[0].log_ns
+    return [m for m in flight.messages if begin <= (m.log_ns - start_ns) * 1e-9 < end]
+
+
+def listen(player: Player) -> list[JointState]:
+    """Collect what the node asks for from now on."""
+    heard: list[JointState] = []
+    player.node.create_subscription(JointState, f"{NODE}/excitation", heard.append, 1000)
+    return heard
+
+
+def excite(player: Player, on: bool) -> Any:
+    client = player.node.create_client(SetBool, f"{NODE}/excite")
+    player.wait_until(client.service_is_ready, "service 'excite'")
+    future = client.call_async(SetBool.Request(data=on))
+    player.wait_until(future.done, "an answer of 'excite'")
+    return future.result()
+
+
+def positions(messages: list[JointState]) -> np.ndarray:
+    return np.array([message.position for message in messages]).reshape(-1, len(INPUTS))
+
+
+def shown(player: Player) -> dict[str, str]:
+    """What the next diagnostics say."""
+    count = len(player.outputs.status)
+    player.wait_until(lambda: len(player.outputs.status) > count + 1, "diagnostics")
+    return {entry.key: entry.value for entry in player.outputs.status[-1].values}
+
+
+@pytest.fixture
+def player(flight: Recording, start_node: StartNode, make_player: MakePlayer) -> Player:
+    start_node(parameter_file=flight.parameter_file, parameters=PARAMETERS, sim_time=True)
+    player = make_player(flight)
+    player.wait_for_node()
+    return player
+
+
+def test_a_run_is_asked_for_tick_by_tick_and_aborted_at_once(
+    flight: Recording, player: Player
+) -> None:
+    heard = listen(player)
+    answer = excite(player, True)
+    assert not answer.success and "not started: there are no ticks" in answer.message
+    player.play_in_step(part(flight, 0.0, 2.0))
+    heard.clear()
+    assert excite(player, True).success
+    assert not excite(player, True).success
+    player.play_in_step(part(flight, 2.0, 5.0))
+    stamps = [stamp_ns(m.header.stamp) for m in heard]
+    assert {tuple(m.name) for m in heard} == {INPUTS}
+    assert set(np.diff(stamps)) == {50 * MS}
+    ticks = {stamp_ns(m.header.stamp) for m in player.outputs.named}
+    assert {t - 150 * MS for t in stamps} >= ticks - {min(ticks)}  # one for each tick
+    asked = positions(heard)
+    assert (np.abs(asked).max(axis=0) > [0.006, 0.012, 0.018, -1.0]).all()
+    assert (np.abs(asked).max(axis=0) <= [0.0101, 0.0202, 0.0303, 0.0]).all()
+    values = shown(player)
+    assert values["excite: state"] == "running"
+    assert float(values["excite: elapsed [s]"]) > 2.0
+    assert {"excite: not known yet", "excite: until known [s]"} <= values.keys()
+
+    heard.clear()
+    answer = excite(player, False)
+    assert answer.success and answer.message == "excitation is zero"
+    player.wait_until(lambda: len(heard) > 0, "zero")
+    assert stamp_ns(heard[0].header.stamp) < stamps[-1]  # what lies ahead is called off
+    player.play_in_step(part(flight, 5.0, 8.0))
+    assert not positions(heard).any()
+    assert len(heard) < 20  # half a second, then silence
+    assert shown(player)["excite: last run"] == "aborted: asked for"
+
+
+def test_a_run_is_aborted_when_the_inputs_fail(flight: Recording, player: Player) -> None:
+    heard = listen(player)
+    player.play_in_step(part(flight, 0.0, 2.0))
+    assert excite(player, True).success
+    now_ns = part(flight, 0.0, 2.0)[-1].log_ns + 100 * MS
+    for k in range(90):  # time goes on, nothing else
+        player.send_clock(now_ns + k * 10 * MS)
+        player.spin_for(0.02)
+    player.wait_until(lambda: shown(player)["excite: state"] == "idle", "the end of the run")
+    assert "no ticks any more" in shown(player)["excite: last run"]
+    assert not positions(heard[-1:]).any()
+
+
+def test_a_run_is_aborted_at_the_first_tick_beyond_a_limit(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer
+) -> None:
+    parameters = {**PARAMETERS, "excitation.max_rate": "0.2"}
+    start_node(parameter_file=flight.parameter_file, parameters=parameters, sim_time=True)
+    player = make_player(flight)
+    player.wait_for_node()
+    heard = listen(player)
+    player.play_in_step(part(flight, 0.0, 1.5))  # nothing moves before two seconds
+    assert excite(player, True).success
+    player.play_in_step(part(flight, 1.5, 4.0))
+    assert "rad/s: the limit is 0.2" in shown(player)["excite: last run"]
+    asked = positions(heard)
+    moving = np.flatnonzero(asked.any(axis=1))
+    assert len(moving) > 0 and not asked[moving[-1] + 1 :].any()
+    end = stamp_ns(heard[moving[-1] + 1].header.stamp)
+    assert end == stamp_ns(heard[moving[-1]].header.stamp) + 50 * MS - 150 * MS  # the next tick
+
+
+def test_a_probe_says_what_the_inputs_do(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer
+) -> None:
+    parameters = {**PARAMETERS, "excitation.form": "probe", "excitation.band": "[1.0, 5.0]"}
+    start_node(parameter_file=flight.parameter_file, parameters=parameters, sim_time=True)
+    player = make_player(flight)
+    player.wait_for_node()
+    player.play_in_step(part(flight, 0.0, 2.0))
+    assert excite(player, True).success
+    player.play_in_step(part(flight, 2.0, 8.0))
+    values = shown(player)
+    assert values["excite: last run"].startswith("complete")
+    assert values["excite: effect of da"].startswith("pdot/da = ")
+    assert float(values["excite: effect of da"].split()[2]) > 0.0
+    assert float(values["excite: effect of de"].split()[2]) < 0.0

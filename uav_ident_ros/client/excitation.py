@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a controller adds to its inputs when it is asked to, and no longer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uav_ident_ros.client.history import History
+from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
+
+
+class Excitation:
+    """The excitation that is asked for on ``~/excitation``.
+
+    A value counts from its stamp until the next one's. Without messages for `timeout` it is zero:
+    a node that died asks for nothing.
+
+    Parameters
+    ----------
+    limit : (4,) array-like
+        Largest magnitude of de, dr, da, dth that is ever added, in their units.
+    timeout : float
+        Time for which a value may count, s.
+
+    Examples
+    --------
+    >>> excitation = Excitation(limit=[0.05, 0.05, 0.05, 0.0])
+    >>> excitation.add(1_000_000_000, ["de", "da"], [0.02, 0.08])
+    >>> excitation.at(1_010_000_000).tolist()
+    [0.02, 0.0, 0.05, 0.0]
+    >>> excitation.at(1_400_000_000).tolist()
+    [0.0, 0.0, 0.0, 0.0]
+    """
+
+    def __init__(
+        self, limit: FloatArray | list[float], timeout: float = EXCITATION_TIMEOUT
+    ) -> None:
+        self._limit = np.asarray(limit, dtype=np.float64)
+        self._timeout_ns = round(timeout * 1e9)
+        self._asked: History[tuple[int, FloatArray]] = History()
+
+    def add(self, t_ns: int, names: list[str], values: list[float]) -> None:
+        """Take a message: its stamp, ns, and values by the name of the input.
+
+        What was asked for from a later time on is called off. A message that cannot be right
+        (an unknown name, a value that is not finite) asks for nothing, from then on.
+        """
+        asked = np.zeros(len(INPUTS))
+        good = len(names) == len(values) and set(names) <= set(INPUTS)
+        if good and np.isfinite(values).all():
+            asked[[INPUTS.index(name) for name in names]] = values
+        self._asked.add(t_ns, (t_ns, np.clip(asked, -self._limit, self._limit)))
+
+    def at(self, t_ns: int) -> FloatArray:
+        """Return what to add at `t_ns`: de, dr, da, dth, in their units."""
+        newest = self._asked.at(t_ns)
+        if newest is None or t_ns - newest[0] > self._timeout_ns:
+            return np.zeros(len(INPUTS))
+        return newest[1].copy()

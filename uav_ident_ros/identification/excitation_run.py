@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run of excitation: started, watched, ended; what is asked of the controller at each tick."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.programmed_input import ProgrammedInput
+from uav_ident_ros.identification.settings import ExcitationSettings
+from uav_ident_ros.identification.structure import INPUTS, FloatArray, Structure
+from uav_ident_ros.identification.sufficiency import Sufficiency
+from uav_ident_ros.identification.waveforms import WaveformError
+
+ZERO_TIME_NS = 500_000_000
+"""How long zeros follow a run, ns, before it is silent: for a listener that missed the first."""
+
+RATE_NAMES = ("roll", "pitch", "yaw")
+
+
+class Phase(StrEnum):
+    """What a run is doing, in a word."""
+
+    IDLE = "idle"
+    RUNNING = "running"
+    ENDING = "fading out"
+
+
+@dataclass(frozen=True)
+class Flying:
+    """What is known of the flight, to hold against the limits.
+
+    Parameters
+    ----------
+    rates : (3,) array or None
+        Newest measured p, q, r, rad/s; None before any.
+    roll, pitch : float or None
+        Attitude, rad; None if it is not known.
+    airspeed : float or None
+        True airspeed, m/s; None if it is not known.
+    grounded : str
+        Why it does not fly; empty if there is no reason to think so.
+    """
+
+    rates: FloatArray | None
+    roll: float | None = None
+    pitch: float | None = None
+    airspeed: float | None = None
+    grounded: str = ""
+
+    def beyond(self, limits: ExcitationSettings) -> str:
+        """Return which limit is passed, in words; empty if none is."""
+        if self.rates is None:
+            return "no rates are measured"
+        if self.grounded:
+            return self.grounded
+        for name, rate in zip(RATE_NAMES, self.rates.tolist(), strict=True):
+            if not abs(rate) <= limits.max_rate:  # NaN fails too
+                return f"{name} rate {rate:.2f} rad/s: the limit is {limits.max_rate:g}"
+        for name, angle in (("roll", self.roll), ("pitch", self.pitch)):
+            if angle is not None and not abs(angle) <= limits.max_attitude:
+                return f"{name} angle {angle:.2f} rad: the limit is {limits.max_attitude:g}"
+        if self.airspeed is not None:
+            highest = limits.max_airspeed or math.inf
+            if not limits.min_airspeed <= self.airspeed <= highest:
+                allowed = f"{limits.min_airspeed:g} to {highest:g}"
+                return f"airspeed {self.airspeed:.1f} m/s: the limits are {allowed}"
+        return ""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the controller is asked to add.
+
+    Parameters
+    ----------
+    t_ns : int
+        Message time from which it counts, ns.
+    values : (4,) array
+        de, dr, da, dth, in the units of the inputs.
+    """
+
+    t_ns: int
+    values: FloatArray
+
+
+class ExcitationRun:
+    """Asks for programmed inputs while that is safe and still teaches something.
+
+    It knows no clock: `start`, `step` and `abort` are told the message time. Between two runs it
+    asks for zero for a moment, and then for nothing.
+
+    Parameters
+    ----------
+    structure : Structure
+        Of the estimates that it looks at.
+
+    Attributes
+    ----------
+    phase : Phase
+        What it is doing.
+    why : str
+        How the last run ended; empty before and during one.
+    sufficiency : Sufficiency or None
+        What the run, or the last one, has taught.
+    """
+
+    def __init__(self, structure: Structure) -> None:
+        self._structure = structure
+        self.phase = Phase.IDLE
+        self.why = ""
+        self.sufficiency: Sufficiency | None = None
+        self._input: ProgrammedInput | None = None
+        self._start_ns = self._now_ns = self._end_ns = 0
+        self._zeros_until_ns: int | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether anything but zero may be asked for."""
+        return self.phase is not Phase.IDLE
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the start of the run, s."""
+        return max(0.0, (self._now_ns - self._start_ns) * 1e-9) if self._input else 0.0
+
+    @property
+    def remaining(self) -> float:
+        """Time until the run ends by itself at the latest, s; 0 while there is none."""
+        return self._input.duration - self.elapsed if self._input and self.active else 0.0
+
+    def start(self, t_ns: int, settings: ExcitationSettings, flying: Flying) -> str:
+        """Begin a run; return why that cannot be, or an empty word.
+
+        Parameters
+        ----------
+        t_ns : int
+            Message time, ns.
+        settings : ExcitationSettings
+            They hold for the whole run.
+        flying : Flying
+            What is known of the flight.
+        """
+        if self.active:
+            return f"a run is going on, for {self.elapsed:.0f} s"
+        if not any(settings.amplitude):
+            return "'excitation.amplitude' is 0 for every input: nothing would move"
+        beyond = flying.beyond(settings)
+        if beyond:
+            return beyond
+        try:
+            self._input = ProgrammedInput(settings)
+        except WaveformError as error:
+            return f"'excitation.band': {error}"
+        self._settings = settings
+        self._lead_ns = round(settings.lead * 1e9)
+        self._now_ns, self._start_ns = t_ns, t_ns + self._lead_ns
+        names = self._input.names
+        self.sufficiency = Sufficiency(self._structure, names, settings.min_t_ratio or math.inf)
+        self.phase, self.why, self._zeros_until_ns = Phase.RUNNING, "", None
+        return ""
+
+    def abort(self, t_ns: int, why: str) -> Asked:
+        """End the run at once; return the zero that says so, which counts from `t_ns`."""
+        if self.active:
+            self.phase, self.why = Phase.IDLE, why
+        self._now_ns = t_ns
+        self._zeros_until_ns = t_ns + ZERO_TIME_NS
+        return Asked(t_ns, np.zeros(len(INPUTS)))
+
+    def step(self, t_ns: int, flying: Flying, estimate: Estimate) -> Asked | None:
+        """Return what to ask for at a tick; None where silence is right.
+
+        Parameters
+        ----------
+        t_ns : int
+            Message time of the tick, ns.
+        flying : Flying
+            What is known of the flight.
+        estimate : Estimate
+            The estimate of the tick.
+        """
+        if not self.active:
+            return self._zero(t_ns)
+        assert self._input is not None and self.sufficiency is not None
+        self._now_ns = t_ns
+        problem = flying.beyond(self._settings)
+        if estimate.state in ("waiting", "fault"):
+            problem = f"{estimate.state}: {estimate.reason}"
+        if problem:
+            return self.abort(t_ns, f"aborted: {problem}")
+        self.sufficiency.update(t_ns, estimate.coefficients, estimate.sigma)
+        t = (t_ns + self._lead_ns - self._start_ns) * 1e-9
+        if self.phase is Phase.RUNNING and t >= self._input.period and self._enough():
+            self.phase, self._end_ns = Phase.ENDING, t_ns
+            self.why = f"everything is known after {self.elapsed:.0f} s"
+        values = self._input.sample(t) * self._share(t_ns)
+        if t >= self._input.duration or self._share(t_ns) <= 0.0:
+            self.abort(t_ns, self.why or self._outcome())
+        return Asked(t_ns + self._lead_ns, values)
+
+    def _zero(self, t_ns: int) -> Asked | None:
+        """Return a zero for a moment after a run, then nothing."""
+        if self._zeros_until_ns is None or not t_ns <= self._zeros_until_ns:
+            self._zeros_until_ns = None
+            return None
+        return Asked(t_ns, np.zeros(len(INPUTS)))
+
+    def _enough(self) -> bool:
+        assert self.sufficiency is not None
+        return not self.sufficiency.unknown and self._settings.min_t_ratio > 0.0
+
+    def _share(self, t_ns: int) -> float:
+        """Return what is left of the signal while it fades out early, 0 ... 1."""
+        if self.phase is not Phase.ENDING:
+            return 1.0
+        since = (t_ns - self._end_ns) * 1e-9
+        fade = self._settings.fade_time
+        return max(0.0, 1.0 - since / fade) if fade > 0.0 else 0.0
+
+    def _outcome(self) -> str:
+        """Say how a run went that came to its end."""
+        assert self.sufficiency is not None
+        unknown = ", ".join(self.sufficiency.unknown)
+        known = f"not known yet: {unknown}" if unknown else "everything is known"
+        return f"complete; {known}"

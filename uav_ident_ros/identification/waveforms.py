@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shapes of test inputs, peak one: orthogonal multisines, 3-2-1-1, doublets.
+
+Multisines after E. A. Morelli, "Flight test experiment design for system identification
+from limited input amplitude", 2003: every input has its own harmonics of one period, so that
+over a period the inputs are orthogonal, with phases that keep the peak low.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+
+PEAK_SAMPLES_PER_CYCLE = 32
+"""Samples per cycle of the highest harmonic when the peak of a multisine is measured."""
+
+CLIPPING_ITERATIONS = 300
+"""Enough for the peak factor to settle (it changes by less than 1 % from 150 to 300)."""
+
+CLIPPING_RESTARTS = 6
+"""Random starts of the peak optimisation, of which the best is kept."""
+
+CLIPPING_START, CLIPPING_END = 0.75, 0.98
+"""Clip level relative to the present peak, from the first iteration to the last."""
+
+PULSES: dict[str, tuple[tuple[float, float], ...]] = {
+    "3211": ((3.0, 1.0), (2.0, -1.0), (1.0, 1.0), (1.0, -1.0)),
+    "doublet": ((1.0, 1.0), (1.0, -1.0)),
+}
+"""Length, in units, and sign of each pulse of a shape."""
+
+
+class WaveformError(ValueError):
+    """A shape is not possible; the message names what and why."""
+
+
+@dataclass(frozen=True)
+class Multisine:
+    """Sum of harmonics of one period with optimised phases, peak amplitude one.
+
+    Parameters
+    ----------
+    period : float
+        Common period of all harmonics, s.
+    harmonics : tuple of int
+        Multiples of 1 / period that are present, with equal power.
+    phases : (k,) array
+        Their phases, rad.
+    peak : float
+        Peak of the sum of unit cosines, by which `sample` divides.
+    """
+
+    period: float
+    harmonics: tuple[int, ...]
+    phases: FloatArray
+    peak: float
+
+    def sample(self, t: FloatArray) -> FloatArray:
+        """Evaluate at times t, s; peak about one, zero at t = 0."""
+        omega = 2.0 * np.pi / self.period * np.asarray(self.harmonics)
+        waves = np.cos(np.multiply.outer(t, omega) + self.phases)
+        return np.asarray(waves.sum(axis=-1) / self.peak)
+
+    @property
+    def relative_peak_factor(self) -> float:
+        """Peak-to-peak over 2 sqrt(2) rms: one for a single sine."""
+        signal = _period(self.harmonics, self.phases)
+        return float(np.ptp(signal) / (2.0 * np.sqrt(2.0) * np.sqrt(np.mean(signal**2))))
+
+
+def _period(harmonics: Sequence[int], phases: FloatArray) -> FloatArray:
+    """One period of the sum of unit cosines, by inverse FFT."""
+    count = 1 << math.ceil(math.log2(PEAK_SAMPLES_PER_CYCLE * max(harmonics)))
+    spectrum = np.zeros(count // 2 + 1, dtype=np.complex128)
+    spectrum[list(harmonics)] = 0.5 * count * np.exp(1j * phases)
+    return np.fft.irfft(spectrum, count)
+
+
+def _low_peak_phases(harmonics: Sequence[int], rng: np.random.Generator) -> FloatArray:
+    """Phases with a low peak: clip in time, keep the phases, repeat (Van der Ouderaa 1988)."""
+    index = list(harmonics)
+    best, best_spread = np.zeros(len(index)), np.inf
+    for _ in range(CLIPPING_RESTARTS):
+        phases = rng.uniform(-np.pi, np.pi, len(index))
+        for clip in np.linspace(CLIPPING_START, CLIPPING_END, CLIPPING_ITERATIONS):
+            signal = _period(index, phases)
+            spread = float(np.ptp(signal))
+            if spread < best_spread:
+                best, best_spread = phases, spread
+            limit = clip * float(np.abs(signal).max())
+            phases = np.angle(np.fft.rfft(np.clip(signal, -limit, limit))[index])
+    return best
+
+
+@lru_cache(maxsize=64)
+def multisine(period: float, harmonics: tuple[int, ...], seed: int = 0) -> Multisine:
+    """Design a multisine with a low relative peak factor that starts at zero.
+
+    Parameters
+    ----------
+    period : float
+        Common period, s.
+    harmonics : tuple of int
+        Multiples of 1 / period, each at least 1.
+    seed : int
+        Seed of the phases from which the optimisation starts.
+
+    Raises
+    ------
+    WaveformError
+        If there are no such harmonics.
+    """
+    if period <= 0.0 or not harmonics or min(harmonics) < 1:
+        raise WaveformError(
+            f"multisine with period {period} s and harmonics {list(harmonics)}: the period must "
+            "be positive and the harmonics whole numbers from 1"
+        )
+    phases = _low_peak_phases(harmonics, np.random.default_rng(seed))
+    signal = _period(harmonics, phases)
+    # Shifting all harmonics by one time leaves the shape: start at an upward zero crossing.
+    crossing = int(np.flatnonzero((signal <= 0.0) & (np.roll(signal, -1) > 0.0))[0])
+    fraction = signal[crossing] / (signal[crossing] - np.roll(signal, -1)[crossing])
+    shift = 2.0 * np.pi * (crossing + fraction) / len(signal)
+    phases = np.mod(phases + shift * np.asarray(harmonics), 2.0 * np.pi)
+    return Multisine(period, tuple(harmonics), phases, float(np.abs(signal).max()))
+
+
+def disjoint_harmonics(
+    count: int, period: float, band: tuple[float, float]
+) -> tuple[tuple[int, ...], ...]:
+    """Deal the harmonics of a band out to `count` inputs in turn.
+
+    Parameters
+    ----------
+    count : int
+        Number of inputs.
+    period : float
+        Common period, s.
+    band : (low, high)
+        Band, Hz.
+
+    Raises
+    ------
+    WaveformError
+        If there are fewer harmonics than inputs.
+    """
+    first = max(1, math.ceil(band[0] * period - 1e-9))
+    last = math.floor(band[1] * period + 1e-9)
+    if last - first + 1 < count:
+        raise WaveformError(
+            f"multisine band {band[0]:g} ... {band[1]:g} Hz over a period of {period:g} s has "
+            f"{max(0, last - first + 1)} harmonics: at least {count}, one per input, are needed; "
+            "widen the band or lengthen the period"
+        )
+    return tuple(tuple(range(first + i, last + 1, count)) for i in range(count))
+
+
+def multisines(
+    t: FloatArray, count: int, period: float, band: tuple[float, float], seed: int = 0
+) -> FloatArray:
+    """Orthogonal multisines of `count` inputs at times t (s), shape (len(t), count)."""
+    own = enumerate(disjoint_harmonics(count, period, band))
+    return np.stack([multisine(period, h, seed + i).sample(t) for i, h in own], axis=1)
+
+
+def turn_time(shape: str, unit: float, pause: float) -> float:
+    """Time that one input's pulses and the pause after them take, s."""
+    return unit * sum(length for length, _ in PULSES[shape]) + pause
+
+
+def pulses(t: FloatArray, count: int, shape: str, unit: float, pause: float) -> FloatArray:
+    """Pulses of `count` inputs that take turns, for ever, shape (len(t), count).
+
+    Parameters
+    ----------
+    t : (k,) array
+        Times from the start, s.
+    count : int
+        Number of inputs.
+    shape : str
+        ``3211`` or ``doublet``.
+    unit, pause : float
+        Length of the shortest pulse and of the quiet time after each input's turn, s.
+    """
+    turn = turn_time(shape, unit, pause)
+    # A hair of tolerance, so that a pulse begins at the sample that it is due at.
+    local = np.mod(t + 1e-9, count * turn)
+    u = np.zeros((len(t), count))
+    for i in range(count):
+        edge = i * turn
+        for length, sign in PULSES[shape]:
+            until = edge + length * unit
+            u[(local >= edge) & (local < until), i] = sign
+            edge = until
+    return u

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The service ``~/excite`` and the topic ``~/excitation``: a run of excitation behind ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.excitation_run import Asked, ExcitationRun
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
+from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.messages.types import NS_PER_S
+from uav_ident_ros.node.outputs import RELIABLE
+
+STALE_NS = 500_000_000
+"""Time by the node's clock without a tick after which a run is aborted, ns: ten at 20 Hz, and more
+than a simulation's /clock gets ahead of its Imu."""
+
+SAMPLES_PER_CYCLE = 4.0
+"""Ticks in a cycle of the highest frequency that give its shape."""
+
+LOWEST_RATE = 2.0 / EXCITATION_TIMEOUT
+"""Rate of ticks, Hz, below which one lost message would end what is added."""
+
+
+class Excite:
+    """Starts and ends runs of excitation, and publishes what they ask for.
+
+    Parameters
+    ----------
+    node : Node
+        Owner of the publisher.
+    identifier : OnlineIdentifier
+        Knows the flight. It is told what is published, unless somebody else says what is
+        injected.
+    told : callable
+        Whether anybody publishes what is injected.
+    """
+
+    def __init__(self, node: Node, identifier: OnlineIdentifier, told: Callable[[], bool]) -> None:
+        self._identifier = identifier
+        self._told = told
+        self._log = node.get_logger()
+        self._clock = node.get_clock()
+        self._publisher = node.create_publisher(JointState, "~/excitation", RELIABLE)
+        self._run = ExcitationRun(identifier.structure)
+        self._own = True
+        self._ticked_ns = 0
+
+    def on_request(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Start a run, or abort it."""
+        if request.data:
+            problem = self._start()
+            response.success = not problem
+            response.message = f"not started: {problem}" if problem else "excitation is running"
+        else:
+            self.abort("aborted: asked for")
+            response.success = True
+            response.message = "excitation is zero"
+        self._log.info(f"excite: {response.message}")
+        return response
+
+    def _start(self) -> str:
+        t_ns = self._identifier.newest_ns
+        if t_ns is None or self._now_ns() - self._ticked_ns > STALE_NS:
+            return "there are no ticks: rates or actuators do not arrive"
+        settings, rate = self._identifier.settings.excitation, self._identifier.settings.update_rate
+        needed = max(LOWEST_RATE, SAMPLES_PER_CYCLE * settings.band[1])
+        if rate < needed:
+            return (
+                f"'update_rate' is {rate:g} Hz: signals up to {settings.band[1]:g} Hz "
+                f"('excitation.band') need {needed:g} Hz"
+            )
+        self._own = not self._told()
+        return self._run.start(t_ns, settings, self._identifier.flying())
+
+    def tick(self, estimate: Estimate) -> None:
+        """Publish what is asked for after a tick."""
+        self._ticked_ns = self._now_ns()
+        before = self._run.active
+        asked = self._run.step(estimate.t_ns, self._identifier.flying(), estimate)
+        if asked is not None:
+            self._publish(asked)
+        if before and not self._run.active:
+            self._say_end()
+
+    def watch(self) -> None:
+        """Abort where ticks fail to come; to be called at the rate of the ticks."""
+        if self._run.active and self._now_ns() - self._ticked_ns > STALE_NS:
+            self.abort("aborted: no ticks any more: rates or actuators do not arrive")
+
+    def abort(self, why: str) -> None:
+        """Publish zero at once, and let that be the end of the run."""
+        before = self._run.active
+        asked = self._run.abort(self._identifier.newest_ns or self._ticked_ns, why)
+        if before or self._publisher.get_subscription_count():
+            self._publish(asked)
+        if before:
+            self._say_end()
+
+    def values(self) -> Iterator[tuple[str, str]]:
+        """Yield what is worth showing, each with its label."""
+        run, taught = self._run, self._run.sufficiency
+        yield "state", run.phase.value
+        yield "last run", run.why or "none yet"
+        if taught is None:
+            return
+        if run.active:
+            yield "elapsed [s]", f"{run.elapsed:.1f}"
+            yield "remaining [s]", f"{run.remaining:.1f}"
+            left = taught.time_left
+            yield "until known [s]", f"{left:.0f}" if math.isfinite(left) else "cannot be told yet"
+        yield "not known yet", ", ".join(taught.unknown) or "nothing"
+        for name, (coefficient, value, sigma) in taught.effects.items():
+            yield f"effect of {name}", f"{coefficient} = {value:.3g} +- {sigma:.2g}"
+
+    def _say_end(self) -> None:
+        self._log.info(f"excitation: {self._run.why}")
+
+    def _now_ns(self) -> int:
+        return int(self._clock.now().nanoseconds)
+
+    def _publish(self, asked: Asked) -> None:
+        values = asked.values.tolist()
+        if self._own:
+            self._identifier.add_excitation(asked.t_ns, values)
+        stamp = Time(sec=asked.t_ns // NS_PER_S, nanosec=asked.t_ns % NS_PER_S)
+        self._publisher.publish(
+            JointState(header=Header(stamp=stamp), name=list(INPUTS), position=values)
+        )
