@@ -24,6 +24,7 @@ from uav_ident_ros.player import Player
 
 CONFIG = ROOT / "config"
 
+STRUCTURE = "augmented"
 FLIGHT = "multisine"
 SECONDS = 6.0
 
@@ -108,9 +109,11 @@ def foxglove_curves() -> dict[str, str]:
 
 @pytest.fixture
 def messages(start_node: StartNode, make_player: MakePlayer) -> dict[str, Any]:
-    """What the node publishes for a flight, in its default configuration's structure."""
+    """What the node publishes for a flight, in the structure that the layouts are made for."""
     flight = recording(FLIGHT, SECONDS)
-    start_node(parameter_file=flight.parameter_file, sim_time=True)
+    start_node(
+        parameter_file=flight.parameter_file, parameters={"structure": STRUCTURE}, sim_time=True
+    )
     player = make_player(flight)
     player.wait_for_node()
     player.play_in_step(flight.messages)
@@ -128,7 +131,8 @@ def test_the_layouts_draw_what_the_node_publishes(messages: dict[str, Any]) -> N
     drawn = {str(curve.get("name")) for curve in root.iter("curve")}
     assert drawn
     assert drawn - there == set()
-    assert {topic.get("name") for topic in root.iter("topic")} == set(messages)
+    (selected,) = root.iter("selected_topics")
+    assert set(str(selected.get("value")).split(";")) == set(messages)
 
     named = messages[f"{NODE}/coefficients_named"]
     for path, label in foxglove_curves().items():
