@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view as windows
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
@@ -36,16 +37,24 @@ is none that the clock gave. The node lets a stamp jump by a second, too (time_j
 
 
 def plausible(t_ns: TimeArray) -> BoolArray:
-    """Whether each stamp is one that a clock can have given, by the stamps around it."""
+    """Whether each stamp is one that a clock can have given, by the stamps around it.
+
+    One that is not lies far from the median of its neighbours, and ahead of those that follow or
+    behind those before. A stamp after a long silence, or before one, is none of these.
+    """
     result = (t_ns >= 0) & (t_ns < LATEST_NS)
     inside = np.flatnonzero(result)
+    stamps = t_ns[inside]
+    if len(stamps) < NEIGHBOURS:
+        return np.asarray(result)
+    farthest = max(FARTHEST_NS, FARTHEST_STEPS * float(np.median(np.abs(np.diff(stamps)))))
     half = NEIGHBOURS // 2
-    if len(inside) >= NEIGHBOURS:
-        stamps = np.pad(t_ns[inside], half, mode="reflect")
-        around = np.median(np.lib.stride_tricks.sliding_window_view(stamps, NEIGHBOURS), axis=1)
-        usual = float(np.median(np.abs(np.diff(t_ns[inside]))))
-        farthest = max(FARTHEST_NS, FARTHEST_STEPS * usual)
-        result[inside] = np.abs(t_ns[inside] - around) <= farthest
+    around = np.median(windows(np.pad(stamps, half, mode="reflect"), NEIGHBOURS), axis=1)
+    beyond = np.pad(stamps, NEIGHBOURS, constant_values=(0, LATEST_NS))
+    near = windows(beyond, NEIGHBOURS)
+    before, after = near[: len(stamps)].max(axis=1), near[-len(stamps) :].min(axis=1)
+    lone = np.abs(stamps - around) > farthest
+    result[inside] = ~(lone & ((stamps > after + farthest) | (stamps < before - farthest)))
     return np.asarray(result)
 
 
