@@ -56,7 +56,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"controller_example = {PACKAGE}.controller_example:main",
-            f"identifier = {PACKAGE}.node.identifier_node:main",
+            f"identifier = {PACKAGE}.node.__main__:main",
             f"import_log = {PACKAGE}.import_logs.cli:main",
             f"monitor = {PACKAGE}.monitor.cli:main",
             f"rate_reference = {PACKAGE}.simulation.rate_reference:main",

@@ -12,6 +12,8 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+from uav_ident_ros.launching import fails_with, files_exist
+
 PACKAGE = "uav_ident_ros"
 PARAMS = "c172p.yaml"
 COEFFICIENTS = "c172p_coefficients.yaml"
@@ -90,7 +92,10 @@ def generate_launch_description() -> LaunchDescription:
         {
             "duration": ParameterValue(LaunchConfiguration("duration"), value_type=float),
             "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
-            "faults": [LaunchConfiguration("fault")],
+            # a list: launch_ros would take a fault, with its colon, for a YAML mapping
+            "faults": ParameterValue(
+                ["['", LaunchConfiguration("fault"), "']"], value_type=list[str]
+            ),
         },
     )
     others = [
@@ -113,4 +118,13 @@ def generate_launch_description() -> LaunchDescription:
         ),
     ]
     landed = OnProcessExit(target_action=plant, on_exit=Shutdown(reason="the flight is over"))
-    return LaunchDescription([*declare_arguments(), *others, plant, RegisterEventHandler(landed)])
+    return LaunchDescription(
+        [
+            *declare_arguments(),
+            files_exist("params_file", "coefficients_file"),
+            *fails_with(plant, *others),
+            RegisterEventHandler(landed),
+            plant,  # first: should an argument of it be wrong, nobody else has started
+            *others,
+        ]
+    )

@@ -12,8 +12,13 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+from uav_ident_ros.launching import fails_with, files_exist
+
 PACKAGE = "uav_ident_ros"
 DEFAULT_PARAMS = "identifier.yaml"
+
+RESPAWN_DELAY = 1.0
+"""Time until a node that ended is started again, s: a crash at once does not take the processor."""
 
 
 def declare_arguments() -> list[DeclareLaunchArgument]:
@@ -44,6 +49,12 @@ def declare_arguments() -> list[DeclareLaunchArgument]:
             default_value="info",
             choices=["debug", "info", "warn", "error", "fatal"],
             description="Least severe message that is logged",
+        ),
+        DeclareLaunchArgument(
+            "respawn",
+            default_value="false",
+            choices=["true", "false"],
+            description="Start the node again if it ends; it goes on from its state file",
         ),
         DeclareLaunchArgument(
             "imu_topic",
@@ -96,7 +107,16 @@ def generate_launch_description() -> LaunchDescription:
             ("excitation", LaunchConfiguration("excitation_topic")),
         ],
         ros_arguments=["--log-level", LaunchConfiguration("log_level")],
+        respawn=LaunchConfiguration("respawn"),
+        respawn_delay=RESPAWN_DELAY,
         output="screen",
         emulate_tty=True,
     )
-    return LaunchDescription([*declare_arguments(), identifier])
+    return LaunchDescription(
+        [
+            *declare_arguments(),
+            files_exist("params_file"),
+            *fails_with(identifier, respawn="respawn"),
+            identifier,
+        ]
+    )

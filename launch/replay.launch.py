@@ -7,10 +7,13 @@ ros2 launch uav_ident_ros replay.launch.py bag:=/path/to/bag params_file:=/path/
 Needs ros2bag. The same without the middleware, and faster: `ros2 run uav_ident_ros replay BAG`.
 """
 
-from launch import LaunchDescription
+from pathlib import Path
+
+from launch import LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
+    OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
     TimerAction,
@@ -26,6 +29,8 @@ from launch.substitutions import (
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterFile
 from launch_ros.substitutions import FindPackageShare
+
+from uav_ident_ros.launching import LaunchError, fails_with, files_exist
 
 PACKAGE = "uav_ident_ros"
 DEFAULT_PARAMS = "identifier.yaml"
@@ -86,7 +91,9 @@ def declare_arguments() -> list[DeclareLaunchArgument]:
             "rate", default_value="1.0", description="Speed of the playback, 1.0 for real time"
         ),
         DeclareLaunchArgument(
-            "clock_rate", default_value=CLOCK_RATE, description="Rate of /clock, Hz of bag time"
+            "clock_rate",
+            default_value=CLOCK_RATE,
+            description="Rate of /clock, Hz of the computer's time: raise it with rate",
         ),
         DeclareLaunchArgument(
             "start_delay", default_value=START_DELAY, description="Wait before the playback, s"
@@ -103,6 +110,14 @@ def declare_arguments() -> list[DeclareLaunchArgument]:
             description="Least severe message that is logged",
         ),
     ]
+
+
+def check_recording(context: LaunchContext) -> None:
+    """End the launch if it cannot play or record, before a process is started."""
+    FindExecutable(name="ros2").perform(context)
+    folder = LaunchConfiguration("record").perform(context)
+    if folder and Path(folder).exists():
+        raise LaunchError(f"record '{folder}': it exists already; name a new folder")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -153,4 +168,15 @@ def generate_launch_description() -> LaunchDescription:
             ],
         )
     )
-    return LaunchDescription([*declare_arguments(), identifier, recorder, player, end])
+    return LaunchDescription(
+        [
+            *declare_arguments(),
+            files_exist("params_file", "bag"),
+            OpaqueFunction(function=check_recording),
+            *fails_with(identifier, recorder, player),
+            end,
+            identifier,
+            recorder,
+            player,
+        ]
+    )

@@ -8,6 +8,7 @@ import importlib
 import importlib.metadata
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -30,11 +31,9 @@ SPDX = "SPDX-License-Identifier: Apache-2.0"
 ROSDEP_KEYS = {
     "hypothesis": "python3-hypothesis",
     "matplotlib": "python3-matplotlib",
-    "mcap": "mcap-ros2-support",
     "numpy": "python3-numpy",
     "pytest": "python3-pytest",
     "rich": "python3-rich",
-    "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "tqdm": "python3-tqdm",
     "yaml": "python3-yaml",
@@ -42,9 +41,11 @@ ROSDEP_KEYS = {
 # Development extras without a rosdep key: allowed only inside a function, so that the module
 # loads without them. lz4 and zstandard come with mcap.
 OPTIONAL = {"jsbsim", "lz4", "padasip", "pymavlink", "pyulog", "zstandard"}
+# What the tools for the ground need and apt does not have: extras of setup.py, never package.xml.
+PIP_ONLY = {"mcap", "rosbags"}
 # What a companion computer need not have: the node must never import these. PyYAML is not
 # among them: rclpy itself imports it.
-OFFLINE_ONLY = {"matplotlib", "mcap", "rich", "rosbags", "scipy", "tqdm"} | OPTIONAL
+OFFLINE_ONLY = {"matplotlib", "rich", "scipy", "tqdm"} | PIP_ONLY | OPTIONAL
 
 
 def setup_arguments() -> dict[str, Any]:
@@ -194,7 +195,7 @@ def test_pip_requirements_leave_ros_alone():
 
 @pytest.mark.parametrize("path", RUNTIME_FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_manifest_lists_what_is_imported(path: Path):
-    needed = third_party(path, lazy=True) - OPTIONAL
+    needed = third_party(path, lazy=True) - OPTIONAL - PIP_ONLY
     keys = {ROSDEP_KEYS.get(name, name) for name in needed}
     assert keys <= dependencies("depend", "exec_depend")
 
@@ -210,9 +211,20 @@ def test_manifest_lists_what_the_tests_import():
     helpers |= {"test", "setuptools"}
     needed: set[str] = set()
     for path in (ROOT / "test").rglob("*.py"):
-        needed |= third_party(path, lazy=True) - OPTIONAL - helpers
+        needed |= third_party(path, lazy=True) - OPTIONAL - PIP_ONLY - helpers
     keys = {ROSDEP_KEYS.get(name, name) for name in needed}
     assert keys <= dependencies("depend", "exec_depend", "test_depend")
+
+
+def test_manifest_names_only_what_apt_has():
+    """Bloom makes no deb of a pip key, and on Ubuntu 24.04 rosdep may not call pip at all."""
+    keys = dependencies("depend", "build_depend", "exec_depend", "test_depend")
+    # mcap-ros2-support is a pip key on Ubuntu 24.04 (rosdistro, rosdep/python.yaml)
+    assert not {key for key in keys if key.endswith("-pip") or key == "mcap-ros2-support"}
+    extras = setup_arguments()["extras_require"]
+    for extra in ("ardupilot", "px4"):
+        assert "rosbags" in extras[extra]
+    assert set(extras["replay"]) >= PIP_ONLY
 
 
 def test_core_imports_numpy_alone():
@@ -378,12 +390,28 @@ def test_launch_of_the_closed_loop():
     """Without launch installed: its nodes, and that its parameter file has a section for each."""
     calls = launch_calls(CLOSED_LOOP_LAUNCH, "node")
     started = {ast.literal_eval(call.args[0]): ast.literal_eval(call.args[1]) for call in calls}
+    (faults,) = (
+        value
+        for call in calls
+        if isinstance(call.args[2], ast.Dict)
+        for key, value in zip(call.args[2].keys, call.args[2].values, strict=True)
+        if isinstance(key, ast.Constant) and key.value == "faults"
+    )
+    # launch_ros joins the pieces, reads the text as YAML, and needs exactly the type
+    assert ast.unparse(faults.keywords[0]) == "value_type=list[str]"
+    for fault in ("", "60: aileron effect 0.5"):
+        pieces = [
+            piece.value if isinstance(piece, ast.Constant) else fault
+            for piece in faults.args[0].elts
+        ]
+        assert yaml.safe_load("".join(pieces)) == [fault]
     assert set(started) <= set(console_scripts())
     assert set(started.values()) == set(closed_loop.MODULES)
     constants = constants_of(CLOSED_LOOP_LAUNCH)
     folder = ROOT / "config" / "closed_loop"
     sections = yaml.safe_load((folder / constants["PARAMS"]).read_text())
-    assert {key.rpartition("/")[2] for key in sections} <= set(started.values())
+    # a node refuses a file that has nothing for it
+    assert {key.rpartition("/")[2] for key in sections} == set(started.values())
     assert Coefficients.from_file(folder / constants["COEFFICIENTS"]).known.any()
 
 
@@ -405,3 +433,56 @@ def test_launch_description_builds(path: Path):
     description = runpy.run_path(str(path))["generate_launch_description"]()
     assert isinstance(description, launch.LaunchDescription)
     assert "params_file" in {argument.name for argument in description.get_launch_arguments()}
+
+
+def launched(*arguments: str, launch_file: str) -> subprocess.CompletedProcess[str]:
+    """Run a launch file; skip where there is no `ros2` that knows this package."""
+    if (
+        shutil.which("ros2") is None
+        or subprocess.run(
+            ["ros2", "pkg", "prefix", PACKAGE], capture_output=True, check=False
+        ).returncode
+    ):
+        pytest.skip("there is no ros2 with this package here")
+    command = ["ros2", "launch", PACKAGE, launch_file, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_ends_aloud_without_its_parameter_file(path: Path, tmp_path: Path):
+    """launch_ros itself warns, and starts the node on its defaults."""
+    missing = tmp_path / "none.yaml"
+    arguments = [f"params_file:={missing}"]
+    if path.name == "replay.launch.py":
+        arguments.append(f"bag:={tmp_path}")
+    run = launched(*arguments, launch_file=path.name)
+    assert run.returncode == 1
+    assert f"params_file '{missing}': there is no such file" in run.stdout + run.stderr
+    assert "process started" not in run.stdout + run.stderr
+
+
+def test_launch_ends_with_a_dead_process(tmp_path: Path):
+    """The identifier refuses the file with status 2; launch says so by its own."""
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n")
+    run = launched(f"params_file:={wrong}", launch_file="identifier.launch.py")
+    assert run.returncode == 1
+    assert "ended with status 2" in run.stdout + run.stderr
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_checks_before_it_starts(path: Path):
+    """Without launch installed: what is started before an error would be left behind."""
+    (function,) = (
+        node
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.FunctionDef) and node.name == "generate_launch_description"
+    )
+    entries = [ast.unparse(item) for item in function.body[-1].value.args[0].elts]
+    check = next(i for i, entry in enumerate(entries) if entry.startswith("files_exist("))
+    watch = next(i for i, entry in enumerate(entries) if entry.startswith("*fails_with("))
+    processes = [i for i, entry in enumerate(entries) if re.fullmatch(r"\*?[a-z]+", entry)]
+    assert processes
+    assert max(check, watch) < min(processes)
+    watched = {word.strip("*") for word in re.findall(r"\*?[a-z]+", entries[watch].split("(")[1])}
+    assert {entries[i].strip("*") for i in processes} - {"end"} <= watched

@@ -736,3 +736,17 @@ def test_a_word_of_something_else_is_no_excitation(tmp_path: Path) -> None:
         run.run(bag, lambda messages, total: messages)
     refusals = run.refusals("excitation")
     assert refusals.dropped == {"wrong channels": refusals.received} and refusals.received > 50
+
+
+def test_without_rosbags_one_line_says_where_to_get_it() -> None:
+    """As on a machine that has the package from apt alone."""
+    code = (
+        "import sys; sys.modules['rosbags'] = None\n"
+        "from uav_ident_ros.replay import main; sys.exit(main(['bag']))"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert run.returncode == 2
+    assert run.stderr.startswith("replay: the Python package 'rosbags' is missing")
+    assert run.stderr.count("\n") == 1

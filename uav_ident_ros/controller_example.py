@@ -20,10 +20,8 @@ import sys
 from typing import Any
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3Stamped
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
@@ -39,6 +37,9 @@ from uav_ident_ros.client import (
     subscribe,
 )
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.node.ending import Ending
+from uav_ident_ros.node.program import run, spin
+from uav_ident_ros.node.usage import node_usage
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 RATE_GAIN = np.array([5.0, 4.0, 2.0])
@@ -55,6 +56,20 @@ MAX_INTERVAL = 0.1
 
 REPORT_PERIOD = 1.0
 """Time between reports on /diagnostics, s; a change is reported at once."""
+
+PARAMETERS: dict[str, Any] = {
+    "mode": "adaptive",  # or fixed: the nominal coefficients for ever
+    "nominal_file": "",  # coefficients.yaml of `replay`, the author's own
+    "fallback": "last good",  # refuse, last good, nominal
+    "heed_verdict": True,
+    "trim": [0.0, 0.0, 0.0, 0.0],  # elevator, rudder, aileron, throttle
+    "least": [-0.4, -0.25, -0.25, 0.0],
+    "largest": [0.4, 0.25, 0.25, 1.0],
+    "delay": 0.02,  # s
+    "coefficients_delay": 0.0,  # s; above 0.2 in lock-step with a simulation
+    "reference_delay": 0.0,  # s; two samples in lock-step with a simulation
+}
+"""Parameters and their defaults."""
 
 
 class RateLaw:
@@ -141,19 +156,9 @@ class ControllerExample(Node):
         self.create_subscription(Imu, "imu/data", self._on_imu, best_effort)
 
     def _declare(self) -> dict[str, Any]:
-        defaults = {
-            "mode": "adaptive",  # or fixed: the nominal coefficients for ever
-            "nominal_file": "",  # coefficients.yaml of `replay`, the author's own
-            "fallback": "last good",  # refuse, last good, nominal
-            "heed_verdict": True,
-            "trim": [0.0, 0.0, 0.0, 0.0],  # elevator, rudder, aileron, throttle
-            "least": [-0.4, -0.25, -0.25, 0.0],
-            "largest": [0.4, 0.25, 0.25, 1.0],
-            "delay": 0.02,  # s
-            "coefficients_delay": 0.0,  # s; above 0.2 in lock-step with a simulation
-            "reference_delay": 0.0,  # s; two samples in lock-step with a simulation
+        return {
+            name: self.declare_parameter(name, value).value for name, value in PARAMETERS.items()
         }
-        return {name: self.declare_parameter(name, value).value for name, value in defaults.items()}
 
     def _on_reference(self, message: Vector3Stamped) -> None:
         vector = message.vector
@@ -215,16 +220,11 @@ def _ns(header: Header) -> int:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status."""
-    rclpy.init(args=sys.argv if args is None else args)
-    node = ControllerExample()
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
+    usage = node_usage("controller_example", __doc__ or "", PARAMETERS)
+    argv = sys.argv if args is None else args
+    return run(
+        "controller_example", ControllerExample, spin, argv=argv, ending=Ending(), usage=usage
+    )
 
 
 if __name__ == "__main__":

@@ -160,6 +160,22 @@ def in_namespace(flight: Recording, namespace: str) -> Recording:
     )
 
 
+def test_a_coarse_clock_is_named(
+    flight: Recording, start_node: StartNode, make_player: MakePlayer
+) -> None:
+    """Every step of 'time_jump' restarts the filters: there would never be a tick."""
+    node = start_node(parameter_file=flight.parameter_file, sim_time=True)
+    player = make_player(flight)
+    player.wait_for_node()
+    for step in range(1, 100):
+        player.send_clock(1_700_000_000_000_000_000 + step * 1_500_000_000)
+        player.spin_for(0.2)
+        if "/clock moves in steps of 1.5 s, and each of 'time_jump' (1 s)" in node.log:
+            break
+    else:
+        raise AssertionError(node.log)
+
+
 def test_quality_of_service_is_the_contracts(
     flight: Recording, start_node: StartNode, make_player: MakePlayer
 ) -> None:

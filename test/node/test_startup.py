@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -10,6 +11,9 @@ from pathlib import Path
 
 import pytest
 from node_process import ROOT, StartNode, wait_for
+
+from uav_ident_ros.identification.settings import declarations
+from uav_ident_ros.node.usage import identifier_usage
 
 FILE = "/**:\n  ros__parameters:\n"
 
@@ -59,6 +63,10 @@ def test_wrong_parameter_is_refused_with_the_fix(given: str, said: str) -> None:
         (FILE + "    update_rate: 20\n", "that is an integer: write 20.0"),
         (FILE + "    imu: {typ: sensor_msgs/msg/Imu}\n", "did you mean 'imu.type'?"),
         ("{", "line 1"),
+        (
+            "/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n",
+            "has nothing for node '/identifier': its sections are /uav_ident; write '/identifier:'",
+        ),
     ],
 )
 def test_wrong_parameter_file_is_refused(text: str, said: str, tmp_path: Path) -> None:
@@ -70,6 +78,75 @@ def test_wrong_parameter_file_is_refused(text: str, said: str, tmp_path: Path) -
 def test_missing_parameter_file_and_stray_argument_are_refused() -> None:
     assert "'none.yaml': does not exist" in refused("--ros-args", "--params-file", "none.yaml")
     assert "--ros-args --params-file FILE" in refused("flight.yaml")
+
+
+def test_a_section_without_the_namespace_is_refused(tmp_path: Path) -> None:
+    """As `ros2 param dump` of a node in no namespace writes it."""
+    path = tmp_path / "dumped.yaml"
+    path.write_text("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
+    said = refused("--ros-args", "--params-file", str(path), "-r", "__ns:=/drone1")
+    assert "has nothing for node '/drone1/identifier'" in said
+
+
+def test_it_says_which_section_its_parameters_are_of(start_node: StartNode, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("/**/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
+    node = start_node(parameter_file=path)
+    assert wait_for(lambda: f"parameters of '{path}', section /**/identifier" in node.log), node.log
+
+
+@pytest.mark.parametrize(
+    ("module", "says"),
+    [
+        ("node", "actuators.mixing.de = [1.0, 0.0, 0.0, 0.0]"),
+        ("simulation.plant_node", 'aircraft = "c172p"'),
+        ("simulation.rate_reference", "airspeed = 53.0"),
+        ("controller_example", 'mode = "adaptive"'),
+    ],
+)
+def test_help_is_printed_and_nothing_runs(module: str, says: str) -> None:
+    run = subprocess.run(
+        [sys.executable, "-m", f"uav_ident_ros.{module}", "--help"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=30.0,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith("usage: ")
+    assert says in run.stdout
+    assert run.stderr == ""
+
+
+def test_help_has_every_parameter() -> None:
+    text = identifier_usage()
+    assert all(f"\n  {setting.name} = " in text for setting in declarations())
+
+
+def test_many_signals_end_it_once(start_node: StartNode) -> None:
+    """From the terminal, from launch, and once more from an impatient pilot."""
+    node = start_node()
+    assert wait_for(lambda: "no message on '/imu/data' yet" in node.log), node.log
+    while node.process.poll() is None:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
+            node.process.send_signal(number)
+    assert node.exit_status() == 0, node.log
+    assert "Traceback" not in node.log
+
+
+def test_a_signal_before_it_runs_is_not_lost(start_node: StartNode) -> None:
+    """What arrives while it still loads ends it like any other."""
+    node = start_node()
+    assert wait_for(lambda: handled(node.process.pid, signal.SIGTERM))
+    assert node.end(signal.SIGTERM) == 0
+    assert "Traceback" not in node.log
+
+
+def handled(pid: int, number: signal.Signals) -> bool:
+    """Whether a process has a handler for a signal."""
+    caught = re.search(r"SigCgt:\s*(\w+)", Path(f"/proc/{pid}/status").read_text())
+    return caught is not None and bool(int(caught[1], 16) >> (number - 1) & 1)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

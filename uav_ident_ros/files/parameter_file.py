@@ -98,12 +98,32 @@ class ParameterFile:
         ----------
         node : str
             Name of the node, with its namespace if it has one: ``/drone1/identifier``.
+
+        Raises
+        ------
+        ParameterFileError
+            If there are sections, but none for this node.
         """
         values: dict[str, ParameterValue] = {}
-        for section, content in self.sections.items():
-            if _matches(section, node):
-                values.update(content)
+        for section in self.sections_for(node):
+            values.update(self.sections[section])
         return values
+
+    def sections_for(self, node: str) -> list[str]:
+        """Return the sections that are for a node; an empty file has none.
+
+        Raises
+        ------
+        ParameterFileError
+            If there are sections, but none for this node.
+        """
+        found = [section for section in self.sections if _matches(section, node)]
+        if self.sections and not found:
+            raise ParameterFileError(
+                f"parameter file '{self.path}' has nothing for node '{_absolute(node)}': its "
+                f"sections are {', '.join(self.sections)}; write '{_absolute(node)}:' or '/**:'"
+            )
+        return found
 
 
 def load_parameters(path: Path | str, node: str) -> dict[str, ParameterValue]:
@@ -116,15 +136,9 @@ def load_parameters(path: Path | str, node: str) -> dict[str, ParameterValue]:
     ParameterFileError
         If the file cannot be read, or none of its sections is for this node.
     """
-    content = ParameterFile.read(path)
-    if content.sections and not any(_matches(section, node) for section in content.sections):
-        raise ParameterFileError(
-            f"parameter file '{path}' has nothing for node '{_absolute(node)}': its sections are "
-            f"{', '.join(content.sections)}"
-        )
     return {
         name: value
-        for name, value in content.values_for(node).items()
+        for name, value in ParameterFile.read(path).values_for(node).items()
         if name not in IGNORED and not name.startswith(IGNORED_PREFIXES)
     }
 

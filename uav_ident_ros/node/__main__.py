@@ -1,9 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m uav_ident_ros.node``."""
+"""The program `identifier`, and ``python -m uav_ident_ros.node``."""
+
+from __future__ import annotations
 
 import sys
 
-from uav_ident_ros.node.identifier_node import main
+from uav_ident_ros.node.ending import Ending
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node; the return value is the exit status: 2 if it was started wrongly."""
+    ending = Ending()  # before the imports, which take a second
+    from uav_ident_ros.node.identifier_node import IdentifierNode, work
+    from uav_ident_ros.node.program import run
+    from uav_ident_ros.node.usage import identifier_usage
+
+    argv = sys.argv if args is None else args
+    return run(
+        "identifier", IdentifierNode, work, argv=argv, ending=ending, usage=identifier_usage()
+    )
+
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -6,19 +6,14 @@ There is no estimation logic here: messages go in, due ticks are asked for, esti
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import TypeVar
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
@@ -34,6 +29,8 @@ from uav_ident_ros.identification.identifier import (
 )
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.node import diagnostics
+from uav_ident_ros.node.clock import ClockWatch
+from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.excite import Excite
 from uav_ident_ros.node.guard import Guard
 from uav_ident_ros.node.inputs import (
@@ -55,16 +52,13 @@ from uav_ident_ros.node.memory import Memory
 from uav_ident_ros.node.notices import OnChange, Throttle
 from uav_ident_ros.node.outputs import RELIABLE, Outputs
 from uav_ident_ros.node.parameters import Changes, declare, settings_of
-from uav_ident_ros.node.startup import REFUSALS, USAGE_ERROR, explain, start
+from uav_ident_ros.node.program import spin
 
 DIAGNOSTICS_PERIOD = 1.0
 """Interval of /diagnostics, s, on a steady clock."""
 
 SILENT_AFTER = 2.0
-"""Seconds without a message, or without progress of /clock, that are worth a word."""
-
-SPIN_TIME = 1.0
-"""Seconds that the executor may go on before it is asked whether the context still is."""
+"""Seconds without a message that are worth a word."""
 
 Response = TypeVar("Response", Trigger.Response, SetBool.Response)
 
@@ -93,7 +87,7 @@ class IdentifierNode(Node):
         self._excite = Excite(self, self.identifier, self._injection_is_told)
         self._estimate: Estimate | None = None
         self._meter = diagnostics.TickMeter(1.0 / settings.update_rate)
-        self._clock_seen = (0, time.monotonic())
+        self._clock_watch = ClockWatch(settings.time_jump, settings.update_rate)
         self._memory = Memory(self.identifier, self.get_fully_qualified_name(), self.get_logger())
         self._memory.start()
         self._offer_services()
@@ -176,6 +170,7 @@ class IdentifierNode(Node):
             if now_ns == jump.delta.nanoseconds:
                 return  # the first /clock: before it, there was no time to jump from
             seconds = jump.delta.nanoseconds * 1e-9
+            self._clock_watch.jumped(seconds, self._meter.count)
             cold = seconds < 0.0
             what = f"/clock jumped by {seconds:+.3f} s"
         else:
@@ -233,7 +228,7 @@ class IdentifierNode(Node):
 
     def _on_diagnostics(self) -> None:
         self._inbox.empty()
-        self._check_clock()
+        self._clock_watch.look(self.get_clock().now().nanoseconds)
         self._memory.attend(self._estimate, time.monotonic())
         state, reason = self._state()
         line = f"{state}: {reason}" if reason else state
@@ -266,7 +261,12 @@ class IdentifierNode(Node):
 
     def _state(self) -> tuple[str, str]:
         """State word and reason: what the inputs say first, then what the estimate says."""
-        fault = self._guard.problem or self._rates.fault or self.identifier.fault
+        fault = (
+            self._guard.problem
+            or self._rates.fault
+            or self._clock_watch.fault(self._meter.count)
+            or self.identifier.fault
+        )
         if fault:
             return "fault", fault
         silence = self._silence()
@@ -278,14 +278,8 @@ class IdentifierNode(Node):
 
     def _silence(self) -> str:
         """Say what does not arrive; empty if nothing is missed."""
-        now = time.monotonic()
-        if self.get_clock().ros_time_is_active and now - self._clock_seen[1] > SILENT_AFTER:
-            if self._clock_seen[0] == 0:
-                return (
-                    "use_sim_time is true, but nothing arrives on /clock: play the bag with "
-                    "--clock, or set use_sim_time to false"
-                )
-            return "/clock stands still"
+        if self.get_clock().ros_time_is_active and (standing := self._clock_watch.silence()):
+            return standing
         for stream, source in self._inputs.items():
             monitor = source.monitor
             age = monitor.age()
@@ -297,12 +291,6 @@ class IdentifierNode(Node):
             if age > SILENT_AFTER and stream != ARMED:
                 return f"no message on '{monitor.topic}' for more than {SILENT_AFTER:g} s"
         return ""
-
-    def _check_clock(self) -> None:
-        """Remember when the node's clock last moved."""
-        now_ns = self.get_clock().now().nanoseconds
-        if now_ns != self._clock_seen[0]:
-            self._clock_seen = (now_ns, time.monotonic())
 
     def _groups(self) -> dict[str, list[tuple[str, str]]]:
         """Return everything worth showing, by group."""
@@ -343,59 +331,8 @@ def initial_coefficients(settings: Settings) -> CoefficientSet | None:
     return load_coefficients(settings.initial_coefficients_file, settings.structure)
 
 
-def make_executor(simulated_time: bool) -> Executor:
-    """Return the events executor, at half the cost of the other, where it can be used.
-
-    It came with rclpy 7.1.4. When /clock moves on while a callback runs, it calls a timer once
-    for every step of /clock and then pauses as many periods: under simulated time the other
-    one is right.
-    """
-    if not simulated_time:
-        try:
-            from rclpy.experimental import EventsExecutor
-        except ImportError:
-            pass
-        else:
-            return EventsExecutor()
-    return SingleThreadedExecutor()
-
-
-def spin(node: Node) -> None:
-    """Run `node` until the context shuts down."""
-    executor = make_executor(node.get_clock().ros_time_is_active)
-    executor.add_node(node)
-    try:
-        # The events executor's spin() never returns, not even on SIGTERM; with a timeout it does.
-        # Waiting for what never comes, it stays in its own loop for that long, where spin_once
-        # leaves it after every message.
-        while rclpy.ok():
-            executor.spin_until_future_complete(Future(), timeout_sec=SPIN_TIME)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except rclpy_implementation.RCLError:
-        if rclpy.ok():
-            raise
-        # A signal ended the context in the middle of a publish: that is a clean end too.
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node; the return value is the exit status: 2 if it was started wrongly."""
-    argv = sys.argv if args is None else args
-    try:
-        start(argv)
-        node = IdentifierNode()
-    except REFUSALS as error:
-        print(f"identifier: {explain(error, argv)}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return USAGE_ERROR
-    try:
-        spin(node)
-        node.finish()
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def work(node: IdentifierNode, ending: Ending) -> int:
+    """Run `node` until it is asked to end, then keep what was learned."""
+    status = spin(node, ending)
+    node.finish()
+    return status

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import rclpy
 import rclpy.logging
@@ -17,6 +18,7 @@ from rclpy.exceptions import (
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity
 from rclpy.qos_overriding_options import InvalidQosOverridesError
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError
@@ -38,6 +40,7 @@ REFUSALS = (
     SettingsError,
     MessageTypeError,
     CoefficientsFileError,
+    ParameterFileError,
     InvalidParameterException,
     InvalidParameterTypeException,
     InvalidParameterValueException,
@@ -50,7 +53,7 @@ REFUSALS = (
 
 
 def start(argv: Sequence[str]) -> None:
-    """Initialise ROS with the command line.
+    """Initialise ROS with the command line; signals stay with the program's `Ending`.
 
     Parameters
     ----------
@@ -72,8 +75,30 @@ def start(argv: Sequence[str]) -> None:
         )
     # rcl logs that it failed, without saying why: `explain` says it, once.
     rclpy.logging.set_logger_level("rcl", LoggingSeverity.FATAL)
-    rclpy.init(args=list(argv))
+    rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     rclpy.logging.set_logger_level("rcl", LoggingSeverity.UNSET)
+
+
+def parameter_sources(argv: Sequence[str], node: str) -> Iterator[str]:
+    """Yield a line for each parameter file of the command line: which sections are for `node`.
+
+    Parameters
+    ----------
+    argv : sequence of str
+        The command line.
+    node : str
+        Full name of the node.
+
+    Raises
+    ------
+    ParameterFileError
+        If a file has nothing for the node: it would run on its defaults without a word.
+    """
+    for option, path in itertools.pairwise(argv):
+        if option == "--params-file":
+            sections = ParameterFile.read(path).sections_for(node)
+            if sections:
+                yield f"parameters of '{path}', section {', '.join(sections)}"
 
 
 def explain(error: Exception, argv: Sequence[str]) -> str:

@@ -20,8 +20,7 @@ import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion, Vector3, Vector3Stamped
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -30,7 +29,10 @@ from std_msgs.msg import Header, String
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback, subscribe
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
-from uav_ident_ros.node.startup import REFUSALS, USAGE_ERROR, explain, start
+from uav_ident_ros.node.ending import Ending
+from uav_ident_ros.node.program import run
+from uav_ident_ros.node.startup import UsageError
+from uav_ident_ros.node.usage import node_usage
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
@@ -69,6 +71,7 @@ PARAMETERS: dict[str, Any] = {
     "lock_step": True,
     "faults": [""],  # as in uav_ident_ros/simulation/faults.py, with times
     "wait_for_identifier": True,  # in step: for its coefficients too
+    "wait_for_reference": False,  # in step, before the first sample: for a rate_reference
     "record_file": "",  # NumPy archive that is written at the end
 }
 """Parameters and their defaults."""
@@ -77,14 +80,20 @@ PARAMETERS: dict[str, Any] = {
 class PlantNode(Node):
     """The node: an aircraft, its messages, and the waiting for the others.
 
+    Parameters
+    ----------
+    ending : Ending
+        Says when to stop.
+
     Raises
     ------
     SimulationError
         If the aircraft or a fault is not possible.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, ending: Ending) -> None:
         super().__init__("simulated_plant")
+        self._ending = ending
         for name, default in PARAMETERS.items():
             self.declare_parameter(name, default)
         rate = self._value("rate")
@@ -120,6 +129,10 @@ class PlantNode(Node):
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
+
+    def _going(self) -> bool:
+        """Whether nobody has asked for the end."""
+        return rclpy.ok() and not self._ending.asked
 
     def _connect(self) -> None:
         self._clock = self.create_publisher(Clock, "/clock", RELIABLE) if self._lock_step else None
@@ -186,7 +199,7 @@ class PlantNode(Node):
         began = time.monotonic()
         duration = self._value("duration") or math.inf
         try:
-            while rclpy.ok() and self._aircraft.time < duration:
+            while self._going() and self._aircraft.time < duration:
                 self._one_interval(began)
         finally:
             if path := self._value("record_file"):
@@ -237,14 +250,14 @@ class PlantNode(Node):
 
     def _spin_until(self, end: float) -> None:
         """Listen until a monotonic time."""
-        while (left := end - time.monotonic()) > 0.0 and rclpy.ok():
+        while (left := end - time.monotonic()) > 0.0 and self._going():
             self._executor.spin_once(timeout_sec=left)
 
     def _wait(self, condition: Callable[[], bool], patience: float) -> bool:
         """Listen until `condition` holds; return whether it does."""
         end = time.monotonic() + patience
         while not condition():
-            if time.monotonic() > end or not rclpy.ok():
+            if time.monotonic() > end or not self._going():
                 return False
             self._executor.spin_once(timeout_sec=NUDGE_AFTER)
         return True
@@ -257,15 +270,18 @@ class PlantNode(Node):
 
         def ready() -> bool:
             commanded = self.count_publishers("command") > 0 and listeners() > 0
+            if self._value("wait_for_reference"):
+                commanded = commanded and self.count_publishers("rate_reference") > 0
             if self._identifier_silent:
                 return commanded
             identified = self.count_publishers("identifier/coefficients_named") > 0
             heard = self._clock is not None and self._clock.get_subscription_count() > 0
             return commanded and identified and heard and listeners() > 1
 
-        if not self._wait(ready, START_PATIENCE):
+        if not self._wait(ready, START_PATIENCE) and self._going():
             raise SimulationError(
                 f"waited {START_PATIENCE:g} s in vain for a controller on 'command'"
+                + (" and a rate_reference" if self._value("wait_for_reference") else "")
                 + ("" if self._identifier_silent else " and an identifier")
             )
         self._spin_until(time.monotonic() + 1.0)  # until they know this node too
@@ -278,7 +294,7 @@ class PlantNode(Node):
                 return False
             return self._now_ns in self._commands
 
-        if not self._controller_silent and not self._wait(answered, PATIENCE):
+        if not self._controller_silent and not self._wait(answered, PATIENCE) and self._going():
             self._controller_silent = True
             self.get_logger().error(
                 f"no answer to the sample of {self._aircraft.time:.2f} s within {PATIENCE:g} s: "
@@ -290,7 +306,7 @@ class PlantNode(Node):
 
     def _wait_for_coefficients(self, wanted_ns: int) -> None:
         end = time.monotonic() + PATIENCE
-        while self._coefficients_ns < wanted_ns and rclpy.ok():
+        while self._coefficients_ns < wanted_ns and self._going():
             if time.monotonic() > end:
                 self._identifier_silent = True
                 self.get_logger().warning(
@@ -336,30 +352,29 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status: 2 if it was started wrongly."""
+    usage = node_usage("simulated_plant", __doc__ or "", PARAMETERS)
     argv = sys.argv if args is None else args
+    ending = Ending()
+    return run(
+        "simulated_plant", lambda: _make(ending), _fly, argv=argv, ending=ending, usage=usage
+    )
+
+
+def _make(ending: Ending) -> PlantNode:
     try:
-        start(argv)
-        node = PlantNode()
-    except (*REFUSALS, SimulationError) as error:
-        print(f"simulated_plant: {explain(error, argv)}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return USAGE_ERROR
-    status = 0
+        return PlantNode(ending)
+    except SimulationError as error:
+        raise UsageError(str(error)) from None
+
+
+def _fly(node: PlantNode, _: Ending) -> int:
+    """Fly; return 1 if the aircraft is lost or nobody appears to fly it."""
     try:
         node.fly()
     except SimulationError as error:
         node.get_logger().error(str(error))
-        status = 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except rclpy_implementation.RCLError:
-        if rclpy.ok():
-            raise
-        # A signal ended the context in the middle of a step: that is a clean end too.
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return status
+        return 1
+    return 0
 
 
 if __name__ == "__main__":

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 import sys
+from typing import Any
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import Quaternion, Vector3, Vector3Stamped
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
@@ -21,6 +20,9 @@ from std_msgs.msg import Header
 
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
+from uav_ident_ros.node.ending import Ending
+from uav_ident_ros.node.program import run, spin
+from uav_ident_ros.node.usage import node_usage
 from uav_ident_ros.simulation.flight import GRAVITY
 
 ANGLE_GAIN = 1.0
@@ -37,6 +39,15 @@ STEADY_TIME = 2.0
 
 LEAST_BANK = 0.4
 """Smallest bank as a fraction of the largest."""
+
+PARAMETERS: dict[str, Any] = {
+    "bank": 0.5,  # rad
+    "pitch": 0.1,  # rad
+    "hold": [2.0, 4.0],  # s
+    "airspeed": 53.0,  # m/s
+    "seed": 0,
+}
+"""Parameters and their defaults."""
 
 
 class Manoeuvres:
@@ -122,13 +133,7 @@ class RateReference(Node):
         super().__init__("rate_reference")
         value = {
             name: self.declare_parameter(name, default).value
-            for name, default in {
-                "bank": 0.5,  # rad
-                "pitch": 0.1,  # rad
-                "hold": [2.0, 4.0],  # s
-                "airspeed": 53.0,  # m/s
-                "seed": 0,
-            }.items()
+            for name, default in PARAMETERS.items()
         }
         low, high = value.pop("hold")
         self._manoeuvres = Manoeuvres(hold=(low, high), **value)
@@ -157,16 +162,9 @@ class RateReference(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status."""
-    rclpy.init(args=sys.argv if args is None else args)
-    node = RateReference()
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-    return 0
+    usage = node_usage("rate_reference", __doc__ or "", PARAMETERS)
+    argv = sys.argv if args is None else args
+    return run("rate_reference", RateReference, spin, argv=argv, ending=Ending(), usage=usage)
 
 
 if __name__ == "__main__":

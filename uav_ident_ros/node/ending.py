@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The end of a program that was asked to end: once, in order, whatever signals follow."""
+
+from __future__ import annotations
+
+import signal
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Ctrl-C; ``kill``, systemd and launch; the terminal or the ssh connection that is gone."""
+
+
+class Ending:
+    """Takes the signals that ask a program to end: the first is noted, none interrupts anything.
+
+    ROS's own handlers shut the context down under whoever publishes, and Python's raise in the
+    middle of whatever runs, the writing of a file for example. One Ctrl-C often arrives twice:
+    from the terminal and from launch.
+
+    Attributes
+    ----------
+    asked : bool
+        Whether the program was asked to end.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        for number in SIGNALS:
+            # nohup and setsid: who ignores the terminal's end wants to outlive it.
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, self._ask)
+
+    def _ask(self, *_: object) -> None:
+        self.asked = True
+
+    def close(self) -> None:
+        """Ignore what still comes: Python would put the deadly handlers back as it ends."""
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
