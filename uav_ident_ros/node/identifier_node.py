@@ -314,7 +314,8 @@ class IdentifierNode(Node):
         return groups
 
     def finish(self) -> None:
-        """Keep what was learned: the program ends, and it was asked to."""
+        """Stop exciting and keep what was learned: the program ends, and it was asked to."""
+        self._excite.abort("aborted: the program ends")
         self._memory.finish(self._estimate)
 
 

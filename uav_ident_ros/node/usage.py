@@ -17,9 +17,9 @@ usage: identifier {ROS_ARGUMENTS}
 
 Identify the attitude dynamics of an unmanned aircraft while it flies.
 
-topics in:   imu/data, actuators; airspeed and armed if their type is set
+topics in:   imu/data, actuators, excitation; airspeed and armed if their type is set
 topics out:  ~/coefficients_named, ~/coefficients, ~/predicted_rates, ~/prediction_error,
-             /diagnostics
+             ~/excitation, /diagnostics
 services:    ~/reset, ~/save, ~/adapt, ~/excite
 exit status: 0, it was asked to end; 2, it was started wrongly, and one line says how
 
