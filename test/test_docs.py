@@ -31,8 +31,18 @@ from uav_ident_ros.messages.types import named_entries
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
+PARAMETERS = ROOT / "docs" / "parameters.md"
+INTERFACE = ROOT / "docs" / "interface.md"
+LARGEST_README = 9_000
+"""Bytes: two screens."""
+
 DOCS = sorted((ROOT / "docs").glob("*.md"))
-PAGES = [README, ROOT / "CHANGELOG.md", ROOT / "bags" / "README.md", *DOCS]
+PAGES = [
+    README,
+    *(ROOT / name for name in ("CHANGELOG.md", "CONTRIBUTING.md", "bags/README.md")),
+    ROOT / "examples" / "README.md",
+    *DOCS,
+]
 PACKAGE = ROOT / "uav_ident_ros"
 LARGEST_PICTURE = 200_000
 """Bytes: a clone should stay small."""
@@ -83,14 +93,13 @@ def console_scripts() -> set[str]:
 # --- generated tables ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("page", [README, ROOT / "docs" / "parameters.md"], ids=page_id)
-def test_generated_tables_are_in_step_with_the_declaration(page: Path) -> None:
-    text = text_of(page)
-    assert renew(text) == text, f"{page_id(page)} is out of step: run scripts/make_docs"
+def test_generated_tables_are_in_step_with_the_declaration() -> None:
+    text = text_of(PARAMETERS)
+    assert renew(text) == text, f"{page_id(PARAMETERS)} is out of step: run scripts/make_docs"
 
 
 def test_every_table_stands_somewhere_and_every_parameter_in_one() -> None:
-    text = text_of(README) + text_of(ROOT / "docs" / "parameters.md")
+    text = text_of(PARAMETERS)
     for name in TABLES:
         assert f"<!-- generated: {name} -->" in text
     rows = full_tables()
@@ -208,6 +217,10 @@ def test_the_two_commands_open_the_readme() -> None:
     assert first == ["scripts/demo", "scripts/test"]
 
 
+def test_the_readme_is_two_screens() -> None:
+    assert len(text_of(README).encode()) < LARGEST_README
+
+
 def test_pictures_are_small() -> None:
     pictures = list((ROOT / "docs" / "images").glob("*"))
     assert pictures
@@ -259,9 +272,9 @@ def interfaces() -> dict[str, dict[str, str]]:
 
 
 def listed(header: str) -> dict[str, str]:
-    """Full name and type of every row below a table header of the README."""
+    """Full name and type of every row below a table header of the interface."""
     rows = {}
-    for table in text_of(README).split(header)[1:]:
+    for table in text_of(INTERFACE).split(header)[1:]:
         body = table.split("\n\n")[0]
         for name, msgtype in re.findall(r"^\| `([~/\w]+)` \| `([\w/]+)` \|", body, re.MULTILINE):
             full = name.replace("~", "/identifier") if name[0] in "~/" else f"/{name}"
@@ -269,13 +282,13 @@ def listed(header: str) -> dict[str, str]:
     return rows
 
 
-def test_the_topics_of_the_readme_are_those_of_the_node(
+def test_the_topics_of_the_interface_are_those_of_the_node(
     interfaces: dict[str, dict[str, str]],
 ) -> None:
     assert listed("| topic | type | QoS | content |") == interfaces["topics"]
 
 
-def test_the_services_of_the_readme_are_those_of_the_node(
+def test_the_services_of_the_interface_are_those_of_the_node(
     interfaces: dict[str, dict[str, str]],
 ) -> None:
     assert listed("| service | type | effect |") == interfaces["services"]

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draw one coefficient with its band while the node runs, by matplotlib.
+
+With ``--save FILE`` nothing is shown: the picture of the first ``--seconds`` goes into the file.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import matplotlib
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+BAND = 2.0
+"""Half width of the band, standard deviations."""
+
+
+class History(Node):
+    """Keeps time, value and standard deviation of one coefficient."""
+
+    def __init__(self, topic: str, name: str) -> None:
+        super().__init__("live_plot")
+        self.t: list[float] = []
+        self.value: list[float] = []
+        self.sigma: list[float] = []
+        self._name = name
+        self.create_subscription(JointState, topic, self._take, LATCHED)
+
+    @property
+    def duration(self) -> float:
+        """Message time covered, s."""
+        return self.t[-1] - self.t[0] if self.t else 0.0
+
+    def _take(self, message: JointState) -> None:
+        index = list(message.name).index(self._name)
+        self.t.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+        self.value.append(message.position[index])
+        self.sigma.append(message.effort[index])
+
+
+def draw(axes: Any, history: History, name: str) -> None:
+    """Draw what there is."""
+    axes.clear()
+    if history.t:
+        t = [stamp - history.t[0] for stamp in history.t]
+        pairs = list(zip(history.value, history.sigma, strict=True))
+        low = [value - BAND * sigma for value, sigma in pairs]
+        high = [value + BAND * sigma for value, sigma in pairs]
+        axes.fill_between(t, low, high, alpha=0.25)
+        axes.plot(t, history.value)
+    axes.set(xlabel="time [s]", ylabel=f"{name} [SI]")
+    axes.grid(alpha=0.3)
+
+
+def main() -> None:
+    """Draw until the window is closed, or save one picture."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--topic", default="/identifier/coefficients_named")
+    parser.add_argument("--name", default="pdot/da", help="coefficient (pdot/da)")
+    parser.add_argument("--save", metavar="FILE", help="write a picture instead of showing one")
+    parser.add_argument("--seconds", type=float, default=10.0, help="of message time, with --save")
+    options = parser.parse_args()
+    if options.save:
+        matplotlib.use("agg")
+    from matplotlib import pyplot
+
+    rclpy.init()
+    history = History(options.topic, options.name)
+    figure, axes = pyplot.subplots()
+    while history.duration < options.seconds if options.save else pyplot.fignum_exists(1):
+        rclpy.spin_once(history, timeout_sec=0.05)
+        if not options.save:
+            draw(axes, history, options.name)
+            pyplot.pause(0.2)
+    if options.save:
+        draw(axes, history, options.name)
+        figure.savefig(options.save)
+    history.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The examples run, and print or draw what they say."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from node_process import ROOT, StartNode
+from recordings import MakePlayer, recording
+
+from uav_ident_ros.replay import main as replay
+
+EXAMPLES = ROOT / "examples"
+BAG = ROOT / "bags" / "pulses"
+
+
+def command(name: str, *arguments: str) -> list[str]:
+    return [sys.executable, str(EXAMPLES / name), *arguments]
+
+
+def run(name: str, *arguments: str) -> str:
+    done = subprocess.run(command(name, *arguments), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_every_example_is_listed() -> None:
+    listed = re.findall(r"\]\((\w+\.py)\)", (EXAMPLES / "README.md").read_text())
+    assert sorted(listed) == sorted(path.name for path in EXAMPLES.glob("*.py"))
+
+
+def test_what_reads_results_reads_those_of_a_replay(tmp_path: Path) -> None:
+    folder = tmp_path / "pulses"
+    parameters = ["--params-file", str(BAG / "identifier.yaml")]
+    assert replay([str(BAG), *parameters, "--output", str(folder)]) == 0
+    header, row = run("fleet_table.py", str(tmp_path)).splitlines()
+    shown = "pdot/p pdot/da qdot/q qdot/de rdot/r rdot/dr"
+    assert header.split() == ["flight", "verdict", *shown.split()]
+    assert row.startswith("pulses          usable ")
+    lines = run("lqr.py", str(folder / "coefficients.yaml")).splitlines()
+    poles = {
+        label: [complex(pole) for pole in values.split(", ")]
+        for label, values in (line.removeprefix("poles, ").split(": ") for line in lines[-2:])
+    }
+    assert max(pole.real for pole in poles["closed"]) < max(pole.real for pole in poles["open"])
+
+
+def test_what_listens_hears_a_running_node(
+    start_node: StartNode, make_player: MakePlayer, tmp_path: Path
+) -> None:
+    flight = recording("multisine", 8.0)
+    start_node(parameter_file=flight.parameter_file, sim_time=True)
+    picture = tmp_path / "live.png"
+    plot = subprocess.Popen(command("live_plot.py", "--save", str(picture), "--seconds", "3"))
+    try:
+        player = make_player(flight)
+        player.wait_for_node()
+        topic = "/identifier/coefficients_named"
+        player.wait_until(lambda: player.node.count_subscribers(topic) == 2, "live_plot")
+        player.play_in_step(flight.messages)
+        assert plot.wait(60.0) == 0
+    finally:
+        plot.kill()
+        plot.wait()
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    # latched: the last message is there for who comes late
+    lines = run("read_coefficients.py", "--once").splitlines()
+    assert re.fullmatch(r"\d+ s: (not )?usable", lines[0])
+    assert any(re.fullmatch(r"pdot/da +[+-]?\d+\.\d+ ± \d+\.\d+", line) for line in lines)
