@@ -31,7 +31,12 @@ setup(
     maintainer_email="uav_ident_ros@example.org",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
     package_data={
-        PACKAGE: ["py.typed", "simulation/airframes/*.yaml", "simulation/airframes/jsbsim/*/*.xml"]
+        PACKAGE: [
+            "py.typed",
+            "report/templates/*",
+            "simulation/airframes/*.yaml",
+            "simulation/airframes/jsbsim/*/*.xml",
+        ]
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
@@ -48,9 +53,22 @@ setup(
         "import_log": ["pyyaml", "rosbags"],
         "jsbsim": ["jsbsim"],
         "monitor": ["rich"],
-        "replay": ["pyyaml", "matplotlib", "mcap", "rosbags", "tqdm"],
+        "replay": ["bokeh", "jinja2", "pyyaml", "matplotlib", "mcap", "rosbags", "tqdm"],
+        # replay of fleets: the table of results as Parquet too, and a Dask cluster
+        "parquet": ["pyarrow"],
+        "cluster": ["distributed"],
         # colcon decides by this extra whether `colcon test` runs pytest
-        "test": ["pytest", "hypothesis", "scipy", "pyyaml", "matplotlib", "mcap", "rosbags"],
+        "test": [
+            "pytest",
+            "hypothesis",
+            "scipy",
+            "bokeh",
+            "jinja2",
+            "pyyaml",
+            "matplotlib",
+            "mcap",
+            "rosbags",
+        ],
     },
     zip_safe=True,
     entry_points={

@@ -15,6 +15,7 @@ from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.delay import DelayEstimate
+from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
@@ -25,7 +26,9 @@ from uav_ident_ros.replay.advice import (
     DROPPED_SHARE,
     FORCE_POINTS,
     FORCE_SHARE,
+    GROUNDED_SHARE,
     LARGEST_NOISE,
+    LOST_SHARE,
     NOISE_SHARE,
     SHORT_FLIGHT,
     SIGN_SIGMAS,
@@ -33,7 +36,7 @@ from uav_ident_ros.replay.advice import (
     SLOW_IMU,
     advise,
 )
-from uav_ident_ros.replay.evidence import Evidence, gyro_noise, measure
+from uav_ident_ros.replay.evidence import Evidence, gyro_noise, lost_to, measure
 
 BAGS = Path(__file__).parent.parent / "bags"
 AUGMENTED = STRUCTURES["augmented"]
@@ -84,6 +87,24 @@ E = good()
 SURE = E.delay
 CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     # advice, what just misses it, what just gives it, what it says
+    "on the ground": (
+        "never_flew",
+        {"lost": {"at rest: no rate has moved by … rad/s": GROUNDED_SHARE * JUST_BELOW}},
+        {"lost": {"at rest: no rate has moved by … rad/s": 0.5, "not armed": 0.45}},
+        "the aircraft hardly flew: 95 % of the time at rest: no rate .*, not armed; take a flight",
+    ),
+    "no surface moves": (
+        "no_excitation",
+        {"input_spread": np.array([0.0, 0.0, 0.1, 0.1])},
+        {"input_spread": np.array([0.0, 0.0, 0.0, 0.1])},
+        "no surface moved: .* 'actuators.channels'",
+    ),
+    "a gate closed": (
+        "gated",
+        {"lost": {"channel … is at its limit": LOST_SHARE * JUST_BELOW, "not armed": 0.5}},
+        {"lost": {"channel … is at its limit": LOST_SHARE * 1.1}},
+        "33 % of the flight taught nothing: channel … is at its limit",
+    ),
     "rudder known too little": (
         "weak_excitation",
         {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / 3.03)},
@@ -206,6 +227,36 @@ def test_advice_both_ways(case: str) -> None:
     texts = [advice.text for advice in advise(replace(E, **giving)) if advice.name == name]
     assert len(texts) == 1
     assert re.search(words, texts[0]), texts[0]
+
+
+def test_the_first_cause_hides_what_follows_from_it() -> None:
+    bad = replace(
+        E,
+        lost={"not armed": 1.0},
+        fit=fit(model=-900.0),
+        delay_in_use=0.2,
+        values=-E.values,
+        imu_rate=20.0,
+    )
+    assert [advice.name for advice in advise(bad)] == ["never_flew", "slow_streams"]
+    flying = [advice.name for advice in advise(replace(bad, lost={"too little excitation": 0.9}))]
+    assert flying[:3] == ["gated", "wrong_delay", "wrong_sign"]
+    assert "no_better_than_holding" in flying
+
+
+def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
+    def at(adapting: bool, reason: str) -> Estimate:
+        return Estimate(
+            0, *[np.zeros(3)] * 5, adapting=adapting, usable=True, state="paused", reason=reason
+        )  # type: ignore[misc]
+
+    estimates = [
+        at(True, "why 1"),
+        at(False, "p reaches 34.9 rad/s"),
+        at(False, "p reaches -3e-1 rad/s"),
+        at(False, "not armed"),
+    ]
+    assert lost_to(estimates) == {"p reaches … rad/s": 0.5, "not armed": 0.25}
 
 
 def test_a_good_flight_needs_no_advice() -> None:

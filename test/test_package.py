@@ -30,6 +30,8 @@ SPDX = "SPDX-License-Identifier: Apache-2.0"
 # import name -> rosdep key, where the two differ
 ROSDEP_KEYS = {
     "hypothesis": "python3-hypothesis",
+    "jinja2": "python3-jinja2",
+    "markupsafe": "python3-markupsafe",
     "matplotlib": "python3-matplotlib",
     "numpy": "python3-numpy",
     "pytest": "python3-pytest",
@@ -40,12 +42,22 @@ ROSDEP_KEYS = {
 }
 # Development extras without a rosdep key: allowed only inside a function, so that the module
 # loads without them. lz4 and zstandard come with mcap.
-OPTIONAL = {"jsbsim", "lz4", "padasip", "pymavlink", "pyulog", "zstandard"}
+OPTIONAL = {
+    "PIL",
+    "distributed",
+    "jsbsim",
+    "lz4",
+    "padasip",
+    "pyarrow",
+    "pymavlink",
+    "pyulog",
+    "zstandard",
+}
 # What the tools for the ground need and apt does not have: extras of setup.py, never package.xml.
-PIP_ONLY = {"mcap", "rosbags"}
+PIP_ONLY = {"bokeh", "mcap", "rosbags"}
 # What a companion computer need not have: the node must never import these. PyYAML is not
 # among them: rclpy itself imports it.
-OFFLINE_ONLY = {"matplotlib", "rich", "scipy", "tqdm"} | PIP_ONLY | OPTIONAL
+OFFLINE_ONLY = {"jinja2", "markupsafe", "matplotlib", "rich", "scipy", "tqdm"} | PIP_ONLY | OPTIONAL
 
 
 def setup_arguments() -> dict[str, Any]:

@@ -49,9 +49,11 @@ def test_no_two_things_share_a_colour() -> None:
 
 def test_only_a_truth_that_compares_is_read() -> None:
     augmented = STRUCTURES["augmented"]
-    assert read_truth(BAGS / "multisine", augmented)["pdot/da"] == pytest.approx(59.94, abs=0.01)
+    assert read_truth(BAGS / "multisine", augmented).values["pdot/da"] == pytest.approx(
+        59.94, abs=0.01
+    )
     # local derivatives hold at fixed flow angles, which this structure does not have
-    assert read_truth(BAGS / "c172p", augmented) == {}
+    assert read_truth(BAGS / "c172p", augmented).values == {}
     for structure in STRUCTURES.values():
         if {"alpha", "beta"} <= set(structure.regressors):
-            assert read_truth(BAGS / "c172p", structure)["pdot/da"] == 31.2
+            assert read_truth(BAGS / "c172p", structure).values["pdot/da"] == 31.2

@@ -3,33 +3,46 @@
 
 from __future__ import annotations
 
-import sys
+import base64
+import gzip
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bokeh.models import CrosshairTool, HoverTool, VArea
 from numpy.typing import NDArray
+from scipy import signal
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.identification.estimators.excitation import WINDOW_TIME
+from uav_ident_ros.files.truth_file import Truth, read_truth
 from uav_ident_ros.identification.identifier import State
-from uav_ident_ros.identification.structure import INPUTS, ROWS, STRUCTURES
+from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline.run import OfflineRun, choose_inputs
-from uav_ident_ros.pictures import PictureError
-from uav_ident_ros.report.activity import activity
-from uav_ident_ros.report.coefficients_chart import order
-from uav_ident_ros.report.coverage import SIGNALS, correlations
-from uav_ident_ros.report.drawing import COLORS, FORMATS, color, draw_svg
-from uav_ident_ros.report.envelope import envelope
+from uav_ident_ros.report.analysis import (
+    SIGNALS,
+    autocorrelation,
+    correlations,
+    signals,
+    spectra,
+    welch,
+)
+from uav_ident_ros.report.charts import (
+    GRAVEST,
+    coefficient_charts,
+    rate_charts,
+    signal_charts,
+    state_chart,
+)
 from uav_ident_ros.report.flight import Clock, Flight, collect
+from uav_ident_ros.report.page import _embed
 from uav_ident_ros.report.predictions import Predictions, predict
-from uav_ident_ros.report.rates_chart import DETAIL_TIME, detail_span
-from uav_ident_ros.report.spectra import spectra
-from uav_ident_ros.report.strip import GRAVEST
-from uav_ident_ros.report.style import style_sheet
+from uav_ident_ros.report.style import COLORS, SERIES
+from uav_ident_ros.report.thinning import thin
+from uav_ident_ros.report.timeline import Chart, Timeline, columns
 
 BAGS = Path(__file__).parents[2] / "bags"
 Array = NDArray[np.float64]
@@ -57,10 +70,12 @@ def test_a_thinned_line_keeps_every_peak() -> None:
     t = np.sort(rng.uniform(0.0, 100.0, 20_000))
     y = rng.normal(size=len(t))
     y[rng.integers(0, len(t), 5)] = 50.0
-    thin_t, thin_y = envelope(t, y, 300)
+    thinned = thin(t, {"y": y, "z": -2.0 * y}, 300)
+    thin_t, thin_y = thinned["t"], thinned["y"]
     assert len(thin_t) <= 600
     assert (np.diff(thin_t) >= 0.0).all()
     assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
+    assert (thinned["z"].min(), thinned["z"].max()) == (-2.0 * y.max(), -2.0 * y.min())
     # Within every bin of the coarse line the fine one does not leave it.
     for low, high in pairwise(np.linspace(0.0, 100.0, 31)):
         fine, coarse = y[(t >= low) & (t < high)], thin_y[(thin_t >= low - 1) & (thin_t < high + 1)]
@@ -71,19 +86,18 @@ def test_a_thinned_line_keeps_every_peak() -> None:
 def test_a_slope_stays_a_slope_and_a_short_line_stays_as_it_is() -> None:
     t = np.linspace(0.0, 10.0, 5001)
     for y in (t**2, -(t**2)):
-        _, thin = envelope(t, y, 100)
-        steps = np.diff(thin)
+        steps = np.diff(thin(t, {"y": y}, 100)["y"])
         assert (steps >= 0.0).all() or (steps <= 0.0).all()
-    np.testing.assert_array_equal(envelope(t[:50], y[:50], 100)[1], y[:50])
-    assert len(envelope(t[:0], t[:0], 100)[0]) == 0
+    np.testing.assert_array_equal(thin(t[:50], {"y": y[:50]}, 100)["y"], y[:50])
+    assert len(thin(t[:0], {"y": t[:0]}, 100)["t"]) == 0
 
 
 def test_a_gap_breaks_the_line() -> None:
     t = np.concatenate([np.arange(0.0, 5.0, 0.01), np.arange(8.0, 20.0, 0.01)])
-    thin_t, thin_y = envelope(t, np.ones_like(t), 50)
-    (gap,) = np.flatnonzero(np.isnan(thin_y))
-    assert thin_t[gap - 1] == pytest.approx(4.99)
-    assert thin_t[gap + 1] == pytest.approx(8.0)
+    thinned = thin(t, {"y": np.ones_like(t)}, 50)
+    (gap,) = np.flatnonzero(np.isnan(thinned["y"]))
+    assert thinned["t"][gap - 1] == pytest.approx(4.99)
+    assert thinned["t"][gap + 1] == pytest.approx(8.0)
 
 
 # --- time ------------------------------------------------------------------------------------
@@ -104,13 +118,6 @@ def test_the_flight_is_all_there(flight: Flight, run: OfflineRun) -> None:
     assert len(flight.tick_t) == len(run.estimates)
     expected = [(e.t_ns - t_ns[0]) * 1e-9 for e in run.estimates]
     np.testing.assert_allclose(flight.tick_t, expected)
-
-
-def test_the_detail_is_the_liveliest_part_of_the_end(flight: Flight) -> None:
-    begin, end = detail_span(flight)
-    assert end - begin == pytest.approx(DETAIL_TIME)
-    assert begin >= 0.6 * flight.span[1] - 1e-6
-    assert end <= flight.span[1]
 
 
 # --- predictions -----------------------------------------------------------------------------
@@ -148,18 +155,6 @@ def test_fit_is_the_formula_over_the_last_part() -> None:
 # --- inputs ----------------------------------------------------------------------------------
 
 
-def test_activity_is_the_spread_about_each_time() -> None:
-    rng = np.random.default_rng(3)
-    t = np.sort(rng.uniform(0.0, 60.0, 3000))
-    u = rng.normal(size=(3000, 4)) + 1e3
-    at = np.array([1.0, 30.0, 59.5, 500.0])
-    found = activity(t, u, at)
-    for row, middle in zip(found[:3], at[:3], strict=True):
-        near = np.abs(t - middle) <= 0.5 * WINDOW_TIME
-        np.testing.assert_allclose(row, u[near].std(axis=0), rtol=1e-6)
-    np.testing.assert_array_equal(found[3], 0.0)
-
-
 def test_the_band_of_a_multisine_is_found(flight: Flight) -> None:
     found = spectra(flight)
     assert found is not None
@@ -178,29 +173,97 @@ def test_power_is_the_variance(flight: Flight) -> None:
     np.testing.assert_allclose(power, settled.var(axis=0), rtol=0.1)
 
 
+def test_a_density_is_that_of_scipy() -> None:
+    values = np.random.default_rng(3).standard_normal((5000, 2)).cumsum(axis=0)
+    _, expected = signal.welch(
+        values, 50.0, window=np.hanning(1000), noverlap=500, detrend="linear", axis=0
+    )
+    np.testing.assert_allclose(welch(values, 1000, 50.0), expected, rtol=1e-6)
+
+
 def test_correlations(flight: Flight) -> None:
-    found = correlations(flight)
-    assert found.shape == (len(INPUTS), len(SIGNALS))
+    found = correlations(signals(flight))
+    assert found.shape == (len(SIGNALS), len(SIGNALS))
     np.testing.assert_allclose(np.diag(found), 1.0)
     for k, u in enumerate(flight.u.T):
         for axis in range(3):
             expected = np.corrcoef(u, flight.rates[:, axis])[0, 1]
             assert found[k, 4 + axis] == pytest.approx(expected)
     # orthogonal multisines
-    assert (np.abs(found[:, :4] - np.eye(4)) < 0.1).all()
+    assert (np.abs(found[:4, :4] - np.eye(4)) < 0.1).all()
+
+
+def test_residuals_that_are_white_and_that_are_not() -> None:
+    rng = np.random.default_rng(4)
+    white = rng.standard_normal((20_000, 2))
+    coloured = white.copy()
+    for k in range(1, len(coloured)):  # an autoregression of order 1
+        coloured[k] += 0.8 * coloured[k - 1]
+    assert np.abs(autocorrelation(white, 10)).max() < 5.0 / np.sqrt(len(white))
+    expected = 0.8 ** np.arange(1, 11)
+    np.testing.assert_allclose(autocorrelation(coloured, 10)[:, 0], expected, atol=0.05)
+
+
+# --- what is true ------------------------------------------------------------------------------
+
+
+def test_truth_follows_its_changes(tmp_path: Path) -> None:
+    (tmp_path / "truth.yaml").write_text(
+        "coefficients: {pdot/p: -4.0, qdot/q: -5.0}\n"
+        "changes:\n  - {time: 10.0, factors: {pdot/p: 0.5}}\n"
+        "  - {time: 20.0, factors: {pdot/p: 0.5, qdot/q: 2.0}}\n"
+    )
+    truth = read_truth(tmp_path, STRUCTURES["augmented"])
+    assert truth.steps("pdot/p", 30.0) == (
+        [0.0, 10.0, 10.0, 20.0, 20.0, 30.0],
+        [-4.0, -4.0, -2.0, -2.0, -1.0, -1.0],
+    )
+    assert truth.steps("qdot/q", 15.0) == ([0.0, 15.0], [-5.0, -5.0])
+    # a derivative at fixed flow angles is no coefficient of a structure without them
+    (tmp_path / "truth.yaml").write_text("local_derivatives: {pdot/beta: -15.0}")
+    assert read_truth(tmp_path, STRUCTURES["augmented"]).values == {}
+    with_angles = replace(STRUCTURES["augmented"], regressors=("p", "beta", "alpha"))
+    assert read_truth(tmp_path, with_angles).steps("pdot/beta", 1.0) == ([0.0, 1.0], [-15.0] * 2)
+
+
+@pytest.mark.parametrize("content", ["", "- a", "coefficients: 3", "a: [", "changes: [{}]"])
+def test_another_file_of_that_name_is_no_truth(tmp_path: Path, content: str) -> None:
+    assert read_truth(tmp_path, STRUCTURES["baseline"]).values == {}
+    (tmp_path / "truth.yaml").write_text(content)
+    assert read_truth(tmp_path, STRUCTURES["baseline"]).values == {}
 
 
 # --- pictures --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("structure", STRUCTURES)
-def test_every_coefficient_has_a_panel(structure: str, flight: Flight) -> None:
-    other = replace(flight, structure=STRUCTURES[structure])
-    for row in range(len(ROWS)):
-        columns = [j for i, j in other.structure.free if i == row]
-        shown = order(other, row)
-        assert sorted(shown) == columns
-        assert other.structure.regressors[shown[0]] in "pqr"
+def test_every_chart_over_time_moves_with_the_others(flight: Flight) -> None:
+    line = Timeline(flight.span, [3.0])
+    ahead = predict(flight, 1.0)
+    charts = [
+        *rate_charts(flight, line, ahead, ahead),
+        *signal_charts(flight, line),
+        *coefficient_charts(flight, line, Truth({"pdot/p": -4.0})),
+        state_chart(flight, line, ["too little excitation"]),
+    ]
+    assert len({id(chart.model.x_range) for chart in charts}) == 1
+    overlays = {id(tool.overlay) for c in charts for tool in c.model.select(CrosshairTool)}
+    assert len(overlays) == 1
+    shown = [c.heading for c in charts if c.identity.startswith("coefficient")]
+    assert shown == list(flight.structure.names)
+    for chart in charts:
+        names = {tool.tooltips[-1][0] for tool in chart.model.select(HoverTool)}
+        assert names, chart.identity
+
+
+def test_a_band_is_one_sigma_to_either_side(flight: Flight) -> None:
+    chart, *_ = coefficient_charts(flight, Timeline(flight.span, []), Truth())
+    (drawn,) = [r for r in chart.model.renderers if isinstance(r.glyph, VArea)]
+    data = drawn.data_source.data
+    index = flight.structure.index("pdot/pq")
+    kept = np.searchsorted(flight.tick_t, data["t"].astype(float) - 1e-3)
+    sigma = flight.sigma[(kept, *index)]
+    np.testing.assert_allclose(data["high"] - data["value"], sigma, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(data["value"] - data["low"], sigma, rtol=1e-3, atol=1e-5)
 
 
 def test_every_state_has_a_colour_and_a_rank() -> None:
@@ -221,49 +284,25 @@ def contrast(a: str, b: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-@pytest.mark.parametrize("paper", [0, 1], ids=["light", "dark"])
-def test_text_and_lines_stand_out_from_the_paper(paper: int) -> None:
-    shades = {name: pair[paper] for name, pair in COLORS.items()}
+def test_text_and_lines_stand_out_from_the_paper() -> None:
+    paper = "#fefefd"
     for name in ("ink", "muted", "tick"):  # tick: links
-        assert contrast(shades[name], shades["paper"]) >= 4.5, name
-    assert contrast(shades["muted"], shades["shade"]) >= 4.5
-    for name in ("ahead", "third", "fourth", "measured"):
-        assert contrast(shades[name], shades["paper"]) >= 3.0, name
+        assert contrast(COLORS[name], paper) >= 4.5, name
+    for name in (*SERIES, "measured"):
+        assert contrast(COLORS[name], paper) >= 3.0, name
 
 
-def test_each_colour_to_draw_with_has_one_name() -> None:
-    assert len({light for light, _ in COLORS.values()}) == len(COLORS)
+def test_names_that_change_from_run_to_run_are_replaced_and_numbers_are_not() -> None:
+    numbers = np.frombuffer(bytes(range(256)) * 40, dtype=np.float32)
 
+    def drawn() -> tuple[str, dict[str, str]]:
+        line = Timeline((0.0, 1.0), [])
+        chart = line.figure("y", 100)
+        line.line(chart, columns({"t": numbers, "y": numbers}), "y", "tick")
+        return _embed([Chart("one", "One", chart, "spoken")])
 
-def test_a_drawing_has_no_colours_names_or_links_of_its_own() -> None:
-    def draw(figure: object, form: object) -> None:
-        panel = figure.add_subplot()  # type: ignore[attr-defined]
-        panel.plot([0.0, 1.0], [0.0, 1.0], color=color("ahead"), marker="o")
-        panel.set_title("<&>")
-
-    names: list[str] = []
-    for form in FORMATS:
-        svg = draw_svg(draw, form, 2.0, f"chart-{form.name}")
-        assert svg.tag == "svg"
-        assert "width" not in svg.attrib
-        width = float(svg.attrib["viewBox"].split()[2])
-        assert width == pytest.approx(72.0 * form.width)
-        styles = " ".join(element.attrib.get("style", "") for element in svg.iter())
-        assert "var(--ahead)" in styles
-        assert "font-family" not in styles
-        names += [element.attrib["id"] for element in svg.iter() if "id" in element.attrib]
-        assert "<&>" in [element.text for element in svg.iter("text")]
-    assert names
-    assert len(names) == len(set(names))
-
-
-def test_without_matplotlib_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(PictureError, match="the report needs matplotlib"):
-        draw_svg(lambda figure, form: None, FORMATS[0], 1.0, "chart")
-
-
-@pytest.mark.parametrize("width", ["wide", "narrow"])
-def test_formats_are_told_apart_by_the_style_sheet(width: str) -> None:
-    assert width in {form.name for form in FORMATS}
-    assert f"svg.{width}{{display:none}}" in style_sheet()
+    (script, divs), (again, other) = drawn(), drawn()
+    assert divs == other
+    assert script == again
+    packed = re.findall(r'"data":"(H4sI[^"]+)"', script)
+    assert numbers.tobytes() in {gzip.decompress(base64.b64decode(part)) for part in packed}

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import yaml
@@ -13,25 +15,63 @@ TRUTH_FILE = "truth.yaml"
 """Name of the file in the bag's folder."""
 
 
-def read_truth(bag: Path, structure: Structure) -> dict[str, float]:
-    """Return the true coefficients by name, SI; empty where nothing comparable is known.
+@dataclass(frozen=True)
+class Truth:
+    """True coefficients over time, by name.
 
-    The local derivatives of an aircraft hold at fixed angles of attack and sideslip: they compare
-    with the coefficients of a structure that has both angles, not with those of one in which
-    `ay` and `az` stand for them.
+    Parameters
+    ----------
+    values : mapping
+        Values at the start of the flight, SI.
+    changes : tuple
+        Times, s after the first rates, and the factors by which coefficients change then.
+    """
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    changes: tuple[tuple[float, Mapping[str, float]], ...] = ()
+
+    def steps(self, name: str, end: float) -> tuple[list[float], list[float]]:
+        """Return times, s, and values of a coefficient up to `end`; empty if it is not known."""
+        if name not in self.values:
+            return [], []
+        times, values = [0.0], [self.values[name]]
+        for time, factors in self.changes:
+            if name in factors and time < end:
+                times += [time, time]
+                values += [values[-1], values[-1] * factors[name]]
+        return [*times, end], [*values, values[-1]]
+
+
+def read_truth(bag: Path, structure: Structure) -> Truth:
+    """Read what is true of a flight; nothing if there is no such file, or another one.
 
     Parameters
     ----------
     bag : Path
-        The bag, a folder.
+        The bag; the file lies in its folder.
     structure : Structure
-        Structure of the coefficients to compare with.
+        Structure of the estimates. The local derivatives of an aircraft hold at fixed angles of
+        attack and sideslip: they are those of a structure that has both angles, not of one in
+        which `ay` and `az` stand for them.
     """
-    path = bag / TRUTH_FILE
-    if not path.is_file():
-        return {}
-    content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    known = content.get("coefficients", {})
-    if {"alpha", "beta"} <= set(structure.regressors):
-        known = known or content.get("local_derivatives", {})
-    return {str(name): float(value) for name, value in known.items()}
+    path = (bag if bag.is_dir() else bag.parent) / TRUTH_FILE
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        values = dict(content.get("coefficients") or {})
+        if not values and {"alpha", "beta"} <= set(structure.regressors):
+            values = dict(content.get("local_derivatives") or {})
+        changes = tuple(
+            (float(change["time"]), {k: float(v) for k, v in change["factors"].items()})
+            for change in content.get("changes") or ()
+        )
+        return Truth({name: float(value) for name, value in values.items()}, changes)
+    except (
+        OSError,
+        UnicodeDecodeError,
+        yaml.YAMLError,
+        AttributeError,
+        TypeError,
+        ValueError,
+        KeyError,
+    ):
+        return Truth()  # not a file of the simulation's

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
@@ -47,6 +47,15 @@ SIGN_SIGMAS = 3.0
 SHORT_FLIGHT = 60.0
 """Duration below which cross couplings have hardly come, s."""
 
+GROUNDED = ("not armed", "nothing was heard of being armed", "not flying", "at rest")
+"""How the reasons begin that say that the aircraft does not fly."""
+
+GROUNDED_SHARE = 0.9
+"""Share of the ticks on the ground from which a bag is no flight."""
+
+LOST_SHARE = 0.3
+"""Share of the ticks lost to one gate that deserves a word."""
+
 DAMPING = ("pdot/p", "qdot/q", "rdot/r")
 AXES = ("p", "q", "r")
 
@@ -64,6 +73,32 @@ class Advice(NamedTuple):
 
     name: str
     text: str
+
+
+def never_flew(e: Evidence) -> Iterator[str]:
+    """Say that the aircraft was on the ground, or said to be, for all or nearly all of the bag."""
+    reasons = {r: share for r, share in e.lost.items() if r.startswith(GROUNDED)}
+    if sum(reasons.values()) > GROUNDED_SHARE:
+        yield (
+            f"the aircraft hardly flew: {100.0 * sum(reasons.values()):.0f} % of the time "
+            f"{', '.join(reasons)}; take a flight, or correct 'armed.type' or 'airspeed.type'"
+        )
+
+
+def no_excitation(e: Evidence) -> Iterator[str]:
+    """Say that no surface moved at all: then nothing else matters."""
+    if (e.input_spread[: INPUTS.index("dth")] < STILL).all():
+        yield (
+            "no surface moved: nothing can be learned of them; look at 'actuators.channels' and "
+            "'actuators.mixing', or excite the aircraft"
+        )
+
+
+def gated(e: Evidence) -> Iterator[str]:
+    """Name what kept it from learning for a large part of the flight."""
+    for reason, share in e.lost.items():
+        if share > LOST_SHARE and not reason.startswith(GROUNDED):
+            yield f"{100.0 * share:.0f} % of the flight taught nothing: {reason}"
 
 
 def weak_excitation(e: Evidence) -> Iterator[str]:
@@ -192,11 +227,16 @@ def not_told_apart(e: Evidence) -> Iterator[str]:
         )
 
 
+ROOT_CAUSES: tuple[Callable[[Evidence], Iterator[str]], ...] = (never_flew, no_excitation)
+"""With one of these no other cause within the model is worth a look: there is no model."""
+
 ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
-    no_better_than_holding,
-    wrong_sign,
-    wrong_delay,
+    *ROOT_CAUSES,
+    gated,
     weak_excitation,
+    wrong_delay,
+    wrong_sign,
+    no_better_than_holding,
     row_needs_force,
     leans_on_force,
     noisy_gyro,
@@ -205,9 +245,21 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     short_flight,
     not_told_apart,
 )
-"""All advice, the most urgent first."""
+"""All advice: what explains the next comes first."""
+
+OF_THE_BAG = (slow_streams, many_drops, short_flight)
+"""Advice that holds without a model, too."""
 
 
 def advise(evidence: Evidence) -> tuple[Advice, ...]:
-    """Return what there is to say about a replay, the most urgent first."""
-    return tuple(Advice(find.__name__, text) for find in ADVICE for text in find(evidence))
+    """Return what there is to say about a replay, the first cause first."""
+    for cause in ROOT_CAUSES:
+        if any(cause(evidence)):
+            return _said((cause, *OF_THE_BAG), evidence)
+    return _said(ADVICE, evidence)
+
+
+def _said(
+    functions: Iterable[Callable[[Evidence], Iterator[str]]], evidence: Evidence
+) -> tuple[Advice, ...]:
+    return tuple(Advice(find.__name__, text) for find in functions for text in find(evidence))

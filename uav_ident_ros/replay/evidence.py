@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayBank, DelayEstimate
+from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.samples import NS, TimeArray
@@ -34,6 +37,9 @@ ROW_FORCES: Mapping[str, str] = {"pdot": "ay", "qdot": "az", "rdot": "ay"}
 
 _DIFFERENCE_NOISE = 20.0**0.5
 """Standard deviation of the third difference of white noise, in units of that of the noise."""
+
+_NUMBER = re.compile(r"(?<![a-z_])[-+]?\d[\d.,e+-]*")
+"""What differs between reasons that are the same."""
 
 _NORMAL_MEDIAN = 0.6745
 """Median of the magnitude of a normal deviate, in units of its standard deviation."""
@@ -74,6 +80,11 @@ class Evidence:
         it would explain.
     collinear : tuple of tuple of str
         Coefficients that the flight has not told apart.
+    correlations : mapping
+        For each row: its coefficients, (m,) names, and how their estimates depend on one another,
+        (m, m).
+    lost : mapping
+        Share of the ticks at which a gate was closed, for each reason, the largest first.
     streams : mapping
         What became of the messages of each stream.
     """
@@ -95,6 +106,8 @@ class Evidence:
     delay_in_use: float = 0.0
     force_share: Mapping[str, float] = field(default_factory=dict)
     collinear: tuple[tuple[str, ...], ...] = ()
+    correlations: Mapping[str, tuple[tuple[str, ...], FloatArray]] = field(default_factory=dict)
+    lost: Mapping[str, float] = field(default_factory=dict)
     streams: Mapping[str, Refusals] = field(default_factory=dict)
 
     def t_ratio(self, name: str) -> float | None:
@@ -110,7 +123,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Measure a replay that has at least one estimate."""
     part = max(run.stretches(), key=lambda stretch: len(stretch.ticks))
     result = run.result()
-    bank, shares = _from_blocks(run, part)
+    bank, shares, correlations = _from_blocks(run, part)
     return Evidence(
         settings=run.inputs.settings,
         structure=run.structure,
@@ -129,8 +142,24 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         delay_in_use=run.identifier.delay,
         force_share=shares,
         collinear=tuple(run.identifier.collinear()),
+        correlations=correlations,
+        lost=lost_to(run.estimates),
         streams={name: run.refusals(name) for name in run.identifier.drops},
     )
+
+
+def lost_to(estimates: Sequence[Estimate]) -> dict[str, float]:
+    """Return the share of the ticks at which nothing was learned, for each reason.
+
+    Reasons that differ in their numbers alone are one; the largest share comes first.
+    """
+    reasons = Counter(reason_of(e) for e in estimates if not e.adapting)
+    return {reason: count / len(estimates) for reason, count in reasons.most_common()}
+
+
+def reason_of(estimate: Estimate) -> str:
+    """Return why nothing was learned at a tick, without its numbers; empty if something was."""
+    return "" if estimate.adapting else _NUMBER.sub("…", estimate.reason)
 
 
 def gyro_noise(rates: FloatArray) -> FloatArray:
@@ -149,19 +178,21 @@ def _rate(t_ns: TimeArray) -> float:
     return 1.0 / (float(np.median(np.diff(t_ns))) * NS) if len(t_ns) > 1 else 0.0
 
 
-def _from_blocks(run: OfflineRun, part: Stretch) -> tuple[DelayBank | None, dict[str, float]]:
-    """Compare the delays, and find what the forces that are no regressors would explain."""
+def _from_blocks(
+    run: OfflineRun, part: Stretch
+) -> tuple[DelayBank | None, dict[str, float], dict[str, tuple[tuple[str, ...], FloatArray]]]:
+    """Compare the delays, find what forces would explain, and which coefficients correlate."""
     settings = run.inputs.settings
     arm = np.array(settings.imu.lever_arm)
     bank: DelayBank | None = None
-    moments = _Moments(settings.filter.cutoff, arm) if run.structure.size < FULL.size else None
+    moments = _Moments(settings.filter.cutoff, arm)
     for block in _pieces(run.blocks(part), DELAY_BLOCK_TIME):
         if bank is None:
             bank = DelayBank(block.h, arm)
         bank.add(block)
-        if moments is not None:
-            moments.add(block)
-    return bank, {} if moments is None else moments.force_share(run.structure)
+        moments.add(block)
+    shares = moments.force_share(run.structure) if run.structure.size < FULL.size else {}
+    return bank, shares, moments.correlations(run.structure)
 
 
 def _pieces(blocks: Iterator[Block], seconds: float) -> Iterator[Block]:
@@ -206,6 +237,28 @@ class _Moments:
             with_force = self._residual(i, [*present, FULL.regressors.index(force)])
             shares[row] = 1.0 - with_force / left if left > 0.0 else 0.0
         return shares
+
+    def correlations(self, structure: Structure) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
+        """Return how the least-squares estimates of each row depend on one another.
+
+        Rows with regressors that were not summed are left out.
+        """
+        found = {}
+        for row, labels in zip(ROWS, structure.rows, strict=False):
+            if not labels or not set(labels) <= set(FULL.regressors):
+                continue
+            columns = [FULL.regressors.index(label) for label in labels]
+            information = self._sum[np.ix_(columns, columns)]
+            scale = np.sqrt(np.diag(information))
+            moved = scale > 0.0
+            if not moved.any():
+                continue
+            scaled = information[np.ix_(moved, moved)] / np.outer(scale[moved], scale[moved])
+            covariance = np.linalg.pinv(scaled)
+            sigma = np.sqrt(np.diag(covariance))
+            names = tuple(label for label, m in zip(labels, moved, strict=True) if m)
+            found[row] = (names, covariance / np.outer(sigma, sigma))
+        return found
 
     def _residual(self, row: int, columns: list[int]) -> float:
         """Residual sum of squares of a row's acceleration on some columns."""

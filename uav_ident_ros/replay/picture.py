@@ -50,7 +50,7 @@ def write_picture(path: Path, bag: Path, replayed: Replayed) -> None:
         coefficients=flight.coefficients,
         sigma=flight.sigma,
         structure=flight.structure,
-        truth=read_truth(bag, flight.structure),
+        truth=read_truth(bag, flight.structure).values,
         notes=notes,
     )
     save_overview(path, overview)

@@ -13,7 +13,8 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.prediction import InputSignal
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import BoolArray, FloatArray, Structure
+from uav_ident_ros.identification.structure import FloatArray, Structure
+from uav_ident_ros.messages.types import entry_names, named_entries
 from uav_ident_ros.offline.run import OfflineRun, Stretch
 
 PAUSE_BETWEEN = 1.0
@@ -107,18 +108,35 @@ class Flight:
 
     @cached_property
     def coefficients(self) -> FloatArray:
-        """Coefficients of the ticks, shape (K, 3, n)."""
+        """Coefficients of the ticks, shape (K, rows, n)."""
         return np.array([estimate.coefficients for estimate in self.estimates])
 
     @cached_property
     def sigma(self) -> FloatArray:
-        """Their standard deviations, shape (K, 3, n)."""
+        """Their standard deviations, shape (K, rows, n)."""
         return np.array([estimate.sigma for estimate in self.estimates])
 
     @cached_property
-    def usable(self) -> BoolArray:
-        """Which ticks a controller could have used, shape (K,)."""
-        return np.array([estimate.usable for estimate in self.estimates])
+    def published(self) -> dict[str, FloatArray]:
+        """What ~/coefficients_named says beside the coefficients: name to values (K,).
+
+        Fits, verdicts, and the states of a structure that has more than the rates.
+        """
+        names = entry_names(self.structure)
+        chosen = [k for k, name in enumerate(names) if name not in set(self.structure.names)]
+        values = np.array(
+            [named_entries(e, self.structure).positions[chosen] for e in self.estimates]
+        )
+        return {names[k]: column for k, column in zip(chosen, values.T, strict=True)}
+
+    @property
+    def states(self) -> dict[str, FloatArray]:
+        """Published states beyond the rates, alpha and so on: name to values (K,)."""
+        return {
+            name.removeprefix("state/"): values
+            for name, values in self.published.items()
+            if name.startswith("state/")
+        }
 
     @property
     def span(self) -> tuple[float, float]:

@@ -3,26 +3,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
 
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.report.flight import Flight, collect
-from uav_ident_ros.report.markup import element
-from uav_ident_ros.report.sections import sections
-from uav_ident_ros.report.style import style_sheet
+from uav_ident_ros.pictures import PictureError
 
 if TYPE_CHECKING:  # replay imports the report
     from uav_ident_ros.replay.evidence import Evidence
+    from uav_ident_ros.report.flight import Flight
+    from uav_ident_ros.report.timeline import Chart
 
 EARLIEST_DATE_NS = 946_684_800_000_000_000
 """The year 2000, ns: earlier stamps count from the start of a computer and say no date."""
+
+_NAMES = re.compile(r'(?<=")(?:p\d{4,}|[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12})(?=")')
+"""Names that Bokeh makes up for its models and elements, anew in every run."""
 
 
 def write_report(
@@ -50,81 +51,104 @@ def write_report(
     BagWriteError
         If the file cannot be written.
     PictureError
-        If matplotlib is missing.
+        If Bokeh or Jinja2 is missing.
     """
-    page = _page(collect(str(summary["bag"]), run), bag, summary, evidence)
-    text = ElementTree.tostring(page, encoding="unicode", method="html")
     try:
-        path.write_text(f"<!doctype html>\n{text}\n", encoding="utf-8")
+        from uav_ident_ros.report import flight as flights
+        from uav_ident_ros.report import sections as parts
+        from uav_ident_ros.report.tables import verdict_of
+    except ImportError as error:
+        raise PictureError(
+            f"the report needs bokeh and jinja2 (pip install bokeh jinja2): {error}"
+        ) from None
+    flight = flights.collect(str(summary["bag"]), run)
+    text = render(
+        "page.html",
+        [*parts.sections(flight, bag, summary, evidence)],
+        name=flight.name,
+        facts=_facts(flight, summary),
+        verdict=verdict_of(summary),
+        advice=[entry["text"] for entry in summary["advice"]],
+        notes=summary["notes"],
+    )
+    write_page(path, text)
+
+
+def write_page(path: Path, text: str) -> None:
+    """Write a page; raises `BagWriteError` if it cannot be written."""
+    try:
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise BagWriteError(f"cannot write '{path}': {error.strerror}") from None
 
 
-def _page(flight: Flight, bag: Path, summary: Mapping[str, Any], evidence: Evidence) -> Element:
-    parts = list(sections(flight, bag, summary, evidence))
-    links = [
-        element("li", element("a", str(part[0].text), href=f"#{part.get('id')}")) for part in parts
-    ]
-    return element(
-        "html",
-        element(
-            "head",
-            element("meta", charset="utf-8"),
-            element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-            element("title", f"{flight.name}: identification report"),
-            element("style", style_sheet()),
-        ),
-        element(
-            "body",
-            _header(flight, summary, element("nav", element("ul", *links), aria_label="Contents")),
-            element("main", *parts),
-            element("footer", "Written by replay of uav_ident_ros."),
-        ),
-        lang="en",
+def render(template: str, sections: Sequence[Any], **content: Any) -> str:
+    """Return a page with the charts of its sections, and all that they need.
+
+    Parameters
+    ----------
+    template : str
+        One of the templates.
+    sections : sequence of Section
+        The sections.
+    content : Any
+        What else the template asks for.
+    """
+    from jinja2 import Environment, PackageLoader
+
+    from uav_ident_ros.report.style import COLORS
+    from uav_ident_ros.report.tables import WORDY, cell
+
+    loader = PackageLoader("uav_ident_ros.report")
+    page = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    page.filters |= {"cell": cell, "sentence": _sentence}
+    script, divs = _embed([chart for section in sections for chart in section.charts])
+    return page.get_template(template).render(
+        sections=sections,
+        colors=COLORS,
+        style=page.get_template("style.css").render(),
+        library=_library(),
+        script=script,
+        divs=divs,
+        wordy=WORDY,
+        **content,
     )
 
 
-def _header(flight: Flight, summary: Mapping[str, Any], nav: Element) -> Element:
+def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
+    """Return the script that draws the charts, and the place of each, the same in every run."""
+    from bokeh.embed import components
+
+    models = {chart.identity: chart.model for chart in charts}
+    if not models:
+        return "", {}
+    script, divs = components(models, wrap_script=False)
+    seen: dict[str, str] = {}
+
+    def named(match: re.Match[str]) -> str:
+        return seen.setdefault(match.group(), f"m{len(seen)}")
+
+    script = _NAMES.sub(named, script).replace("</", "<\\/")
+    return script, {identity: _NAMES.sub(named, div) for identity, div in divs.items()}
+
+
+def _library() -> str:
+    """Return Bokeh's own script, so that no network is needed."""
+    from bokeh.resources import Resources
+
+    return "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
+
+
+def _facts(flight: Flight, summary: Mapping[str, Any]) -> list[str]:
+    """Return when the flight was, how long, and how it was identified."""
     seconds = (summary["last_tick_ns"] - summary["first_tick_ns"]) * NS
     facts = [f"{seconds:.0f} s of flight", f"{summary['ticks']} ticks"]
     if summary["first_tick_ns"] > EARLIEST_DATE_NS:
         start = datetime.fromtimestamp(summary["first_tick_ns"] * NS, tz=UTC)
         facts.insert(0, f"{start:%Y-%m-%d %H:%M} UTC")
-    facts.append(f"{flight.settings.estimator}, {flight.settings.structure}")
-    return element(
-        "header",
-        element("h1", flight.name),
-        element("p", " · ".join(facts), class_="lead"),
-        _verdict(summary),
-        nav,
-    )
-
-
-def _verdict(summary: Mapping[str, Any]) -> Element:
-    reason = summary["reason"]
-    if summary["usable"]:
-        words, why = "Usable", ": a controller could have acted on the last estimate"
-        state = f"{summary['state']} ({reason})" if reason else summary["state"]
-    else:
-        words, why = "Not usable", f": {reason}" if reason else ""
-        state = summary["state"]
-    return element(
-        "div",
-        element("p", element("strong", words), why),
-        element("p", f"State at the end: {state}.", class_="note"),
-        *_advice(summary),
-        class_="verdict usable" if summary["usable"] else "verdict",
-    )
-
-
-def _advice(summary: Mapping[str, Any]) -> Iterator[Element]:
-    """Yield what to do about the model, and what the bag is like, if there is anything."""
-    said = [entry["text"] for entry in summary["advice"]]
-    for heading, entries in (("Advice", said), ("The bag", summary["notes"])):
-        if entries:
-            yield element("h2", heading)
-            yield element("ul", *(element("li", _sentence(text)) for text in entries))
+    return [*facts, f"{flight.settings.estimator}, {flight.settings.structure}"]
 
 
 def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}."
+    """Return a sentence: a capital at its beginning, a full stop at its end."""
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"

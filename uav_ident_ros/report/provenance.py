@@ -11,7 +11,7 @@ from pathlib import Path
 import uav_ident_ros
 from uav_ident_ros.bags.reading import STORAGE_SUFFIXES, BagError
 
-PACKAGES = ("numpy", "rosbags", "matplotlib")
+PACKAGES = ("numpy", "rosbags", "bokeh")
 """Packages that the numbers or the pictures depend on."""
 
 

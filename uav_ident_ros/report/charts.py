@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The charts over time: rates, inputs, forces, states, coefficients, and what was learned when."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import groupby
+
+import numpy as np
+from bokeh.models import ColumnDataSource, HoverTool, Span
+
+from uav_ident_ros.files.truth_file import Truth
+from uav_ident_ros.identification.prediction import LAST_PART
+from uav_ident_ros.identification.structure import INPUTS, SPECIFIC_FORCES, FloatArray
+from uav_ident_ros.replay.evidence import reason_of
+from uav_ident_ros.report.flight import AXES, Flight
+from uav_ident_ros.report.predictions import Predictions
+from uav_ident_ros.report.style import COLORS
+from uav_ident_ros.report.thinning import thin
+from uav_ident_ros.report.timeline import Chart, Timeline, columns, value_range
+
+RATE_BINS = (9.0, 15_000)
+"""Bins of a line of gyro samples: for each second, and the most. A bin keeps two points."""
+
+TICK_BINS = (5.0, 9_000)
+"""The same for predictions, inputs, forces and states."""
+
+COEFFICIENT_POINTS = 300
+"""Ticks drawn of a coefficient: it moves slowly."""
+
+STRIP_BINS = 600
+"""How finely the states are resolved."""
+
+SETTLED_SHARE = 0.3
+"""Share of the flight at its start that does not decide the range of an axis: the first estimates
+jump about."""
+
+BAND_SHARE = 95.0
+"""Percentile of the band, after that, that the axis of a coefficient reaches."""
+
+RATE_HEADROOM = 1.35
+"""The axis of the rates reaches so far beyond what was measured: a wild prediction leaves it."""
+
+RESIDUAL_SHARE = 99.5
+"""Percentile of the residuals of the last 40 % of the flight that their axis reaches."""
+
+SMALLEST_RANGE = 1e-3
+"""Least half-range of an axis of rates, rad/s."""
+
+GRAVEST = ("fault", "waiting", "paused", "learning", "converged")
+"""Where several states share a bin, the first of these is shown."""
+
+MOST_REASONS = 6
+"""Reasons not to learn that get a row of their own, the longest first."""
+
+AXIS_WORDS = {"p": "Roll", "q": "Pitch", "r": "Yaw"}
+UNITS = {
+    **dict.fromkeys(AXES, "rad/s"),
+    **dict.fromkeys(SPECIFIC_FORCES, "m/s²"),
+    **dict.fromkeys(("alpha", "beta", "roll", "pitch"), "rad"),
+    "airspeed": "m/s",
+}
+"""Units of signals; an input's is that of its channels."""
+
+
+def _bins(flight: Flight, kind: tuple[float, int]) -> int:
+    per_second, most = kind
+    return min(most, max(1, round(per_second * flight.span[1])))
+
+
+def rate_charts(
+    flight: Flight, line: Timeline, second: Predictions, tick: Predictions
+) -> Iterator[Chart]:
+    """Yield rates with predictions and residuals, two charts for each axis."""
+    for k, axis in enumerate(AXES):
+        measured = flight.rates[:, k]
+        limit = RATE_HEADROOM * max(float(np.abs(measured).max(initial=0.0)), SMALLEST_RANGE)
+        chart = line.figure(f"{axis} [rad/s]", 220)
+        chart.y_range.start, chart.y_range.end = -limit, limit
+        grown = thin(flight.t, {"measured": measured}, _bins(flight, RATE_BINS))
+        line.line(chart, columns(grown), "measured", "measured", line_width=1.8)
+        bins = _bins(flight, TICK_BINS)
+        ahead = columns(
+            thin(
+                second.t,
+                {"predicted": second.predicted[:, k], "residual": second.residual[:, k]},
+                bins,
+            )
+        )
+        line.line(chart, ahead, "predicted", "ahead", name="predicted 1 s before")
+        word = AXIS_WORDS[axis].lower()
+        yield Chart(
+            f"rates-{axis}",
+            f"{AXIS_WORDS[axis]} rate {axis}",
+            chart,
+            f"Measured {word} rate over time, and what was predicted of it one second before.",
+            legend=(("measured", "measured"), ("predicted 1 s before", "ahead")),
+        )
+        reach = max(_reach(flight, prediction, k) for prediction in (second, tick))
+        reach = min(max(RATE_HEADROOM * reach, SMALLEST_RANGE), limit)
+        chart = line.figure("[rad/s]", 120)
+        chart.y_range.start, chart.y_range.end = -reach, reach
+        line.line(chart, ahead, "residual", "ahead", name="1 s ahead")
+        short = columns(thin(tick.t, {"residual": tick.residual[:, k]}, bins))
+        line.line(chart, short, "residual", "tick", name="one tick ahead")
+        yield Chart(
+            f"residual-{axis}",
+            f"Residual of {axis}",
+            chart,
+            f"Measured minus predicted {word} rate over time.",
+            legend=(("1 s ahead", "ahead"), ("one tick ahead", "tick")),
+        )
+
+
+def _reach(flight: Flight, prediction: Predictions, axis: int) -> float:
+    """Return the largest residual of an axis in the last part of the flight but for outliers."""
+    settled = prediction.t >= flight.span[1] * (1.0 - LAST_PART)
+    residuals = np.abs(prediction.residual[settled, axis])
+    return float(np.percentile(residuals, RESIDUAL_SHARE)) if len(residuals) else 0.0
+
+
+def signal_charts(flight: Flight, line: Timeline) -> Iterator[Chart]:
+    """Yield the inputs, the specific forces, and the states that are published."""
+    groups = (
+        ("input", flight.t, dict(zip(INPUTS, flight.u.T, strict=True)), "tick"),
+        ("force", flight.t, dict(zip(SPECIFIC_FORCES, flight.force.T, strict=True)), "measured"),
+        ("state", flight.tick_t, flight.states, "truth"),
+    )
+    for kind, t, signals, color in groups:
+        moved = {name: values for name, values in signals.items() if np.ptp(values) > 0.0}
+        if not moved:
+            continue
+        source = columns(thin(t, moved, _bins(flight, TICK_BINS)))
+        for name, values in moved.items():
+            unit = f" [{UNITS[name]}]" if name in UNITS else ""
+            chart = line.figure(f"{name}{unit}", 130, y_range=value_range(values))
+            line.line(chart, source, name, color)
+            spoken = f"{kind.capitalize()} {name} over time."
+            yield Chart(f"{kind}-{name}", f"{kind.capitalize()} {name}", chart, spoken)
+
+
+def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator[Chart]:
+    """Yield every coefficient with a band of one sigma, and its true value where that is known."""
+    kept = np.linspace(0, len(flight.tick_t) - 1, COEFFICIENT_POINTS).round().astype(int)
+    kept = np.unique(kept)
+    structure, t = flight.structure, flight.tick_t[kept]
+    for name, (i, j) in zip(structure.names, structure.free, strict=True):
+        value, sigma = flight.coefficients[kept, i, j], flight.sigma[kept, i, j]
+        low, high = value - sigma, value + sigma
+        true_t, true = truth.steps(name, flight.span[1])
+        chart = line.figure("", 130)
+        settled = t >= t[0] + SETTLED_SHARE * (t[-1] - t[0])
+        bottom = np.percentile(low[settled], 100.0 - BAND_SHARE)
+        top = np.percentile(high[settled], BAND_SHARE)
+        chart.y_range = value_range(np.array([bottom, top, 0.0, *true]))
+        chart.xaxis.axis_label = None
+        chart.min_border_left = 0
+        source = columns({"t": t, "value": value, "low": low, "high": high})
+        chart.varea("t", "low", "high", source=source, color=COLORS["tick"], alpha=0.25)
+        chart.add_layout(Span(dimension="width", location=0.0, line_color=COLORS["muted"]))
+        line.line(chart, source, "value", "tick", name=name, line_width=1.5)
+        if true_t:
+            known = columns({"t": true_t, "true": true})
+            line.line(chart, known, "true", "truth", line_dash="dashed", line_width=1.5)
+        yield Chart(
+            f"coefficient-{name.replace('/', '-')}",
+            name,
+            chart,
+            f"Coefficient {name} over time with a band of one standard deviation.",
+            small=True,
+        )
+
+
+# -- what was learned when ---------------------------------------------------------------------
+
+
+def state_chart(flight: Flight, line: Timeline, reasons: Iterable[str]) -> Chart:
+    """Return the state, the verdicts, and when the main reasons not to learn held."""
+    edges = np.linspace(*flight.span, STRIP_BINS + 1)
+    place = np.searchsorted(edges, flight.tick_t, side="right") - 1
+    place = np.clip(place, 0, STRIP_BINS - 1)
+    words = [""] * STRIP_BINS
+    for k, estimate in zip(place, flight.estimates, strict=True):
+        if not words[k] or GRAVEST.index(estimate.state) < GRAVEST.index(words[k]):
+            words[k] = estimate.state
+    bars = [("state", word, word, *span) for word, span in _runs(words, edges)]
+    usable = np.array([estimate.usable for estimate in flight.estimates])
+    flags = {"usable": (usable, "converged")}
+    for name, values in flight.published.items():
+        if name.startswith("verdict/usable/"):
+            flags[f"usable {name.rpartition('/')[2]}"] = (values > 0.0, "converged")
+    given = np.array([reason_of(estimate) for estimate in flight.estimates], dtype=object)
+    for reason in [r for r in reasons if r][:MOST_REASONS]:
+        flags[reason] = (given == reason, "paused")
+    for name, (on, color) in flags.items():
+        filled = [""] * STRIP_BINS
+        for k in place[on]:
+            filled[k] = name
+        bars += [(name, color, name, *span) for _, span in _runs(filled, edges)]
+    return Chart(
+        "states",
+        "State, verdict, and what kept it from learning",
+        _bar_chart(line, ["state", *flags], bars),
+        "State of the identifier over time, when its model was usable, and why it paused.",
+        legend=tuple((state, state) for state in reversed(GRAVEST)),
+    )
+
+
+def _bar_chart(
+    line: Timeline, rows: list[str], bars: list[tuple[str, str, str, float, float]]
+) -> object:
+    """Draw bars of (row, colour, words, begin, end)."""
+    row, color, words, begin, end = zip(*bars, strict=True)
+    labels = {name: name if len(name) <= 24 else f"{name[:23]}…" for name in rows}
+    source = ColumnDataSource(
+        {
+            "row": [labels[name] for name in row],
+            "color": [COLORS[name] for name in color],
+            "words": words,
+            "begin": begin,
+            "end": end,
+        }
+    )
+    factors = list(dict.fromkeys(labels[name] for name in reversed(rows)))
+    chart = line.figure("", 60 + 20 * len(factors), y_range=factors)
+    drawn = chart.hbar(
+        "row", left="begin", right="end", height=0.8, color="color", source=source, line_width=0
+    )
+    tooltips = [("", "@words"), ("from", "@begin{0.0} s"), ("to", "@end{0.0} s")]
+    chart.add_tools(HoverTool(renderers=[drawn], tooltips=tooltips, visible=False))
+    return chart
+
+
+def _runs(words: list[str], edges: FloatArray) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield every run of one word that is not empty, and its begin and end."""
+    for word, run in groupby(enumerate(words), key=lambda pair: pair[1]):
+        places = [k for k, _ in run]
+        if word:
+            yield word, (float(edges[places[0]]), float(edges[places[-1] + 1]))

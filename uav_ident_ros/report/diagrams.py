@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The charts over anything but time: whiteness, spectra, coverage, delay."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from bokeh.models import BoxAnnotation, FixedTicker, HoverTool, LinearColorMapper, Span
+from bokeh.palettes import Blues256
+
+from uav_ident_ros.identification.prediction import LAST_PART
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.report.analysis import (
+    HIGHEST_FREQUENCY,
+    LONGEST_LAG,
+    NORMAL_95,
+    SIGNALS,
+    Spectra,
+    autocorrelation,
+    signals,
+    thirds,
+)
+from uav_ident_ros.report.flight import AXES, Flight
+from uav_ident_ros.report.predictions import Predictions
+from uav_ident_ros.report.style import COLORS, DASHES, SERIES
+from uav_ident_ros.report.timeline import Chart, columns, plain_figure, value_range
+
+DECADES = 5.0
+"""Range of an axis of powers: below is arithmetic, not flight."""
+
+PAIRS = (("da", "dr"), ("de", "dth"), ("p", "r"), ("q", "p"))
+"""Signals across and up of each chart of the coverage."""
+
+CELLS = 36
+"""Cells of such a chart along each axis."""
+
+SHARE = (0.1, 99.9)
+"""Percentiles of a signal that its axis spans."""
+
+LARGEST_RISE = 200.0
+"""Largest residual shown, percent above the least: it is the bottom of the valley that counts."""
+
+SMALLEST_RISE = 0.01
+"""Rise, percent, below which all delays explain the flight alike: the inputs hardly moved."""
+
+
+def _lines(chart: Any, x: FloatArray, lines: dict[str, FloatArray], unit: str) -> None:
+    """Draw lines side by side, with a legend and what the hand of the mouse is on."""
+    source = columns({"x": x, **lines})
+    for k, name in enumerate(lines):
+        style = {"color": COLORS[SERIES[k]], "line_dash": DASHES[k], "line_width": 1.5}
+        drawn = chart.line("x", name, source=source, legend_label=name, **style)
+        tips = [(unit, "@x{0.000}"), (name, f"@{{{name}}}{{0.000e+0}}")]
+        chart.add_tools(HoverTool(renderers=[drawn], mode="vline", tooltips=tips, visible=False))
+    if lines:
+        chart.legend.orientation = "horizontal"
+        chart.legend.background_fill_alpha = 0.6
+        chart.legend.padding = chart.legend.margin = 2
+
+
+def whiteness_chart(flight: Flight, tick: Predictions) -> Chart | None:
+    """Return how much the residuals one tick ahead resemble themselves later; None if too few."""
+    residual = tick.residual[tick.t >= flight.span[1] * (1.0 - LAST_PART)]
+    lags = round(LONGEST_LAG / tick.horizon)
+    if len(residual) < 2 * lags:
+        return None
+    found = autocorrelation(residual, lags)
+    found = np.nan_to_num(found)
+    chart = plain_figure(220, "autocorrelation", y_range=value_range(found, np.array([0.0, 0.2])))
+    chart.xaxis.axis_label = "lag [s]"
+    _lines(
+        chart,
+        tick.horizon * np.arange(1, lags + 1),
+        dict(zip(AXES, found.T, strict=True)),
+        "lag [s]",
+    )
+    bound = NORMAL_95 / math.sqrt(len(residual))
+    chart.add_layout(
+        BoxAnnotation(bottom=-bound, top=bound, fill_color=COLORS["measured"], fill_alpha=0.2)
+    )
+    return Chart(
+        "whiteness",
+        "Autocorrelation of the residuals",
+        chart,
+        "Autocorrelation of the residuals one tick ahead over the lag, for p, q and r.",
+        "Residuals one tick ahead over the last 40 %. White noise stays in the grey band 95 times "
+        "in 100. What stands out is a lag, a missing term, or gusts.",
+    )
+
+
+def spectrum_charts(flight: Flight, found: Spectra) -> Iterator[Chart]:
+    """Yield the power densities of the inputs and of the rates."""
+    cutoff = flight.settings.filter.cutoff / (2.0 * math.pi)
+    groups = (("inputs", INPUTS, found.inputs), ("rates", AXES, found.rates))
+    for name, labels, density in groups:
+        middle, mean = thirds(found.frequency, density)
+        top = float(mean.max(initial=0.0)) or 1.0
+        chart = plain_figure(
+            230,
+            "power density",
+            x_axis_type="log",
+            y_axis_type="log",
+            y_range=(top * 10.0**-DECADES, 2.0 * top),
+            x_range=(float(found.frequency[0]), HIGHEST_FREQUENCY),
+        )
+        chart.xaxis.axis_label = "frequency [Hz]"
+        chart.xaxis.ticker = FixedTicker(ticks=[0.1, 1.0, 10.0])
+        shown = dict(zip(labels, mean.T, strict=True))
+        shown = {k: v for k, v in shown.items() if v.max() > 0.0}
+        _lines(chart, middle, shown, "f [Hz]")
+        chart.add_layout(
+            Span(dimension="height", location=cutoff, line_dash="dotted", line_width=1)
+        )
+        spoken = f"Power densities of the {name} over frequency."
+        yield Chart(f"spectra-{name}", f"Spectra of the {name}", chart, spoken)
+
+
+def coverage_charts(flight: Flight) -> Iterator[Chart]:
+    """Yield how often pairs of signals had which values."""
+    values = dict(zip(SIGNALS, signals(flight).T, strict=True))
+    for x, y in PAIRS:
+        spans = [_span(values[x]), _span(values[y])]
+        count, _, _ = np.histogram2d(values[x], values[y], bins=CELLS, range=spans)
+        depth = np.log1p(count.T) / np.log1p(max(float(count.max()), 1.0))
+        depth[count.T == 0] = np.nan
+        chart = plain_figure(200, y, x_range=spans[0], y_range=spans[1])
+        chart.xaxis.axis_label = x
+        chart.xaxis.ticker.desired_num_ticks = 4
+        chart.image(
+            [depth.astype(np.float32)],
+            x=spans[0][0],
+            y=spans[1][0],
+            dw=spans[0][1] - spans[0][0],
+            dh=spans[1][1] - spans[1][0],
+            color_mapper=LinearColorMapper(Blues256[200::-1], nan_color="#ffffff00"),
+        )
+        spoken = f"How often {x} and {y} had which values."
+        yield Chart(f"coverage-{x}-{y}", f"{y} over {x}", chart, spoken, small=True)
+
+
+def _span(values: FloatArray) -> tuple[float, float]:
+    low, high = (float(v) for v in np.percentile(values, SHARE))
+    room = 0.05 * (high - low) or 1.0
+    return low - room, high + room
+
+
+def tells_delays_apart(residual: FloatArray) -> bool:
+    """Whether there is a curve to draw; `residual` as in `delay_rise`, or empty."""
+    if not len(residual) or not (residual > 0.0).all():
+        return False
+    return bool(delay_rise(residual)[0].max() > SMALLEST_RISE)
+
+
+def delay_rise(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return by how many percent, root mean square, residuals are above the least.
+
+    Parameters
+    ----------
+    residual : (J, 3) array
+        Residual sums of squares of pdot, qdot, rdot at J delays, positive.
+
+    Returns
+    -------
+    rows : (J, 3) array
+        Of each row.
+    together : (J,) array
+        Of all rows, by their geometric mean: what the estimate of the delay goes by.
+    """
+    root = np.sqrt(residual)
+    mean = np.exp(np.log(root).mean(axis=1))
+    return 100.0 * (root / root.min(axis=0) - 1.0), 100.0 * (mean / mean.min() - 1.0)
+
+
+def delay_chart(delays: FloatArray, residual: FloatArray, in_use: float, text: str) -> Chart:
+    """Return how well every delay of the inputs explains the flight.
+
+    Parameters
+    ----------
+    delays : (J,) array
+        Delays tried, s.
+    residual : (J, 3) array
+        Residual sums of squares of pdot, qdot, rdot with them, positive.
+    in_use : float
+        Delay that the identifier ended with, s.
+    text : str
+        The finding in words.
+    """
+    rows, together = delay_rise(residual)
+    top = max(min(1.05 * float(rows.max()), LARGEST_RISE), SMALLEST_RISE)
+    chart = plain_figure(230, "residual above its least [%]", y_range=(0.0, top))
+    chart.xaxis.axis_label = "delay [ms]"
+    lines = {**dict(zip(AXES, rows.T, strict=True)), "all": together}
+    _lines(chart, 1e3 * delays, lines, "delay [ms]")
+    chart.add_layout(
+        Span(dimension="height", location=1e3 * in_use, line_color=COLORS["ahead"], line_width=2)
+    )
+    return Chart(
+        "delay-curve",
+        "Residual over delay",
+        chart,
+        text,
+        "How much worse the equations of motion are met when the inputs are taken that much later. "
+        "A sharp valley is a known delay, a flat one is not. The orange line is the delay in use.",
+    )

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Charts over time with Bokeh: one range and one crosshair for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from bokeh.models import (
+    BoxZoomTool,
+    ColumnDataSource,
+    CrosshairTool,
+    HoverTool,
+    PanTool,
+    Range1d,
+    ResetTool,
+    SaveTool,
+    Span,
+    WheelZoomTool,
+)
+from bokeh.plotting import figure
+
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.report.style import COLORS
+
+LEFT = 64
+"""Room for the labels left of a chart, pixels: charts one below the other begin at one line."""
+
+WITH_BUTTONS = 200
+"""Height of a chart from which it has buttons, pixels; a lower one moves with it."""
+
+HEADROOM = 0.08
+"""Room beyond the values on an axis, relative to their range."""
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart on the page.
+
+    Parameters
+    ----------
+    identity : str
+        Unique on the page.
+    heading : str
+        What it shows.
+    model : Any
+        The Bokeh figure.
+    spoken : str
+        The chart in words, for those who listen.
+    caption : str
+        How to read it.
+    legend : tuple
+        Names, and the colours that stand for them.
+    small : bool
+        Whether several fit side by side.
+    """
+
+    identity: str
+    heading: str
+    model: Any
+    spoken: str
+    caption: str = ""
+    legend: tuple[tuple[str, str], ...] = ()
+    small: bool = False
+
+
+def columns(values: Mapping[str, Any]) -> ColumnDataSource:
+    """Return a source of numbers of single precision: half the size on the page."""
+    return ColumnDataSource(
+        {name: np.asarray(column, dtype=np.float32) for name, column in values.items()}
+    )
+
+
+def value_range(*values: FloatArray, least: float = 0.0) -> Range1d:
+    """Return a range that holds the finite ones of some values and is never narrower."""
+    every = np.concatenate([np.ravel(v) for v in values])
+    every = every[np.isfinite(every)]
+    low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 0.0)
+    room = max(HEADROOM * (high - low), least, 1e-9)
+    return Range1d(low - room, high + room)
+
+
+def plain_figure(height: int, unit: str = "", **options: Any) -> Any:
+    """Return an empty figure in the style of the page."""
+    result = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        min_border=2,
+        min_border_left=LEFT,
+        background_fill_color=None,
+        border_fill_color=None,
+        outline_line_color=None,
+        tools="",
+        **options,
+    )
+    result.toolbar.logo = None
+    result.toolbar.autohide = True
+    result.grid.grid_line_color = COLORS["grid"]
+    result.axis.axis_line_color = result.axis.major_tick_line_color = COLORS["muted"]
+    result.axis.minor_tick_line_color = None
+    result.axis.major_label_text_color = result.axis.axis_label_text_color = COLORS["ink"]
+    result.axis.axis_label_text_font_style = "normal"
+    result.axis.axis_label_standoff = 2
+    result.yaxis.axis_label = unit
+    if isinstance(result.y_range, Range1d):
+        result.yaxis.ticker.desired_num_ticks = 4
+    return result
+
+
+class Timeline:
+    """Makes charts that share their time axis.
+
+    Parameters
+    ----------
+    span : (float, float)
+        First and last time, s.
+    restarts : sequence of float
+        Where a new time base begins, s.
+    """
+
+    def __init__(self, span: tuple[float, float], restarts: Sequence[float]) -> None:
+        self.span = span
+        self._restarts = restarts
+        self._range = Range1d(*span, bounds=span)
+        self._cross = Span(
+            dimension="height", line_color=COLORS["muted"], line_dash="dashed", line_width=1
+        )
+
+    def figure(self, unit: str, height: int, **options: Any) -> Any:
+        """Return an empty chart over time that moves with all others."""
+        result = plain_figure(height, unit, x_range=self._range, **options)
+        pan, wheel = PanTool(dimensions="width"), WheelZoomTool(dimensions="width")
+        wheel.modifiers = {"ctrl": True}  # the bare wheel scrolls the page
+        result.add_tools(pan, BoxZoomTool(), wheel, ResetTool(), SaveTool())
+        result.add_tools(CrosshairTool(overlay=self._cross))
+        result.toolbar.active_drag, result.toolbar.active_scroll = pan, wheel
+        if height < WITH_BUTTONS:
+            result.toolbar_location = None
+        result.xaxis.axis_label = "time [s]"
+        result.min_border_right = 12
+        for restart in self._restarts:
+            result.add_layout(
+                Span(dimension="height", location=restart, line_dash="dotted", line_width=1)
+            )
+        return result
+
+    def line(
+        self, chart: Any, source: ColumnDataSource, column: str, color: str, **options: Any
+    ) -> None:
+        """Draw a column of a source over its column ``t``; the colour by its name."""
+        name = str(options.pop("name", column))
+        drawn = chart.line("t", column, source=source, name=name, color=COLORS[color], **options)
+        chart.add_tools(
+            HoverTool(
+                renderers=[drawn],
+                mode="vline",
+                tooltips=[("time", "@t{0.00} s"), (name, f"@{{{column}}}{{0.0000}}")],
+                visible=False,
+            )
+        )
