@@ -31,10 +31,12 @@ from uav_ident_ros.client import (
     AttitudeModel,
     Coefficients,
     CoefficientSource,
+    Excitation,
     Fallback,
     History,
     Refusal,
     subscribe,
+    subscribe_excitation,
 )
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.node.ending import Ending
@@ -65,6 +67,7 @@ PARAMETERS: dict[str, Any] = {
     "trim": [0.0, 0.0, 0.0, 0.0],  # elevator, rudder, aileron, throttle
     "least": [-0.4, -0.25, -0.25, 0.0],
     "largest": [0.4, 0.25, 0.25, 1.0],
+    "excitation_limit": [0.0, 0.0, 0.0, 0.0],  # largest that is ever added to de dr da dth
     "delay": 0.02,  # s
     "coefficients_delay": 0.0,  # s; above 0.2 in lock-step with a simulation
     "reference_delay": 0.0,  # s; two samples in lock-step with a simulation
@@ -127,6 +130,17 @@ class RateLaw:
         self._commands.add(t_ns, u)
         return u
 
+    def inject(self, t_ns: int, u: FloatArray, excitation: FloatArray) -> FloatArray:
+        """Return the command `u` of `t_ns` with an excitation on top, within the limits.
+
+        The observer is told: what is injected is no disturbance.
+        """
+        if not excitation.any():
+            return u
+        u = np.clip(u + excitation, *self._limits)
+        self._commands.add(t_ns, u)
+        return u
+
 
 class ControllerExample(Node):
     """Rates and references in, commands out; one command for each Imu message."""
@@ -146,6 +160,8 @@ class ControllerExample(Node):
         )
         if not fixed:
             subscribe(self, self._source)
+        self._excitation = Excitation(value["excitation_limit"])
+        subscribe_excitation(self, self._excitation)
         self._references: History[FloatArray] = History()
         self._reference_delay_ns = round(value["reference_delay"] * 1e9)
         self._reported = (0, "")
@@ -172,6 +188,7 @@ class ControllerExample(Node):
         try:
             model = self._source.model(t_ns)
             u = self._law.update(t_ns, model, x, np.zeros(3) if reference is None else reference)
+            u = self._law.inject(t_ns, u, self._excitation.at(t_ns))
             why = self._source.refusal(t_ns)
             self._report(message.header, model.source, why, model)
         except Refusal as refusal:

@@ -41,14 +41,14 @@ def estimate(
 
 def started(settings: ExcitationSettings = SETTINGS) -> ExcitationRun:
     run = ExcitationRun(STRUCTURE)
-    assert run.start(T0_NS, settings, LEVEL) == ""
+    assert run.start(settings, LEVEL, estimate(T0_NS)) == ""
     return run
 
 
 def flown(run: ExcitationRun, ticks: int, flying: Flying = LEVEL) -> list[Asked | None]:
     """Step through so many ticks after the start."""
     steps = (T0_NS + (k + 1) * TICK_NS for k in range(ticks))
-    return [run.step(t_ns, flying, estimate(t_ns)) for t_ns in steps]
+    return [run.step(flying, estimate(t_ns)) for t_ns in steps]
 
 
 def values(asked: list[Asked | None]) -> np.ndarray:
@@ -112,8 +112,8 @@ def test_a_doublets_spectrum_is_highest_in_mid_band() -> None:
 
 def test_a_run_goes_from_nothing_over_the_signal_to_zero_and_silence() -> None:
     run = ExcitationRun(STRUCTURE)
-    assert run.step(T0_NS, LEVEL, estimate(T0_NS)) is None  # silent before
-    assert run.start(T0_NS, SETTINGS, LEVEL) == ""
+    assert run.step(LEVEL, estimate(T0_NS)) is None  # silent before
+    assert run.start(SETTINGS, LEVEL, estimate(T0_NS)) == ""
     asked = flown(run, 440)
     lead_ns = round(SETTINGS.lead * 1e9)
     design = ProgrammedInput(SETTINGS)
@@ -142,7 +142,7 @@ def test_an_abort_asks_for_zero_from_now_on_whatever_the_state(ticks: int) -> No
     asked = run.abort(now_ns, "aborted: asked for")
     assert asked.t_ns == now_ns and not asked.values.any()
     assert run.phase is Phase.IDLE and run.why == "aborted: asked for"
-    after = [run.step(now_ns + k * TICK_NS, LEVEL, estimate(0)) for k in range(1, 30)]
+    after = [run.step(LEVEL, estimate(now_ns + k * TICK_NS)) for k in range(1, 30)]
     assert not values(after).any()
     assert after[-1] is None
 
@@ -164,34 +164,37 @@ def test_beyond_a_limit_it_does_not_start_and_a_run_ends_at_once(
     flying: Flying, named: str
 ) -> None:
     settings = replace(SETTINGS, min_airspeed=15.0, max_airspeed=25.0)
-    assert named in ExcitationRun(STRUCTURE).start(T0_NS, settings, flying)
+    assert named in ExcitationRun(STRUCTURE).start(settings, flying, estimate(T0_NS))
     run = started(settings)
     flown(run, 100)
     t_ns = T0_NS + 101 * TICK_NS
-    asked = run.step(t_ns, flying, estimate(t_ns))
+    asked = run.step(flying, estimate(t_ns))
     assert asked is not None
     assert asked.t_ns == t_ns and not asked.values.any()
     assert run.why.startswith("aborted: ") and named in run.why
 
 
 @pytest.mark.parametrize("state", ["waiting", "fault"])
-def test_without_its_inputs_a_run_ends_at_once(state: str) -> None:
+def test_without_its_inputs_it_does_not_start_and_a_run_ends_at_once(state: str) -> None:
+    waiting = estimate(T0_NS, state=state)
+    said = ExcitationRun(STRUCTURE).start(SETTINGS, LEVEL, waiting)
+    assert said == f"{state}: why it waits"
     run = started()
-    asked = run.step(T0_NS + TICK_NS, LEVEL, estimate(T0_NS + TICK_NS, state=state))
+    asked = run.step(LEVEL, estimate(T0_NS + TICK_NS, state=state))
     assert asked is not None and not asked.values.any()
     assert run.why == f"aborted: {state}: why it waits"
 
 
 def test_what_is_not_known_of_the_flight_is_no_limit() -> None:
-    assert ExcitationRun(STRUCTURE).start(T0_NS, SETTINGS, Flying(np.zeros(3))) == ""
+    assert ExcitationRun(STRUCTURE).start(SETTINGS, Flying(np.zeros(3)), estimate(T0_NS)) == ""
 
 
 def test_a_start_that_cannot_be_says_why() -> None:
-    assert "going on" in started().start(T0_NS, SETTINGS, LEVEL)
+    assert "going on" in started().start(SETTINGS, LEVEL, estimate(T0_NS))
     still = replace(SETTINGS, amplitude=(0.0,) * 4)
-    assert "'excitation.amplitude'" in ExcitationRun(STRUCTURE).start(T0_NS, still, LEVEL)
+    assert "'excitation.amplitude'" in ExcitationRun(STRUCTURE).start(still, LEVEL, estimate(T0_NS))
     narrow = replace(SETTINGS, band=(1.0, 1.2))
-    assert "'excitation.band'" in ExcitationRun(STRUCTURE).start(T0_NS, narrow, LEVEL)
+    assert "'excitation.band'" in ExcitationRun(STRUCTURE).start(narrow, LEVEL, estimate(T0_NS))
 
 
 @pytest.mark.parametrize(
@@ -217,7 +220,7 @@ def test_it_fades_out_when_everything_is_known_but_not_before_a_period() -> None
     asked: list[Asked | None] = []
     for k in range(1, 400):
         t_ns = T0_NS + k * TICK_NS
-        asked.append(run.step(t_ns, LEVEL, estimate(t_ns, ratio=100.0)))
+        asked.append(run.step(LEVEL, estimate(t_ns, ratio=100.0)))
         if not run.active:
             break
     period = ProgrammedInput(settings).period
@@ -233,7 +236,7 @@ def test_it_goes_on_to_the_end_if_that_is_wanted() -> None:
     run = started(replace(SETTINGS, min_t_ratio=0.0))
     for k in range(1, 399):
         t_ns = T0_NS + k * TICK_NS
-        run.step(t_ns, LEVEL, estimate(t_ns, ratio=100.0))
+        run.step(LEVEL, estimate(t_ns, ratio=100.0))
     assert run.active
 
 
@@ -243,7 +246,7 @@ def test_the_time_until_known_follows_from_what_the_run_teaches() -> None:
     before, gain = 4.0, 0.5  # t-ratio squared at the start, and per second
     for k in range(1, 201):
         t_ns = T0_NS + k * TICK_NS
-        run.step(t_ns, LEVEL, estimate(t_ns, ratio=np.sqrt(before + gain * k * 0.05)))
+        run.step(LEVEL, estimate(t_ns, ratio=np.sqrt(before + gain * k * 0.05)))
     assert run.sufficiency is not None
     known_at = (SETTINGS.min_t_ratio**2 - before) / gain
     assert run.sufficiency.time_left == pytest.approx(known_at - 10.0, rel=1e-6)
@@ -259,7 +262,7 @@ def test_what_is_next_to_nothing_need_not_be_told_from_nothing() -> None:
     for value, sigma, known in ((0.1, 0.5, True), (0.1, 1.5, False)):
         coefficients, sigmas = sharp.coefficients.copy(), sharp.sigma.copy()
         coefficients[row, column], sigmas[row, column] = value, sigma
-        run.step(t_ns, LEVEL, replace(sharp, coefficients=coefficients, sigma=sigmas))
+        run.step(LEVEL, replace(sharp, coefficients=coefficients, sigma=sigmas))
         assert run.sufficiency is not None
         assert (run.sufficiency.unknown == ()) is known
     assert run.sufficiency.effects["da"] == ("pdot/da", 10.0, pytest.approx(0.1))

@@ -14,6 +14,7 @@ from uav_ident_ros.identification.programmed_input import ProgrammedInput
 from uav_ident_ros.identification.settings import ExcitationSettings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray, Structure
 from uav_ident_ros.identification.sufficiency import Sufficiency
+from uav_ident_ros.identification.supervision import State
 from uav_ident_ros.identification.waveforms import WaveformError
 
 ZERO_TIME_NS = 500_000_000
@@ -133,32 +134,32 @@ class ExcitationRun:
         """Time until the run ends by itself at the latest, s; 0 while there is none."""
         return self._input.duration - self.elapsed if self._input and self.active else 0.0
 
-    def start(self, t_ns: int, settings: ExcitationSettings, flying: Flying) -> str:
-        """Begin a run; return why that cannot be, or an empty word.
+    def start(self, settings: ExcitationSettings, flying: Flying, estimate: Estimate) -> str:
+        """Begin a run after a tick; return why that cannot be, or an empty word.
 
         Parameters
         ----------
-        t_ns : int
-            Message time, ns.
         settings : ExcitationSettings
             They hold for the whole run.
         flying : Flying
             What is known of the flight.
+        estimate : Estimate
+            The estimate of the tick.
         """
         if self.active:
             return f"a run is going on, for {self.elapsed:.0f} s"
         if not any(settings.amplitude):
             return "'excitation.amplitude' is 0 for every input: nothing would move"
-        beyond = flying.beyond(settings)
-        if beyond:
-            return beyond
+        problem = _problem(settings, flying, estimate)
+        if problem:
+            return problem
         try:
             self._input = ProgrammedInput(settings)
         except WaveformError as error:
             return f"'excitation.band': {error}"
         self._settings = settings
         self._lead_ns = round(settings.lead * 1e9)
-        self._now_ns, self._start_ns = t_ns, t_ns + self._lead_ns
+        self._now_ns, self._start_ns = estimate.t_ns, estimate.t_ns + self._lead_ns
         names = self._input.names
         self.sufficiency = Sufficiency(self._structure, names, settings.min_t_ratio or math.inf)
         self.phase, self.why, self._zeros_until_ns = Phase.RUNNING, "", None
@@ -172,25 +173,22 @@ class ExcitationRun:
         self._zeros_until_ns = t_ns + ZERO_TIME_NS
         return Asked(t_ns, np.zeros(len(INPUTS)))
 
-    def step(self, t_ns: int, flying: Flying, estimate: Estimate) -> Asked | None:
+    def step(self, flying: Flying, estimate: Estimate) -> Asked | None:
         """Return what to ask for at a tick; None where silence is right.
 
         Parameters
         ----------
-        t_ns : int
-            Message time of the tick, ns.
         flying : Flying
             What is known of the flight.
         estimate : Estimate
             The estimate of the tick.
         """
+        t_ns = estimate.t_ns
         if not self.active:
             return self._zero(t_ns)
         assert self._input is not None and self.sufficiency is not None
         self._now_ns = t_ns
-        problem = flying.beyond(self._settings)
-        if estimate.state in ("waiting", "fault"):
-            problem = f"{estimate.state}: {estimate.reason}"
+        problem = _problem(self._settings, flying, estimate)
         if problem:
             return self.abort(t_ns, f"aborted: {problem}")
         self.sufficiency.update(t_ns, estimate.coefficients, estimate.sigma)
@@ -228,3 +226,10 @@ class ExcitationRun:
         unknown = ", ".join(self.sufficiency.unknown)
         known = f"not known yet: {unknown}" if unknown else "everything is known"
         return f"complete; {known}"
+
+
+def _problem(settings: ExcitationSettings, flying: Flying, estimate: Estimate) -> str:
+    """Return why nothing must be injected now; empty if there is no reason."""
+    if estimate.state in (State.WAITING, State.FAULT):
+        return f"{estimate.state}: {estimate.reason}"
+    return flying.beyond(settings)

@@ -53,7 +53,8 @@ class Excite:
         self._publisher = node.create_publisher(JointState, "~/excitation", RELIABLE)
         self._run = ExcitationRun(identifier.structure)
         self._own = True
-        self._ticked_ns = 0
+        self._ticked_ns = 0  # by the node's clock
+        self._estimate: Estimate | None = None
 
     def on_request(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Start a run, or abort it."""
@@ -69,8 +70,8 @@ class Excite:
         return response
 
     def _start(self) -> str:
-        t_ns = self._identifier.newest_ns
-        if t_ns is None or self._now_ns() - self._ticked_ns > STALE_NS:
+        estimate = self._estimate
+        if estimate is None or self._now_ns() - self._ticked_ns > STALE_NS:
             return "there are no ticks: rates or actuators do not arrive"
         settings, rate = self._identifier.settings.excitation, self._identifier.settings.update_rate
         needed = max(LOWEST_RATE, SAMPLES_PER_CYCLE * settings.band[1])
@@ -80,13 +81,13 @@ class Excite:
                 f"('excitation.band') need {needed:g} Hz"
             )
         self._own = not self._told()
-        return self._run.start(t_ns, settings, self._identifier.flying())
+        return self._run.start(settings, self._identifier.flying(), estimate)
 
     def tick(self, estimate: Estimate) -> None:
         """Publish what is asked for after a tick."""
-        self._ticked_ns = self._now_ns()
+        self._ticked_ns, self._estimate = self._now_ns(), estimate
         before = self._run.active
-        asked = self._run.step(estimate.t_ns, self._identifier.flying(), estimate)
+        asked = self._run.step(self._identifier.flying(), estimate)
         if asked is not None:
             self._publish(asked)
         if before and not self._run.active:

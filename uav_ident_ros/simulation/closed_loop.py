@@ -61,6 +61,8 @@ class Loop:
         Whether the controller heeds ``verdict/usable``, or each coefficient's sigma alone.
     cold : bool
         Whether the identifier starts without initial coefficients.
+    excite : float
+        When excitation is asked for, s; inf for never.
     seed : int
         Seed of noise, gusts and manoeuvres.
     lock_step : bool
@@ -78,6 +80,7 @@ class Loop:
     mode: str = "adaptive"
     heed_verdict: bool = True
     cold: bool = False
+    excite: float = math.inf
     seed: int = 0
     lock_step: bool = True
     files: Path = CONFIG
@@ -108,6 +111,7 @@ class Loop:
                 "duration": str(float(self.duration)),
                 "seed": str(self.seed),
                 "lock_step": in_step,
+                "excite_at": f"{self.excite}" if math.isfinite(self.excite) else ".inf",
                 "faults": "[" + ", ".join(f"'{text}'" for text in (*self.faults, "")) + "]",
                 "record_file": str(record),
             },
@@ -266,13 +270,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="act on the newest coefficients, each as far as its sigma allows",
     )  # fmt: skip
     parser.add_argument("--cold", action="store_true", help="no initial coefficients")
+    parser.add_argument(
+        "--excite", type=float, default=math.inf, metavar="S",
+        help="ask for excitation at S, s (docs/excitation.md)",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--real-time", action="store_true", help="with the wall clock, not in step")
     parser.add_argument("--output", type=Path, help="folder for the logs and the record")
     options = parser.parse_args(arguments)
     loop = Loop(
         options.duration, tuple(options.fault), options.mode, not options.ignore_verdict,
-        options.cold, options.seed, not options.real_time,
+        options.cold, options.excite, options.seed, not options.real_time,
     )  # fmt: skip
     try:
         times = [parse_fault(text).time for text in loop.faults]

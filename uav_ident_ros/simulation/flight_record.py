@@ -20,17 +20,24 @@ class FlightRecord:
     In the archive are, one row for each Imu sample, ``time`` (s), ``rates`` (true), ``measured``
     (gyro), ``reference`` (all p, q, r in rad/s, FRD; NaN before the first reference),
     ``attitude`` (roll, pitch, yaw, rad), ``outputs`` and ``surfaces`` (elevator, rudder, aileron
-    in rad, throttle); one row for each estimate that arrived, ``tick`` (s), ``values`` and
-    ``sigma`` (by ``names``), ``fit`` and ``usable``.
+    in rad, throttle), ``excitation`` (de, dr, da, dth that were asked for); one row for each
+    estimate that arrived, ``tick`` (s), ``values`` and ``sigma`` (by ``names``), ``fit`` and
+    ``usable``.
     """
 
-    samples: list[tuple[Sample, FloatArray, FloatArray]] = field(default_factory=list)
+    samples: list[tuple[Sample, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
     estimates: list[tuple[float, Coefficients]] = field(default_factory=list)
 
-    def add(self, sample: Sample, outputs: FloatArray, reference: FloatArray | None) -> None:
-        """Keep a sample, the actuators' answer to it and the reference of that time."""
+    def add(
+        self,
+        sample: Sample,
+        outputs: FloatArray,
+        reference: FloatArray | None,
+        excitation: FloatArray,
+    ) -> None:
+        """Keep a sample, the actuators' answer to it, and what was asked for at that time."""
         wanted = np.full(3, np.nan) if reference is None else reference
-        self.samples.append((sample, outputs, wanted))
+        self.samples.append((sample, outputs, wanted, excitation))
 
     def add_estimate(self, time: float, coefficients: Coefficients) -> None:
         """Keep an estimate of `time` (s)."""
@@ -45,13 +52,14 @@ class FlightRecord:
             If it cannot be written.
         """
         columns = {
-            "time": [s.time for s, _, _ in self.samples],
-            "rates": [s.rates for s, _, _ in self.samples],
-            "measured": [s.measured_rates for s, _, _ in self.samples],
-            "attitude": [s.attitude for s, _, _ in self.samples],
-            "surfaces": [s.surfaces for s, _, _ in self.samples],
-            "outputs": [outputs for _, outputs, _ in self.samples],
-            "reference": [reference for _, _, reference in self.samples],
+            "time": [s.time for s, *_ in self.samples],
+            "rates": [s.rates for s, *_ in self.samples],
+            "measured": [s.measured_rates for s, *_ in self.samples],
+            "attitude": [s.attitude for s, *_ in self.samples],
+            "surfaces": [s.surfaces for s, *_ in self.samples],
+            "outputs": [outputs for _, outputs, _, _ in self.samples],
+            "reference": [reference for _, _, reference, _ in self.samples],
+            "excitation": [excitation for *_, excitation in self.samples],
             "tick": [time for time, _ in self.estimates],
             "usable": [c.usable for _, c in self.estimates],
             "fit": [c.fit for _, c in self.estimates],

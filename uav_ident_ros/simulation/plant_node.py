@@ -26,8 +26,16 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header, String
+from std_srvs.srv import SetBool
 
-from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback, subscribe
+from uav_ident_ros.client import (
+    Coefficients,
+    CoefficientSource,
+    Excitation,
+    Fallback,
+    subscribe,
+    subscribe_excitation,
+)
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import run
@@ -56,6 +64,11 @@ identifier's timer may have fired just before the samples that it needed arrived
 CLOCK_AHEAD_NS = 100_000_000
 """How far /clock may get ahead of the Imu that way, ns: two periods of that timer."""
 
+TICK_NS = TICK_DUE_NS = 50_000_000
+"""Time between two ticks, and how far behind the newest Imu sample one must lie to be due, ns."""
+
+UNLIMITED = [math.inf] * 4
+
 RELIABLE = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 
 PARAMETERS: dict[str, Any] = {
@@ -69,6 +82,7 @@ PARAMETERS: dict[str, Any] = {
     "seed": 0,
     "duration": 0.0,  # s; 0 for ever
     "lock_step": True,
+    "excite_at": math.inf,  # s; when to ask the identifier to excite the aircraft
     "faults": [""],  # as in uav_ident_ros/simulation/faults.py, with times
     "wait_for_identifier": True,  # in step: for its coefficients too
     "wait_for_reference": False,  # in step, before the first sample: for a rate_reference
@@ -123,6 +137,7 @@ class PlantNode(Node):
         self._identifier_silent = not self._value("wait_for_identifier")
         self._controller_silent = False
         self.missed = 0
+        self._excite_at: float = self._value("excite_at")
         self._connect()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
@@ -141,7 +156,10 @@ class PlantNode(Node):
         self.create_subscription(JointState, "command", self._on_command, RELIABLE)
         self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, RELIABLE)
         self.create_subscription(String, "~/fault", self._on_fault, RELIABLE)
+        self._excite = self.create_client(SetBool, "identifier/excite")
         subscribe(self, CoefficientSource(Fallback.REFUSE), callback=self._on_coefficients)
+        self._asked = Excitation(UNLIMITED)
+        subscribe_excitation(self, self._asked)
 
     # -- messages in -----------------------------------------------------------------------
 
@@ -217,7 +235,9 @@ class PlantNode(Node):
         self._imu.publish(_imu_message(self._now_ns, sample))
         if self._lock_step:
             self._wait_for_answers()
+            self._excite_if_due()
         else:
+            self._excite_if_due()
             self._spin_until(began + (self._now_ns + self._period_ns - self._start_ns) / NS_PER_S)
         self._answer(sample)
         for fault in self._aircraft.advance():
@@ -238,7 +258,23 @@ class PlantNode(Node):
                 position=outputs.tolist(),
             )
         )
-        self._record.add(sample, outputs, self._reference[1] if self._reference else None)
+        reference = self._reference[1] if self._reference else None
+        self._record.add(sample, outputs, reference, self._asked.at(self._now_ns))
+
+    def _excite_if_due(self) -> None:
+        """Ask the identifier for excitation, once; in step, at the same tick in every flight."""
+        if self._aircraft.time < self._excite_at:
+            return
+        self._excite_at = math.inf
+        if self._lock_step:
+            self._wait_for_coefficients((self._now_ns - TICK_DUE_NS) // TICK_NS * TICK_NS)
+        answer = self._excite.call_async(SetBool.Request(data=True))
+        answer.add_done_callback(lambda future: self._say_answer(future.result()))
+        if self._lock_step and not self._wait(answer.done, PATIENCE):
+            self.get_logger().error(f"excite: no answer within {PATIENCE:g} s")
+
+    def _say_answer(self, answer: Any) -> None:
+        self.get_logger().info(f"excite at {self._aircraft.time:.2f} s: {answer.message}")
 
     # -- waiting ---------------------------------------------------------------------------
 

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Excitation in the closed loop: a controller adds it, and stops when nobody asks any more."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from node_process import StartNode
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool
+from test_closed_loop import SHORT, fly
+
+from uav_ident_ros.client import Excitation, subscribe_excitation
+from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
+from uav_ident_ros.player import to_stamp
+from uav_ident_ros.simulation.closed_loop import tracking_error
+
+SURFACES = ["elevator", "rudder", "aileron", "throttle"]
+PERIOD_NS = 10_000_000
+START_UP = 60.0
+"""Seconds that a node may take to fly, on any machine."""
+
+
+class Controller:
+    """A controller that does nothing but to add what it is asked to, on the wall clock."""
+
+    def __init__(self) -> None:
+        self._context = Context()
+        self._context.init(args=[])
+        self.node = Node("controller", context=self._context, use_global_arguments=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._imu = self.node.create_publisher(Imu, "imu/data", 50)
+        self._actuators = self.node.create_publisher(JointState, "actuators", 50)
+        self.excitation = Excitation(limit=[0.1] * 4)
+        subscribe_excitation(self.node, self.excitation)
+        self.added: list[tuple[int, bool]] = []
+        """When something else than zero was added, ns, and when not."""
+        self._next_ns = time.time_ns()
+
+    def fly_one_sample(self) -> None:
+        """Publish a sample of quiet flight, and see what is to be added to the answer."""
+        self._next_ns += PERIOD_NS
+        while (left := (self._next_ns - time.time_ns()) * 1e-9) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+        self._executor.spin_once(timeout_sec=0.0)
+        header = Header(stamp=to_stamp(self._next_ns))
+        imu = Imu(header=header)
+        imu.linear_acceleration.z = 9.81
+        imu.angular_velocity.x = 0.01 * float(np.sin(self._next_ns * 1e-9))
+        self._imu.publish(imu)
+        asked = self.excitation.at(self._next_ns)
+        self.added.append((self._next_ns, bool(asked.any())))
+        self._actuators.publish(JointState(header=header, name=SURFACES, position=asked.tolist()))
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+
+def test_a_killed_node_leaves_the_controller_at_zero(start_node: StartNode) -> None:
+    node = start_node(
+        parameters={
+            "actuators.type": "sensor_msgs/msg/JointState",
+            "actuators.channels": str(SURFACES),
+            "state_file": "none",
+            "excitation.fade_time": "0.0",
+        }
+    )
+    controller = Controller()
+    try:
+        client = controller.node.create_client(SetBool, "identifier/excite")
+        end = time.monotonic() + START_UP
+        future = None
+        while future is None or not future.done() or not future.result().success:
+            assert time.monotonic() < end, node.log
+            if client.service_is_ready() and (future is None or future.done()):
+                future = client.call_async(SetBool.Request(data=True))
+            controller.fly_one_sample()
+        while sum(on for _, on in controller.added) < 50:
+            assert time.monotonic() < end, node.log
+            controller.fly_one_sample()
+        node.process.kill()
+        node.process.wait()
+        killed_ns = time.time_ns()
+        for _ in range(100):
+            controller.fly_one_sample()
+    finally:
+        controller.close()
+    last_ns = max(t for t, on in controller.added if on)
+    longest = Settings().excitation.lead + EXCITATION_TIMEOUT
+    assert last_ns <= killed_ns + round(longest * 1e9)
+    assert not any(on for _, on in controller.added[-20:])
+
+
+def test_excitation_goes_through_the_loop(tmp_path: Path) -> None:
+    pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
+    plain, _ = fly(replace(SHORT, mode="fixed"), tmp_path / "plain")
+    record, logs = fly(replace(SHORT, mode="fixed", excite=4.0), tmp_path / "excited")
+    assert "excitation is running" in logs["simulated_plant"]
+    assert not plain["excitation"].any()
+    asked = record["excitation"]
+    started = float(record["time"][asked.any(axis=1)][0])
+    assert 4.0 < started < 5.0
+    before = record["time"] < started
+    np.testing.assert_array_equal(record["outputs"][before], plain["outputs"][before])
+    answer = (record["outputs"] - plain["outputs"])[:, :3]
+    for k in range(3):  # the feedback answers what it sees of it, no more
+        share = float(asked[:, k] @ answer[:, k] / (asked[:, k] @ asked[:, k]))
+        assert 0.5 < share < 1.5
+    assert tracking_error(record, 6.0, 12.0).max() < 10.0
