@@ -62,7 +62,7 @@ class Loop:
     cold : bool
         Whether the identifier starts without initial coefficients.
     excite : float
-        When excitation is asked for, s; inf for never.
+        When excitation is asked for, s; 0 for never.
     seed : int
         Seed of noise, gusts and manoeuvres.
     lock_step : bool
@@ -80,7 +80,7 @@ class Loop:
     mode: str = "adaptive"
     heed_verdict: bool = True
     cold: bool = False
-    excite: float = math.inf
+    excite: float = 0.0
     seed: int = 0
     lock_step: bool = True
     files: Path = CONFIG
@@ -111,7 +111,7 @@ class Loop:
                 "duration": str(float(self.duration)),
                 "seed": str(self.seed),
                 "lock_step": in_step,
-                "excite_at": f"{self.excite}" if math.isfinite(self.excite) else ".inf",
+                "excite_at": str(float(self.excite)),
                 "faults": "[" + ", ".join(f"'{text}'" for text in (*self.faults, "")) + "]",
                 "record_file": str(record),
             },
@@ -271,7 +271,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("--cold", action="store_true", help="no initial coefficients")
     parser.add_argument(
-        "--excite", type=float, default=math.inf, metavar="S",
+        "--excite", type=float, default=0.0, metavar="S",
         help="ask for excitation at S, s (docs/excitation.md)",
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0)

@@ -82,7 +82,7 @@ PARAMETERS: dict[str, Any] = {
     "seed": 0,
     "duration": 0.0,  # s; 0 for ever
     "lock_step": True,
-    "excite_at": math.inf,  # s; when to ask the identifier to excite the aircraft
+    "excite_at": 0.0,  # s; when to ask the identifier to excite the aircraft; 0 for never
     "faults": [""],  # as in uav_ident_ros/simulation/faults.py, with times
     "wait_for_identifier": True,  # in step: for its coefficients too
     "wait_for_reference": False,  # in step, before the first sample: for a rate_reference
@@ -137,7 +137,7 @@ class PlantNode(Node):
         self._identifier_silent = not self._value("wait_for_identifier")
         self._controller_silent = False
         self.missed = 0
-        self._excite_at: float = self._value("excite_at")
+        self._excite_at: float = self._value("excite_at") or math.inf
         self._connect()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
