@@ -263,7 +263,11 @@ def report(outcomes: Sequence[Outcome]) -> str:
         if kind == "mistakes":
             lines += [
                 f"{'':14} {o.name}: "
-                + ("not named" if not o.named <= NAMED_WITHIN else f"named at {o.named:.1f} s")
+                + (
+                    f"named at {o.named:.1f} s"
+                    if o.named <= NAMED_WITHIN
+                    else f"not named within {NAMED_WITHIN:g} s, but at {o.named:.1f} s"
+                )
                 for o in own
             ]
     lines.append(_line("all", outcomes))

@@ -316,6 +316,86 @@ def _closed_loop(seed: int, length: float) -> list[Trial]:
     ]  # fmt: skip
 
 
+def _turned(matrix: Sequence[Sequence[float]], measured: Measurements) -> Measurements:
+    """Mount the Imu otherwise: what it measures in the axes that `matrix` gives it."""
+    turn = np.array(matrix)
+    return replace(
+        measured,
+        rates=measured.rates @ turn.T,
+        specific_force=measured.specific_force @ turn.T,
+    )
+
+
+def _scaled(rates: float, force: float, measured: Measurements) -> Measurements:
+    """Tell the Imu's signals in other units."""
+    return replace(
+        measured, rates=rates * measured.rates, specific_force=force * measured.specific_force
+    )
+
+
+def _swapped(measured: Measurements) -> Measurements:
+    """Swap the rudder's channel and the aileron's."""
+    return replace(measured, actuators=measured.actuators[:, [0, 2, 1, 3]])
+
+
+def _two_publishers(measured: Measurements) -> Measurements:
+    """Let a second program publish trim, at the same rate."""
+    half = np.diff(measured.actuator_t_ns)[0] // 2
+    both = np.repeat(measured.actuators, 2, axis=0)
+    both[1::2] = measured.channel_trim
+    t_ns = np.repeat(measured.actuator_t_ns, 2)
+    t_ns[1::2] += half
+    return replace(measured, actuators=both, actuator_t_ns=t_ns, actuator_log_ns=t_ns)
+
+
+def _weightless(measured: Measurements) -> Measurements:
+    """Take the mean, which is nearly gravity, out of the specific force."""
+    force = measured.specific_force
+    return replace(measured, specific_force=force - force.mean(axis=0))
+
+
+def _pulses(measured: Measurements) -> Measurements:
+    return replace(measured, actuators=1500.0 + 500.0 * measured.actuators)
+
+
+Spoil = Callable[[Measurements], Measurements]
+MISTAKES: Sequence[tuple[str, Spoil | None, dict[str, Any], str]] = (
+    ("imu.convention frd for flu", None, {"imu.convention": "frd"}, "imu.convention 'flu' would"),
+    ("board upside down", partial(_turned, np.diag([1.0, -1.0, -1.0])), {}, "3.14, 0.00, yaw"),
+    ("board pitched by 90 deg", partial(_turned, [[0, 0, -1], [0, 1, 0], [1, 0, 0]]), {}, "1.57"),
+    ("gyro in deg/s", partial(_scaled, 57.3, 1.0), {}, "to rad/s"),
+    ("accelerometer in g", partial(_scaled, 1.0, 1.0 / 9.80665), {}, "looks like g"),
+    ("gravity taken out of the force", _weightless, {}, "taken out"),
+    ("rudder and aileron swapped", _swapped, {}, "swapped"),
+    ("two publishers", _two_publishers, {}, "two publishers"),
+    ("trim in degrees", None, {"actuators.trim": [2.0, -1.0, 1.5, 0.5]}, "in degrees"),
+    ("pulse widths without trim", _pulses, {"actuators.trim": []}, "microseconds"),
+    ("aileron reversed", None, {"actuators.mixing.da": [0.0, 0.0, -1.0, 0.0],
+     "supervision.expected_signs": ["+pdot/da", "-qdot/de", "-rdot/dr"]}, "wrong way round"),
+)  # fmt: skip
+"""Mistakes in how the signals are read: what was done, to the measurements, to the settings, and
+what has to be said of it."""
+
+
+def _mistakes(seed: int, length: float) -> list[Trial]:
+    """Excited flights with one mistake each."""
+    return [
+        Trial(
+            "mistakes",
+            f"{aircraft}, {name}",
+            seed,
+            partial(
+                _fly, aircraft, seed, excitation=((0.0, 1e3),), bank=20.0, wind=wind,
+                duration=length * 60.0, spoil=spoil,
+            ),
+            settings,
+            names=told,
+        )
+        for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 0))
+        for name, spoil, settings, told in MISTAKES
+    ]  # fmt: skip
+
+
 CLASSES: dict[str, Callable[[int, float], list[Trial]]] = {
     "feedback": _feedback,
     "old_knowledge": _old_knowledge,
@@ -324,6 +404,7 @@ CLASSES: dict[str, Callable[[int, float], list[Trial]]] = {
     "glitch": _glitch,
     "clean": _clean,
     "closed_loop": _closed_loop,
+    "mistakes": _mistakes,
 }
 """Flights of each class: from seed and relative length."""
 

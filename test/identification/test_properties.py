@@ -537,6 +537,9 @@ def value_of(setting: Setting, channels: int, structure: str) -> st.SearchStrate
     if setting.name == "fixed_coefficients":
         known = st.sampled_from(STRUCTURES[structure].names)
         return st.lists(known, unique=True).map(tuple)
+    if setting.name == "supervision.expected_signs":
+        known = st.sampled_from([s + name for s in "+-" for name in STRUCTURES[structure].names])
+        return st.lists(known, unique=True).map(tuple)
     if setting.type == "float[]":
         return st.sampled_from(lengths).flatmap(
             lambda k: st.lists(number, min_size=k, max_size=k).map(tuple)

@@ -33,6 +33,7 @@ from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import IdentifiedModel
 from uav_ident_ros.identification.paper import BackwardDifference
+from uav_ident_ros.identification.plausibility import Finding, Plausibility
 from uav_ident_ros.identification.prior import Start, resumed, start_from
 from uav_ident_ros.identification.regression import Regression, StateVariableFilter
 from uav_ident_ros.identification.running_fit import RunningFit
@@ -164,6 +165,7 @@ class OnlineIdentifier:
         self.running_fit = RunningFit(self._model)
         self._saved: FloatArray | None = None
         self._supervisor.reset()
+        self._plausibility = Plausibility(self.settings)
         self.fault = ""
         self._learned_time = 0.0
         self.restart()
@@ -174,6 +176,7 @@ class OnlineIdentifier:
         self._speed.airspeed.clear()
         self._armed.clear()
         self._supervisor.restart()
+        self._plausibility.restart()
         self._guard.reset()
         self._filter: StateVariableFilter | None = None
         self._paper = BackwardDifference(self.structure)
@@ -211,6 +214,21 @@ class OnlineIdentifier:
     def changed(self) -> list[Change]:
         """Changes found in flight, the oldest first."""
         return list(self._supervisor.changed)
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What cannot be as the settings say, faults first."""
+        return self._plausibility.findings
+
+    @property
+    def noted(self) -> list[Finding]:
+        """All of the kind that was found since the start."""
+        return list(self._plausibility.noted.values())
+
+    @property
+    def accelerometer(self) -> bool | None:
+        """Whether there is an accelerometer; None before that is known."""
+        return self._plausibility.accelerometer
 
     # -- the delay of the inputs -----------------------------------------------------------
 
@@ -600,8 +618,13 @@ class OnlineIdentifier:
         new = int(rates.t.searchsorted(self._looked_ns, side="right"))
         if self.settings.filter.method == "backward_difference":
             new, raw = len(rates.t), raw[:0]  # the paper knows no gates on the signals
+        fresh = raw[self._sampler.raw_inputs.t[: len(raw)] > self._looked_ns]
         self._looked_ns = t_ns
         self._supervisor.look(t_ns * NS, rates.v[new:], raw, self._speed.newest)
+        if self.settings.supervision.plausibility:
+            self._plausibility.look(t_ns * NS, rates.v[new:], fresh)
+            fault = self._plausibility.signal_fault
+            self._supervisor.closed = fault or self._supervisor.closed
 
     def _filtered_tick(self) -> bool:
         """Learn from the blocks that this tick completes; return whether there were any."""
@@ -691,6 +714,8 @@ class OnlineIdentifier:
         coefficients = self._coefficients()
         sigma = self._estimator.sigma * self._speed.scale
         verdict = self._supervisor.judge(t_ns * NS, coefficients, sigma, self.running_fit)
+        if self.settings.supervision.plausibility:
+            self._plausibility.judge(coefficients, sigma)
         state, reason = self._waiting(fed) or self._supervisor.state(verdict)
         return Estimate(
             t_ns=t_ns,
@@ -700,14 +725,14 @@ class OnlineIdentifier:
             prediction_error=self._frame.to_imu(newest - predicted),
             fit=self.running_fit.fit.copy(),
             adapting=fed and bool(self._supervisor.learning.any()),
-            usable=verdict.usable and state is not State.FAULT,
+            usable=verdict.usable and state is not State.FAULT and not self._plausibility.doubted,
             state=state.value,
             reason=reason,
         )
 
     def _waiting(self, fed: bool) -> tuple[State, str] | None:
         """Return state word and reason while something is wrong or missing; None if not."""
-        fault = self.fault or self._estimator.problem
+        fault = self.fault or self._estimator.problem or self._plausibility.fault
         if fault:
             return State.FAULT, fault
         if not fed:

@@ -741,6 +741,18 @@ class SupervisionSettings:
         high=1000.0,
         read_only=False,
     )
+    plausibility: bool = _setting(
+        True,
+        "",
+        "Look for mistakes in units, axes, trim and channels, and learn nothing while there is "
+        "one. Switch it off for a vehicle that is no aeroplane on average, like a tail-sitter.",
+    )
+    expected_signs: tuple[str, ...] = _setting(
+        (),
+        "",
+        "Signs of control derivatives that are sure, like '+pdot/da': where the flight shows "
+        "another, a surface is connected the wrong way round, and nothing is usable.",
+    )
 
 
 @dataclass(frozen=True)
@@ -980,6 +992,13 @@ def _check_consistency(settings: Settings) -> None:
             "excitation.band",
             f"'excitation.band' is [{low:g}, {high:g}]: write the lower frequency first",
         )
+    for entry in settings.supervision.expected_signs:
+        if entry[:1] not in ("+", "-") or entry[1:] not in STRUCTURES[settings.structure].names:
+            raise SettingsError(
+                "supervision.expected_signs",
+                f"'supervision.expected_signs' has '{entry}': write + or - and a coefficient of "
+                f"structure '{settings.structure}', as in '+pdot/da'",
+            )
     if settings.filter.method == "backward_difference" and settings.airspeed.type:
         raise SettingsError(
             "airspeed.type",

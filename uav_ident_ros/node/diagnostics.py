@@ -195,4 +195,5 @@ def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
     yield "delay confidence", identifier.delay_confidence
     groups = identifier.collinear()
     yield "not told apart", "; ".join(", ".join(group) for group in groups) or "nothing"
+    yield "implausible", "; ".join(f.text for f in identifier.findings) or "nothing"
     yield "changed in flight", ", ".join(c.name for c in identifier.changed) or "nothing"

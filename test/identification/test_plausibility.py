@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mistakes in how the signals are read are named; what aircraft really do is none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification import plausibility
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.plausibility import Plausibility, coefficient_finding
+from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.light_aircraft import LightFlight, fly
+
+TICK = 0.05
+TRIM = (0.0, 0.0, 0.0, 0.5)
+
+
+class Signals:
+    """Rates, specific force and channels of a flight, FRD, free to be spoilt."""
+
+    def __init__(self, duration: float = 12.0, **spec: Any) -> None:
+        peaks = {"de": 0.05, "dr": 0.06, "da": 0.05, "dth": 0.1}
+        excitation = spec.pop("excitation", (Segment("multisine", amplitudes=peaks),))
+        flight = fly(LightFlight(excitation, duration, **{"bank": 20.0, "gust": 0.3, **spec}))
+        noise = np.random.default_rng(1)
+        self.t = flight.time[::2]
+        self.rates = flight.rates[::2] + 0.01 * noise.standard_normal((len(self.t), 3))
+        self.force = flight.specific_force[::2] + 0.1 * noise.standard_normal((len(self.t), 3))
+        self.actuator_t = (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9
+        self.raw = flight.channels()
+
+    def findings(self, **settings: Any) -> Mapping[str, float]:
+        """When what was found first, s, by name."""
+        looker = Plausibility(settings_of(**settings))
+        found: dict[str, float] = {}
+        for t in np.arange(TICK, self.t[-1], TICK):
+            new = (self.t > t - TICK) & (self.t <= t)
+            raw = self.raw[(self.actuator_t > t - TICK) & (self.actuator_t <= t)]
+            looker.look(t, np.hstack([self.rates[new], self.force[new]]), raw)
+            for finding in looker.findings:
+                found.setdefault(finding.name, float(t))
+        self.accelerometer = looker.accelerometer
+        return found
+
+
+def settings_of(**changes: Any) -> Settings:
+    values: dict[str, Any] = {
+        "imu.convention": "frd",
+        "actuators.channels": (0, 1, 2, 3),
+        "actuators.trim": TRIM,
+    }
+    values.update({name.replace("__", "."): value for name, value in changes.items()})
+    return Settings.from_values(values)
+
+
+def turned(signals: Signals, matrix: Any) -> Signals:
+    turn = np.array(matrix, dtype=float)
+    signals.rates, signals.force = signals.rates @ turn.T, signals.force @ turn.T
+    return signals
+
+
+def only(found: Mapping[str, float], name: str) -> None:
+    assert list(found) == [name]
+    assert found[name] <= 10.0
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        {},
+        {"excitation": (), "gust": 0.0, "bank": 0.0},
+        {"excitation": (), "gust": 2.0, "bank": 30.0, "duration": 40.0},
+        {"excitation": (), "bank": 60.0, "duration": 40.0},
+    ],
+    ids=["excited", "calm", "storm", "steep turns"],
+)
+def test_a_flight_raises_no_alarm(spec: dict[str, Any]) -> None:
+    signals = Signals(**spec)
+    assert signals.findings() == {}
+    assert signals.accelerometer
+
+
+def test_the_wrong_convention_is_named_with_the_right_one() -> None:
+    only(Signals().findings(imu__convention="flu"), "mounting")
+    looker = Plausibility(settings_of(imu__convention="flu"))
+    text = looker._better_mounting(np.array([0.0, 0.0, 1.0]))
+    assert text.startswith("imu.convention 'frd' would fit, not 'flu', or the board is mounted")
+    assert "[3.14, 0.00, yaw]" in text
+
+
+@pytest.mark.parametrize(
+    ("matrix", "rpy"),
+    [
+        (np.diag([1, -1, -1]), (math.pi, 0.0, 0.0)),
+        ([[0, 0, -1], [0, 1, 0], [1, 0, 0]], (0.0, math.pi / 2, 0.0)),
+        ([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], (0.0, -math.pi / 2, 0.0)),
+        ([[1, 0, 0], [0, 0, 1], [0, -1, 0]], (math.pi / 2, 0.0, 0.0)),
+    ],
+    ids=["upside down", "x down", "x up", "on its side"],
+)
+def test_a_board_mounted_otherwise_is_named_with_the_angles_that_fit(
+    matrix: Any, rpy: tuple[float, float, float]
+) -> None:
+    signals = turned(Signals(), matrix)
+    only(signals.findings(), "mounting")
+    mean = signals.force.mean(axis=0)
+    text = Plausibility(settings_of())._better_mounting(mean / np.linalg.norm(mean))
+    assert f"[{rpy[0]:.2f}, {rpy[1]:.2f}, yaw]" in text
+    assert signals.findings(imu__rpy=rpy) == {}
+
+
+def test_inverted_flight_is_no_mounting() -> None:
+    signals = Signals(40.0)
+    late = signals.t > 22.0  # 18 s inverted after 22 s upright
+    signals.rates[late] *= [1.0, -1.0, -1.0]
+    signals.force[late] *= [1.0, -1.0, -1.0]
+    assert signals.findings() == {}
+
+
+def test_free_fall_is_no_wrong_unit() -> None:
+    signals = Signals(30.0)
+    signals.force[(signals.t > 15.0) & (signals.t < 25.0)] *= 0.1
+    assert signals.findings() == {}
+
+
+def test_a_gyro_in_degrees_is_named() -> None:
+    signals = Signals()
+    signals.rates *= 180.0 / math.pi
+    only(signals.findings(), "gyro units")
+
+
+def test_rolling_and_looping_are_no_wrong_units() -> None:
+    t = np.arange(0.0, 20.0, 0.01)
+    for axis, rate in ((0, 6.0), (1, 2.5)):
+        signals = Signals()
+        signals.t, rates = t, np.zeros((len(t), 3))
+        rates[:, axis] = rate * (t > 8.0)
+        angle = np.cumsum(rates[:, axis]) * 0.01
+        # on average the force carries the weight, whatever the attitude; in a loop it pulls too
+        gravity = [np.zeros_like(t), -np.sin(angle), -np.cos(angle)]
+        if axis == 1:
+            gravity = [np.sin(angle), np.zeros_like(t), -np.cos(angle)]
+        signals.rates, signals.force = rates, 9.81 * np.stack(gravity, axis=1)
+        signals.force[:, 2] -= 15.0 * (t > 8.0) * (axis == 1)
+        assert signals.findings() == {}, axis
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(1.0 / 9.80665, "looks like g"), (100.0 / 9.80665, "milli-g")]
+)
+def test_a_force_in_other_units_is_named(factor: float, words: str) -> None:
+    signals = Signals()
+    signals.force *= factor
+    only(signals.findings(), "force size")
+    looker = Plausibility(settings_of())
+    samples = np.hstack([signals.rates, signals.force])
+    for k, t in enumerate(signals.t[:800:5]):
+        looker.look(float(t), samples[5 * k : 5 * k + 5], signals.raw[:0])
+    assert words in looker.fault
+
+
+def test_a_force_without_gravity_is_named() -> None:
+    signals = Signals()
+    signals.force -= signals.force.mean(axis=0)
+    only(signals.findings(), "force size")
+
+
+@pytest.mark.parametrize("value", [0.0, -9.81])
+def test_an_accelerometer_that_repeats_itself_is_none(value: float) -> None:
+    signals = Signals()
+    signals.force[:] = [0.0, 0.0, value]
+    assert signals.findings() == {}
+    assert signals.accelerometer is False
+
+
+def test_trim_in_degrees_is_named() -> None:
+    only(Signals().findings(actuators__trim=(2.0, 0.0, 0.0, 0.5)), "trim")
+
+
+def test_pulse_widths_are_named_and_well_mapped_ones_are_not() -> None:
+    signals = Signals()
+    signals.raw = 1500.0 + 500.0 * signals.raw
+    only(signals.findings(actuators__trim=()), "channel range")
+    signals.raw[signals.actuator_t < 6.0] = 0.0  # not armed
+    trim, scale = (1500.0, 1500.0, 1500.0, 1750.0), (0.002,) * 4
+    assert signals.findings(actuators__trim=trim, actuators__scale=scale) == {}
+
+
+def test_degrees_are_a_warning() -> None:
+    signals = Signals()
+    signals.raw *= 180.0 / math.pi
+    looker = Plausibility(settings_of(actuators__trim=()))
+    for t in np.arange(TICK, 10.0, TICK):
+        raw = signals.raw[(signals.actuator_t > t - TICK) & (signals.actuator_t <= t)]
+        looker.look(t, np.zeros((0, 6)), raw)
+    assert [f.name for f in looker.findings] == ["channel range"]
+    assert looker.fault == ""
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_two_publishers_are_named(every: int) -> None:
+    signals = Signals()
+    index = np.arange(0, len(signals.raw), every)
+    signals.raw = np.insert(signals.raw, index, np.array(TRIM) + 0.2, axis=0)
+    signals.actuator_t = np.insert(signals.actuator_t, index, signals.actuator_t[index] - 0.005)
+    only(signals.findings(), "publishers")
+
+
+def test_noisy_commands_and_pulses_are_no_second_publisher() -> None:
+    rng = np.random.default_rng(2)
+    signals = Signals(40.0)
+    signals.raw += 0.1 * rng.standard_normal(signals.raw.shape)
+    assert signals.findings() == {}
+    pulses = Segment("3211", amplitudes={"de": 0.05, "da": 0.05, "dr": 0.1}, unit=0.1)
+    assert Signals(40.0, excitation=(pulses,)).findings() == {}
+
+
+STRUCTURE = STRUCTURES["augmented"]
+
+
+def coefficients(**changes: float) -> FloatArray:
+    values = {"pdot_da": 45.0, "pdot_dr": 3.0, "qdot_de": -30.0, "rdot_dr": -9.0, "rdot_da": -1.5}
+    out = np.zeros(STRUCTURE.mask.shape)
+    for name, value in {**values, **changes}.items():
+        out[STRUCTURE.index(name.replace("_", "/"))] = value
+    return out
+
+
+def test_reversed_and_swapped_channels_are_named_once_that_is_sure() -> None:
+    expected = ("+pdot/da", "-rdot/dr")
+    swapped = {"pdot_da": 3.0, "pdot_dr": 45.0, "rdot_dr": -1.5, "rdot_da": -9.0}
+    for changes, sigma, name in (
+        ({}, 1.0, None),
+        ({"pdot_da": -45.0}, 1.0, "signs"),
+        ({"pdot_da": -45.0}, 16.0, None),
+        ({"rdot_dr": 9.0}, 1.0, "signs"),
+        (swapped, 1.0, "swapped"),
+        (swapped, 3.0, None),
+    ):
+        spread = np.full(STRUCTURE.mask.shape, sigma)
+        found = coefficient_finding(STRUCTURE, coefficients(**changes), spread, expected)
+        assert (found.name if found else None) == name, (changes, sigma)
+
+
+def test_an_unknown_expected_sign_is_refused() -> None:
+    for entry in ("pdot/da", "+pdot/dx", "*pdot/da", ""):
+        with pytest.raises(SettingsError, match="write \\+ or -"):
+            settings_of(supervision__expected_signs=(entry,))
+
+
+def run(signals: Signals, **settings: Any) -> list[Any]:
+    identifier = OnlineIdentifier(settings_of(**settings))
+    samples = [(t, 1, (*x, *f)) for t, x, f in zip(signals.t, signals.rates, signals.force)]  # noqa: B905
+    samples += [(t, 0, tuple(v)) for t, v in zip(signals.actuator_t, signals.raw)]  # noqa: B905
+    estimates = []
+    for t, is_rates, v in sorted(samples, key=lambda sample: sample[:2]):
+        t_ns = 10**18 + round(t * 1e9)
+        if is_rates:
+            identifier.add_rates(t_ns, v[:3], v[3:])
+        else:
+            identifier.add_actuators(t_ns, v)
+        while (due := identifier.due()) is not None:
+            estimates.append(identifier.update(due))
+    return estimates
+
+
+def test_a_fault_stops_learning_and_says_why() -> None:
+    estimates = run(Signals(20.0), imu__convention="flu")
+    late = [e for e in estimates if e.t_ns > 10**18 + 6 * 10**9]
+    assert all(e.state == "fault" and not e.usable and not e.adapting for e in late)
+    assert "imu.convention 'frd' would fit" in late[0].reason
+    np.testing.assert_array_equal(late[0].coefficients, late[-1].coefficients)
+
+
+def test_it_can_be_switched_off() -> None:
+    estimates = run(Signals(10.0), imu__convention="flu", supervision__plausibility=False)
+    assert estimates[-1].state != "fault"
+
+
+def test_a_reversed_channel_is_never_usable() -> None:
+    reversed_ = (0.0, 0.0, -1.0, 0.0)
+    estimates = run(
+        Signals(40.0),
+        actuators__mixing__da=reversed_,
+        supervision__expected_signs=("+pdot/da",),
+    )
+    known = [e for e in estimates if e.t_ns > 10**18 + 10 * 10**9]
+    assert all(e.state == "fault" and not e.usable for e in known)
+    assert "pdot/da is -" in known[-1].reason
+
+
+def test_evidence_is_held_and_then_forgotten() -> None:
+    signals = Signals(60.0)
+    both = signals.actuator_t < 15.0
+    index = np.flatnonzero(both)
+    signals.raw = np.insert(signals.raw, index, np.array(TRIM) + 0.2, axis=0)
+    signals.actuator_t = np.insert(signals.actuator_t, index, signals.actuator_t[index] - 0.005)
+    looker, alarms = Plausibility(settings_of()), []
+    for t in np.arange(TICK, 60.0, TICK):
+        raw = signals.raw[(signals.actuator_t > t - TICK) & (signals.actuator_t <= t)]
+        looker.look(t, np.zeros((0, 6)), raw)
+        alarms.append(bool(looker.fault))
+    after = np.flatnonzero(alarms) * TICK
+    assert after[0] < 6.0
+    assert 15.0 + plausibility.HELD < after[-1] < 15.0 + plausibility.HELD + 6.0
+    assert list(looker.noted) == ["publishers"]
