@@ -28,6 +28,17 @@ FORMATS: dict[str, tuple[str, str]] = {
     "DSF": ("QIHIIII", "TimeUS,Dp,Blk,Bytes,FMn,FMx,FAv"),
 }
 
+_PINS = ",".join(f"Chan{i}" for i in range(1, 9))
+OLD_FORMATS: dict[str, tuple[str, str]] = {
+    "PARM": ("Nf", "Name,Value"),
+    "MSG": ("Z", "Message"),
+    "IMU": ("Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "IMU2": ("Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "RCOU": ("Ihhhhhhhh", f"TimeMS,{_PINS}"),
+    "RATE": ("Iffffffffffff", "TimeMS,RDes,R,ROut,PDes,P,POut,YDes,Y,YOut,ADes,A,AOut"),
+}
+"""As of 2014: milliseconds, no instances, no units."""
+
 INSTANCES = {"IMU": "s#EEEooo--O--zz", "GYR": "s#sEEE", "ACC": "s#sooo"}
 """Units of the messages with a field of their instance."""
 
@@ -42,9 +53,11 @@ class DataflashWriter:
     folder : Path
         Where a file with nothing but its own format is put first: the library's writer is part
         of its reader, which needs one.
+    formats : mapping
+        Type, format characters and columns of every message.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, formats: Mapping[str, tuple[str, str]] = FORMATS) -> None:
         reader_module = pytest.importorskip("pymavlink.DFReader", reason="pymavlink is missing")
         self._format_class = reader_module.DFFormat
         seed = folder / "seed.bin"
@@ -56,14 +69,14 @@ class DataflashWriter:
         self._writer = reader_module.DFReader_binary(str(seed))
         self._formats = {}
         self._chunks = [self._writer.make_format_msgbuf(self._writer.formats[0x80])]
-        for name, (characters, columns) in FORMATS.items():
+        for name, (characters, columns) in formats.items():
             size = 3 + struct.calcsize(self._structure(characters))
             declared = self._writer.add_format(
                 self._format_class(0, name, size, characters, columns)
             )
             self._formats[name] = declared
             self._chunks.append(self._writer.make_format_msgbuf(declared))
-        for name, units in INSTANCES.items():
+        for name, units in INSTANCES.items() if "FMTU" in formats else ():
             self.add("FMTU", 0, self._formats[name].type, units.encode(), b"F".ljust(16, b"-"))
 
     def _structure(self, characters: str) -> str:
@@ -78,7 +91,10 @@ class DataflashWriter:
     def add_parameters(self, parameters: Mapping[str, float]) -> None:
         """Add the parameters, as at the start of a log."""
         for name, value in parameters.items():
-            self.add("PARM", 0, name.encode(), float(value), float("nan"))
+            if "TimeUS" in self._formats["PARM"].columns:
+                self.add("PARM", 0, name.encode(), float(value), float("nan"))
+            else:
+                self.add("PARM", name.encode(), float(value))
 
     def add_rows(self, rows: Iterable[tuple[int, str, tuple[float, ...]]]) -> None:
         """Add messages in the order of their times (us)."""

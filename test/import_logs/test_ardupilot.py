@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataflash_writing import DataflashWriter
+from dataflash_writing import OLD_FORMATS, DataflashWriter
 from imported import contents, parameters, refusal, run
 
 from uav_ident_ros.simulation.channels import QUADROTOR
@@ -146,8 +146,12 @@ def test_slow_pulses_give_way_to_the_controls_before_the_mixer(tmp_path: Path, c
         (int(t), "RATE", (0, 0, asked[0], 0, 0, asked[1], 0, 0, asked[2], 0, 0, asked[3]))
         for t in COMMAND_US
     ]
-    bag, values, said = imported(tmp_path, capsys, imu() + slow + rates, servos(33, 34, 35, 36))
-    assert "RCOU is logged at 5 Hz only" in said
+    known = servos(33, 34, 35, 36) | {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
+    bag, values, said = imported(tmp_path, capsys, imu() + slow + rates, known)
+    assert (
+        "RCOU is logged at 5 Hz only (LOG_BITMASK); RATE is at 50 Hz, from before the mixer, and "
+        "knows nothing of saturation"
+    ) in said
     assert bag.names == ["roll", "pitch", "yaw", "throttle"]
     np.testing.assert_allclose(bag.actuators, np.tile(asked, (len(COMMAND_US), 1)), rtol=1e-6)
     np.testing.assert_allclose(mixing(values) @ asked, [0.2, -0.3, 0.1, 0.4])
@@ -174,7 +178,7 @@ def test_raw_rates_are_preferred_and_stamped_when_sampled(tmp_path: Path, capsys
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
     np.testing.assert_array_equal(bag.rates, 2.0 * RATES)
     np.testing.assert_array_equal(bag.force, FORCE)
-    assert "not used: IMU at 250 Hz" in said
+    assert "of the flight there is GYR at 250 Hz over 100 %, IMU at 250 Hz over 100 %" in said
     assert "low-passed" not in said
 
 
@@ -222,3 +226,90 @@ def test_a_parameter_that_changes_is_told(tmp_path: Path, capsys) -> None:
     log = writer.write(tmp_path / "flight.bin")
     said = " ".join(run([str(log), "--output", str(tmp_path / "bag")], capsys).split())
     assert "SERVO1_TRIM became 1520 at 25.0 s: the first value is used" in said
+
+
+# --- logs of 2014 -------------------------------------------------------------------------------
+
+
+def old_log(
+    tmp_path: Path, firmware: str, values: dict[str, float], texts: tuple = (), scale: float = 4500
+) -> list[str]:
+    """Milliseconds, no functions of pins, demands in thousands."""
+    writer = DataflashWriter(tmp_path, OLD_FORMATS)
+    writer.add_parameters(values)
+    for text in (firmware, *texts):
+        writer.add("MSG", text.encode())
+    rows = [
+        (int(t) // 1000, name, (*(factor * pqr), *f))
+        for t, pqr, f in zip(IMU_US, RATES, FORCE, strict=True)
+        for name, factor in (("IMU", 1.0), ("IMU2", 3.0))
+    ]
+    for t, p in zip(COMMAND_US, PULSES, strict=True):
+        rows.append((int(t) // 1000, "RCOU", (*map(int, p), 0, 0, 0, 0)))
+        asked = (0, 0, 0.1 * scale, 0, 0, -0.2 * scale, 0, 0, 0.3 * scale, 0, 0, 400.0)
+        rows.append((int(t) // 1000, "RATE", asked))
+    writer.add_rows(rows)
+    log = writer.write(tmp_path / "old.bin")
+    return [str(log), "--output", str(tmp_path / "bag")]
+
+
+def test_a_copter_of_2014(tmp_path: Path, capsys) -> None:
+    frame = {"FRAME": 1, "RC3_MIN": 1100, "RC3_MAX": 1900}
+    log = old_log(tmp_path, "ArduCopter V3.2 (c8e0f3e1)", frame)
+    said = run([*log, "--rates-instance", "1"], capsys)
+    bag, values = contents(tmp_path / "bag"), parameters(tmp_path / "bag")
+    np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
+    np.testing.assert_allclose(bag.rates, 3.0 * RATES, rtol=1e-6)
+    np.testing.assert_array_equal(bag.actuators[:, :4], PULSES)
+    np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
+    np.testing.assert_allclose(values["actuators.scale"], 1 / 800)
+    assert "4 pins carry pulses: they are its motors" in said
+    assert "the motors are on the pins of their numbers" in said
+
+
+def test_a_copter_of_an_unknown_frame_gives_its_demands(tmp_path: Path, capsys) -> None:
+    log = old_log(tmp_path, "APM:Copter V3.3.3 (acf98493)", {"FRAME": 10}, ("Frame: Y6",))
+    said = run(log, capsys)
+    bag, values = contents(tmp_path / "bag"), parameters(tmp_path / "bag")
+    u = mixing(values) @ (np.array(values["actuators.scale"]) * bag.actuators[0])
+    np.testing.assert_allclose(u, [0.2, -0.3, 0.1, 0.4], rtol=1e-6)
+    assert "RCOU is passed over: no SERVOn_FUNCTION names a surface or a motor" in said
+    assert "RATE: full demand is 4500, full throttle 1000, as before Copter 3.4" in said
+
+
+def test_a_plane_of_2014(tmp_path: Path, capsys) -> None:
+    sticks = {"RCMAP_ROLL": 1, "RCMAP_PITCH": 2, "RCMAP_THROTTLE": 3, "RCMAP_YAW": 4}
+    ranges = {f"RC{i}_{end}": v for i in range(1, 5)
+              for end, v in (("MIN", 1100), ("TRIM", 1500), ("MAX", 1900), ("REV", 1))}  # fmt: skip
+    log = old_log(tmp_path, "ArduPlane V3.2.0 (abc)", sticks | ranges | {"RC2_REV": -1})
+    said = run(log, capsys)
+    values = parameters(tmp_path / "bag")
+    assert values["actuators.channels"] == ["aileron", "elevator", "throttle", "rudder"]
+    np.testing.assert_allclose(
+        values["actuators.scale"], [2 / 800, -2 / 800, 1 / 800, 2 / 800], rtol=1e-12
+    )
+    assert "are on the pins of their sticks (RCMAP_*)" in said
+
+
+def test_pairs_of_surfaces_of_2014_are_not_guessed(tmp_path: Path, capsys) -> None:
+    log = old_log(tmp_path, "ArduPlane V3.2.0 (abc)", {"ELEVON_OUTPUT": 1}, scale=1.0)
+    run(log, capsys)
+    assert "ELEVON_OUTPUT is 1: how such pairs turn is not known" in " ".join(
+        (tmp_path / "bag" / "identifier.yaml").read_text().replace("#", "").split()
+    )
+    assert parameters(tmp_path / "bag")["actuators.channels"][0] == "roll"
+
+
+@pytest.mark.parametrize(
+    ("firmware", "vehicle"),
+    [
+        ("APM:Rover v2.46", "a rover or boat"),
+        ("ArduRover V4.2.3 (1c1d4d1e)", "a rover or boat"),
+        ("ArduSub V4.1.0 (f2af3c7e)", "a submarine"),
+        ("AntennaTracker V1.1.0", "an antenna tracker"),
+        ("Blimp V4.5.0-dev", "a blimp"),
+    ],
+)
+def test_what_is_no_aircraft_is_refused(tmp_path: Path, capsys, firmware: str, vehicle) -> None:
+    said = refusal(old_log(tmp_path, firmware, {}), capsys)
+    assert f"old.bin' is of {vehicle} (it calls itself " in said

@@ -162,7 +162,7 @@ def test_a_vtol_has_two_sets_of_setpoints(tmp_path: Path, capsys) -> None:
     }
     airframe = {"CA_AIRFRAME": 2}
     bag, _, said = imported(tmp_path, capsys, topics, airframe)
-    assert "of --actuators-instance 1 those of forward flight" in said
+    assert "1 those of forward flight (--actuators-instance); 0 is taken" in said
     np.testing.assert_array_equal(bag.actuators, noise(3).astype(np.float32))
     forward = tmp_path / "forward"
     options = ["--actuators-instance", "1", "--output", str(forward)]
@@ -170,6 +170,57 @@ def test_a_vtol_has_two_sets_of_setpoints(tmp_path: Path, capsys) -> None:
     np.testing.assert_array_equal(contents(forward).actuators, (noise(3) + 1).astype(np.float32))
     options = ["--actuators-instance", "2", "--output", str(tmp_path / "none")]
     assert "no actuators" in refusal([str(tmp_path / "flight.ulg"), *options], capsys)
+
+
+def test_an_old_vtol_has_a_topic_for_each_set(tmp_path: Path, capsys) -> None:
+    topics = combined() | {
+        (f"actuator_controls_{i}", 0): commands(COMMAND_NS, noise(8) + i, "control") for i in (0, 1)
+    }
+    topics |= {("actuator_outputs", 1): commands(COMMAND_NS, noise(8), "output")}
+    bag, _, said = imported(tmp_path, capsys, topics, {"MAV_TYPE": 22})
+    np.testing.assert_array_equal(bag.actuators, noise(8).astype(np.float32))
+    assert "a VTOL: actuator_controls_ 0 are the commands of hover" in said
+    log = [str(tmp_path / "flight.ulg"), "--output"]
+    for name, option in (("a", ["--actuators-instance", "1"]),
+                         ("b", ["--actuators-topic", "actuator_controls_1"])):  # fmt: skip
+        run([*log, str(tmp_path / name), *option], capsys)
+        found = contents(tmp_path / name)
+        np.testing.assert_array_equal(found.actuators, (noise(8) + 1).astype(np.float32))
+
+
+def test_a_topic_that_covers_a_part_of_the_flight_is_passed_over(tmp_path: Path, capsys) -> None:
+    """Both are slow: the faster one was logged in the first fifth only."""
+    motors = commands(COMMAND_NS[:20:4], padded(0.5 + 0.1 * noise(4)[:20:4], 12), "control")
+    slow = commands(COMMAND_NS[::5], noise(8)[::5], "control")
+    topics = combined() | {("actuator_motors", 0): motors, ("actuator_controls_0", 0): slow}
+    bag, _, said = imported(tmp_path, capsys, topics, QUAD_X)
+    assert len(bag.actuators) == len(COMMAND_NS) // 5
+    assert "actuator_motors covers 43 % of the flight only; actuator_controls_0 is at 10 Hz" in said
+    assert "actuator_motors at 12.5 Hz over 43 %, actuator_controls_0 at 10 Hz over 100 %" in said
+    assert "actuator_controls_0 has 10 Hz only: 20 Hz are needed" in said
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"MAV_TYPE": 10}, "a rover (MAV_TYPE 10)"),
+        ({"MAV_TYPE": 11}, "a boat (MAV_TYPE 11)"),
+        ({"CA_AIRFRAME": 5}, "a rover (CA_AIRFRAME 5)"),
+        ({}, "a rover (vehicle_status.vehicle_type 3)"),
+    ],
+)
+def test_what_is_no_aircraft_is_refused_by_its_name(tmp_path, capsys, values, said: str) -> None:
+    topics = combined() | {
+        ("actuator_controls_0", 0): commands(COMMAND_NS, noise(8), "control"),
+        ("vehicle_status", 0): {
+            "timestamp": stamps(COMMAND_NS[:3]),
+            "arming_state": np.full(3, 2, np.uint8),
+            "vehicle_type": np.full(3, 1 if values else 3, np.uint8),
+        },
+    }
+    log = write_ulog(tmp_path / "rover.ulg", topics, values)
+    line = refusal([str(log), "--output", str(tmp_path / "bag")], capsys)
+    assert f"rover.ulg' is of {said}: the model is that of an aircraft's attitude" in line
 
 
 # --- rates --------------------------------------------------------------------------------------
@@ -227,7 +278,7 @@ def test_filtered_rates_are_the_last_resort_and_said_to_be_filtered(tmp_path: Pa
         capsys,
     )
     assert "rates: sensor_combined" in said
-    assert "not used: vehicle_angular_velocity at 200 Hz" in said
+    assert "vehicle_angular_velocity at 200 Hz over 100 %" in said
 
 
 def test_an_invalid_accelerometer_is_no_measurement(tmp_path: Path, capsys) -> None:

@@ -169,7 +169,7 @@ def test_px4_setpoints_stand_in_for_thinned_out_actuators(
     )
     log = write_ulog(tmp_path / "default.ulg", topics, FIXED_WING)
     said = run([str(log), "--output", str(tmp_path / "default")], capsys)
-    assert " ".join(said.split()).count("is logged at 10 Hz only") == len(thinned)
+    assert " ".join(said.split()).count(f"{thinned[0]} is logged at 10 Hz only") == 1
     imported = contents(tmp_path / "default")
     np.testing.assert_array_equal(imported.actuators[:, :3], torque.astype(np.float32))
     trim = {"roll_torque": 0.0, "pitch_torque": 0.0, "yaw_torque": 0.0, "thrust_x": 0.5}

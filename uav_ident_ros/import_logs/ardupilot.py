@@ -3,21 +3,24 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.ardupilot_names import name_as_today
 from uav_ident_ros.import_logs.ardupilot_outputs import PINS, READERS, read_outputs
 from uav_ident_ros.import_logs.autopilot import (
     BOOT_TIME,
     ENOUGH_RATE,
     NO_FORCE,
-    choose_rates,
+    choose,
     find_messages,
     read_lever_arm,
+    refuse_others,
     say_changes,
-    say_other_rates,
+    say_instances,
     say_stretches,
 )
 from uav_ident_ros.import_logs.dataflash import DataflashLog, Messages
@@ -29,8 +32,9 @@ from uav_ident_ros.import_logs.flight_log import (
     ImportLogError,
     Rates,
 )
+from uav_ident_ros.import_logs.knowledge import table
 from uav_ident_ros.import_logs.orientation import describe_rotation
-from uav_ident_ros.import_logs.stamps import hold, interpolate, intervals
+from uav_ident_ros.import_logs.stamps import Stretches, hold, interpolate, intervals
 
 RAW, FILTERED = "GYR", "IMU"
 RATES_TYPES = (RAW, FILTERED)
@@ -82,22 +86,33 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     log = DataflashLog(path, tuple(dict.fromkeys(TYPES)))
     findings = Findings(lost=list(log.remarks), damage=list(log.damage))
     unit = choice.rates_instance
-    rates = _read_rates(log, findings, choice.rates_topic, unit)
-    actuators = read_outputs(log, findings, choice.actuators_topic)
+    title = next((text for text in log.texts if _firmware(text)), "ArduPilot")
+    refuse_others(log, table("ardupilot")["not_aircraft"], _firmware(title), "it calls itself")
+    name_as_today(log, _firmware(title), findings)
     flown = _flown(log, findings)
+    rates = _read_rates(log, findings, choice.rates_topic, unit, flown or [])
+    actuators = read_outputs(log, findings, choice.actuators_topic, flown or [])
     lever_arm = read_lever_arm(log.parameters, f"INS_POS{unit + 1}_", findings)
     airspeed = _airspeed(log, findings)
     say_changes((change for change in log.changes if change[1].startswith(EXPLAINING)), findings)
     _say_dropouts(log, findings)
     findings.read.append(BOOT_TIME)
-    title = next((text for text in log.texts if text.startswith("Ardu")), "ArduPilot")
     return FlightLog(path, title, rates, actuators, findings, airspeed, lever_arm, flown)
 
 
 # --- rates --------------------------------------------------------------------------------------
 
 
-def _read_rates(log: DataflashLog, findings: Findings, wanted: str | None, unit: int) -> Rates:
+def _firmware(text: str) -> str:
+    """Return which vehicle a firmware's name is of, as 'Copter' of 'APM:Copter V3.4'; or ''."""
+    kinds = [*table("ardupilot")["aircraft"], *table("ardupilot")["not_aircraft"]]
+    found = re.match(rf"(?:Ardu|APM:|Antenna)?({'|'.join(kinds)})\b.*\bV?\d", text)
+    return found[1] if found else ""
+
+
+def _read_rates(
+    log: DataflashLog, findings: Findings, wanted: str | None, unit: int, flight: Stretches
+) -> Rates:
     """Read the raw gyro if it was logged, else the filtered one."""
 
     def find(name: str, unit: int) -> Messages | None:
@@ -105,10 +120,11 @@ def _read_rates(log: DataflashLog, findings: Findings, wanted: str | None, unit:
         return messages if messages and set(GYRO_FIELDS) <= set(messages.columns) else None
 
     usable = find_messages(log, "rates", RATES_TYPES, wanted, unit, find)
-    name = choose_rates(usable, findings, "LOG_BITMASK")
+    streams = {name: (messages.sample_ns, messages.rate) for name, messages in usable.items()}
+    name = choose(streams, flight, findings, "LOG_BITMASK")
     messages = usable[name]
     _say_rates(log, messages, name, findings)
-    say_other_rates(usable, name, findings, name, log.instances(name))
+    say_instances(name, log.instances(name), findings)
     force = _force(log, messages, unit, findings)
     return Rates(messages.name, messages.sample_ns, messages.values(*GYRO_FIELDS), force)
 

@@ -8,12 +8,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import find_messages, first_fast
+from uav_ident_ros.import_logs.autopilot import choose, find_messages
 from uav_ident_ros.import_logs.dataflash import DataflashLog, Messages
 from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
@@ -24,78 +25,22 @@ from uav_ident_ros.import_logs.flight_log import (
     ImportLogError,
     unique_names,
 )
-from uav_ident_ros.import_logs.mixing import from_torques, on_a_circle, rotor_effects
-from uav_ident_ros.import_logs.stamps import join
+from uav_ident_ros.import_logs.knowledge import effect_of, effects_of_arms, table
+from uav_ident_ros.import_logs.stamps import Stretches, join
 
-HALF = 0.5
-"""Each of a pair: the input is the mean of their deflections, as with elevons in config/."""
-
-SURFACES: dict[int, tuple[str, Effect]] = {
-    4: ("aileron", from_torques(1.0, 0.0, 0.0)),
-    19: ("elevator", from_torques(0.0, 1.0, 0.0)),
-    21: ("rudder", from_torques(0.0, 0.0, 1.0)),
-    24: ("left_flaperon", from_torques(HALF, 0.0, 0.0)),
-    25: ("right_flaperon", from_torques(HALF, 0.0, 0.0)),
-    77: ("left_elevon", from_torques(-HALF, HALF, 0.0)),
-    78: ("right_elevon", from_torques(HALF, HALF, 0.0)),
-    79: ("left_vtail", from_torques(0.0, HALF, HALF)),
-    80: ("right_vtail", from_torques(0.0, HALF, -HALF)),
+KNOWN = table("ardupilot")
+SURFACES, THROTTLES, MOTORS = KNOWN["surfaces"], KNOWN["throttles"], KNOWN["motors"]
+FRAMES = {
+    (frame["class"], frame["type"]): (name, frame["arms"])
+    for name, frame in KNOWN["frames"].items()
 }
-"""SERVOn_FUNCTION of the surfaces. Plane mixes elevons as elevator -/+ aileron (left/right) and
-tails as elevator +/- rudder; positive is pitch up, roll right, yaw right."""
-
-THROTTLES = {70: "throttle", 73: "left_throttle", 74: "right_throttle"}
-
-MOTORS = {**{33 + i: i + 1 for i in range(8)}, **{82 + i: i + 9 for i in range(4)}}
-"""Number of the motor by SERVOn_FUNCTION."""
-
-CCW, CW = 1.0, -1.0
-
-FRAMES: dict[tuple[int, int], tuple[str, tuple[tuple[float, float], ...]]] = {
-    (1, 0): ("quad plus", ((90, CCW), (-90, CCW), (0, CW), (180, CW))),
-    (1, 1): ("quad x", ((45, CCW), (-135, CCW), (-45, CW), (135, CW))),
-    (1, 3): ("quad h", ((45, CW), (-135, CW), (-45, CCW), (135, CCW))),
-    (2, 0): ("hexa plus", ((0, CW), (180, CCW), (-120, CW), (60, CCW), (-60, CCW), (120, CW))),
-    (2, 1): ("hexa x", ((90, CW), (-90, CCW), (-30, CW), (150, CCW), (30, CCW), (-150, CW))),
-    (3, 0): (
-        "octa plus",
-        ((0, CW), (180, CW), (45, CCW), (135, CCW), (-45, CCW), (-135, CCW), (-90, CW), (90, CW)),
-    ),
-    (3, 1): (
-        "octa x",
-        (
-            (22.5, CW),
-            (-157.5, CW),
-            (67.5, CCW),
-            (157.5, CCW),
-            (-22.5, CCW),
-            (-112.5, CCW),
-            (-67.5, CW),
-            (112.5, CW),
-        ),
-    ),
-    (4, 1): (
-        "octaquad x",
-        (
-            (45, CCW),
-            (-45, CW),
-            (-135, CCW),
-            (135, CW),
-            (-45, CCW),
-            (45, CW),
-            (135, CCW),
-            (-135, CW),
-        ),
-    ),
-}
-"""Arms (clockwise from the nose, deg) and senses of rotation of motors 1, 2 ... by FRAME_CLASS and
-FRAME_TYPE, as ArduPilot's AP_MotorsMatrix sets them up."""
+"""Name and arms by FRAME_CLASS and FRAME_TYPE."""
 
 PWM_MIN, PWM_TRIM, PWM_MAX = 1000.0, 1500.0, 2000.0
 """Pulse widths of least, rest and full where no parameter says, us."""
 
-ANGLE_RANGE, THROTTLE_RANGE = 4500.0, 100.0
-"""Full scale of AETR: hundredths of a degree by name, full deflection by use; percent."""
+NORMALISED = 10.0
+"""Demands beyond this are in the units before Copter 3.4, thousands: none is above one since."""
 
 OFF_CENTRE = 0.02
 """A trim further from the middle than this part of the range is worth a word."""
@@ -103,7 +48,12 @@ OFF_CENTRE = 0.02
 PINS = ("RCOU", "RCO2", "RCO3")
 
 
-def read_outputs(log: DataflashLog, findings: Findings, wanted: str | None) -> Actuators:
+BEFORE_MIXER = ("RATE", "AETR")
+
+
+def read_outputs(
+    log: DataflashLog, findings: Findings, wanted: str | None, flight: Stretches
+) -> Actuators:
     """Read the commands from the messages asked for, or from the best there are.
 
     Raises
@@ -111,22 +61,37 @@ def read_outputs(log: DataflashLog, findings: Findings, wanted: str | None) -> A
     ImportLogError
         If there are none, or those asked for are missing or cannot be interpreted.
     """
-    usable = find_messages(log, "actuators", READERS, wanted, 0, log.messages)
-    name = first_fast({name: messages.rate for name, messages in usable.items()})
-    for passed in list(usable)[: list(usable).index(name)]:
+    found = find_messages(log, "actuators", READERS, wanted, 0, log.messages)
+    usable = {name: m for name, m in found.items() if wanted or name != "RCOU" or _explained(log)}
+    usable = usable or found
+    if len(usable) < len(found):
         findings.lost.append(
-            f"{passed} is logged at {usable[passed].rate:.0f} Hz only (LOG_BITMASK); {name}, at "
-            f"{usable[name].rate:.0f} Hz, is from before the mixer and knows nothing of saturation"
+            "RCOU is passed over: no SERVOn_FUNCTION names a surface or a motor of a known frame"
         )
+    streams = {name: (messages.stamp_ns, messages.rate) for name, messages in usable.items()}
+    name = choose(streams, flight, findings, "LOG_BITMASK", BEFORE_MIXER)
     actuators = READERS[name](log, usable[name], findings)
-    findings.read.append(f"actuators: {actuators.source}, stamped when logged (TimeUS)")
-    if others := [n for n in usable if n != name]:
-        findings.read.append(f"other actuator messages, not used: {', '.join(others)}")
+    findings.read.append(f"actuators: {actuators.source}, stamped when logged")
     if not any(any(channel.effect) for channel in actuators.channels):
         raise ImportLogError(
             f"log '{log.path}': no SERVOn_FUNCTION names a surface or a motor of a known frame"
         )
     return actuators
+
+
+def _explained(log: DataflashLog) -> bool:
+    """Whether the parameters say what some pin moves."""
+    functions = [
+        v for name, v in log.parameters.items() if re.fullmatch(r"SERVO\d+_FUNCTION", name)
+    ]
+    if any(function in SURFACES or function in THROTTLES for function in functions):
+        return True
+    return any(function in MOTORS for function in functions) and _frame(log) in FRAMES
+
+
+def _frame(log: DataflashLog) -> tuple[int, int]:
+    parameters = log.parameters
+    return int(parameters.get("FRAME_CLASS", 0)), int(parameters.get("FRAME_TYPE", -1))
 
 
 # --- pins ---------------------------------------------------------------------------------------
@@ -153,7 +118,7 @@ def _pins(log: DataflashLog, first: Messages, findings: Findings) -> Actuators:
 
 def _pin_numbers(messages: Messages, first: int) -> dict[int, str]:
     """Fields of the pins by number: ``C1`` ..., in old logs ``Ch1`` ..."""
-    fields = [name for name in messages.columns if re.fullmatch(r"Ch?\d+", name)]
+    fields = [name for name in messages.columns if re.fullmatch(r"C(h|han)?\d+", name)]
     numbered = {int(re.sub(r"\D", "", name)): name for name in fields}
     return {number: name for number, name in sorted(numbered.items()) if number >= first}
 
@@ -174,9 +139,8 @@ def _channels(log: DataflashLog, functions: dict[int, int], findings: Findings) 
         where = f"SERVO{pin}_FUNCTION {function}"
         if function in SURFACES:
             share = 1.0 / counts[function]  # two servos of one function: their mean
-            effect = SURFACES[function][1]
-            scaled = (effect[0] * share, effect[1] * share, effect[2] * share, effect[3] * share)
-            channels.append(_surface(log, pin, name, scaled, where, findings))
+            effect = effect_of(SURFACES[function], share)
+            channels.append(_surface(log, pin, name, effect, where, findings))
         elif function in THROTTLES:
             effect = (0.0, 0.0, 0.0, 1.0 / throttles)
             channels.append(
@@ -195,10 +159,10 @@ def _channels(log: DataflashLog, functions: dict[int, int], findings: Findings) 
 
 def _name(pin: int, function: int) -> str:
     if function in SURFACES:
-        return SURFACES[function][0]
+        return str(SURFACES[function]["name"])
     if function in MOTORS:
         return f"motor_{MOTORS[function]}"
-    return THROTTLES.get(function, f"output_{pin}")
+    return str(THROTTLES.get(function, f"output_{pin}"))
 
 
 def _surface(
@@ -253,19 +217,14 @@ def _rotors(
             "recorded"
         )
         return {}
-    key = (
-        int(log.parameters.get("FRAME_CLASS", 0)),
-        int(log.parameters.get("FRAME_TYPE", -1)),
-    )
+    key = _frame(log)
     if key not in FRAMES:
         raise ImportLogError(
             f"log '{log.path}': FRAME_CLASS {key[0]} and FRAME_TYPE {key[1]} are not known here "
             f"({', '.join(name for name, _ in FRAMES.values())}); try --actuators-topic RATE"
         )
     name, arms = FRAMES[key]
-    effects = rotor_effects(
-        on_a_circle([angle for angle, _ in arms]), [turn for _, turn in arms], [1.0] * len(arms)
-    )
+    effects = effects_of_arms(arms)
     findings.read.append(
         f"{name} with ArduPilot's motor order and senses of rotation (FRAME_CLASS {key[0]}, "
         f"FRAME_TYPE {key[1]})"
@@ -284,40 +243,35 @@ def _aetr(log: DataflashLog, messages: Messages, findings: Findings) -> Actuator
     findings.assumed.append(
         "AETR: full deflection is 4500, full throttle 100 (older logs: throttle in the same unit)"
     )
-    table = {
-        "Ail": ("aileron", from_torques(1.0, 0.0, 0.0), 1.0 / ANGLE_RANGE),
-        "Elev": ("elevator", from_torques(0.0, 1.0, 0.0), 1.0 / ANGLE_RANGE),
-        "Rudd": ("rudder", from_torques(0.0, 0.0, 1.0), 1.0 / ANGLE_RANGE),
-        "Thr": ("throttle", from_torques(0.0, 0.0, 0.0, 1.0), 1.0 / THROTTLE_RANGE),
-    }
-    return _demands(log, messages, table)
+    return _demands(log, messages, KNOWN["controls"]["AETR"])
 
 
 def _rate(log: DataflashLog, messages: Messages, findings: Findings) -> Actuators:
     """Copter's controls before its mixer."""
     findings.assumed.append("the mixer delivers what RATE asks for: it knows no saturation")
-    table = {
-        "ROut": ("roll", from_torques(1.0, 0.0, 0.0), 1.0),
-        "POut": ("pitch", from_torques(0.0, 1.0, 0.0), 1.0),
-        "YOut": ("yaw", from_torques(0.0, 0.0, 1.0), 1.0),
-        "AOut": ("throttle", from_torques(0.0, 0.0, 0.0, 1.0), 1.0),
-    }
-    return _demands(log, messages, table)
+    known = KNOWN["controls"]["RATE"]
+    asked = [messages.columns[field] for field in known if field in messages]
+    if any(np.abs(values[np.isfinite(values)]).max(initial=0.0) > NORMALISED for values in asked):
+        known = KNOWN["controls"]["old RATE"]
+        findings.assumed.append(
+            "RATE: full demand is 4500, full throttle 1000, as before Copter 3.4"
+        )
+    return _demands(log, messages, known)
 
 
 def _demands(
-    log: DataflashLog, messages: Messages, table: dict[str, tuple[str, Effect, float]]
+    log: DataflashLog, messages: Messages, known: Mapping[str, Mapping[str, Any]]
 ) -> Actuators:
-    missing = [field for field in table if field not in messages]
+    missing = [field for field in known if field not in messages]
     if missing:
         raise ImportLogError(
             f"log '{log.path}': {messages.name} has no {', '.join(missing)}; it has "
             f"{', '.join(messages.columns)}"
         )
-    values: FloatArray = messages.values(*table)
+    values: FloatArray = messages.values(*known)
     channels = tuple(
-        Channel(name, effect, f"{messages.name}.{field}", scale)
-        for field, (name, effect, scale) in table.items()
+        Channel(entry["name"], effect_of(entry), f"{messages.name}.{field}", 1.0 / entry["unit"])
+        for field, entry in known.items()
     )
     return Actuators(messages.name, messages.stamp_ns, values, channels)
 

@@ -5,13 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
+from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError
+from uav_ident_ros.import_logs.stamps import Stretches, coverage
 
 ENOUGH_RATE = 20.0
 """Slowest rates the identifier works with, Hz. Commands slower than this are thinned out too much,
 too: PX4 logs the motors at 10 Hz by default, while it commands them at several hundred."""
+
+ENOUGH_COVERAGE = 0.9
+"""Messages that cover less than this part of what the best cover are passed over: a topic that was
+switched on for a part of the flight tells of that part alone."""
 
 BOOT_TIME = "stamps are the autopilot's time since its start, not the time of day"
 NO_FORCE = "there is no accelerometer at a useful rate: ay and az are zero"
@@ -84,36 +90,81 @@ def find_messages(
     return found
 
 
-def first_fast(rates: Mapping[str, float]) -> str:
-    """Name the first that has enough messages per second, or else the fastest."""
-    fast = [name for name, rate in rates.items() if rate >= ENOUGH_RATE]
-    return fast[0] if fast else max(rates, key=lambda name: rates[name])
-
-
-def choose_rates(found: Mapping[str, Messages], findings: Findings, setting: str) -> str:
-    """Name the rates to take, and say if even they are too slow, and which `setting` helps."""
-    name = first_fast({name: messages.rate for name, messages in found.items()})
-    if found[name].rate < ENOUGH_RATE:
-        findings.lost.append(
-            f"{name} has {found[name].rate:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed ({setting})"
-        )
-    return name
-
-
-def say_other_rates(
-    found: Mapping[str, Messages],
-    name: str,
+def choose(
+    streams: Mapping[str, tuple[TimeArray, float]],
+    flight: Stretches,
     findings: Findings,
-    sensor: str,
-    instances: Collection[int],
-) -> None:
-    """Say what else there was than the rates `name`, and which instances of a sensor."""
-    others = [f"{n} at {m.rate:.4g} Hz" for n, m in found.items() if n != name]
-    if others or len(instances) > 1:
-        findings.read.append(
-            f"other rates in the log, not used: {', '.join(others) or 'none'}"
-            + (f"; instances {instances} of {sensor}" if len(instances) > 1 else "")
+    setting: str,
+    before_mixer: Collection[str] = (),
+) -> str:
+    """Name the messages to take: of those that are fast enough, the first that cover the flight.
+
+    If none are, the fastest that cover it. What there is to choose from is said, and why
+    what stands nearer to the sensor or the actuators is passed over.
+
+    Parameters
+    ----------
+    streams : mapping
+        Stamps, ns, and rate, Hz, by name, in the order of preference.
+    flight : sequence of pairs
+        Stretches of flight, ns; empty for the whole log.
+    findings : Findings
+        Gets what there is to say.
+    setting : str
+        The autopilot's parameter that says what is logged.
+    before_mixer : collection of str
+        Those of the names that are commands before the mixer.
+    """
+    every = [t_ns for t_ns, _ in streams.values()]
+    whole_log = (min(int(t_ns.min()) for t_ns in every), max(int(t_ns.max()) for t_ns in every))
+    shares = {name: coverage(t_ns, flight or [whole_log]) for name, (t_ns, _) in streams.items()}
+    rates = {name: rate for name, (_, rate) in streams.items()}
+    fast = [name for name in streams if rates[name] >= ENOUGH_RATE]
+    able = fast or list(streams)
+    most = max(shares[name] for name in able)
+    whole = [name for name in able if shares[name] >= ENOUGH_COVERAGE * most]
+    chosen = whole[0] if fast else max(whole, key=lambda name: rates[name])
+    if len(streams) > 1:
+        listed = [f"{n} at {rates[n]:.4g} Hz over {100.0 * shares[n]:.0f} %" for n in streams]
+        findings.read.append(f"{chosen} is taken; of the flight there is {', '.join(listed)}")
+    names = list(streams)
+    for name in names[: names.index(chosen)]:
+        reason = (
+            f"is logged at {rates[name]:.3g} Hz only ({setting})"
+            if rates[name] < ENOUGH_RATE and shares[name] >= ENOUGH_COVERAGE * most
+            else f"covers {100.0 * shares[name]:.0f} % of the flight only"
         )
+        loss = " from before the mixer, and knows nothing of saturation"
+        tail = loss if chosen in before_mixer and name not in before_mixer else ""
+        findings.lost.append(
+            f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{',' if tail else ''}{tail}"
+        )
+    if rates[chosen] < ENOUGH_RATE:
+        findings.lost.append(
+            f"{chosen} has {rates[chosen]:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed ({setting})"
+        )
+    return chosen
+
+
+def refuse_others(log: Log, known: Mapping[Any, str], found: Any, source: str) -> None:
+    """Refuse a vehicle that is no aircraft.
+
+    Raises
+    ------
+    ImportLogError
+        If what was `found` at its source is a key of `known`.
+    """
+    if found in known:
+        raise ImportLogError(
+            f"log '{log.path}' is of {known[found]} ({source} {found}): the model is that of an "
+            "aircraft's attitude"
+        )
+
+
+def say_instances(sensor: str, instances: Collection[int], findings: Findings) -> None:
+    """Say which instances of a sensor there are, if several."""
+    if len(instances) > 1:
+        findings.read.append(f"instances {list(instances)} of {sensor} (--rates-instance)")
 
 
 def read_lever_arm(

@@ -13,11 +13,12 @@ from uav_ident_ros.import_logs.autopilot import (
     BOOT_TIME,
     ENOUGH_RATE,
     NO_FORCE,
-    choose_rates,
+    choose,
     find_messages,
     read_lever_arm,
+    refuse_others,
     say_changes,
-    say_other_rates,
+    say_instances,
     say_stretches,
 )
 from uav_ident_ros.import_logs.flight_log import (
@@ -28,13 +29,17 @@ from uav_ident_ros.import_logs.flight_log import (
     ImportLogError,
     Rates,
 )
+from uav_ident_ros.import_logs.knowledge import table
 from uav_ident_ros.import_logs.orientation import board_to_body, describe_rotation
 from uav_ident_ros.import_logs.px4_actuators import read_actuators
 from uav_ident_ros.import_logs.px4_log import Px4Log, Topic
-from uav_ident_ros.import_logs.stamps import interpolate, intervals
+from uav_ident_ros.import_logs.stamps import Stretches, interpolate, intervals
 
 ARMED = 2
 """vehicle_status.arming_state of an armed vehicle, in old and new logs."""
+
+ROVER = 3
+"""vehicle_status.vehicle_type of what drives."""
 
 RELATIVE_STAMP_INVALID = 0x7FFFFFFF
 """sensor_combined: there is no accelerometer sample."""
@@ -62,9 +67,10 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     """
     log = Px4Log(path)
     findings = Findings(lost=list(log.remarks), damage=list(log.damage))
-    rates = _read_rates(log, findings, choice)
-    actuators = read_actuators(log, findings, choice)
+    _refuse_others(log)
     flown = _flown(log, findings)
+    rates = _read_rates(log, findings, choice, flown or [])
+    actuators = read_actuators(log, findings, choice, flown or [])
     lever_arm = read_lever_arm(log.parameters, "EKF2_IMU_POS_", findings)
     airspeed = _airspeed(log, findings)
     say_changes(log.changes(EXPLAINING), findings)
@@ -80,14 +86,25 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
 # --- rates --------------------------------------------------------------------------------------
 
 
-def _read_rates(log: Px4Log, findings: Findings, choice: Choice) -> Rates:
+def _refuse_others(log: Px4Log) -> None:
+    """Refuse what is no aircraft."""
+    for name, known in table("px4")["not_aircraft"].items():
+        refuse_others(log, known, log.parameters.get(name), name)
+    status = log.topic("vehicle_status")
+    if status is not None and "vehicle_type" in status:
+        kind = int(status.column("vehicle_type")[-1])
+        refuse_others(log, {ROVER: "a rover"}, kind, "vehicle_status.vehicle_type")
+
+
+def _read_rates(log: Px4Log, findings: Findings, choice: Choice, flight: Stretches) -> Rates:
     """Read the topic asked for, or the first that is fast enough, or the fastest."""
     usable = find_messages(
         log, "rates", RATES_READERS, choice.rates_topic, choice.rates_instance, log.topic
     )
-    name = choose_rates(usable, findings, "SDLOG_PROFILE")
+    streams = {name: (topic.stamp_ns, topic.rate) for name, topic in usable.items()}
+    name = choose(streams, flight, findings, "SDLOG_PROFILE")
     rates = RATES_READERS[name](log, usable[name], findings)
-    say_other_rates(usable, name, findings, "sensor_gyro", log.instances("sensor_gyro"))
+    say_instances("sensor_gyro", log.instances("sensor_gyro"), findings)
     return rates
 
 

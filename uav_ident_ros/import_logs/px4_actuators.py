@@ -10,11 +10,12 @@ and `actuator_outputs`, behind it.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import ENOUGH_RATE, find_messages, first_fast
+from uav_ident_ros.import_logs.autopilot import choose, find_messages
 from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
     Actuators,
@@ -25,51 +26,14 @@ from uav_ident_ros.import_logs.flight_log import (
     ImportLogError,
     unique_names,
 )
-from uav_ident_ros.import_logs.mixing import from_torques, on_a_circle, rotor_effects
+from uav_ident_ros.import_logs.knowledge import effect_of, effects_of_arms, table
+from uav_ident_ros.import_logs.mixing import from_torques, rotor_effects
 from uav_ident_ros.import_logs.px4_log import Px4Log, Topic
-from uav_ident_ros.import_logs.stamps import join
+from uav_ident_ros.import_logs.stamps import Stretches, join
 
+KNOWN = table("px4")
 MULTIROTOR, FIXED_WING = 0, 1
-HYBRIDS = (2, 3, 4)
-"""CA_AIRFRAME of the VTOLs, which fly with two sets of actuators in turn."""
-
-SURFACES = {
-    1: "left_aileron",
-    2: "right_aileron",
-    3: "elevator",
-    4: "rudder",
-    5: "left_elevon",
-    6: "right_elevon",
-    7: "left_vtail",
-    8: "right_vtail",
-    9: "left_flap",
-    10: "right_flap",
-    11: "airbrake",
-    12: "custom_surface",
-    13: "left_atail",
-    14: "right_atail",
-    15: "aileron",
-    16: "steering_wheel",
-    17: "left_spoiler",
-    18: "right_spoiler",
-}
-"""CA_SV_CSi_TYPE."""
-
-WITHOUT_TORQUE = (9, 10, 11, 16, 17, 18)
-"""Types whose torques PX4 itself takes as zero, whatever CA_SV_CSi_TRQ_* says."""
-
-CONTROL_GROUP = (
-    ("roll", from_torques(1.0, 0.0, 0.0)),
-    ("pitch", from_torques(0.0, 1.0, 0.0)),
-    ("yaw", from_torques(0.0, 0.0, 1.0)),
-    ("thrust", from_torques(0.0, 0.0, 0.0, 1.0)),
-    ("flaps", NO_EFFECT),
-    ("spoilers", NO_EFFECT),
-    ("airbrakes", NO_EFFECT),
-    ("landing_gear", NO_EFFECT),
-    ("collective_tilt", NO_EFFECT),
-)
-"""Control group 0, by index (actuator_controls.msg)."""
+"""CA_AIRFRAME."""
 
 MOTOR_FUNCTION, SERVO_FUNCTION = 101, 201
 """Output functions of the first motor and the first servo (PWM_MAIN_FUNCn)."""
@@ -78,14 +42,14 @@ FUNCTIONS_OF_A_KIND = 16
 QUADROTOR = 2
 """MAV_TYPE of a quadrotor."""
 
-QUAD_X_ANGLES, QUAD_X_MOMENTS = (45.0, -135.0, -45.0, 135.0), (1.0, 1.0, -1.0, -1.0)
-"""PX4's quad x: arms clockwise from the nose, deg, and sense of rotation (1: counter-clockwise)."""
-
 PWM_MIN, PWM_MAX = 1000.0, 2000.0
 """Pulse widths of no and full command where no parameter says, us."""
 
 
-def read_actuators(log: Px4Log, findings: Findings, choice: Choice) -> Actuators:
+BEFORE_MIXER = ("vehicle_torque_setpoint", "actuator_controls_0", "actuator_controls_1")
+
+
+def read_actuators(log: Px4Log, findings: Findings, choice: Choice, flight: Stretches) -> Actuators:
     """Read the commands from the topic asked for, or from the best there is.
 
     Raises
@@ -94,44 +58,50 @@ def read_actuators(log: Px4Log, findings: Findings, choice: Choice) -> Actuators
         If there is none, or the one asked for is missing or cannot be interpreted.
     """
     wanted, instance = choice.actuators_topic, choice.actuators_instance
-    usable = find_messages(log, "actuators", READERS, wanted, instance, log.topic)
-    name = wanted or _choose(log, usable, findings)
+
+    def find(name: str, instance: int) -> Topic | None:
+        if not name.startswith(CONTROLS):
+            return log.topic(name, instance)
+        # The sets of a VTOL of old are topics of their own.
+        return log.topic(name) if wanted or name == f"{CONTROLS}{instance}" else None
+
+    usable = find_messages(log, "actuators", READERS, wanted, instance, find)
+    name = _choose(log, usable, findings, flight, instance)
     actuators = READERS[name](log, findings, instance)
-    others = [n for n in usable if n != name and n not in actuators.source]
     findings.read.append(f"actuators: {actuators.source}")
-    if others:
-        findings.read.append(f"other actuator topics, not used: {', '.join(others)}")
     _say_delay(usable[name], findings)
     return actuators
 
 
-def _choose(log: Px4Log, usable: dict[str, Topic], findings: Findings) -> str:
-    """Name the best topic: nearest to the actuators, unless it is logged too slowly."""
-    candidates = list(usable)
-    explained = [n for n in candidates if n not in ALLOCATED or _explained(log, n)]
-    hybrid = log.parameters.get("CA_AIRFRAME") in HYBRIDS
-    if hybrid and "vehicle_torque_setpoint" in usable:
-        findings.assumed.append(
-            "a VTOL: the setpoints of instance 0 are those of hover, of --actuators-instance 1 "
-            "those of forward flight"
-        )
-        return "vehicle_torque_setpoint"
-    candidates = explained or candidates
-    rates = {name: usable[name].rate for name in candidates}
-    # Motors and servos count as one: what is slower decides.
-    slowest = min((rates[n] for n in ALLOCATED if n in rates), default=0.0)
-    rates |= {n: slowest for n in ALLOCATED if n in rates}
-    chosen = first_fast(rates)
-    for name in candidates[: candidates.index(chosen)]:
-        if usable[name].rate < ENOUGH_RATE:
-            findings.lost.append(
-                f"{name} is logged at {usable[name].rate:.0f} Hz only (PX4's default profile); "
-                f"{chosen}, at {usable[chosen].rate:.0f} Hz, knows nothing of saturation. The "
-                "profile 'high rate' of SDLOG_PROFILE logs all of it"
-            )
-    return chosen
+CONTROLS = "actuator_controls_"
 
 
+def _choose(
+    log: Px4Log, usable: dict[str, Topic], findings: Findings, flight: Stretches, instance: int
+) -> str:
+    """Name the best topic: nearest to the actuators, of those that say what they move."""
+    parameters = log.parameters
+    if parameters.get("CA_AIRFRAME") in KNOWN["hybrid_airframes"]:
+        _say_hybrid(f"{' and '.join(SETPOINTS)} of instance", instance, findings)
+        if SETPOINTS[0] in usable:
+            return SETPOINTS[0]
+    elif parameters.get("MAV_TYPE") in KNOWN["hybrid_types"]:
+        _say_hybrid(CONTROLS, instance, findings)
+    explained = [n for n in usable if n not in ALLOCATED or _explained(log, n)]
+    streams = {name: (usable[name].stamp_ns, usable[name].rate) for name in explained or usable}
+    if set(ALLOCATED) <= set(streams):  # they count as one: what is slower decides
+        del streams[max(reversed(ALLOCATED), key=lambda name: streams[name][1])]
+    return choose(streams, flight, findings, "SDLOG_PROFILE: 'high rate'", BEFORE_MIXER)
+
+
+def _say_hybrid(name: str, instance: int, findings: Findings) -> None:
+    findings.assumed.append(
+        f"a VTOL: {name} 0 are the commands of hover, 1 those of forward flight "
+        f"(--actuators-instance); {instance} is taken"
+    )
+
+
+SETPOINTS = ("vehicle_torque_setpoint", "vehicle_thrust_setpoint")
 ALLOCATED = ("actuator_motors", "actuator_servos")
 
 
@@ -227,12 +197,12 @@ def _servos(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
     get = log.parameters.get
     surfaces = min(int(get("CA_SV_CS_COUNT", 0)), count)
     types = [int(get(f"CA_SV_CS{i}_TYPE", 0)) for i in range(surfaces)]
-    names = [SURFACES.get(kind, f"surface_type_{kind}") for kind in types]
+    names = [KNOWN["surfaces"].get(kind, f"surface_type_{kind}") for kind in types]
     names += [f"servo_{i + 1}" for i in range(surfaces, count)]
     channels = []
     for i, name in enumerate(unique_names(names)):
         torques = [float(get(f"CA_SV_CS{i}_TRQ_{axis}", 0.0)) for axis in "RPY"]
-        turns = i < surfaces and types[i] not in WITHOUT_TORQUE
+        turns = i < surfaces and types[i] not in KNOWN["without_torque"]
         trim = float(get(f"CA_SV_CS{i}_TRIM", 0.0)) if i < surfaces else 0.0
         words = ", ".join(
             f"{a} {t:g}" for a, t in zip(("roll", "pitch", "yaw"), torques, strict=True) if t
@@ -296,14 +266,14 @@ def _lifts(log: Px4Log, forces: FloatArray, findings: Findings) -> bool:
     return up >= ahead
 
 
-def _controls(log: Px4Log, findings: Findings, instance: int) -> Actuators:
-    """Control group 0 of logs before v1.13 or so."""
-    topic = log.topic("actuator_controls_0", instance)
+def _controls(name: str, log: Px4Log, findings: Findings, instance: int) -> Actuators:
+    """One set of controls of logs before v1.13 or so."""
+    topic = log.topic(name)
     assert topic is not None  # the caller has looked
     values = topic.vector("control", topic.size("control"))
     channels = tuple(
-        Channel(name, effect, f"control group 0, index {i}, before the mixer")
-        for i, (name, effect) in enumerate(CONTROL_GROUP[: values.shape[1]])
+        Channel(entry["name"], effect_of(entry), f"{topic.name}, index {i}, before the mixer")
+        for i, entry in enumerate(KNOWN["control_group"][: values.shape[1]])
     )
     findings.read.append(
         "controls 0 to 3 are roll, pitch, yaw (-1 to 1, right, up, right positive) and thrust (0 "
@@ -376,7 +346,7 @@ def _quad_x(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
     """Take a quadrotor in X: the mixer file is not in an old log."""
     low = float(log.parameters.get("PWM_MIN", PWM_MIN))
     high = float(log.parameters.get("PWM_MAX", PWM_MAX))
-    effects = rotor_effects(on_a_circle(QUAD_X_ANGLES), QUAD_X_MOMENTS, [1.0] * 4)
+    effects = effects_of_arms(KNOWN["quad_x"])
     findings.assumed.append(
         "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear right) "
         "on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
@@ -394,7 +364,8 @@ READERS: dict[str, Callable[[Px4Log, Findings, int], Actuators]] = {
     "actuator_motors": _allocated,
     "actuator_servos": _allocated,
     "vehicle_torque_setpoint": _setpoints,
-    "actuator_controls_0": _controls,
+    "actuator_controls_0": partial(_controls, "actuator_controls_0"),
+    "actuator_controls_1": partial(_controls, "actuator_controls_1"),
     "actuator_outputs": _outputs,
 }
 """Readers by topic, nearest to the actuators first; the pulse widths, whose meaning is the least

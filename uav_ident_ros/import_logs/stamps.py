@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view as windows
 from numpy.typing import NDArray
@@ -11,6 +13,9 @@ from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 
 BoolArray = NDArray[np.bool_]
+
+Stretches = Sequence[tuple[int, int]]
+"""Start and end of stretches of time, ns."""
 
 NS_PER_S = 1_000_000_000
 
@@ -94,6 +99,22 @@ def doubts(t_ns: TimeArray) -> list[str]:
             f"{float(steps[longest]) / NS_PER_S:.3g} s at {float(t_ns[longest]) / NS_PER_S:.2f} s"
         )
     return result
+
+
+LONGEST_HOLD_NS = 500_000_000
+"""For how long a sample covers the time after it, ns: five intervals of what a logger thins out to
+10 Hz. Nothing is learned from commands that are older."""
+
+
+def coverage(t_ns: TimeArray, stretches: Stretches) -> float:
+    """Return which share of some stretches a stream covers, 0 to 1."""
+    covered, whole = 0, 0
+    for start, end in stretches:
+        inside = t_ns[(start <= t_ns) & (t_ns <= end)]
+        steps = np.diff(np.append(inside, end))
+        covered += int(np.clip(steps, 0, LONGEST_HOLD_NS).sum())
+        whole += end - start
+    return min(covered / whole, 1.0) if whole else 0.0
 
 
 def intervals(
