@@ -511,7 +511,12 @@ def test_saving_and_loading_coefficients_is_the_identity(
 
 
 # Lists whose length is not that of the channels.
-LENGTHS = {"imu.rpy": (3,), "imu.lever_arm": (3,), "model.inertia": (0, 4)}
+LENGTHS = {
+    "imu.rpy": (3,),
+    "imu.lever_arm": (3,),
+    "model.inertia": (0, 4),
+    "excitation.amplitude": (4,),
+}
 
 
 def value_of(setting: Setting, channels: int, structure: str) -> st.SearchStrategy[Any]:
@@ -540,6 +545,8 @@ def value_of(setting: Setting, channels: int, structure: str) -> st.SearchStrate
     if setting.name == "supervision.expected_signs":
         known = st.sampled_from([s + name for s in "+-" for name in STRUCTURES[structure].names])
         return st.lists(known, unique=True).map(tuple)
+    if setting.name == "excitation.band":  # the lower frequency first
+        return st.lists(number, min_size=2, max_size=2, unique=True).map(sorted).map(tuple)
     if setting.type == "float[]":
         return st.sampled_from(lengths).flatmap(
             lambda k: st.lists(number, min_size=k, max_size=k).map(tuple)
