@@ -78,7 +78,7 @@ setup(
             f"import_log = {PACKAGE}.import_logs.cli:main",
             f"monitor = {PACKAGE}.monitor.cli:main",
             f"rate_reference = {PACKAGE}.simulation.rate_reference:main",
-            f"replay = {PACKAGE}.replay:main",
+            f"replay = {PACKAGE}.offline:main",
             f"simulate = {PACKAGE}.simulation.cli:main",
             f"simulated_plant = {PACKAGE}.simulation.plant_node:main",
         ],

@@ -21,12 +21,12 @@ from rosbags.rosbag2 import Reader
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.offline.advice import advise
+from uav_ident_ros.offline.evidence import measure
 from uav_ident_ros.offline.inputs import choose_inputs
+from uav_ident_ros.offline.replayed import Replayed
+from uav_ident_ros.offline.results import write_results
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.replay.advice import advise
-from uav_ident_ros.replay.evidence import measure
-from uav_ident_ros.replay.replayed import Replayed
-from uav_ident_ros.replay.results import write_results
 from uav_ident_ros.simulation.cli import main as simulate
 
 IMU_RATE, ACTUATOR_RATE = 200, 50

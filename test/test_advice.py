@@ -19,8 +19,7 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
-from uav_ident_ros.offline.run import OfflineRun, Refusals, choose_inputs
-from uav_ident_ros.replay.advice import (
+from uav_ident_ros.offline.advice import (
     ADVICE,
     DELAY_OFF,
     DROPPED_SHARE,
@@ -36,7 +35,8 @@ from uav_ident_ros.replay.advice import (
     SLOW_IMU,
     advise,
 )
-from uav_ident_ros.replay.evidence import Evidence, gyro_noise, lost_to, measure
+from uav_ident_ros.offline.evidence import Evidence, gyro_noise, lost_to, measure
+from uav_ident_ros.offline.run import OfflineRun, Refusals, choose_inputs
 
 BAGS = Path(__file__).parent.parent / "bags"
 AUGMENTED = STRUCTURES["augmented"]

@@ -178,7 +178,7 @@ def check_options(page: Path, name: str, words: list[str]) -> None:
     module = {
         "import_log": "uav_ident_ros.import_logs.cli",
         "monitor": "uav_ident_ros.monitor.cli",
-        "replay": "uav_ident_ros.replay",
+        "replay": "uav_ident_ros.offline",
         "simulate": "uav_ident_ros.simulation.cli",
     }[name]
     known = help_of(module)
@@ -376,7 +376,7 @@ def imports_of(path: Path) -> set[str]:
 
 
 NODE_MODULES = {"node"}
-OFFLINE_MODULES = {"bags", "offline", "replay", "report", "pictures"}
+OFFLINE_MODULES = {"bags", "offline", "report"}
 
 
 def test_the_core_imports_numpy_and_itself() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.pictures import COLOURS, MEASURED, PREDICTED, spread, with_sigma
+from uav_ident_ros.offline.drawing import COLOURS, MEASURED, PREDICTED, spread, with_sigma
 
 BAGS = Path(__file__).parents[1] / "bags"
 

@@ -28,10 +28,10 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.types import entry_names
+from uav_ident_ros.offline import main
 from uav_ident_ros.offline.estimates_bag import write_estimates
+from uav_ident_ros.offline.job import NOT_USABLE
 from uav_ident_ros.offline.run import OfflineRun, Refusals, choose_inputs
-from uav_ident_ros.replay import main
-from uav_ident_ros.replay.job import NOT_USABLE
 
 ROOT = Path(__file__).parent.parent
 BAGS = ROOT / "bags"
@@ -415,7 +415,7 @@ def test_bad_input_is_one_line_and_status_2(
 
 
 def test_no_traceback_from_the_command(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "uav_ident_ros.replay", str(tmp_path / "nowhere")]
+    command = [sys.executable, "-m", "uav_ident_ros.offline", str(tmp_path / "nowhere")]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
@@ -742,7 +742,7 @@ def test_without_rosbags_one_line_says_where_to_get_it() -> None:
     """As on a machine that has the package from apt alone."""
     code = (
         "import sys; sys.modules['rosbags'] = None\n"
-        "from uav_ident_ros.replay import main; sys.exit(main(['bag']))"
+        "from uav_ident_ros.offline import main; sys.exit(main(['bag']))"
     )
     run = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False

@@ -17,13 +17,13 @@ import pytest
 
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.writing import BagWriter
-from uav_ident_ros.replay import main
-from uav_ident_ros.replay.comparison import WORST_FIT, mean_fit, ranked, ranking
-from uav_ident_ros.replay.find import find_bags, is_collection, names_of
-from uav_ident_ros.replay.job import NO_RESULT, NOT_USABLE, USABLE, Job, Outcome, replay
-from uav_ident_ros.replay.options import parser, topics
-from uav_ident_ros.replay.overview import columns, overview
-from uav_ident_ros.replay.parallel import replay_all
+from uav_ident_ros.offline import main
+from uav_ident_ros.offline.comparison import WORST_FIT, mean_fit, ranked, ranking
+from uav_ident_ros.offline.find import find_bags, is_collection, names_of
+from uav_ident_ros.offline.job import NO_RESULT, NOT_USABLE, USABLE, Job, Outcome, replay
+from uav_ident_ros.offline.options import parser, topics
+from uav_ident_ros.offline.overview import columns, overview
+from uav_ident_ros.offline.parallel import replay_all
 
 ROOT = Path(__file__).parent.parent
 BAGS = ROOT / "bags"
@@ -112,7 +112,7 @@ def test_names_differ_however_the_bags_are_called() -> None:
 def replayed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """The output folder of a replay of them all, and the finished process."""
     output = tmp_path_factory.mktemp("output")
-    command = [sys.executable, "-m", "uav_ident_ros.replay", str(logs), "--jobs", "2"]
+    command = [sys.executable, "-m", "uav_ident_ros.offline", str(logs), "--jobs", "2"]
     command += ["--params-file", str(PARAMETERS), "--output", str(output)]
     return output, subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
 
@@ -155,7 +155,7 @@ def test_a_process_that_dies_leaves_the_others(logs: Path, tmp_path: Path) -> No
     ]
     script = (
         "import os, signal, sys, pickle\n"
-        "from uav_ident_ros.replay import parallel\n"
+        "from uav_ident_ros.offline import parallel\n"
         "work = parallel._work\n"
         "def deadly(job, sender):\n"
         "    if job.name == 'monday':\n"
@@ -183,7 +183,7 @@ def test_a_process_that_dies_leaves_the_others(logs: Path, tmp_path: Path) -> No
 def test_interrupt_ends_every_process(tmp_path: Path) -> None:
     for name in ("one", "two", "three"):
         excerpt(tmp_path / name, 60.0)
-    command = [sys.executable, "-m", "uav_ident_ros.replay", str(tmp_path), "--jobs", "2"]
+    command = [sys.executable, "-m", "uav_ident_ros.offline", str(tmp_path), "--jobs", "2"]
     process = subprocess.Popen(
         [*command, "--output", str(tmp_path / "out")],
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
@@ -347,7 +347,7 @@ def test_a_fault_of_the_program_is_no_result(
     def broken(*arguments: object, **options: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("uav_ident_ros.replay.job.write_results", broken)
+    monkeypatch.setattr("uav_ident_ros.offline.job.write_results", broken)
     arguments = [str(logs / "tuesday" / "flight"), "--output", str(tmp_path)]
     assert main(arguments) == NO_RESULT  # and not 1, which would say that there is a model
     assert "ZeroDivisionError" in capsys.readouterr().err
@@ -357,7 +357,7 @@ def test_a_fault_of_the_program_is_no_result(
 
 def test_a_reader_that_goes_away_does_not_change_the_status(logs: Path, tmp_path: Path) -> None:
     bag = logs / "tuesday" / "flight"
-    command = [sys.executable, "-m", "uav_ident_ros.replay", str(bag), "--output", str(tmp_path)]
+    command = [sys.executable, "-m", "uav_ident_ros.offline", str(bag), "--output", str(tmp_path)]
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, cwd=ROOT, check=False)

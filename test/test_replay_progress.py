@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from uav_ident_ros.replay import progress
+from uav_ident_ros.offline import progress
 
 ROOT = Path(__file__).parent.parent
 BAG = ROOT / "bags" / "pulses"
@@ -24,7 +24,7 @@ def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
     shown, stream = pty.openpty()
     termios.tcsetwinsize(stream, (24, 100))  # of no columns nothing is shown
     process = subprocess.Popen(
-        [sys.executable, "-m", "uav_ident_ros.replay", *arguments],
+        [sys.executable, "-m", "uav_ident_ros.offline", *arguments],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=stream,
     )  # fmt: skip
     os.close(stream)

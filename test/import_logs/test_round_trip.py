@@ -15,7 +15,7 @@ from dataflash_writing import DataflashWriter
 from imported import contents, flight, parameters, replayed, run
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
-from uav_ident_ros.replay import main as replay
+from uav_ident_ros.offline import main as replay
 from uav_ident_ros.simulation.channels import PWM
 from uav_ident_ros.simulation.noise import Measurements
 from uav_ident_ros.simulation.recording import parameters as original_parameters

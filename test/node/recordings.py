@@ -15,8 +15,8 @@ from node_process import ROOT
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.messages.types import import_type
+from uav_ident_ros.offline.job import NOT_USABLE, USABLE
 from uav_ident_ros.player import Outputs, Player, stamp_ns
-from uav_ident_ros.replay.job import NOT_USABLE, USABLE
 
 BAGS = ROOT / "bags"
 RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
@@ -67,7 +67,7 @@ def write_bag(flight: Recording, folder: Path) -> Path:
 def replayed(flight: Recording, folder: Path) -> TickValues:
     """Run `replay` on a recording and return what its estimates bag holds."""
     bag = write_bag(flight, folder / "flight")
-    command = [sys.executable, "-m", "uav_ident_ros.replay", str(bag)]
+    command = [sys.executable, "-m", "uav_ident_ros.offline", str(bag)]
     command += ["--params-file", str(flight.parameter_file), "--output", str(folder / "out")]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode in (USABLE, NOT_USABLE), run.stderr

@@ -11,7 +11,7 @@ from pathlib import Path
 from node_process import ROOT, StartNode
 from recordings import MakePlayer, recording
 
-from uav_ident_ros.replay import main as replay
+from uav_ident_ros.offline import main as replay
 
 EXAMPLES = ROOT / "examples"
 BAG = ROOT / "bags" / "pulses"

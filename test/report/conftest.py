@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from uav_ident_ros.replay import main
+from uav_ident_ros.offline import main
 
 BAGS = Path(__file__).parents[2] / "bags"
 

@@ -20,7 +20,7 @@ from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.settings import declarations
-from uav_ident_ros.replay import main
+from uav_ident_ros.offline import main
 from uav_ident_ros.report.tables import coefficients_table, verdict_of
 
 BAGS = Path(__file__).parents[2] / "bags"

@@ -1,2 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The identifier over a bag, as the node would have run it."""
+"""`replay`: the identifier over recorded flights, and how good its models were."""
+
+from __future__ import annotations
+
+import sys
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the command; the return value is the exit status, see `replay --help`."""
+    try:
+        from uav_ident_ros.offline import command
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        print(
+            f"replay: the Python package '{package}' is missing, which apt does not have: run "
+            "scripts/setup, or in a virtual environment with --system-site-packages: "
+            "pip install rosbags mcap",
+            file=sys.stderr,
+        )
+        return 2
+    return command.main(args)
+
+
+__all__ = ["main"]

@@ -12,7 +12,7 @@ from bokeh.models import ColumnDataSource, HoverTool, Span
 from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.prediction import LAST_PART
 from uav_ident_ros.identification.structure import INPUTS, SPECIFIC_FORCES, FloatArray
-from uav_ident_ros.replay.evidence import reason_of
+from uav_ident_ros.offline.evidence import reason_of
 from uav_ident_ros.report.flight import AXES, Flight
 from uav_ident_ros.report.predictions import Predictions
 from uav_ident_ros.report.style import COLORS

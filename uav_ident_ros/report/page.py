@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.identification.samples import NS
+from uav_ident_ros.offline.drawing import PictureError
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.pictures import PictureError
 
 if TYPE_CHECKING:  # replay imports the report
-    from uav_ident_ros.replay.evidence import Evidence
+    from uav_ident_ros.offline.evidence import Evidence
     from uav_ident_ros.report.flight import Flight
     from uav_ident_ros.report.timeline import Chart
 

@@ -24,7 +24,7 @@ from uav_ident_ros.report.provenance import bag_files, versions
 from uav_ident_ros.report.timeline import Chart, Timeline
 
 if TYPE_CHECKING:  # replay imports the report
-    from uav_ident_ros.replay.evidence import Evidence
+    from uav_ident_ros.offline.evidence import Evidence
 
 HORIZON = 1.0
 """How far ahead the score of record predicts, s."""

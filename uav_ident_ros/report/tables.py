@@ -20,7 +20,7 @@ from uav_ident_ros.report.flight import AXES, Flight
 from uav_ident_ros.report.predictions import Predictions
 
 if TYPE_CHECKING:  # replay imports the report
-    from uav_ident_ros.replay.evidence import Evidence
+    from uav_ident_ros.offline.evidence import Evidence
 
 KNOWN_FROM = 3.0
 """t-ratio from which a coefficient counts as known."""

@@ -13,8 +13,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
 from uav_ident_ros.bags.reading import Message
-from uav_ident_ros.replay.job import NO_RESULT, Job, Outcome, replay
-from uav_ident_ros.replay.progress import bar
+from uav_ident_ros.offline.job import NO_RESULT, Job, Outcome, replay
+from uav_ident_ros.offline.progress import bar
 
 STEPS = 200
 """A process says so many times how far it is."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.offline.inputs import STREAMS, Inputs
-from uav_ident_ros.replay.replayed import Replayed
+from uav_ident_ros.offline.replayed import Replayed
 
 SUMMARY_VERSION = 1
 AXES = ("p", "q", "r")

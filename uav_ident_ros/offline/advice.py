@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.identification.structure import INPUTS, ROWS
-from uav_ident_ros.replay.evidence import ROW_FORCES, Evidence
+from uav_ident_ros.offline.evidence import ROW_FORCES, Evidence
 
 MAIN_DERIVATIVES: Mapping[str, str] = {"de": "qdot/de", "dr": "rdot/dr", "da": "pdot/da"}
 """The derivative that each surface is there for; throttle has none that is worth its own flight."""

@@ -10,9 +10,9 @@ from typing import Any
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.files.coefficients_file import save_coefficients
 from uav_ident_ros.offline.estimates_bag import write_estimates
-from uav_ident_ros.replay.replayed import Replayed
-from uav_ident_ros.replay.summary import summarise
-from uav_ident_ros.replay.table import write_table
+from uav_ident_ros.offline.replayed import Replayed
+from uav_ident_ros.offline.summary import summarise
+from uav_ident_ros.offline.table import write_table
 
 
 def write_results(folder: Path, replayed: Replayed, node: str) -> tuple[dict[str, Any], str]:

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from uav_ident_ros.replay.evidence import FIT_WINDOWS
-from uav_ident_ros.replay.job import NO_RESULT, NOT_USABLE, USABLE, Outcome
-from uav_ident_ros.replay.summary import AXES
+from uav_ident_ros.offline.evidence import FIT_WINDOWS
+from uav_ident_ros.offline.job import NO_RESULT, NOT_USABLE, USABLE, Outcome
+from uav_ident_ros.offline.summary import AXES
 
 VERDICTS = {USABLE: "usable", NOT_USABLE: "not usable", NO_RESULT: "no result"}
 LOWEST_SHOWN = -1000.0

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from uav_ident_ros.replay.evidence import FIT_WINDOWS
-from uav_ident_ros.replay.job import Outcome
-from uav_ident_ros.replay.overview import columns, fit_columns, fit_of, verdict
-from uav_ident_ros.replay.summary import AXES
+from uav_ident_ros.offline.evidence import FIT_WINDOWS
+from uav_ident_ros.offline.job import Outcome
+from uav_ident_ros.offline.overview import columns, fit_columns, fit_of, verdict
+from uav_ident_ros.offline.summary import AXES
 
 HOLDING = "holding the rates"
 WORST_FIT = -100.0

@@ -15,15 +15,15 @@ from uav_ident_ros.files.parameter_file import ParameterFileError, load_paramete
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
+from uav_ident_ros.offline.advice import advise
+from uav_ident_ros.offline.drawing import PictureError
+from uav_ident_ros.offline.evidence import measure
 from uav_ident_ros.offline.inputs import STREAMS, choose_inputs
+from uav_ident_ros.offline.notes import notes_on
+from uav_ident_ros.offline.picture import write_picture
+from uav_ident_ros.offline.replayed import Replayed
+from uav_ident_ros.offline.results import write_results
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.pictures import PictureError
-from uav_ident_ros.replay.advice import advise
-from uav_ident_ros.replay.evidence import measure
-from uav_ident_ros.replay.notes import notes_on
-from uav_ident_ros.replay.picture import write_picture
-from uav_ident_ros.replay.replayed import Replayed
-from uav_ident_ros.replay.results import write_results
 from uav_ident_ros.report.page import write_report
 
 NODE_NAME = "/identifier"

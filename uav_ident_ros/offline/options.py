@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from uav_ident_ros.offline.inputs import STREAMS, Stream
-from uav_ident_ros.replay.job import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
+from uav_ident_ros.offline.job import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 
 DESCRIPTION = """\
 Run the identifier over recorded flights, as the node would have run, and score its predictions.

@@ -6,9 +6,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from uav_ident_ros.files.truth_file import read_truth
-from uav_ident_ros.pictures import Overview, save_overview
-from uav_ident_ros.replay.evidence import FIT_WINDOWS
-from uav_ident_ros.replay.replayed import Replayed
+from uav_ident_ros.offline.drawing import Overview, save_overview
+from uav_ident_ros.offline.evidence import FIT_WINDOWS
+from uav_ident_ros.offline.replayed import Replayed
 from uav_ident_ros.report.flight import collect
 from uav_ident_ros.report.predictions import predict
 

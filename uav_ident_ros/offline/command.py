@@ -12,13 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from uav_ident_ros.bags.reading import BagError
-from uav_ident_ros.replay.comparison import ranked, ranking
-from uav_ident_ros.replay.find import find_bags, is_collection, names_of
-from uav_ident_ros.replay.job import NO_RESULT, Job, Outcome, replay
-from uav_ident_ros.replay.options import parser, topics
-from uav_ident_ros.replay.overview import overview
-from uav_ident_ros.replay.parallel import replay_all
-from uav_ident_ros.replay.progress import of_messages
+from uav_ident_ros.offline.comparison import ranked, ranking
+from uav_ident_ros.offline.find import find_bags, is_collection, names_of
+from uav_ident_ros.offline.job import NO_RESULT, Job, Outcome, replay
+from uav_ident_ros.offline.options import parser, topics
+from uav_ident_ros.offline.overview import overview
+from uav_ident_ros.offline.parallel import replay_all
+from uav_ident_ros.offline.progress import of_messages
 
 DEFAULT_FOLDER = "replay_{}"
 INTERRUPTED = 130

@@ -11,8 +11,8 @@ import numpy as np
 
 from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.identification.prediction import PredictionFit
-from uav_ident_ros.replay.replayed import Replayed
-from uav_ident_ros.replay.summary import AXES, streams
+from uav_ident_ros.offline.replayed import Replayed
+from uav_ident_ros.offline.summary import AXES, streams
 
 WIDTH = 100
 """Columns of the longest line."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from uav_ident_ros.identification.prediction import PredictionFit
+from uav_ident_ros.offline.advice import Advice
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.replay.advice import Advice
 
 
 @dataclass(frozen=True)
