@@ -4,16 +4,21 @@
 from __future__ import annotations
 
 import sqlite3
+import struct
+import subprocess
+import sys
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from uav_ident_ros.bags.reading import Bag, BagError
+from uav_ident_ros.bags.reading import MCAP_MAGIC, Bag, BagError
 from uav_ident_ros.bags.writing import BagWriter, message_class
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
@@ -212,6 +217,72 @@ def test_damage_in_the_only_chunk_names_the_bag(tmp_path: Path) -> None:
     mcap(path).write_bytes(content[: frame + 4] + b"\xff" * 40 + content[frame + 44 :])
     with Bag(path) as bag, pytest.raises(BagError, match=r"bag' is damaged: there is no message"):
         list(bag.messages(["/a"]))
+
+
+def bomb(path: Path, compression: str, said: int, size: int) -> Path:
+    """Write a bag whose only chunk becomes `size` bytes, and says that it becomes `said`."""
+    compress = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}[compression]
+    chunk = struct.pack("<QQQI", 0, 9, said, 0) + prefixed(compression.encode())
+    data = compress(b"\x00" + struct.pack("<Q", size - 9) + bytes(size - 9))
+    chunk += struct.pack("<Q", len(data)) + data
+    records = [(1, prefixed(b"ros2") + prefixed(b""))]
+    records += [(3, struct.pack("<H", 1) + 3 * prefixed(b"")), (4, channel()), (6, chunk)]
+    records += [(15, bytes(4)), (2, bytes(20))]
+    content = b"".join(bytes([kind]) + struct.pack("<Q", len(r)) + r for kind, r in records)
+    path.write_bytes(MCAP_MAGIC + content + MCAP_MAGIC)
+    return path
+
+
+def prefixed(text: bytes) -> bytes:
+    return struct.pack("<I", len(text)) + text
+
+
+def channel() -> bytes:
+    return struct.pack("<HH", 1, 1) + prefixed(b"/a") + prefixed(b"cdr") + prefixed(b"")
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("said", [1000, 300 * 2**20])
+def test_a_bag_that_becomes_too_large(compression: str, said: int, tmp_path: Path) -> None:
+    """Whatever it says of itself: decompressing stops at the limit."""
+    path = bomb(tmp_path / "bomb.mcap", compression, said, 300 * 2**20)
+    assert path.stat().st_size < 2 * 2**20
+    program = (
+        "import resource, sys\n"
+        "from uav_ident_ros.bags.reading import Bag, BagError\n"
+        "try:\n"
+        f"    with Bag({str(path)!r}) as bag: list(bag.messages(bag.types))\n"
+        "except BagError as error: print(error)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    line, peak = done.stdout.splitlines()
+    assert "a chunk holds more than 64 MiB when it is decompressed" in line
+    assert int(peak) < 500  # MiB
+
+
+def test_a_compressed_file_that_becomes_too_large(tmp_path: Path) -> None:
+    path = write(tmp_path / "bag")
+    file = mcap(path)
+    content = zstandard.compress(file.read_bytes() + bytes(80 * 2**20))
+    file.with_suffix(".mcap.zstd").write_bytes(content)
+    file.unlink()
+    text = (path / "metadata.yaml").read_text()
+    text = text.replace("bag.mcap", "bag.mcap.zstd").replace("bag.mcap.zstd.zstd", "bag.mcap.zstd")
+    text = text.replace("compression_format: ''", "compression_format: zstd")
+    text = text.replace("compression_mode: ''", "compression_mode: file")
+    (path / "metadata.yaml").write_text(text)
+    with pytest.raises(BagError, match="the compressed file holds more than 64 MiB"):
+        Bag(path)
+
+
+def test_a_bag_of_very_many_topics_with_very_long_names(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for i in range(300):
+            bag.topic(f"/{'x' * 500}_{i}", ARRAY)
+    with Bag(tmp_path / "bag") as bag, pytest.raises(BagError, match="and 270 more") as caught:
+        bag.type_of("/imu/data")
+    assert len(str(caught.value)) < 6000
 
 
 def test_bytes_that_are_no_such_message(tmp_path: Path) -> None:

@@ -14,7 +14,10 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
+from uav_ident_ros.bags.limits import LARGEST_DEFINITION, guard_rosbags, listed
 from uav_ident_ros.bags.salvage import SalvageError, SalvageReader
+
+guard_rosbags()
 
 METADATA_FILE = "metadata.yaml"
 STORAGE_SUFFIXES = (".mcap", ".db3")
@@ -150,8 +153,8 @@ class Bag:
 
     def contents(self) -> str:
         """List the topics with their types in one line."""
-        listed = [f"{topic} ({msgtype})" for topic, msgtype in self.types.items()]
-        return ", ".join(listed) or "no topics at all"
+        topics = [f"{topic} ({msgtype})" for topic, msgtype in self.types.items()]
+        return listed(topics) or "no topics at all"
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Yield the messages of some topics in log-time order.
@@ -192,7 +195,9 @@ class Bag:
             saved = [SalvageReader(file) for file in files]
         except Exception as error:  # as above
             if not count:
-                raise BagError(f"bag '{self.path}' is damaged: {_reason(error)}") from error
+                raise BagError(
+                    f"bag '{self.path}' is damaged: {_reason(error)} ({reason})"
+                ) from error
             self._note(
                 f"'{reader.path.name}' is damaged ({reason}): the first {count} messages are used"
             )
@@ -248,6 +253,8 @@ class Bag:
             if connection.msgtype != msgtype or parse is None:
                 continue
             try:
+                if len(connection.msgdef.data) > LARGEST_DEFINITION:
+                    raise BagError("it is too long")
                 found = parse(connection.msgdef.data)
                 self._store.register({n: d for n, d in found.items() if n not in self._store.types})
             except Exception as error:

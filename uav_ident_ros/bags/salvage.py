@@ -11,7 +11,7 @@ from __future__ import annotations
 import heapq
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -22,6 +22,8 @@ from rosbags.interfaces import (
     MessageDefinition,
     MessageDefinitionFormat,
 )
+
+from uav_ident_ros.bags.limits import decompressed
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Chunk, McapRecord, Message, Schema
@@ -312,9 +314,9 @@ def _unpacked(chunk: Chunk, *, whole: bool) -> list[McapRecord]:
     """Return the records of a chunk; of one that is cut off, those before the cut."""
     from mcap.stream_reader import StreamReader, breakup_chunk
 
+    data = decompressed(chunk.data, chunk.compression)
     if whole:
-        return breakup_chunk(chunk, validate_crc=True)
-    data = _decompressed(chunk)
+        return breakup_chunk(replace(chunk, data=data, compression=""), validate_crc=True)
     found = []
     try:
         for record in StreamReader(
@@ -324,19 +326,6 @@ def _unpacked(chunk: Chunk, *, whole: bool) -> list[McapRecord]:
     except Exception:  # the cut
         pass
     return found
-
-
-def _decompressed(chunk: Chunk) -> bytes:
-    """Return what the data of a chunk that is cut off still hold."""
-    if chunk.compression == "zstd":
-        import zstandard
-
-        return zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
-    if chunk.compression == "lz4":
-        import lz4.frame
-
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data))
-    return chunk.data
 
 
 def _damage(contents: _Contents) -> str:

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bag may cost: how large its compressed parts may become, how much of it is listed.
+
+The libraries decompress whatever a file holds: 192 kB of zstd become gigabytes. Their functions
+for it are replaced, in one place, by ones that stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from types import SimpleNamespace
+from typing import IO, Any
+
+from rosbags.rosbag2 import reader, storage_mcap
+
+LARGEST_PART = 64 * 2**20
+"""Bytes of the largest compressed chunk or message, decompressed. Recorders close a chunk at one to
+eight million bytes; reading takes a few times as much memory."""
+
+LARGEST_RATIO = 100
+"""A file that is compressed as a whole may become so many times as large, or `LARGEST_PART`: Imu
+messages shrink to a fifth, those of a sensor that stands still to a fiftieth."""
+
+LARGEST_DEFINITION = 2**20
+"""Bytes of the longest definition of a message type: the longest of ROS 2's have some thousands."""
+
+MOST_LISTED, LONGEST_NAME = 30, 120
+"""Topics that a message lists, and characters of a name in it."""
+
+
+class TooLargeError(Exception):
+    """A compressed part of a bag becomes too large; the message says how large it may be."""
+
+    def __init__(self, what: str, limit: int = LARGEST_PART) -> None:
+        super().__init__(f"{what} holds more than {limit / 2**20:.0f} MiB when it is decompressed")
+
+
+def decompressed(data: bytes, compression: str) -> bytes:
+    """Return what a chunk holds.
+
+    Parameters
+    ----------
+    data : bytes
+        The chunk's data.
+    compression : str
+        ``lz4``, ``zstd`` or nothing.
+
+    Raises
+    ------
+    TooLargeError
+        If that is more than `LARGEST_PART`.
+    """
+    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+    if not compression:
+        return data
+    makers: dict[str, Callable[[], Any]] = {
+        "lz4": LZ4FrameDecompressor,
+        "zstd": storage_mcap.zstd.ZstdDecompressor,
+    }
+    result: bytes = makers[compression]().decompress(data, max_length=LARGEST_PART + 1)
+    if len(result) > LARGEST_PART:
+        raise TooLargeError("a chunk")
+    return result
+
+
+def listed(names: Collection[str]) -> str:
+    """Return names in one line, not more of them and no longer than somebody reads."""
+    shown = [name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..." for name in names]
+    more = f" and {len(shown) - MOST_LISTED} more" if len(shown) > MOST_LISTED else ""
+    return ", ".join(shown[:MOST_LISTED]) + more
+
+
+class _Bounded:
+    """A file compressed as a whole, for reading.
+
+    Parameters
+    ----------
+    file : binary file
+        The compressed file.
+    mode : str
+        ``rb``.
+    """
+
+    def __init__(self, file: IO[bytes], mode: str) -> None:
+        self._content = _zstd.open(file, mode)
+        size = file.seek(0, 2)
+        file.seek(0)
+        self._limit = self._left = max(LARGEST_PART, LARGEST_RATIO * size)
+
+    def read(self, size: int) -> bytes:
+        """Read some bytes.
+
+        Raises
+        ------
+        TooLargeError
+            If there are more than there may be.
+        """
+        data: bytes = self._content.read(size)
+        self._left -= len(data)
+        if self._left < 0:
+            raise TooLargeError("the compressed file", self._limit)
+        return data
+
+    def __enter__(self) -> _Bounded:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._content.close()
+
+
+_zstd = reader.zstd
+
+
+def guard_rosbags() -> None:
+    """Let rosbags decompress what fits, and nothing else."""
+    storage_mcap.DECOMPRESSORS |= {
+        "lz4": lambda data, _: decompressed(data, "lz4"),
+        "zstd": lambda data, _: decompressed(data, "zstd"),
+    }
+    reader.zstd = SimpleNamespace(
+        open=_Bounded, decompress=lambda data: decompressed(data, "zstd")
+    )
