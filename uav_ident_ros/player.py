@@ -45,6 +45,9 @@ CLOCK_AHEAD_NS = 100_000_000
 CALL_AGAIN_AFTER = 1.0
 """Seconds without an answer after which a service call is repeated."""
 
+PATIENCE = 60.0
+"""Seconds after which an answer is missed; a busy machine may need them."""
+
 SETTLE = 0.3
 """Seconds for what takes no longer on any machine, and cannot be asked for."""
 
@@ -163,7 +166,9 @@ class Player:
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
-    def wait_until(self, condition: Callable[[], bool], what: str, timeout: float = 20.0) -> None:
+    def wait_until(
+        self, condition: Callable[[], bool], what: str, timeout: float = PATIENCE
+    ) -> None:
         """Listen until `condition` holds.
 
         Raises
@@ -187,7 +192,7 @@ class Player:
             publisher.get_subscription_count() > 0 for publisher in publishers
         )
 
-    def wait_for_node(self, timeout: float = 20.0) -> None:
+    def wait_for_node(self, timeout: float = PATIENCE) -> None:
         """Listen until the node hears this player and this player hears the node."""
         self.wait_until(
             self.node_is_there,
@@ -279,7 +284,7 @@ class Player:
         self._flush()
         return math.sqrt(sum(x * x for x in late) / max(len(late), 1))
 
-    def play_in_step(self, messages: Sequence[Message], timeout: float = 20.0) -> None:
+    def play_in_step(self, messages: Sequence[Message], timeout: float = PATIENCE) -> None:
         """Play as fast as the node answers, so that no message can be lost.
 
         Raises

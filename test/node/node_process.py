@@ -12,6 +12,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
+PATIENCE = 120.0
+"""Seconds after which something that must happen is missed: nothing waits for them otherwise, and
+a machine with much other work may need them."""
+
 
 class NodeProcess:
     """`identifier` as a process of its own."""
@@ -31,12 +35,12 @@ class NodeProcess:
         self._errors.seek(0)
         return self._errors.read()
 
-    def end(self, signal_number: int, timeout: float = 10.0) -> int:
+    def end(self, signal_number: int, timeout: float = PATIENCE) -> int:
         """Send a signal and return the exit status."""
         self.process.send_signal(signal_number)
         return self.process.wait(timeout)
 
-    def exit_status(self, timeout: float = 20.0) -> int:
+    def exit_status(self, timeout: float = PATIENCE) -> int:
         """Wait for it to end by itself."""
         return self.process.wait(timeout)
 
@@ -55,7 +59,7 @@ class NodeProcess:
 StartNode = Callable[..., NodeProcess]
 
 
-def wait_for(condition: Callable[[], bool], timeout: float = 10.0) -> bool:
+def wait_for(condition: Callable[[], bool], timeout: float = PATIENCE) -> bool:
     """Wait until `condition` holds; return whether it does."""
     end = time.monotonic() + timeout
     while not condition():

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ from node_process import ROOT
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.messages.types import import_type
+from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.job import NOT_USABLE, USABLE
 from uav_ident_ros.player import Outputs, Player, stamp_ns
 
@@ -67,16 +66,21 @@ def write_bag(flight: Recording, folder: Path) -> Path:
 def replayed(flight: Recording, folder: Path) -> TickValues:
     """Run `replay` on a recording and return what its estimates bag holds."""
     bag = write_bag(flight, folder / "flight")
-    command = [sys.executable, "-m", "uav_ident_ros.offline", str(bag)]
-    command += ["--params-file", str(flight.parameter_file), "--output", str(folder / "out")]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert run.returncode in (USABLE, NOT_USABLE), run.stderr
+    parameters = ["--params-file", str(flight.parameter_file)]
+    status = replay([str(bag), *parameters, "--output", str(folder / "out")])
+    assert status in (USABLE, NOT_USABLE)
     names = ("coefficients_named", "predicted_rates", "prediction_error")
     topics = [f"{NODE}/{name}" for name in names]
     with Bag(folder / "out" / "estimates") as estimates:
         decoders = {topic: estimates.decoder(topic) for topic in topics}
         decoded = [(m.topic, decoders[m.topic](m.data)) for m in estimates.messages(topics)]
     return joined(*([m for t, m in decoded if t == topic] for topic in topics))
+
+
+def wait_for_status(player: Player) -> None:
+    """Wait for a status that was made after all that has been played: the next may be older."""
+    wanted = len(player.outputs.status) + 2
+    player.wait_until(lambda: len(player.outputs.status) >= wanted, "two statuses")
 
 
 def published(outputs: Outputs) -> TickValues:

@@ -11,7 +11,7 @@ import pytest
 from geometry_msgs.msg import TwistStamped
 from node_process import StartNode
 from rclpy.serialization import serialize_message
-from recordings import MakePlayer, recording
+from recordings import MakePlayer, recording, wait_for_status
 from std_msgs.msg import Float64
 
 from uav_ident_ros.bags import reading as bags
@@ -82,7 +82,7 @@ def test_node_waits_for_airspeed_and_learns_with_it(
             twist.twist.linear.x = math.nan if bad else 20.0
             messages.append(bags.Message(TOPIC, message.log_ns, serialize_message(twist)))
     player.play_in_step(messages)
-    player.spin_for(1.2)
+    wait_for_status(player)
     assert player.outputs.coefficients[-1].data != waiting
     shown = {entry.key: entry.value for entry in player.outputs.status[-1].values}
     assert int(shown["airspeed: dropped: not finite"]) > 0

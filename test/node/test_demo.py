@@ -21,7 +21,7 @@ def demo(*arguments: str) -> subprocess.CompletedProcess[str]:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=120.0,
+        timeout=300.0,
         check=False,
     )
 

@@ -19,6 +19,7 @@ from recordings import (
     published,
     recording,
     replayed,
+    wait_for_status,
 )
 
 from uav_ident_ros.bags.reading import Message
@@ -142,7 +143,7 @@ def test_bad_messages_leave_no_trace_in_the_estimate(
     player.wait_for_node()
     played = list(with_bad_messages(flight))
     player.play_in_step([message for message, _ in played])
-    player.spin_for(1.2)
+    wait_for_status(player)
     assert published(player.outputs) == replayed(flight, tmp_path)
     for stream, topic in (("rates", RATES_TOPIC), ("actuators", ACTUATORS_TOPIC)):
         reasons = [reason for message, reason in played if reason and message.topic == topic]

@@ -20,6 +20,7 @@ from recordings import (
     Recording,
     published,
     recording,
+    wait_for_status,
 )
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -52,7 +53,7 @@ def test_diagnostics_tell_what_a_pilot_asks(
     player.play_in_step(flight.messages)
     assert call(player, Trigger, f"{NODE}/save", Trigger.Request()).success
     player.play_in_step(flight.messages)
-    player.spin_for(1.2)
+    wait_for_status(player)
     shown = {entry.key: entry.value for entry in player.outputs.status[-1].values}
     assert float(shown["saved fit p [%]"]) != 0.0
     for key in ("fit q [%]", "hold q [%]", "delay [s]", "excitation qdot [0..1]"):

@@ -7,8 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from node_process import StartNode
-from recordings import MakePlayer, published, recording, replayed, write_bag
+from recordings import MakePlayer, published, recording, replayed, wait_for_status, write_bag
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
@@ -89,6 +90,8 @@ def test_unstamped_actuators_at_real_time_fit_within_a_point(
         player.spin_for(0.5)
         if late < ON_TIME:
             break
+    else:
+        pytest.skip("this machine is too busy to play a bag in real time")
     ticks = [stamp_ns(m.header.stamp) for m in player.outputs.named]
     assert len(ticks) == len(player.outputs.coefficients)
     live = dict(zip(ticks, (m.data for m in player.outputs.coefficients), strict=True))
@@ -144,7 +147,7 @@ def test_bag_played_without_clock_is_a_fault_that_says_so(
     player = make_player(flight, clock=False)
     player.wait_for_node()
     player.play(flight.messages)
-    player.spin_for(1.2)
+    wait_for_status(player)
     faults = [s for s in player.outputs.status if s.message.startswith("fault: ")]
     assert faults
     assert "different clocks" in faults[-1].message

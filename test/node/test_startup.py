@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from node_process import ROOT, StartNode, wait_for
+from node_process import PATIENCE, ROOT, StartNode, wait_for
 
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.node.usage import identifier_usage
@@ -41,7 +41,7 @@ def refused(*arguments: str) -> str:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=30.0,
+        timeout=PATIENCE,
         check=False,
     )
     assert run.returncode == 2, run.stderr
@@ -110,7 +110,7 @@ def test_help_is_printed_and_nothing_runs(module: str, says: str) -> None:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=30.0,
+        timeout=PATIENCE,
         check=False,
     )
     assert run.returncode == 0, run.stderr
