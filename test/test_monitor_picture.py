@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import io
 import math
+import re
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.types import entry_names
 from uav_ident_ros.monitor.heard import TREND_TIME, Coefficient, Heard
-from uav_ident_ros.monitor.lines import ASCII, glyphs_for, lines, plain
+from uav_ident_ros.monitor.picture import picture
 
 SECOND_NS = 1_000_000_000
 
@@ -73,8 +76,16 @@ def heard(
     return result, watch
 
 
-def text(result: Heard, width: int = 80) -> str:
-    return "\n".join(plain(line) for line in lines(result, width))
+def printed(width: int, encoding: str = "utf-8") -> Console:
+    """A console of a width that keeps what is printed on it."""
+    file = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    return Console(file=file, width=width, record=True, force_terminal=False)
+
+
+def text(result: Heard, width: int = 80, encoding: str = "utf-8") -> str:
+    console = printed(width, encoding)
+    console.print(picture(result, console))
+    return "\n".join(line.rstrip() for line in console.export_text().splitlines())
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
@@ -92,7 +103,7 @@ def test_other_widths_are_kept_and_nothing_is_lost(width: int) -> None:
     assert max(map(len, shown.splitlines())) <= width
     if width >= 40:
         for name in STRUCTURES["augmented"].regressors:
-            assert f"\n{name} " in shown or f"  {name} " in shown
+            assert re.search(rf"(^| ){name} ", shown, re.MULTILINE)
 
 
 def test_every_number_is_where_it_belongs() -> None:
@@ -100,9 +111,9 @@ def test_every_number_is_where_it_belongs() -> None:
     head = shown.splitlines()[0]
     assert head == "/drone1/identifier  learning  usable  tick 1.05 s"
     assert "the 1-second fit of q is 20 %" in shown
-    assert "pq   -60.000 fixed" in shown
-    assert "qr   -55.862   inf    0 →" in shown
-    assert "p    -51.724 0.500  103 →" in shown
+    assert "pq    -60.000 fixed" in shown
+    assert "qr    -55.862   inf    0 →" in shown
+    assert "p     -51.724 0.500  103 →" in shown
     assert "pdot   excited 0.28" in shown
     assert "fit 84 %  hold -12 %" in shown
     assert "fit 86 %  hold 95 %" in shown
@@ -115,7 +126,9 @@ def test_every_number_is_where_it_belongs() -> None:
 
 
 def styles(result: Heard) -> dict[str, str]:
-    return {part.strip(): style for line in lines(result, 80) for part, style in line}
+    console = printed(80)
+    segments = console.render(picture(result, console))
+    return {segment.text.strip(): str(segment.style) for segment in segments}
 
 
 def test_colours_tell_good_from_bad() -> None:
@@ -212,8 +225,18 @@ def test_past_values_are_drawn_where_there_is_room() -> None:
 
 
 def test_terminals_without_unicode_get_other_signs() -> None:
-    assert glyphs_for("utf-8").up == "↗"
-    assert glyphs_for("ascii") is ASCII
-    assert glyphs_for(None) is ASCII
     result = fed((1.0, 0.0), (2.0, 1.0))
-    "\n".join(plain(line) for line in lines(result, 120, ASCII)).encode("ascii")
+    assert "↗" in text(result, 120)
+    assert "p      +1.000 0.010  100 /" in text(result, 120, encoding="ascii")
+    text(result, 120, encoding="ascii").encode("ascii")
+
+
+def test_states_are_shown_and_are_no_coefficients() -> None:
+    result = Heard("/identifier")
+    names = ["pdot/da", "ay/beta", "state/alpha", "state/roll", "verdict/usable/pdot"]
+    for t_ns in (SECOND_NS, SECOND_NS + 50_000_000):
+        result.coefficients_named(t_ns, names, [45.0, -16.0, 0.1, -0.5, 1.0], [0.1] * 5)
+    assert [c.name for c in result.coefficients()] == ["pdot/da", "ay/beta"]
+    shown = text(result)
+    assert "state     alpha +5.7°, roll -28.6°" in shown
+    assert re.search(r"^ay\n.*beta  -16.000 0.100", shown, re.MULTILINE)

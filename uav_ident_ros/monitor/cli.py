@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import math
 import os
 import signal
@@ -12,7 +13,6 @@ from typing import NoReturn
 
 from uav_ident_ros.monitor.heard import Heard
 from uav_ident_ros.monitor.listener import Listener
-from uav_ident_ros.monitor.views import Blocks, make_view
 
 USABLE = 0
 NOT_USABLE = 1
@@ -25,6 +25,12 @@ TIMEOUT = 5.0
 
 LOOK_AGAIN = 1.0
 """Seconds after which the view looks again for an identifier."""
+
+
+NO_RICH = (
+    "monitor: the package 'rich' is not installed: python3-rich from apt, or the extra 'monitor' "
+    "from pip"
+)
 
 
 class MonitorError(Exception):
@@ -108,12 +114,16 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
     if heard.tick is None and not heard.status.state:
         print(f"monitor: nothing was heard of '{node}' for {timeout:g} s", file=sys.stderr)
         return NOTHING_HEARD
+    from uav_ident_ros.monitor.views import Blocks
+
     Blocks().show(heard)
     return USABLE if heard.usable else NOT_USABLE
 
 
 def watch(listener: Listener, node: str | None, as_text: bool) -> NoReturn:
     """Show an identifier for as long as this runs; wait for one if there is none."""
+    from uav_ident_ros.monitor.views import make_view
+
     heard = _wait_for(listener, node)
     view = make_view(as_text)
     try:
@@ -142,6 +152,9 @@ def _interrupt(*_: object) -> NoReturn:
 def main(arguments: list[str] | None = None) -> int:
     """Run the monitor; the return value is the exit status."""
     options = parser().parse_args(arguments)
+    if importlib.util.find_spec("rich") is None:
+        print(NO_RICH, file=sys.stderr)
+        return USAGE_ERROR
     signal.signal(signal.SIGTERM, _interrupt)
     listener = Listener()
     try:

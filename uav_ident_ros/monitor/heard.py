@@ -11,7 +11,12 @@ from dataclasses import dataclass, field
 
 from uav_ident_ros.messages.types import FIT_NAMES, NS_PER_S, USABLE_NAME
 
-AXES = ("p", "q", "r")
+AXIS_OF = {"pdot": "p", "qdot": "q", "rdot": "r"}
+"""The moment equations, each with the rate that its fit is of."""
+
+STATE = "state/"
+NOT_COEFFICIENTS = ("fit/", "verdict/", STATE)
+"""How the entries begin that are none."""
 
 TREND_TIME = 10.0
 """Message time over which the trend of a coefficient is shown, s."""
@@ -83,12 +88,6 @@ class Status:
             return float(self.values[label])
         except (KeyError, ValueError):
             return None
-
-    def per_axis(self, label: str) -> tuple[float, ...] | None:
-        """Values of ``LABEL p [%]`` and so on; None if the node does not publish them."""
-        found = [self.number(f"{label} {axis} [%]") for axis in AXES]
-        known = tuple(value for value in found if value is not None)
-        return known if len(known) == len(AXES) else None
 
     def group(self, name: str) -> dict[str, str]:
         """Values of a group, by their labels within it."""
@@ -185,22 +184,41 @@ class Heard:
         return verdict and self.fresh and self.status.state not in STATES_WITHOUT_DATA
 
     @property
-    def fit(self) -> tuple[float, ...] | None:
-        """Running 1-second prediction fit of each axis, percent; None before the first."""
+    def states(self) -> dict[str, float]:
+        """States of the model beside the rates, rad, by their names; empty if it has none."""
         entries = self._entries()
-        fit = tuple(entries.get(name, 0.0) for name in FIT_NAMES)
-        return fit if any(fit) else None
+        return {k.removeprefix(STATE): v for k, v in entries.items() if k.startswith(STATE)}
+
+    def fit_of(self, row: str) -> tuple[float | None, float | None]:
+        """Return the running fit of a moment equation and that of holding its rate, percent.
+
+        None before the first, and where the node does not publish it.
+        """
+        axis, entries = AXIS_OF[row], self._entries()
+        known = any(entries.get(name) for name in FIT_NAMES)
+        hold = self.status.number(f"hold {axis} [%]")
+        return (entries.get(f"fit/{axis}") if known else None), hold
+
+    def rows(self) -> list[str]:
+        """Rows of the model, in the order of the message; the moment equations before any."""
+        return list(
+            dict.fromkeys([*AXIS_OF, *(c.name.partition("/")[0] for c in self.coefficients())])
+        )
+
+    @staticmethod
+    def is_moment(row: str) -> bool:
+        """Whether a row is a moment equation, which has a fit."""
+        return row in AXIS_OF
 
     def coefficients(self) -> list[Coefficient]:
         """Every coefficient, in the order of the message."""
-        other = {*FIT_NAMES, USABLE_NAME}
         past = [*(values for _, values in self._past), self._values]
         return [
             Coefficient(name, value, sigma, tuple(values[i] for values in past))
             for i, (name, value, sigma) in enumerate(
                 zip(self._names, self._values, self._sigmas, strict=True)
             )
-            if name not in other
+            if not name.startswith(NOT_COEFFICIENTS)
         ]
 
     def _entries(self) -> dict[str, float]:

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What has been heard as one picture of `rich`: the same for a terminal and for a pipe.
+
+The coefficients stand in columns, a row of the model each, side by side where the width allows:
+on 80 columns and 24 lines the moment equations are in sight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from uav_ident_ros.monitor.heard import Coefficient, Heard
+
+COLUMN_WIDTH = 26
+"""Characters of a column: name, value, sigma, t-ratio, trend."""
+
+GAP = 1
+"""Characters between two columns, and two cells."""
+
+CELL_WIDTHS = (5, 7, 5, 4)
+"""Characters of name, value, sigma and t-ratio."""
+
+AXES = 3
+"""Columns that should fit side by side."""
+
+SPARKS = 10
+"""Characters of the line of past values, where the terminal is wide enough for it."""
+
+SHOWN_RATIO = 999.0
+"""Largest t-ratio that is written out."""
+
+WELL_KNOWN = 3.0
+"""t-ratio from which a coefficient counts as known: the default of `supervision.min_t_ratio`."""
+
+STATE_STYLES = {"learning": "cyan", "converged": "green", "fault": "bold red"}
+OTHER_STATE = "yellow"
+
+CONFIDENCE = {"none": "as set", "low": "estimated, not sure yet", "sure": "estimated, sure"}
+"""What the node says of its delay, in words."""
+
+
+@dataclass(frozen=True)
+class Glyphs:
+    """Characters that the terminal can show.
+
+    Parameters
+    ----------
+    up, down, level : str
+        Trends.
+    sparks : str
+        Levels of the line of past values, lowest first.
+    """
+
+    up: str = "↗"
+    down: str = "↘"
+    level: str = "→"
+    sparks: str = "▁▂▃▄▅▆▇█"
+
+
+ASCII = Glyphs("/", "\\", "-", "_.-~^")
+"""For terminals without UTF-8."""
+
+
+def picture(heard: Heard, console: Console) -> RenderableType:
+    """Return everything worth seeing, to be printed on `console`."""
+    glyphs = ASCII if console.options.ascii_only else Glyphs()
+    sparks = console.width >= AXES * (COLUMN_WIDTH + SPARKS + GAP) - GAP
+    width = COLUMN_WIDTH + SPARKS if sparks else COLUMN_WIDTH
+    rows = [_row(heard, row, glyphs, sparks) for row in heard.rows()]
+    return Group(
+        *_head(heard),
+        "",
+        _side_by_side(rows, width, console.width),
+        "",
+        *_inputs(heard),
+        *_foot(heard),
+    )
+
+
+def _side_by_side(parts: Sequence[RenderableType], width: int, whole: int) -> Table:
+    """Return parts of a width beside one another, as many as go into the whole one."""
+    count = max(1, min(AXES, (whole + GAP) // (width + GAP)))
+    table = Table.grid(padding=(0, GAP, 0, 0))
+    for _ in range(count):
+        table.add_column(width=width, no_wrap=True)
+    for first in range(0, len(parts), count):
+        if first:
+            table.add_row("")
+        table.add_row(*parts[first : first + count])
+    return table
+
+
+# --- who and how ------------------------------------------------------------------------------
+
+
+def _head(heard: Heard) -> Iterator[Text]:
+    """Yield name, state, verdict and tick, then what is wrong or lacking."""
+    state = heard.status.state
+    tick = ("no tick yet", "yellow")
+    if heard.tick is not None:
+        tick = (f"tick {heard.tick:.2f} s", "")
+        if not heard.fresh:
+            tick = (f"last {tick[0]}, none since", "bold red")
+    yield Text("  ").join(
+        [
+            Text(heard.node, "bold"),
+            Text(state or "?", STATE_STYLES.get(state, OTHER_STATE)),
+            _verdict(heard.usable),
+            Text(*tick),
+        ]
+    )
+    if heard.publishers > 1:
+        yield Text(f"{heard.publishers} nodes publish under this name: they get mixed", "bold red")
+    if heard.status.reason:
+        yield Text(heard.status.reason)
+
+
+def _verdict(usable: bool) -> Text:
+    return Text("usable", "bold green") if usable else Text("not usable", "bold yellow")
+
+
+# --- coefficients -----------------------------------------------------------------------------
+
+
+def _row(heard: Heard, row: str, glyphs: Glyphs, sparks: bool) -> RenderableType:
+    """Return a row of the model: its excitation, fit and coefficients."""
+    excitation = heard.status.number(f"excitation {row} [0..1]")
+    head = Text(row, "bold")
+    if excitation is not None:
+        head.append(f"   excited {excitation:.2f}", "not bold dim")
+    table = Table.grid(padding=(0, GAP, 0, 0))
+    for cell, width in enumerate(CELL_WIDTHS):
+        table.add_column(justify="right" if cell else "left", width=width, no_wrap=True)
+    table.add_column(no_wrap=True)
+    for coefficient in heard.coefficients():
+        if coefficient.name.startswith(f"{row}/"):
+            table.add_row(*_cells(coefficient, glyphs, sparks))
+    fit = [_fit(heard, row)] if heard.is_moment(row) else []
+    return Group(head, *fit, table)
+
+
+def _fit(heard: Heard, row: str) -> Text:
+    """Return the fit of a moment equation beside that of holding the rate."""
+    fit, hold = heard.fit_of(row)
+    if fit is None:
+        return Text("no fit yet", "dim")
+    better = fit > (0.0 if hold is None else hold)
+    held = "" if hold is None else f"  hold {hold:.0f} %"
+    return Text.assemble((f"fit {fit:.0f} %", "green" if better else "yellow"), (held, "dim"))
+
+
+def _cells(coefficient: Coefficient, glyphs: Glyphs, sparks: bool) -> Iterator[Text]:
+    """Yield name, value, standard deviation, t-ratio and trend of a coefficient."""
+    ratio = coefficient.t_ratio
+    style = "" if ratio is None or ratio >= WELL_KNOWN else "dim"
+    shown = "" if ratio is None else ">999" if ratio > SHOWN_RATIO else f"{ratio:.0f}"
+    name = coefficient.name.partition("/")[2]
+    for text in (name, _value(coefficient.value), _sigma(coefficient.sigma), shown):
+        yield Text(text, style)
+    if coefficient.sigma > 0.0:
+        trend = coefficient.trend
+        glyph = (glyphs.level, glyphs.up, glyphs.down)[trend]
+        past = f" {_spark_line(coefficient, glyphs.sparks)}" if sparks else ""
+        yield Text(f"{glyph}{past}", "cyan" if trend else "dim")
+
+
+def _value(value: float) -> str:
+    """Return up to 7 characters."""
+    size = abs(value)
+    return f"{value:+.{3 if size < 99.9995 else 2}f}" if size < 999.995 else f"{value:+.0e}"
+
+
+def _sigma(sigma: float) -> str:
+    """Return up to 5 characters."""
+    if sigma == 0.0:
+        return "fixed"
+    if not math.isfinite(sigma):
+        return "inf"
+    if sigma < 5e-4 or sigma >= 999.95:
+        return f"{sigma:.0e}"
+    return f"{sigma:.3f}" if sigma < 9.9995 else f"{sigma:.1f}"
+
+
+def _spark_line(coefficient: Coefficient, levels: str) -> str:
+    """Return past values between the least and the largest, at least two sigma apart."""
+    past = coefficient.past
+    if not math.isfinite(coefficient.sigma):
+        return ""
+    chosen = [past[round(i * (len(past) - 1) / (SPARKS - 2))] for i in range(SPARKS - 1)]
+    low, high = min(chosen), max(chosen)
+    span = max(high - low, 2.0 * coefficient.sigma)
+    bottom = 0.5 * (low + high - span)
+    top = len(levels) - 1
+    return "".join(levels[min(top, int((value - bottom) / span * top + 0.5))] for value in chosen)
+
+
+# --- inputs -----------------------------------------------------------------------------------
+
+
+def _inputs(heard: Heard) -> Iterator[RenderableType]:
+    """Yield what arrives on every input, and what was dropped for which reason."""
+    for stream, values in heard.status.inputs().items():
+        age, dropped = values.get("age [s]", "?"), values.get("dropped", "0")
+        yield Text.assemble(
+            f"{stream:<10}",
+            (f"{values['topic']:<20}", "bold"),
+            f"  {values.get('rate [Hz]', '?')} Hz",
+            f"  age {age} s" if age[:1].isdigit() else f"  {age}",
+            (f"  dropped {dropped}", "" if dropped == "0" else "yellow"),
+            no_wrap=True,
+        )
+        reasons = ", ".join(
+            f"{label.removeprefix('dropped: ')} {count}"
+            for label, count in values.items()
+            if label.startswith("dropped: ")
+        )
+        if reasons:
+            yield Padding(Text(f"dropped: {reasons}", "yellow", no_wrap=True), (0, 0, 0, 10))
+
+
+def _foot(heard: Heard) -> Iterator[Text]:
+    """Yield the state of the model, the delay, the ticks and what is collinear."""
+    status = heard.status
+    if heard.states:
+        angles = (f"{name} {math.degrees(value):+.1f}°" for name, value in heard.states.items())
+        yield Text.assemble(f"{'state':<10}", ", ".join(angles), no_wrap=True)
+    delay = status.number("delay [s]")
+    if delay is not None:
+        confidence = status.values.get("delay confidence", "")
+        yield Text.assemble(
+            f"{'delay':<10}",
+            (f"{1e3 * delay:.0f} ms", "bold"),
+            f"  {CONFIDENCE.get(confidence, confidence)}",
+            no_wrap=True,
+        )
+    ticks = status.group("ticks")
+    if "count" in ticks:
+        cost = ticks.get("update time p99 [ms]")
+        update = f"  update {cost} ms (p99)" if cost else ""
+        yield Text(f"{'ticks':<10}{ticks['count']}{update}", no_wrap=True)
+    apart = status.values.get("not told apart", "nothing")
+    if apart != "nothing":
+        yield Text.assemble(("not told apart: ", "yellow"), apart, no_wrap=True)
