@@ -44,6 +44,10 @@ class InputMonitor:
         self.received = 0
         self.refused: Counter[str] = Counter()
         """Messages that never reached the identifier, by reason."""
+        self.detail = ""
+        """What was wrong with the last of them."""
+        self.publishers: list[str] = []
+        """Nodes that publish it."""
         self.last_arrival: float | None = None
         self._rate_from = (time.monotonic(), 0)
 
@@ -63,6 +67,10 @@ class InputMonitor:
         """Seconds since the last message arrived; None before the first."""
         return None if self.last_arrival is None else time.monotonic() - self.last_arrival
 
+    def drops(self, dropped: Mapping[Drop, int]) -> Counter[str]:
+        """Return what was refused here or dropped by the identifier, by reason."""
+        return self.refused + Counter({drop.value: n for drop, n in dropped.items()})
+
     def values(self, dropped: Mapping[Drop, int]) -> Iterator[tuple[str, str]]:
         """Yield what is to be shown, each with its label.
 
@@ -71,10 +79,11 @@ class InputMonitor:
         dropped : mapping
             Samples that the identifier dropped, by reason; added to those refused here.
         """
-        drops = self.refused + Counter({drop.value: n for drop, n in dropped.items()})
+        drops = self.drops(dropped)
         age = self.age()
         yield "topic", self.topic
         yield "type", self.type_name
+        yield "publishers", ", ".join(self.publishers) or "none"
         yield "messages", str(self.received)
         yield "rate [Hz]", f"{self.rate():.1f}"
         yield "age [s]", "no message yet" if age is None else f"{age:.2f}"

@@ -53,12 +53,10 @@ from uav_ident_ros.node.notices import OnChange, Throttle
 from uav_ident_ros.node.outputs import RELIABLE, Outputs
 from uav_ident_ros.node.parameters import Changes, declare, settings_of
 from uav_ident_ros.node.program import spin
+from uav_ident_ros.node.waiting import Waiting
 
 DIAGNOSTICS_PERIOD = 1.0
 """Interval of /diagnostics, s, on a steady clock."""
-
-SILENT_AFTER = 2.0
-"""Seconds without a message that are worth a word."""
 
 Response = TypeVar("Response", Trigger.Response, SetBool.Response)
 
@@ -83,11 +81,12 @@ class IdentifierNode(Node):
         self._changes = Changes(self, settings, self.identifier.reconfigure)
         self._inbox = Inbox()
         self._inputs = self._subscribe(settings)
+        self._clock_watch = ClockWatch(settings.time_jump, settings.update_rate)
+        self._waiting = Waiting(self, self.identifier, self._inputs, self._clock_watch)
         self._outputs = Outputs(self, self.identifier.structure)
         self._excite = Excite(self, self.identifier, self._injection_is_told)
         self._estimate: Estimate | None = None
         self._meter = diagnostics.TickMeter(1.0 / settings.update_rate)
-        self._clock_watch = ClockWatch(settings.time_jump, settings.update_rate)
         self._memory = Memory(self.identifier, self.get_fully_qualified_name(), self.get_logger())
         self._memory.start()
         self._offer_services()
@@ -230,6 +229,8 @@ class IdentifierNode(Node):
         self._inbox.empty()
         self._clock_watch.look(self.get_clock().now().nanoseconds)
         self._memory.attend(self._estimate, time.monotonic())
+        for line in self._waiting.several():
+            self._say_warning(line)
         state, reason = self._state()
         line = f"{state}: {reason}" if reason else state
         if self._said.changed(line):
@@ -261,36 +262,18 @@ class IdentifierNode(Node):
 
     def _state(self) -> tuple[str, str]:
         """State word and reason: what the inputs say first, then what the estimate says."""
+        missed = self._waiting.reason(self._meter.count)
         fault = (
             self._guard.problem
             or self._rates.fault
             or self._clock_watch.fault(self._meter.count)
-            or self.identifier.fault
+            or ("" if self._waiting.standing() else self.identifier.fault)
         )
         if fault:
             return "fault", fault
-        silence = self._silence()
-        if silence:
-            return "waiting", silence
-        if self._estimate is None:
-            return "waiting", "the first tick is not due yet"
+        if missed or self._estimate is None:
+            return "waiting", missed or "the first tick is not due yet"
         return self._estimate.state, self._estimate.reason
-
-    def _silence(self) -> str:
-        """Say what does not arrive; empty if nothing is missed."""
-        if self.get_clock().ros_time_is_active and (standing := self._clock_watch.silence()):
-            return standing
-        for stream, source in self._inputs.items():
-            monitor = source.monitor
-            age = monitor.age()
-            if stream == EXCITATION:
-                continue  # silence is the rule
-            if age is None:
-                return f"no message on '{monitor.topic}' yet"
-            # Whether it is armed, some say only when it changes.
-            if age > SILENT_AFTER and stream != ARMED:
-                return f"no message on '{monitor.topic}' for more than {SILENT_AFTER:g} s"
-        return ""
 
     def _groups(self) -> dict[str, list[tuple[str, str]]]:
         """Return everything worth showing, by group."""

@@ -160,6 +160,7 @@ class _Input:
     def refuse(self, reason: str, detail: str) -> None:
         """Count a message that never reaches the identifier, and say why."""
         self.monitor.refused[reason] += 1
+        self.monitor.detail = detail
         self.warn(reason, detail)
 
     def warn(self, reason: str, detail: str) -> None:

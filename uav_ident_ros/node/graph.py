@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the ROS graph says about an input: who publishes it, as what, and what is meant instead."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+OWN_OUTPUT = "coefficients_named"
+"""Where a node publishes this, its other topics are an identifier's outputs: nobody's inputs."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """An input as the node wants it.
+
+    Parameters
+    ----------
+    name : str
+        As in the code: what a remapping begins with.
+    topic : str
+        Resolved name.
+    type_name : str
+        Message type.
+    parameter : str
+        Setting that names the type; empty if there is none.
+    types : collection of str
+        Every type that the setting may name.
+    """
+
+    name: str
+    topic: str
+    type_name: str
+    parameter: str
+    types: Collection[str]
+
+
+def publishers(node: Node, topic: str) -> list[str]:
+    """Return the full names of the nodes that publish a topic, once for each publisher."""
+    return sorted(_owner(end) for end in node.get_publishers_info_by_topic(topic))
+
+
+def why_silent(node: Node, wanted: Wanted) -> str:
+    """Return why nothing arrives on a topic, and what to do about it."""
+    ends = node.get_publishers_info_by_topic(wanted.topic)
+    if not ends:
+        return f"nobody publishes '{wanted.topic}': {_instead(node, wanted)}"
+    fitting = [end for end in ends if end.topic_type == wanted.type_name]
+    if not fitting:
+        return _other_type(node, wanted, ends[0])
+    (subscription,) = [
+        end.qos_profile
+        for end in node.get_subscriptions_info_by_topic(wanted.topic)
+        if _owner(end) == node.get_fully_qualified_name()
+    ][:1] or [None]
+    problems = [_mismatch(end.qos_profile, subscription) for end in fitting]
+    if subscription is not None and all(problems):
+        policy, offered, asked = problems[0]
+        return (
+            f"'{wanted.topic}' of {_owner(fitting[0])} is {offered}, and "
+            f"'qos_overrides.{wanted.topic}.subscription.{policy}' asks for {asked}: set it to "
+            f"{offered}"
+        )
+    return f"'{wanted.topic}' has a publisher, {_owner(fitting[0])}, which sends nothing"
+
+
+def _other_type(node: Node, wanted: Wanted, end: TopicEndpointInfo) -> str:
+    """Say that a topic carries another type; which setting, or which topic, would be right."""
+    said = (
+        f"'{wanted.topic}' of {_owner(end)} carries {end.topic_type}, but {wanted.type_name} is "
+        "expected"
+    )
+    if end.topic_type in wanted.types:
+        return f"{said}: set '{wanted.parameter}' to {end.topic_type}"
+    return f"{said}: {_instead(node, wanted)}"
+
+
+def _mismatch(offered: QoSProfile, asked: QoSProfile | None) -> tuple[str, str, str] | None:
+    """Return the policy that keeps a publisher and a subscription apart, offered and asked."""
+    if asked is None:
+        return None
+    best_effort, reliable = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
+    if offered.reliability == best_effort and asked.reliability == reliable:
+        return "reliability", "best_effort", "reliable"
+    volatile, local = DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL
+    if offered.durability == volatile and asked.durability == local:
+        return "durability", "volatile", "transient_local"
+    return None
+
+
+def _instead(node: Node, wanted: Wanted) -> str:
+    """Say which topic may be meant, or that there is none."""
+    found = _published(node)
+    same = [topic for topic, types in found.items() if wanted.type_name in types]
+    if same:
+        best = _nearest(wanted.topic, same)
+        return f"'{best}' carries {wanted.type_name}: start with -r {wanted.name}:={best}"
+    able = {topic: types[0] for topic, types in found.items() if types[0] in wanted.types}
+    if able:
+        best = _nearest(wanted.topic, list(able))
+        return (
+            f"'{best}' carries {able[best]}: start with -r {wanted.name}:={best} "
+            f"-p {wanted.parameter}:={able[best]}"
+        )
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    return f"no other topic fits: does its source run, with ROS_DOMAIN_ID {domain}?"
+
+
+def _published(node: Node) -> dict[str, list[str]]:
+    """Return topics that others publish, and their types; without those of any identifier."""
+    topics = {name: types for name, types in node.get_topic_names_and_types() if types}
+    own = {name.rpartition("/")[0] for name in topics if name.endswith(f"/{OWN_OUTPUT}")}
+    return {
+        name: types
+        for name, types in topics.items()
+        if name.rpartition("/")[0] not in own and node.count_publishers(name)
+    }
+
+
+def _nearest(topic: str, names: list[str]) -> str:
+    return max(sorted(names), key=lambda name: difflib.SequenceMatcher(a=topic, b=name).ratio())
+
+
+def _owner(end: TopicEndpointInfo) -> str:
+    return f"{end.node_namespace.rstrip('/')}/{end.node_name}"

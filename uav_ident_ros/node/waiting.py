@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why there is no estimate: what does not arrive, and what arrives and cannot be used."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Mapping
+
+from rclpy.node import Node
+
+from uav_ident_ros.identification.drops import Drop
+from uav_ident_ros.identification.identifier import (
+    ACTUATORS,
+    AIRSPEED,
+    ARMED,
+    RATES,
+    OnlineIdentifier,
+)
+from uav_ident_ros.messages.airspeed import AIRSPEED as AIRSPEED_TYPES
+from uav_ident_ros.messages.armed import ARMED as ARMED_TYPES
+from uav_ident_ros.messages.types import ACTUATORS as ACTUATOR_TYPES
+from uav_ident_ros.messages.types import NS_PER_S
+from uav_ident_ros.messages.types import RATES as RATES_TYPES
+from uav_ident_ros.node.clock import ClockWatch
+from uav_ident_ros.node.diagnostics import InputMonitor
+from uav_ident_ros.node.graph import Wanted, publishers, why_silent
+from uav_ident_ros.node.inputs import (
+    ACTUATORS_TOPIC,
+    AIRSPEED_TOPIC,
+    ARMED_TOPIC,
+    RATES_TOPIC,
+    ArrayInput,
+    RatesInput,
+)
+
+SILENT_AFTER = 2.0
+"""Seconds without a message, or a tick, that are worth a word."""
+
+DISCOVERY_TIME = 1.5
+"""Seconds from the start in which the graph is not complete yet."""
+
+ENOUGH = 5
+"""Messages that must be dropped, and none taken, before it is said of all of them."""
+
+CURES: dict[str, str] = {
+    Drop.NOT_FINITE: "their values are not finite numbers: look at the source",
+    Drop.ZERO_STAMP: "their stamp is zero: let the source stamp them",
+    Drop.BEYOND_STAMP: "their stamp is beyond 2038: look at the clock of the source",
+    Drop.OUTLYING_STAMP: "their stamps jump to and fro: are there two sources?",
+    Drop.IMPLAUSIBLE: "their values are larger than any aircraft has: look at units and type",
+    Drop.LATE: "they come late: raise 'input_wait', or synchronise the clocks",
+    Drop.DUPLICATE: "their stamps repeat: let the source stamp each",
+}
+"""What to do about messages that are all dropped for one reason; others say it themselves."""
+
+_TYPES: dict[str, tuple[str, str, tuple[str, ...]]] = {
+    RATES: (RATES_TOPIC, "imu.type", tuple(RATES_TYPES)),
+    ACTUATORS: (ACTUATORS_TOPIC, "actuators.type", tuple(ACTUATOR_TYPES)),
+    AIRSPEED: (AIRSPEED_TOPIC, "airspeed.type", tuple(AIRSPEED_TYPES)),
+    ARMED: (ARMED_TOPIC, "armed.type", tuple(ARMED_TYPES)),
+}
+"""Name, setting of the type, and possible types of each stream that is waited for."""
+
+
+class Waiting:
+    """Looks once a second for what keeps the node from an estimate.
+
+    Parameters
+    ----------
+    node : Node
+        Knows the graph.
+    identifier : OnlineIdentifier
+        Knows the drops, and the newest stamp.
+    inputs : mapping
+        The subscriptions by stream.
+    clock : ClockWatch
+        Knows whether /clock moves.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        identifier: OnlineIdentifier,
+        inputs: Mapping[str, RatesInput | ArrayInput],
+        clock: ClockWatch,
+    ) -> None:
+        self._node = node
+        self._identifier = identifier
+        self._clock = clock
+        self._monitors = {stream: inputs[stream].monitor for stream in _TYPES if stream in inputs}
+        self._before: dict[str, list[tuple[int, Counter[str]]]] = {s: [] for s in self._monitors}
+        self._ticks = (0, time.monotonic())
+        self._stamp: tuple[int | None, float] = (None, time.monotonic())
+        self._began = time.monotonic()
+        self._lost = dict.fromkeys(self._monitors, "")
+
+    def reason(self, ticks: int) -> str:
+        """Return what is missed, and what to do; empty if nothing is.
+
+        Parameters
+        ----------
+        ticks : int
+            Ticks computed since the start.
+        """
+        now = time.monotonic()
+        if ticks != self._ticks[0]:
+            self._ticks = (ticks, now)
+        if self._identifier.newest_ns != self._stamp[0]:
+            self._stamp = (self._identifier.newest_ns, now)
+        self._lost = {stream: self._all_dropped(stream) for stream in self._monitors}
+        if self._node.get_clock().ros_time_is_active and (standing := self._clock.silence()):
+            return standing
+        for stream, monitor in self._monitors.items():
+            if silent := self._silent(stream, monitor):
+                return silent
+        if lost := next(filter(None, self._lost.values()), ""):
+            return lost
+        if ticks and now - self._ticks[1] <= SILENT_AFTER:
+            return ""
+        return self.standing() or self._early(ticks)
+
+    def _silent(self, stream: str, monitor: InputMonitor) -> str:
+        """Say why no message of a stream arrives; empty if they do."""
+        age = monitor.age()
+        # Whether it is armed, some say only when it changes.
+        if age is not None and (age <= SILENT_AFTER or stream == ARMED):
+            return ""
+        missed = (
+            f"no message on '{monitor.topic}' yet"
+            if age is None
+            else f"no message on '{monitor.topic}' for more than {SILENT_AFTER:g} s"
+        )
+        if time.monotonic() - self._began < DISCOVERY_TIME:
+            return missed
+        name, parameter, types = _TYPES[stream]
+        wanted = Wanted(name, monitor.topic, monitor.type_name, parameter, types)
+        return f"{missed}: {why_silent(self._node, wanted)}"
+
+    def _all_dropped(self, stream: str) -> str:
+        """Say why every message of the last seconds was dropped; empty if one was not."""
+        monitor = self._monitors[stream]
+        drops = monitor.drops(self._identifier.drops[stream])
+        history = self._before[stream]
+        history.append((monitor.received, drops))
+        if len(history) > 3:
+            history.pop(0)
+        received = monitor.received - history[0][0]
+        dropped = drops - history[0][1]
+        if received < ENOUGH or dropped.total() < received:
+            return ""
+        reason = dropped.most_common(1)[0][0]
+        what = CURES.get(reason) or monitor.detail or reason
+        return f"every message on '{monitor.topic}' is dropped: {what}"
+
+    def standing(self) -> str:
+        """Say that the stamps of the rates stand still; empty if they move.
+
+        Those of the actuators are then far from them: that is no fault of the actuators.
+        """
+        newest_ns, since = self._stamp
+        monitor = self._monitors[RATES]
+        age = monitor.age()
+        if newest_ns is None or age is None or age > SILENT_AFTER or self._lost[RATES]:
+            return ""
+        if time.monotonic() - since <= SILENT_AFTER:
+            return ""
+        topic = monitor.topic
+        return (
+            f"the stamps on '{topic}' stand still at {newest_ns / NS_PER_S:.3f} s: let the source "
+            "stamp each message"
+        )
+
+    @staticmethod
+    def _early(ticks: int) -> str:
+        return "no tick is due any more" if ticks else "the first tick is not due yet"
+
+    def several(self) -> list[str]:
+        """Return a line for each input that has come to have several publishers."""
+        lines = []
+        for monitor in self._monitors.values():
+            before, names = monitor.publishers, publishers(self._node, monitor.topic)
+            monitor.publishers = names
+            if len(names) > 1 and names != before:
+                lines.append(
+                    f"'{monitor.topic}' has {len(names)} publishers, whose messages mix: "
+                    f"{', '.join(names)}"
+                )
+        return lines
