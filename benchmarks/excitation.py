@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Excitation in the closed loop, many flights: ``python benchmarks/excitation.py [--seeds N]``.
+
+JSBSim's c172p banks and pitches as in normal flight, under the example controller on fixed nominal
+coefficients, in air from calm to rough. After ten seconds a run of excitation is asked for, at a
+tenth of each surface's range. All in one process, without ROS: the identifier, the run, the
+controller's side of the excitation and its law are those that fly, the messages between them
+arrive at once.
+
+What is measured, for each severity of the turbulence:
+
+limits    how far rates and attitude come during a run and in the two seconds after it, as a
+          fraction of the limits; how often one is left
+end       how the runs end, and after how long
+tracking  rms of rates minus reference, with and without excitation
+error     of the dominant derivatives when the run ends, and how many lie within 2 sigma
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import uav_ident_ros  # noqa: F401  (first: it limits the threads of NumPy)
+from uav_ident_ros.client import AttitudeModel, Coefficients, Excitation
+from uav_ident_ros.controller_example import RateLaw
+from uav_ident_ros.files.coefficients_file import load_coefficients
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.excitation_run import Asked, ExcitationRun
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.simulation.faults import Fault
+from uav_ident_ros.simulation.flight import EPOCH_NS
+from uav_ident_ros.simulation.linearisation import cruise_derivatives
+from uav_ident_ros.simulation.live_aircraft import LiveAircraft
+from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
+from uav_ident_ros.simulation.rate_reference import Manoeuvres
+
+ROOT = Path(__file__).resolve().parents[1]
+CONFIG = ROOT / "config" / "closed_loop"
+BUILD = ROOT / "build"
+AIRCRAFT = "c172p"
+SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
+DELAY = 0.02
+SEVERITIES = {"calm": 0, "light": 1, "moderate": 2, "heavy": 4}
+"""JSBSim's severities of turbulence."""
+
+START, LONGEST, AFTER = 10.0, 60.0, 2.0
+"""When the run is asked for, how long it may last, and how long it is watched afterwards, s."""
+
+LEAD = 0.15
+DOMINANT = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
+
+
+@dataclass(frozen=True)
+class Found:
+    """What became of one flight."""
+
+    severity: str
+    seed: int
+    excited: bool
+    why: str
+    seconds: float
+    rate: float
+    attitude: float
+    tracking: tuple[float, ...]
+    errors: dict[str, float]
+    """Relative, of the dominant derivatives."""
+    sigmas: dict[str, float]
+    """The same errors in sigmas."""
+
+
+class Flight:
+    """One flight, a sample at a time."""
+
+    def __init__(self, severity: int, seed: int, cold: bool) -> None:
+        self.aircraft = LiveAircraft(AIRCRAFT, SENSORS, DELAY, (), seed)
+        self.aircraft.faults.apply(Fault("turbulence", value=float(severity)))
+        values = load_parameters(CONFIG / f"{AIRCRAFT}.yaml", "identifier")
+        values |= {"excitation.lead": LEAD, "excitation.duration": LONGEST}
+        self.settings = Settings.from_values(values)
+        nominal = CONFIG / f"{AIRCRAFT}_coefficients.yaml"
+        start = load_coefficients(nominal, self.settings.structure)
+        self.identifier = OnlineIdentifier(self.settings, None if cold else start)
+        known = Coefficients.from_file(nominal)
+        self.model = AttitudeModel(known.structure, known.values, known.structure.mask)
+        controller = load_parameters(CONFIG / f"{AIRCRAFT}.yaml", "controller")
+        self.trim = np.array(controller["trim"])
+        limits = np.array([controller["least"], controller["largest"]]) - self.trim
+        self.law = RateLaw(limits, DELAY)
+        self.excitation = Excitation(controller["excitation_limit"])
+        self.manoeuvres = Manoeuvres(0.5, 0.1, (2.0, 4.0), 53.0, seed)
+        self.run = ExcitationRun(self.identifier.structure)
+        self.reference: FloatArray = np.zeros(3)
+
+    def step(self) -> FloatArray:
+        """Fly one sample; return rates (3), attitude (2) and tracking error (3)."""
+        sample = self.aircraft.sample()
+        t_ns = EPOCH_NS + round(sample.time * 1e9)
+        force = (sample.measured_force * FRD_TO_FLU).tolist()
+        self.identifier.add_rates(t_ns, (sample.measured_rates * FRD_TO_FLU).tolist(), force)
+        while (due := self.identifier.due()) is not None:
+            self.estimate = self.identifier.update(due)
+            self.hear(self.run.step(self.identifier.flying(), self.estimate))
+        roll, pitch = sample.attitude[:2].tolist()
+        self.reference = self.manoeuvres.rates(sample.time, roll, pitch, 1.0 / SENSORS.rate)
+        u = self.law.update(t_ns, self.model, sample.measured_rates, self.reference)
+        u = self.law.inject(t_ns, u, self.excitation.at(t_ns))
+        self.aircraft.command((self.trim + u)[:3])
+        self.identifier.add_actuators(t_ns, self.aircraft.outputs.tolist())
+        self.aircraft.advance()
+        return np.array([*sample.rates, roll, pitch, *(sample.rates - self.reference)])
+
+    def hear(self, asked: Asked | None) -> None:
+        """Let controller and identifier know what is asked for."""
+        if asked is not None:
+            values = asked.values.tolist()
+            self.excitation.add(asked.t_ns, list(INPUTS), values)
+            self.identifier.add_excitation(asked.t_ns, values)
+
+
+def fly(job: tuple[str, int, bool, bool]) -> Found:
+    """Fly once: severity, seed, whether excited, whether from no coefficients."""
+    severity, seed, excited, cold = job
+    flight = Flight(SEVERITIES[severity], seed, cold)
+    rows: list[FloatArray] = []
+    ended: float | None = None
+    why = ""
+    while flight.aircraft.time < START + LONGEST + AFTER:
+        time = flight.aircraft.time
+        if excited and not why and not flight.run.active and time >= START:
+            flying = flight.identifier.flying()
+            why = flight.run.start(flight.settings.excitation, flying, flight.estimate)
+            why = why or "running"
+        row = flight.step()
+        if time >= START:
+            rows.append(row)
+        if excited and why and not flight.run.active:
+            ended = time if ended is None else ended
+            if time >= ended + AFTER:
+                break
+    seen = np.array(rows)
+    limits = flight.settings.excitation
+    truth = cruise_derivatives(AIRCRAFT)
+    errors, sigmas = {}, {}
+    for name in DOMINANT:
+        index = flight.identifier.structure.index(name)
+        error = float(flight.estimate.coefficients[index]) - truth[name]
+        errors[name] = error / abs(truth[name])
+        sigmas[name] = error / max(float(flight.estimate.sigma[index]), 1e-12)
+    return Found(
+        severity, seed, excited, flight.run.why,
+        (flight.aircraft.time if ended is None else ended) - START,
+        float(np.abs(seen[:, :3]).max() / limits.max_rate),
+        float(np.abs(seen[:, 3:5]).max() / limits.max_attitude),
+        tuple(np.degrees(np.sqrt(np.mean(seen[:, 5:] ** 2, axis=0))).tolist()),
+        errors, sigmas,
+    )  # fmt: skip
+
+
+def lines(found: list[Found]) -> Iterator[str]:
+    """Yield the table."""
+    yield (
+        "| turbulence | excited | rate, of the limit | attitude, of the limit | left | ends, s | "
+        "aborted | rms p / q / r, deg/s | worst error, % (median, largest) | within 2 sigma |"
+    )
+    yield "|---" * 10 + "|"
+    for severity in SEVERITIES:
+        for excited in (False, True):
+            some = [f for f in found if f.severity == severity and f.excited == excited]
+            if not some:
+                continue
+            rate, attitude = ([getattr(f, name) for f in some] for name in ("rate", "attitude"))
+            left = sum(max(f.rate, f.attitude) > 1.0 for f in some)
+            aborted = sum(f.why.startswith("aborted") for f in some)
+            worst = [100.0 * max(abs(e) for e in f.errors.values()) for f in some]
+            within = np.mean([abs(s) <= 2.0 for f in some for s in f.sigmas.values()])
+            p, q, r = np.mean([f.tracking for f in some], axis=0)
+            yield (
+                f"| {severity} | {'yes' if excited else 'no'} | {max(rate):.2f} | "
+                f"{max(attitude):.2f} | {left} of {len(some)} | "
+                f"{np.median([f.seconds for f in some]):.0f} | {aborted} | "
+                f"{p:.2f} / {q:.2f} / {r:.2f} | {np.median(worst):.0f}, {max(worst):.0f} | "
+                f"{100.0 * within:.0f} % |"
+            )
+
+
+def main() -> int:
+    """Fly and print; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--cold", action="store_true", help="no initial coefficients")
+    parser.add_argument("--excited", action="store_true", help="leave out the flights without")
+    parser.add_argument("--severity", choices=tuple(SEVERITIES), action="append")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--output", type=Path, default=BUILD / "excitation.json")
+    options = parser.parse_args()
+    jobs = [
+        (severity, seed, excited, options.cold)
+        for severity in options.severity or SEVERITIES
+        for seed in range(options.seeds)
+        for excited in ((True,) if options.excited else (False, True))
+    ]
+    with get_context("spawn").Pool(options.workers) as pool:
+        found = []
+        for one in pool.imap_unordered(fly, jobs):
+            found.append(one)
+            print(f"flown: {one.severity}, seed {one.seed}: {one.why}", file=sys.stderr)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    figures: list[Any] = [vars(f) for f in found]
+    options.output.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    print("\n".join(lines(found)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
