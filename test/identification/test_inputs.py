@@ -108,3 +108,22 @@ def test_scale_multiplies_before_the_mixing() -> None:
     )
     u = InputMap(settings.actuators).apply(np.array([3.0, 0.4, 1750.0, 0.75]))
     np.testing.assert_allclose(u, [0.5 * 2.0 - 0.4, -0.4, 0.25, 1.0])
+
+
+def test_a_motors_thrust_goes_by_the_square_as_far_as_it_is_told() -> None:
+    """PX4's model: thrust = f s^2 + (1 - f) s of the scaled command."""
+    values = {
+        "actuators.scale": [0.001, 1.0, 1.0, 1.0],
+        "actuators.trim": [500.0, 0.5, 0.5, 0.5],
+        "actuators.thrust_curve": [1.0, 0.3, 0.0, 1.0],
+    }
+    mapping = InputMap(Settings.from_values(values).actuators)
+    u = mapping.apply(np.array([600.0, 0.6, 0.6, 0.5]))
+    mixed = 0.3 * (0.36 - 0.25) + 0.7 * 0.1
+    np.testing.assert_allclose(u, [0.36 - 0.25, mixed, 0.1, 0.0], atol=1e-12)
+    # over a cell it is the thrust that is averaged, not the command
+    t = np.arange(4, dtype=np.int64) * 10_000_000
+    raw = np.array([[400.0, 0.4, 0.4, 0.4], [600.0, 0.6, 0.6, 0.6]] * 2)
+    edges = np.array([0, 40_000_000], dtype=np.int64)
+    mean = mapping.mix(cell_means(t, mapping.curved(raw), edges, "hold"))
+    np.testing.assert_allclose(mean[0], mapping.apply(raw).mean(axis=0), atol=1e-12)

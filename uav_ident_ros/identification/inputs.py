@@ -12,24 +12,40 @@ from uav_ident_ros.identification.structure import FloatArray
 
 
 class InputMap:
-    """The linear map u = M (raw - trim).
+    """The map u = M (c(raw) - c(trim)), where c is what a channel does.
+
+    A surface does as it is told, ``c = raw``. A motor's thrust grows with the square of its speed:
+    with its share f of the square, and s = scale raw from 0 to 1, ``scale c = f s^2 + (1 - f) s``.
+    What it moves is then the same at any thrust.
 
     Parameters
     ----------
     settings : ActuatorSettings
-        Mixing rows, scale and trim of the N channels.
+        Mixing rows, scale, thrust curve and trim of the N channels.
     """
 
     def __init__(self, settings: ActuatorSettings) -> None:
         n = len(settings.channels)
         mixing = settings.mixing
         scale = np.array(settings.scale or (1.0,) * n)
+        self._square: FloatArray = np.array(settings.thrust_curve or (0.0,) * n)
+        self._scale = scale
         self.matrix: FloatArray = np.array([mixing.de, mixing.dr, mixing.da, mixing.dth]) * scale
         self.trim: FloatArray = np.array(settings.trim or (0.0,) * n)
 
     def apply(self, raw: FloatArray) -> FloatArray:
         """Return inputs of shape (..., 4) from raw channels of shape (..., N)."""
-        return np.asarray((raw - self.trim) @ self.matrix.T)
+        return self.mix(self.curved(raw))
+
+    def curved(self, raw: FloatArray) -> FloatArray:
+        """Return what channels of shape (..., N) do, in their own units."""
+        if not self._square.any():
+            return raw
+        return np.asarray(raw * (1.0 + self._square * (self._scale * raw - 1.0)))
+
+    def mix(self, curved: FloatArray) -> FloatArray:
+        """Return inputs of shape (..., 4) from what channels do, or their means over a time."""
+        return np.asarray((curved - self.curved(self.trim)) @ self.matrix.T)
 
 
 class ServoLag:

@@ -307,8 +307,9 @@ class Sampler:
         """Cell means of the inputs after the servo lag, shape (m, 4)."""
         assert lag is not None
         raw = self.raw_inputs
-        means = cell_means(raw.t, raw.v, edges, self._actuators.interpolation)
-        commanded = self.input_map.apply(means)
+        done = self.input_map.curved(raw.v)
+        means = cell_means(raw.t, done, edges, self._actuators.interpolation)
+        commanded = self.input_map.mix(means)
         if restarted:
             lag.restart(commanded[0])
         return lag.apply(commanded)

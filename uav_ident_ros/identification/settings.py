@@ -345,6 +345,15 @@ class ActuatorSettings:
         "Factor of each channel before the mixing, N values; negative reverses. Empty: ones. "
         "Set it to bring raw values to radians or fractions.",
     )
+    thrust_curve: tuple[float, ...] = _setting(
+        (),
+        "",
+        "Share of the square in each channel's thrust, N values, of scaled commands from 0 to 1: f "
+        "of thrust = f s^2 + (1 - f) s. Empty: zeros. 1.0 where a command is a motor's speed, 0.0 "
+        "for a surface, and where the autopilot sends thrust, as PX4 with THR_MDL_FAC does.",
+        low=0.0,
+        high=1.0,
+    )
     trim: tuple[float, ...] = _setting(
         (),
         "",
@@ -958,6 +967,7 @@ def _check_consistency(settings: Settings) -> None:
         "initial_coefficients": (0, 3 * n),
         "actuators.scale": (0, channels),
         "actuators.trim": (0, channels),
+        "actuators.thrust_curve": (0, channels),
         "actuators.lower_limit": (0, channels),
         "actuators.upper_limit": (0, channels),
         "actuators.mixing.de": (channels,),

@@ -13,9 +13,11 @@ from typing import Any, NoReturn
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.channels import CHANNEL_SETS
+from uav_ident_ros.simulation.definition import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.inputs import INPUT_KINDS
 from uav_ident_ros.simulation.noise import FRAME_IDS
+from uav_ident_ros.simulation.quadrotor import AMPLITUDES as QUADROTOR_AMPLITUDES
 from uav_ident_ros.simulation.vehicles import VEHICLE_NAMES
 
 BASE_RATE = 1000.0
@@ -43,6 +45,7 @@ examples:
   simulate --output flight                         90 s of multisines at 200 Hz, stamped
   simulate --output pulses --input 3211 --unstamped --noise 0
   simulate --output quiet --duration 60 --quiet 600 --autopilot --gusts 1.0
+  simulate --output quadrotor --plant quadrotor --delay 0.01
   simulate --output cessna --jsbsim c172p --delay 0.06
 """
 
@@ -73,7 +76,8 @@ def make_parser() -> argparse.ArgumentParser:
 
 def _add_flight_options(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
-    add("--plant", choices=VEHICLE_NAMES, help="plant of the paper's structure (small_uav)")
+    add("--plant", choices=(*VEHICLE_NAMES, QUADROTOR),
+        help="plant of the paper's structure (small_uav), or a quadrotor in hover")  # fmt: skip
     add(
         "--jsbsim",
         metavar="AIRCRAFT",
@@ -83,7 +87,7 @@ def _add_flight_options(group: argparse._ArgumentGroup) -> None:
     add("--input", choices=INPUT_KINDS, default="multisine", help="excitation (multisine)")
     add("--amplitude", nargs=4, type=float, metavar=("DE", "DR", "DA", "DTH"),
         help="peaks, rad and throttle 0..1 "
-             f"({_words(PLANT_AMPLITUDES)}; an aircraft has its own)")  # fmt: skip
+             f"({_words(PLANT_AMPLITUDES)}; others have their own)")  # fmt: skip
     add("--duration", type=float, default=90.0, metavar="S",
         help="length of the excited flight, s (90)")  # fmt: skip
     add("--quiet", type=float, default=0.0, metavar="S",
@@ -99,7 +103,7 @@ def _add_flight_options(group: argparse._ArgumentGroup) -> None:
     add("--delay", type=float, default=0.0, metavar="S",
         help="from recorded command to surface, s (0)")  # fmt: skip
     add("--servo-lag", type=float, default=0.0, metavar="S",
-        help="plant: first-order time constant of the servos, s (0)")  # fmt: skip
+        help="plant: first-order time constant of the servos, s (0; of motors 0.05)")  # fmt: skip
     add("--actuator-rate", type=float, default=100.0, metavar="HZ",
         help="rate of the commands, each held until the next, Hz (100)")  # fmt: skip
     add("--seed", type=int, default=0, help="seed of all randomness (0)")
@@ -117,8 +121,8 @@ def _add_sensor_options(group: argparse._ArgumentGroup) -> None:
         help="accelerometer from the centre of gravity, FRD, m (0 0 0)")  # fmt: skip
     add("--convention", choices=tuple(FRAME_IDS), default="flu", help="axes of the Imu (flu)")
     add("--unstamped", action="store_true", help="actuators as Float64MultiArray, no stamp")
-    add("--channels", choices=tuple(CHANNEL_SETS), default="plain",
-        help="what the raw actuator channels are (plain)")  # fmt: skip
+    add("--channels", choices=tuple(CHANNEL_SETS),
+        help="what the raw actuator channels are (plain; motors)")  # fmt: skip
     add("--jitter", type=float, default=0.0, metavar="S",
         help="Imu stamps are off by up to this, s (0)")  # fmt: skip
     add("--drop", type=float, default=0.0, metavar="FRACTION",
@@ -136,6 +140,11 @@ def definition_from(options: argparse.Namespace) -> dict[str, Any]:
     amplitudes = dict(zip(INPUTS, options.amplitude or PLANT_AMPLITUDES, strict=True))
     if options.jsbsim and not options.amplitude:
         amplitudes = dict(airframe(options.jsbsim, options.speed).excitation)
+    channels = "plain"
+    if options.plant == QUADROTOR:
+        channels = "quadrotor"
+        if not options.amplitude:
+            amplitudes = dict(QUADROTOR_AMPLITUDES)
     divides = BASE_RATE % options.imu_rate == 0.0
     definition: dict[str, Any] = {
         "duration": options.duration + options.quiet,
@@ -162,7 +171,7 @@ def definition_from(options: argparse.Namespace) -> dict[str, Any]:
             "convention": options.convention,
             "latency": options.latency,
             "stamped": not options.unstamped,
-            "channels": options.channels,
+            "channels": options.channels or channels,
         },
     }
     definition |= _aircraft_part(options) if options.jsbsim else _plant_part(options)
@@ -170,6 +179,9 @@ def definition_from(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _plant_part(options: argparse.Namespace) -> dict[str, Any]:
+    if options.plant == QUADROTOR:
+        quadrotor: dict[str, Any] = {"plant": QUADROTOR, "gusts": {"rms": options.gusts}}
+        return quadrotor | ({"time_constant": options.servo_lag} if options.servo_lag else {})
     part: dict[str, Any] = {
         "plant": options.plant or VEHICLE_NAMES[0],
         "time_constant": options.servo_lag,
@@ -206,6 +218,8 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
             parser.error(
                 f"{name} belongs to {'a plant' if options.jsbsim else 'an aircraft (--jsbsim)'}"
             )
+    if options.plant == QUADROTOR and options.autopilot:
+        parser.error("--autopilot: the quadrotor always has one")
     if not options.imu_rate > 0.0:
         parser.error(f"--imu-rate is {options.imu_rate:g}: it must be positive")
     if not options.quiet >= 0.0:

@@ -9,6 +9,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from uav_ident_ros.simulation import quadrotor
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
@@ -16,6 +17,9 @@ from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, fly
 from uav_ident_ros.simulation.vehicles import vehicle
+
+QUADROTOR = "quadrotor"
+"""The plant that is no structure's."""
 
 VERSION = 1
 """Part of every key: raised when the same definition gives another flight."""
@@ -29,7 +33,8 @@ def build_flight(name: str, definition: Mapping[str, Any], seed: int | None = No
     name : str
         Name of the flight.
     definition : mapping
-        Either ``plant: NAME`` and the fields of `PlantFlight`, or ``aircraft: NAME`` and those
+        Either ``plant: NAME`` and the fields of `PlantFlight` (those of `QuadrotorFlight` for the
+        `QUADROTOR`), or ``aircraft: NAME`` and those
         of `uav_ident_ros.simulation.jsbsim_flight.AircraftFlight`; ``inputs`` is the list of
         segments. ``sensors`` and ``description`` are left to others.
     seed : int, optional
@@ -47,6 +52,8 @@ def build_flight(name: str, definition: Mapping[str, Any], seed: int | None = No
     if len(kinds) != 1:
         raise SimulationError(f"flight '{name}' must have either 'plant' or 'aircraft'")
     try:
+        if values.get("plant") == QUADROTOR:
+            return quadrotor.fly(_quadrotor_flight(values), name)
         if kinds == ["plant"]:
             return fly(_plant_flight(values), name)
         from uav_ident_ros.simulation import jsbsim_flight
@@ -112,6 +119,14 @@ def _plant_flight(values: Mapping[str, Any]) -> PlantFlight:
     if "autopilot" in out:
         out["autopilot"] = build(Autopilot, out["autopilot"], "autopilot")
     flight: PlantFlight = build(PlantFlight, out, "plant flight")
+    return flight
+
+
+def _quadrotor_flight(values: Mapping[str, Any]) -> quadrotor.QuadrotorFlight:
+    out = {k: v for k, v in _common(values).items() if k not in ("plant", "changes")}
+    if "gusts" in out:
+        out["gusts"] = build(ColouredNoise, out["gusts"], "gusts")
+    flight: quadrotor.QuadrotorFlight = build(quadrotor.QuadrotorFlight, out, "quadrotor flight")
     return flight
 
 

@@ -92,6 +92,8 @@ class Flight:
         When the inputs were excited, s after the first sample.
     airspeed : (N,) array or None
         True airspeed, m/s.
+    parameters : dict
+        Parameters of the identifier that suit the aircraft, by name.
     extra : dict
         More true signals of length N, such as ``alpha`` and ``beta`` (rad) and the surfaces.
     """
@@ -112,6 +114,7 @@ class Flight:
     local_truth: dict[str, float] = field(default_factory=dict)
     excitation: tuple[tuple[float, float], ...] = ()
     airspeed: FloatArray | None = None
+    parameters: dict[str, Any] = field(default_factory=dict)
     extra: dict[str, Any] = field(default_factory=dict)
 
     @property

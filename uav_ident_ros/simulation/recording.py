@@ -126,7 +126,7 @@ def parameters(measurements: Measurements) -> dict[str, Any]:
     }
     for name, row in zip(INPUTS, channel_set.mixing, strict=True):
         values[f"actuators.mixing.{name}"] = row.tolist()
-    return values
+    return values | measurements.flight.parameters
 
 
 def parameter_file(measurements: Measurements) -> str:

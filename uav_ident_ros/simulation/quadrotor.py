@@ -1,0 +1,361 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A quadrotor in X: four motors that follow their commands with a lag, thrust by speed squared.
+
+A rotor's thrust is ``T = T_max w^2 + c w v_z``, with its speed w as a fraction of the largest and
+the velocity v_z along the body's z axis where it is: a rotor that sinks through the air lifts more,
+which damps roll, pitch and heave. Its torque is its thrust times a length. Speed follows the
+command, 0 ... 1, with a first-order lag. Rotors drag sideways in proportion to the speed. Left out:
+the rotors' own inertia (it adds to the yaw moment while they speed up), ground and blockage.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.simulation.channels import QUADROTOR
+from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.flight import GRAVITY, Flight, stamps
+from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
+
+SIDES = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
+"""Forward and right of the centre: motors front right, rear left, front left, rear right."""
+
+SPINS = (1.0, 1.0, -1.0, -1.0)
+"""Sense of each rotor's torque on the body: the first two yaw it right."""
+
+LARGEST_UPSET = math.radians(80.0)
+"""Roll or pitch angle at which the flight counts as lost, rad."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A quadrotor of 1.5 kg, of the size of the F450.
+
+    Parameters
+    ----------
+    mass : float
+        kg.
+    inertia : tuple of 3 floats
+        Ix, Iy, Iz, kg m^2.
+    arm : float
+        Of each motor from the roll and from the pitch axis, m.
+    hover : float
+        Command at which it hovers, 0 ... 1.
+    torque : float
+        Rotor torque over thrust, m.
+    inflow : float
+        c above, N per m/s, at full speed.
+    drag : float
+        Sideways force of all rotors, N per m/s.
+    time_constant : float
+        Lag of the motors, s.
+    """
+
+    mass: float = 1.5
+    inertia: tuple[float, float, float] = (0.029, 0.029, 0.055)
+    arm: float = 0.16
+    hover: float = 0.5
+    torque: float = 0.016
+    inflow: float = 0.6
+    drag: float = 0.25
+    time_constant: float = 0.05
+
+    @property
+    def largest_thrust(self) -> float:
+        """Thrust of one motor at full speed, N."""
+        return self.mass * GRAVITY / (len(SIDES) * self.hover**2)
+
+    def derivatives(self) -> dict[str, float]:
+        """Return the true derivatives in hover by name, the inputs as `QUADROTOR` mixes them.
+
+        Those of the inputs are where the motors have followed, in steady state.
+        """
+        ix, iy, iz = self.inertia
+        # thrust of one motor by its command, and by its speed along z
+        by_command = 2.0 * self.largest_thrust * self.hover
+        by_speed = self.inflow * self.hover
+        half = 0.5 * len(SIDES)
+        damping = len(SIDES) * by_speed * self.arm**2
+        return {
+            "pdot/p": -damping / ix,
+            "qdot/q": -damping / iy,
+            "pdot/da": half * by_command * self.arm / ix,
+            "qdot/de": -half * by_command * self.arm / iy,
+            "rdot/dr": -half * by_command * self.torque / iz,
+        }
+
+
+class Quadrotor:
+    """The state of a quadrotor in flight, and how it goes on.
+
+    Parameters
+    ----------
+    body : Body
+        What it is.
+
+    Attributes
+    ----------
+    rates : list of 3 floats
+        p, q, r, rad/s.
+    angles : list of 3 floats
+        Roll, pitch, yaw, rad.
+    velocity : list of 3 floats
+        u, v, w in body axes, m/s.
+    down : float
+        Position below the start, m.
+    speeds : list of 4 floats
+        Of the motors, 0 ... 1.
+    effect : list of 4 floats
+        What is left of each motor's thrust.
+    force : list of 3 floats
+        Specific force, m/s^2.
+    acceleration : list of 3 floats
+        Of the rates, rad/s^2.
+    """
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self.rates = [0.0] * 3
+        self.angles = [0.0] * 3
+        self.velocity = [0.0] * 3
+        self.down = 0.0
+        self.speeds = [body.hover] * 4
+        self.effect = [1.0] * 4
+        self.look((0.0, 0.0, 0.0))
+
+    @property
+    def sinking(self) -> float:
+        """Velocity downwards, m/s."""
+        (roll, pitch, _), (u, v, w) = self.angles, self.velocity
+        return (
+            -math.sin(pitch) * u
+            + math.cos(pitch) * (math.sin(roll) * v + math.cos(roll) * w)
+        )  # fmt: skip
+
+    def look(self, gust: Sequence[float]) -> None:
+        """Find `force` and `acceleration` as things are, in a gust (rad/s^2)."""
+        self.force, self.acceleration = self._loads(gust)
+
+    def _loads(self, gust: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Specific force, m/s^2, and angular acceleration, rad/s^2, as things are."""
+        body = self.body
+        p, q, r = self.rates
+        u, v, w = self.velocity
+        total = roll = pitch = yaw = 0.0
+        for (ahead, right), spin, speed, effect in zip(
+            SIDES, SPINS, self.speeds, self.effect, strict=True
+        ):
+            sinks = w + p * body.arm * right - q * body.arm * ahead
+            thrust = effect * (body.largest_thrust * speed**2 + body.inflow * speed * sinks)
+            total += thrust
+            roll -= right * body.arm * thrust
+            pitch += ahead * body.arm * thrust
+            yaw += spin * body.torque * thrust
+        ix, iy, iz = body.inertia
+        force = [-body.drag * u / body.mass, -body.drag * v / body.mass, -total / body.mass]
+        return force, [
+            (roll + (iy - iz) * q * r) / ix + gust[0],
+            (pitch + (iz - ix) * p * r) / iy + gust[1],
+            (yaw + (ix - iy) * p * q) / iz + gust[2],
+        ]
+
+    def step(self, commands: Sequence[float], h: float, gust: Sequence[float]) -> None:
+        """Go on by `h` s: commands 0 ... 1 of the motors, a gust's angular acceleration, rad/s^2.
+
+        Speeds are exact over the step, the motion is of second order in it.
+        """
+        before = self.speeds
+        decay = math.exp(-0.5 * h / self.body.time_constant)
+        aims = [min(max(c, 0.0), 1.0) for c in commands]
+        state = (self.rates, self.angles, self.velocity, self.down)
+        first = self._slopes(gust)
+        self.speeds = [a + (s - a) * decay for s, a in zip(before, aims, strict=True)]
+        self._move(state, first, 0.5 * h)
+        self._move(state, self._slopes(gust), h)
+        self.speeds = [a + (s - a) * decay**2 for s, a in zip(before, aims, strict=True)]
+        self.look(gust)
+
+    def _slopes(self, gust: Sequence[float]) -> tuple[list[float], list[float], list[float], float]:
+        """Time derivatives of rates, angles, velocity and position."""
+        force, acceleration = self._loads(gust)
+        (p, q, r), (roll, pitch, _), (u, v, w) = self.rates, self.angles, self.velocity
+        turn = q * math.sin(roll) + r * math.cos(roll)
+        angles = [
+            p + turn * math.tan(pitch),
+            q * math.cos(roll) - r * math.sin(roll),
+            turn / math.cos(pitch),
+        ]
+        velocity = [
+            force[0] - GRAVITY * math.sin(pitch) - q * w + r * v,
+            force[1] + GRAVITY * math.cos(pitch) * math.sin(roll) - r * u + p * w,
+            force[2] + GRAVITY * math.cos(pitch) * math.cos(roll) - p * v + q * u,
+        ]
+        return acceleration, angles, velocity, self.sinking
+
+    def _move(
+        self,
+        state: tuple[list[float], list[float], list[float], float],
+        slopes: tuple[list[float], list[float], list[float], float],
+        h: float,
+    ) -> None:
+        self.rates, self.angles, self.velocity = (
+            [x + h * d for x, d in zip(state[k], slopes[k], strict=True)]  # type: ignore[call-overload]
+            for k in range(3)
+        )
+        self.down = state[3] + h * slopes[3]
+
+
+@dataclass(frozen=True)
+class Hold:
+    """An autopilot that holds attitude and height: commands as deviations from hover.
+
+    Parameters
+    ----------
+    angle, rate : float
+        Roll and pitch: input per rad and per rad/s.
+    yaw_rate : float
+        Input per rad/s.
+    height, sinking : float
+        Collective per m and per m/s.
+    """
+
+    angle: float = 0.3
+    rate: float = 0.06
+    yaw_rate: float = 0.35
+    height: float = 0.05
+    sinking: float = 0.08
+
+    def inputs(self, craft: Quadrotor) -> FloatArray:
+        """Return de, dr, da, dth."""
+        (p, q, r), (roll, pitch, _) = craft.rates, craft.angles
+        return np.array(
+            [
+                self.angle * pitch + self.rate * q,
+                self.yaw_rate * r,
+                -self.angle * roll - self.rate * p,
+                self.height * craft.down + self.sinking * craft.sinking,
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class QuadrotorFlight:
+    """Everything that defines a flight of a quadrotor in hover.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Excitation, added to the autopilot's commands.
+    duration : float
+        s.
+    rate : float
+        Rate of the simulation and of the noise-free samples, Hz.
+    actuator_rate : float
+        Rate of the commands, Hz, a whole fraction of `rate`; each is held until the next.
+    delay : float
+        From recorded command to motor, s; a whole number of simulation steps.
+    time_constant : float
+        Lag of the motors, s.
+    gusts : ColouredNoise
+        Angular acceleration, rad/s^2, on each axis.
+    seed : int
+        Seed of the gusts.
+    """
+
+    segments: Sequence[Segment]
+    duration: float
+    rate: float = 1000.0
+    actuator_rate: float = 250.0
+    delay: float = 0.0
+    time_constant: float = Body.time_constant
+    gusts: ColouredNoise = CALM
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("duration", "rate", "actuator_rate", "time_constant"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise SimulationError(f"{name} is {getattr(self, name)}: it must be positive")
+        for name, steps in (
+            ("actuator_rate", self.rate / self.actuator_rate),
+            ("delay", self.delay * self.rate),
+        ):
+            if not (steps >= 0.0 and abs(steps - round(steps)) < 1e-6):
+                raise SimulationError(
+                    f"{name} {getattr(self, name):g} is no whole number of simulation steps of "
+                    f"{1.0 / self.rate:g} s"
+                )
+
+
+def fly(spec: QuadrotorFlight, name: str = "quadrotor") -> Flight:
+    """Fly a quadrotor in hover, on an autopilot that holds attitude and height.
+
+    Raises
+    ------
+    SimulationError
+        If it is lost.
+    """
+    body = Body(time_constant=spec.time_constant)
+    craft, hold = Quadrotor(body), Hold()
+    count = math.floor(spec.duration * spec.rate + 1e-6) + 1
+    every, late = round(spec.rate / spec.actuator_rate), round(spec.delay * spec.rate)
+    gusts = spec.gusts.sample(count, 3, spec.rate, np.random.default_rng([spec.seed, 0]))
+    times = np.arange(0, count, every) / spec.rate
+    inputs = sample_inputs(spec.segments, times)
+    trim = np.array([0.0, 0.0, 0.0, body.hover])
+    motors = np.tile(QUADROTOR.trim(trim), (len(times), 1))
+    out = {key: np.empty((count, 3)) for key in ("rates", "force", "acceleration", "angles")}
+    for step, gust in enumerate(gusts.tolist()):
+        if step % every == 0:
+            k = step // every
+            # within what a motor can do: the channels are what it was told
+            raw = QUADROTOR.raw(inputs[k] + hold.inputs(craft), trim)
+            motors[k] = np.clip(raw, 0.0, 1.0)
+            inputs[k] = QUADROTOR.inputs(motors[k], trim)
+        craft.look(gust)
+        for key, value in (
+            ("rates", craft.rates),
+            ("force", craft.force),
+            ("acceleration", craft.acceleration),
+            ("angles", craft.angles),
+        ):
+            out[key][step] = value
+        acting = max((step - late) // every, 0)
+        craft.step(motors[acting].tolist(), 1.0 / spec.rate, gust)
+        if not max(map(abs, craft.angles[:2])) < LARGEST_UPSET:  # NaN fails too
+            raise SimulationError(
+                f"the quadrotor is lost at {step / spec.rate:.1f} s: use smaller amplitudes, "
+                "gusts, lag or delay"
+            )
+    return Flight(
+        name=name,
+        t_ns=stamps(np.arange(count) / spec.rate),
+        rates=out["rates"],
+        angular_acceleration=out["acceleration"],
+        specific_force=out["force"],
+        actuator_t_ns=stamps(times),
+        inputs=inputs,
+        trim=trim,
+        delay=spec.delay,
+        time_constant=spec.time_constant,
+        local_truth=body.derivatives(),
+        parameters=PARAMETERS,
+        excitation=excited_intervals(spec.segments, spec.duration),
+        extra={"gust": gusts, "angles": out["angles"]},
+    )
+
+
+PARAMETERS = {
+    "structure": "augmented",
+    "fixed_coefficients": ["pdot/ay", "qdot/az", "rdot/ay"],  # no flow angles
+    "actuators.thrust_curve": [1.0] * len(SIDES),
+}
+"""Parameters of the identifier that suit it, beside those of its channels."""
+
+AMPLITUDES = dict(zip(INPUTS, (0.02, 0.05, 0.02, 0.03), strict=True))
+"""Peaks of an excitation that moves it well and keeps it near hover."""
