@@ -102,8 +102,11 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     "a gate closed": (
         "gated",
         {"lost": {"channel … is at its limit": LOST_SHARE * JUST_BELOW, "not armed": 0.5}},
-        {"lost": {"channel … is at its limit": LOST_SHARE * 1.1}},
-        "33 % of the flight taught nothing: channel … is at its limit",
+        {
+            "lost": {"channel … is at its limit": LOST_SHARE * 1.1},
+            "gate_settings": {"channel … is at its limit": "actuators.upper_limit"},
+        },
+        r"33 % of the flight taught nothing: channel … is at its limit \(see 'actuators.upper_",
     ),
     "rudder known too little": (
         "weak_excitation",

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from flying import AMPLITUDES, Message, give, messages, plant_flight, run, settings
 
+from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.gates import ROW_GATES, Gates, GlitchFilter, RestGate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.settings import SettingsError
+from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
@@ -64,7 +66,7 @@ def test_a_control_check_on_the_ground_teaches_nothing(excited: Measurements) ->
     stream = altered(excited, stand)
     estimates = run(identifier(excited), stream)
     standing = since(estimates, 1.0, 9.0)
-    assert {e.reason for e in standing} == {"at rest: no rate has moved by 0.04 rad/s"}
+    assert {e.reason for e in standing} == {"at rest: no rate moves beyond the gyro's noise"}
     assert {e.state for e in standing} == {"paused"}
     assert not any(e.coefficients.any() for e in standing)
     assert all(e.adapting for e in since(estimates, 10.5, 30.0))
@@ -269,3 +271,97 @@ def test_a_pause_is_told_row_by_row() -> None:
             estimates.append(flown.update(due))
     assert flown.pauses() == {"qdot": "too little excitation"}
     assert flown.learning.tolist() == [True, False, True]
+
+
+def test_an_instant_out_of_range_costs_nothing(excited: Measurements) -> None:
+    """One sample of 2000 deg/s took the verdict away for 52 s."""
+    stream = altered(excited, lambda _, m: m)
+    index = [k for k, m in enumerate(stream) if m.stream == "rates" and m.t_ns > stream[0].t_ns][
+        4000
+    ]
+    rates = np.array(stream[index].values[:3])
+    stream[index] = with_rates(stream[index], np.array([34.9, *rates[1:]]))
+    flown = identifier(excited)
+    estimates = run(flown, stream)
+    after = since(estimates, 19.0, 24.0)
+    assert all(e.usable and e.adapting for e in after)
+    assert flown.drops["rates"][Drop.GLITCH] == 1
+    healthy = run(identifier(excited), messages(excited))[-1]
+    np.testing.assert_allclose(
+        estimates[-1].coefficients, healthy.coefficients, rtol=1e-2, atol=0.1
+    )
+
+
+def test_only_an_instant_out_of_range_is_a_glitch() -> None:
+    quiet = np.zeros((6, 3))
+    for low, high, found in ((2, 3, 1), (2, 5, 3), (2, 6, 3), (0, 2, 2)):
+        rates = quiet.copy()
+        rates[low:high, 1] = -40.0
+        which = GlitchFilter().find(rates, np.zeros(3), 34.9)
+        assert which.sum() == found and which[low : low + found].all()
+    one = GlitchFilter()
+    saturated = np.full((2, 3), 40.0)
+    assert one.find(saturated, np.zeros(3), 34.9).all()
+    assert one.find(saturated, np.zeros(3), 34.9).tolist() == [True, False]
+    assert not one.find(saturated, np.zeros(3), 34.9).any()
+    assert not GlitchFilter().find(saturated, np.full(3, 32.0), 34.9).any()  # it rose to it
+    assert not GlitchFilter().find(saturated, np.zeros(3), 0.0).any()
+    assert not GlitchFilter().find(saturated, None, 34.9).any()
+
+
+def test_signals_that_cannot_be_read_are_not_scored(excited: Measurements) -> None:
+    def clip(t: float, m: Message) -> Message:
+        return with_rates(m, np.array([*m.values[:2], 34.9])) if 20.0 <= t < 22.0 else m
+
+    estimates = run(identifier(excited), altered(excited, clip))
+    before, after = since(estimates, 19.0, 19.9)[-1], since(estimates, 24.0, 25.0)[-1]
+    assert after.usable
+    np.testing.assert_allclose(after.fit, before.fit, atol=3.0)
+
+
+@pytest.mark.parametrize(
+    ("swing", "noise", "resting"),
+    [(0.02, 0.003, False), (0.0, 0.003, True), (0.004, 0.0005, True), (0.02, 0.015, True)],
+    ids=["a large aircraft", "on the ground", "rocked by the wind", "lost in the noise"],
+)
+def test_rest_is_told_by_the_gyros_own_noise(swing: float, noise: float, resting: bool) -> None:
+    thresholds = Settings.from_values({}).supervision
+    gate, rng = RestGate(), np.random.default_rng(1)
+    reasons = set()
+    for k in range(200):
+        t = 0.05 * k
+        samples = noise * rng.standard_normal((10, 6))
+        samples[:, 1] += 0.5 * swing * np.sin(2.0 * np.pi * 0.3 * t)
+        reason = gate.check(t, samples, thresholds)
+        if t > 4.0:
+            reasons.add(reason)
+    assert reasons == {"at rest: no rate moves beyond the gyro's noise" if resting else ""}
+
+
+def test_what_each_gate_cost_is_counted(excited: Measurements) -> None:
+    rng = np.random.default_rng(3)
+
+    def stand(t: float, m: Message) -> Message:
+        return with_rates(m, rng.normal(0.0, 0.01, 3)) if t < 9.0 else m
+
+    flown = identifier(excited)
+    estimates = run(flown, altered(excited, stand))
+    costs = flown.gate_costs()
+    resting = sum(e.reason.startswith("at rest") for e in estimates) / len(estimates)
+    assert costs["rest"].share == pytest.approx(resting, abs=0.01) and 0.25 < resting < 0.35
+    assert costs["rest"].setting == "supervision.min_motion, min_force_motion"
+    assert "channel limit" not in costs
+    flown.adapt = False
+    last = messages(excited)[-1].t_ns
+    flown.update(last + 10 * 10**9)
+    assert flown.gate_costs()["adaptation"].reason == "adaptation is switched off"
+
+
+def test_every_gate_names_settings_that_exist() -> None:
+    known = set(Settings.from_values({}).values())
+    gates = Gates(Settings.from_values({}))
+    names = [gate.setting for gate in gates.table] + [setting for setting, _ in ROW_GATES.values()]
+    for entry in names:
+        first, *others = entry.split(", ")
+        prefix = first.rpartition(".")[0]
+        assert {first, *(f"{prefix}.{other}" for other in others)} <= known, entry

@@ -34,6 +34,7 @@ class Drop(StrEnum):
     BEYOND_STAMP = "stamp beyond 2038"
     OUTLYING_STAMP = "outlying stamp"
     IMPLAUSIBLE = "implausibly large"
+    GLITCH = "out of range for an instant"
     LATE = "late"
     DUPLICATE = "repeated stamp"
     CLOCK_MISMATCH = "stamp far from the Imu's"

@@ -1,20 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """When not to learn: on the ground, and while the signals cannot be what they say.
 
-Each gate looks at the signals of a tick and gives the reason to pause, or none. Whether the
-inputs excite the aircraft at all is another question: `estimators.excitation`.
+The gates are a table: name, setting, predicate. Each looks at the signals of a tick and gives the
+reason to pause, or none, and what it cost is counted under its name. Thresholds are relative to
+this aircraft's own noise where there is a choice. Whether the inputs excite the aircraft at all is
+another question: `estimators.excitation`.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from uav_ident_ros.identification.settings import ActuatorSettings, SupervisionSettings
+from uav_ident_ros.identification.settings import (
+    ActuatorSettings,
+    Settings,
+    SupervisionSettings,
+)
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
 HOLD_TIME = 0.5
@@ -26,6 +33,20 @@ REST_TIME = 2.0
 
 LOOK_TIME = 0.25
 """Time between two looks for motion, s."""
+
+REST_NOISE = 8.0
+"""Swing of the rates, relative to the gyro's noise, up to which nothing moves: noise alone swings
+by 3 to 6, aircraft in the smoothest flight by 11 and more."""
+
+REST_SWAY = 0.01
+"""Swing of the rates of an aircraft that stands, rad/s: wind and an idling engine rock it."""
+
+GLITCH = 0.25
+"""Jump of a rate from one sample to the next, relative to the gyro's range, that no aircraft
+makes: 9 rad/s within milliseconds."""
+
+LONGEST_GLITCH = 3
+"""Samples in a row that are a glitch; the next ones are a gyro at its range."""
 
 SIGNALS = ("p", "q", "r", "ax", "ay", "az")
 """What an Imu measures, in its own axes."""
@@ -44,6 +65,206 @@ OUTLYING = 9.0
 
 LARGEST_GROWTH = 4.0
 """Squared residual, relative to what is usual, as which larger ones are counted in the usual."""
+
+
+class Look(NamedTuple):
+    """What the gates see of a tick.
+
+    Parameters
+    ----------
+    t : float
+        Time of the tick, s.
+    samples : (k, 6) array
+        Rates, rad/s, and specific forces, m/s^2, that came with it, Imu axes.
+    raw : (j, N) array
+        Values of the channels that are still at work in the filters.
+    airspeed : float or None
+        True airspeed, m/s; None if there is none.
+    armed : bool or None
+        Whether the motors are armed; None if nothing was heard of it.
+    adapt : bool
+        Whether learning is switched on.
+    implausible : str
+        What cannot be as the settings say; empty if nothing.
+    settings : Settings
+        All settings.
+    """
+
+    t: float
+    samples: FloatArray
+    raw: FloatArray
+    airspeed: float | None
+    armed: bool | None
+    adapt: bool
+    implausible: str
+    settings: Settings
+
+
+class Gate(NamedTuple):
+    """A reason not to learn.
+
+    Parameters
+    ----------
+    name : str
+        One or two words.
+    setting : str
+        Name of the setting that opens it, or moves its threshold.
+    check : callable
+        From a `Look` to the reason to pause; empty if there is none.
+    unreadable : bool
+        Whether the signals then tell nothing of the coefficients either: no score is kept.
+    """
+
+    name: str
+    setting: str
+    check: Callable[[Look], str]
+    unreadable: bool = False
+
+
+class Cost(NamedTuple):
+    """What a gate has cost.
+
+    Parameters
+    ----------
+    share : float
+        Share of the ticks at which it kept from learning, 0 ... 1.
+    setting : str
+        Setting that goes with it.
+    reason : str
+        The last reason that it gave.
+    """
+
+    share: float
+    setting: str
+    reason: str
+
+
+TOO_QUIET, TOO_FAR = "too little excitation", "residual far outside its usual size"
+
+ROW_GATES: Mapping[str, tuple[str, str]] = {
+    "excitation": ("supervision.min_excitation, min_signal", TOO_QUIET),
+    "residual": ("supervision.max_residual", TOO_FAR),
+}
+"""Gates of single rows, kept by the estimator and the supervisor: setting and reason."""
+
+
+class Gates:
+    """The table of gates, and what each of them has cost.
+
+    Parameters
+    ----------
+    settings : Settings
+        Channels and their limits.
+
+    Attributes
+    ----------
+    closed : str
+        Why nothing is learned at this tick; empty if every gate is open.
+    unreadable : bool
+        Whether the signals of this tick must not be scored either.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._limits = LimitGate(settings.actuators)
+        self._ticks = 0
+        self._closed: Counter[str] = Counter()
+        self._reasons = {name: reason for name, (_, reason) in ROW_GATES.items()}
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new stretch of signals; what was counted stays."""
+        sensors, rest = SensorGate(), RestGate()
+        self.closed, self.unreadable = "", False
+        self.table: tuple[Gate, ...] = (
+            Gate("implausible", "supervision.plausibility", lambda look: look.implausible, True),
+            Gate("adaptation", "adapt_on_start", _switched_off),
+            Gate("ground", "supervision.min_airspeed", _grounded),
+            Gate(
+                "Imu",
+                "supervision.max_rate, stuck_time",
+                lambda look: sensors.check(look.t, look.samples, look.settings.supervision),
+                unreadable=True,
+            ),
+            Gate(
+                "channel limit",
+                "actuators.lower_limit, upper_limit",
+                lambda look: self._limits.check(look.raw),
+            ),
+            Gate(
+                "rest",
+                "supervision.min_motion, min_force_motion",
+                lambda look: rest.check(look.t, look.samples, look.settings.supervision),
+            ),
+        )
+
+    def look(self, look: Look) -> str:
+        """Return why to pause; empty if there is no reason. The first closed gate is charged."""
+        # Every gate sees every tick, whichever of them is closed.
+        reasons = [(gate, gate.check(look)) for gate in self.table]
+        closed = [(gate, reason) for gate, reason in reasons if reason]
+        self._ticks += 1
+        self.closed = closed[0][1] if closed else ""
+        self.unreadable = any(gate.unreadable for gate, _ in closed)
+        if closed:
+            name = closed[0][0].name
+            self._closed[name] += 1
+            self._reasons[name] = self.closed
+        return self.closed
+
+    def charge(self, name: str, share: float) -> None:
+        """Count a gate of `ROW_GATES` that kept a share of the rows from this tick."""
+        self._closed[name] += share  # type: ignore[assignment]
+
+    def costs(self) -> dict[str, Cost]:
+        """Return what each gate has cost so far, by name, the dearest first; those that did."""
+        settings = {gate.name: gate.setting for gate in self.table}
+        settings.update({name: setting for name, (setting, _) in ROW_GATES.items()})
+        return {
+            name: Cost(count / self._ticks, settings[name], self._reasons[name])
+            for name, count in self._closed.most_common()
+            if count > 0
+        }
+
+
+def _switched_off(look: Look) -> str:
+    return "" if look.adapt else "adaptation is switched off"
+
+
+def _grounded(look: Look) -> str:
+    told = look.settings.armed.type != ""
+    return grounded(look.armed, told, look.airspeed, look.settings.supervision.min_airspeed)
+
+
+class GlitchFilter:
+    """Leaves out samples of the gyro that are at its range for an instant, which no aircraft is."""
+
+    def __init__(self) -> None:
+        self._run = 0
+
+    def find(self, rates: FloatArray, before: FloatArray | None, max_rate: float) -> BoolArray:
+        """Return which samples are glitches, shape (k,); of a longer saturation the first alone.
+
+        Parameters
+        ----------
+        rates : (k, 3) array
+            New rates, rad/s, Imu axes.
+        before : (3,) array or None
+            The rates before them; None if there are none.
+        max_rate : float
+            Range of the gyro, rad/s; 0 if it is not known, and nothing is a glitch.
+        """
+        out = np.zeros(len(rates), dtype=bool)
+        if max_rate <= 0.0 or not len(rates) or np.abs(rates).max() < max_rate:
+            self._run = 0
+            return out
+        for k, sample in enumerate(rates):
+            if np.abs(sample).max() < max_rate:
+                before, self._run = sample, 0
+                continue
+            self._run += 1
+            if before is not None and self._run <= LONGEST_GLITCH:
+                out[k] = np.abs(sample - before).max() > GLITCH * max_rate
+        return out
 
 
 class SensorGate:
@@ -105,17 +326,24 @@ class SensorGate:
 
 
 class RestGate:
-    """Closed while nothing moves: on the ground, inputs have no effect to learn."""
+    """Closed while nothing moves: on the ground, inputs have no effect to learn.
+
+    What counts as motion stands out from the gyro's noise. A large aircraft in smooth flight turns
+    slowly, but does; an aircraft that stands does not.
+    """
 
     def __init__(self) -> None:
         self._ticks: deque[tuple[float, FloatArray]] = deque()
         self._looked = -np.inf
         self._reason = ""
+        self._begun = False
 
     def check(self, t: float, samples: FloatArray, settings: SupervisionSettings) -> str:
         """Return why to pause; empty if there is no reason; parameters as in `SensorGate`."""
         if len(samples):
-            self._ticks.append((t, np.add.reduce(samples) / len(samples)))
+            if self._begun:  # the first tick may have one sample alone, which is noisier
+                self._ticks.append((t, np.add.reduce(samples) / len(samples)))
+            self._begun = True
         while self._ticks and t - self._ticks[0][0] > REST_TIME:
             self._ticks.popleft()
         # It opens at once, and closes when it next looks.
@@ -127,11 +355,20 @@ class RestGate:
     def _at_rest(self, min_motion: float, min_force_motion: float) -> str:
         means = np.concatenate([mean for _, mean in self._ticks]).reshape(-1, 6)
         swing = np.maximum.reduce(means) - np.minimum.reduce(means)
-        if swing[:3].max() < min_motion:
-            return f"at rest: no rate has moved by {min_motion:g} rad/s"
+        rate = float(swing[:3].max())
+        if rate < min_motion and rate < max(REST_SWAY, REST_NOISE * _noise(means[:, :3])):
+            return "at rest: no rate moves beyond the gyro's noise"
         if swing[3:].max() < min_force_motion:
             return f"at rest: no specific force has moved by {min_force_motion:g} m/s^2"
         return ""
+
+
+def _noise(rates: FloatArray) -> float:
+    """Noise of rates (k, 3) in the unit of theirs, from second differences; of the worst axis."""
+    if len(rates) < 3:
+        return math.inf
+    second = rates[2:] - 2.0 * rates[1:-1] + rates[:-2]
+    return float(np.sqrt(np.mean(second * second, axis=0).max() / 6.0))
 
 
 class LimitGate:

@@ -30,6 +30,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.frames import BodyFrame
+from uav_ident_ros.identification.gates import Cost, GlitchFilter
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import IdentifiedModel
 from uav_ident_ros.identification.paper import BackwardDifference
@@ -177,6 +178,7 @@ class OnlineIdentifier:
         self._armed.clear()
         self._supervisor.restart()
         self._plausibility.restart()
+        self._glitches = GlitchFilter()
         self._guard.reset()
         self._filter: StateVariableFilter | None = None
         self._paper = BackwardDifference(self.structure)
@@ -204,6 +206,10 @@ class OnlineIdentifier:
     def pauses(self) -> dict[str, str]:
         """Return why each row that does not learn pauses, row to reason."""
         return self._supervisor.pauses()
+
+    def gate_costs(self) -> dict[str, Cost]:
+        """Return what each gate has cost since the start, the dearest first."""
+        return self._supervisor.gates.costs()
 
     @property
     def learning(self) -> BoolArray:
@@ -599,6 +605,7 @@ class OnlineIdentifier:
         self.drops[ACTUATORS][Drop.DUPLICATE] += self._sampler.raw_inputs.merge(t_ns)
         self.drops[AIRSPEED][Drop.DUPLICATE] += self._speed.update(t_ns)
         self._sampler.injected.merge(t_ns)
+        self._leave_out_glitches()
         if len(self._sampler.rates.t):
             self._newest_rates = self._frame.to_body(self._sampler.rates.v[-1, :3])
         self._look(t_ns)
@@ -607,6 +614,20 @@ class OnlineIdentifier:
         else:
             fed = self._filtered_tick()
         return self._estimate(t_ns, fed)
+
+    def _leave_out_glitches(self) -> None:
+        """Drop new rates that no aircraft turns at; the paper knows no such thing."""
+        rates = self._sampler.rates
+        new = int(rates.t.searchsorted(self._looked_ns, side="right"))
+        if self.settings.filter.method == "backward_difference" or new == len(rates.t):
+            return
+        before = rates.v[new - 1, :3] if new else None
+        limit = self.settings.supervision.max_rate
+        which = np.zeros(len(rates.t), dtype=bool)
+        which[new:] = self._glitches.find(rates.v[new:, :3], before, limit)
+        if which.any():
+            rates.leave_out(which)
+            self.drops[RATES][Drop.GLITCH] += int(which.sum())
 
     def _look(self, t_ns: int) -> None:
         """Show the supervisor what came with this tick."""
@@ -620,11 +641,10 @@ class OnlineIdentifier:
             new, raw = len(rates.t), raw[:0]  # the paper knows no gates on the signals
         fresh = raw[self._sampler.raw_inputs.t[: len(raw)] > self._looked_ns]
         self._looked_ns = t_ns
-        self._supervisor.look(t_ns * NS, rates.v[new:], raw, self._speed.newest)
         if self.settings.supervision.plausibility:
             self._plausibility.look(t_ns * NS, rates.v[new:], fresh)
-            fault = self._plausibility.signal_fault
-            self._supervisor.closed = fault or self._supervisor.closed
+        fault = self._plausibility.signal_fault
+        self._supervisor.look(t_ns * NS, rates.v[new:], raw, self._speed.newest, fault)
 
     def _filtered_tick(self) -> bool:
         """Learn from the blocks that this tick completes; return whether there were any."""
@@ -632,7 +652,10 @@ class OnlineIdentifier:
         for block in self._sampler.blocks():
             coefficients = self._coefficients()
             saved = None if self._saved is None else self._saved * self._speed.scale
-            self.running_fit.add(block, coefficients, saved)
+            if self._supervisor.gates.unreadable:
+                self.running_fit.restart()
+            else:
+                self.running_fit.add(block, coefficients, saved)
             self._learn(block, coefficients)
             moved = (self._delay is not None and self._delay.add(block)) or moved
             fed = True

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
 TimeArray = NDArray[np.int64]
 
@@ -105,6 +105,10 @@ class SampleBuffer:
         self._waiting_v = [first[t] for t in self._waiting_t]
         self._ordered = True
         return before - len(self._waiting_t)
+
+    def leave_out(self, which: BoolArray) -> None:
+        """Drop samples in use, chosen by a bool array of their number."""
+        self.t, self.v = self.t[~which], self.v[~which]
 
     def trim(self, t_ns: int) -> None:
         """Drop the samples in use before the last one at or before `t_ns`."""

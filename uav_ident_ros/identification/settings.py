@@ -699,8 +699,9 @@ class SupervisionSettings:
     min_motion: float = _setting(
         0.04,
         "rad/s",
-        "Swing of the rates over 2 s below which the aircraft counts as at rest, and learning "
-        "pauses; 0 for never. Raise it if the gyro's noise hides that the aircraft stands.",
+        "Swing of the rates over 2 s below which the aircraft may be at rest: it is where they do "
+        "not stand out from the gyro's noise either, and learning pauses. 0 for never. Raise it if "
+        "that noise hides that the aircraft stands.",
         low=0.0,
         high=1.0,
         read_only=False,

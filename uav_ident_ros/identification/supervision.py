@@ -10,10 +10,11 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.gates import (
-    LimitGate,
+    TOO_FAR,
+    TOO_QUIET,
+    Gates,
+    Look,
     ResidualGate,
-    RestGate,
-    SensorGate,
     grounded,
 )
 from uav_ident_ros.identification.running_fit import RunningFit
@@ -104,8 +105,8 @@ class Supervisor:
         Whether learning is switched on.
     armed : bool or None
         Whether the motors are armed; None if nothing was heard of it.
-    closed : str
-        Why nothing is learned at this tick; empty if no gate is closed.
+    gates : Gates
+        The gates, and what each has cost.
     learning : (3,) bool array
         Rows that learned from the last block.
     changed : list of Change
@@ -117,7 +118,7 @@ class Supervisor:
         self.adapt = settings.adapt_on_start
         self.armed: bool | None = None
         self._structure = structure
-        self._limits = LimitGate(settings.actuators)
+        self.gates = Gates(settings)
         self.reset()
 
     def reset(self) -> None:
@@ -134,34 +135,24 @@ class Supervisor:
 
     def restart(self) -> None:
         """Begin a new stretch of signals; what was found stays."""
-        self._sensors = SensorGate()
-        self._rest = RestGate()
-        self.closed = ""
+        self.gates.restart()
 
-    def look(self, t: float, samples: FloatArray, raw: FloatArray, airspeed: float | None) -> None:
-        """Look at the signals of a tick.
+    @property
+    def closed(self) -> str:
+        """Why nothing is learned at this tick; empty if no gate is closed."""
+        return self.gates.closed
 
-        Parameters
-        ----------
-        t : float
-            Time of the tick, s.
-        samples : (k, 6) array
-            Rates, rad/s, and specific forces, m/s^2, that came with it, Imu axes.
-        raw : (j, N) array
-            Values of the channels that are still at work.
-        airspeed : float or None
-            True airspeed, m/s; None if there is none.
-        """
-        thresholds = self.settings.supervision
-        # Every gate sees every tick, whichever of them is closed.
-        reasons = (
-            "" if self.adapt else "adaptation is switched off",
-            self.grounded(airspeed),
-            self._sensors.check(t, samples, thresholds),
-            self._limits.check(raw),
-            self._rest.check(t, samples, thresholds),
-        )
-        self.closed = next(filter(None, reasons), "")
+    def look(
+        self,
+        t: float,
+        samples: FloatArray,
+        raw: FloatArray,
+        airspeed: float | None,
+        implausible: str = "",
+    ) -> None:
+        """Show the signals of a tick to the gates; parameters as in `Look`."""
+        look = Look(t, samples, raw, airspeed, self.armed, self.adapt, implausible, self.settings)
+        self.gates.look(look)
 
     def grounded(self, airspeed: float | None) -> str:
         """Return why it does not fly, at an airspeed, m/s; empty if there is no reason."""
@@ -190,6 +181,10 @@ class Supervisor:
     def follow(self, t: float, estimator: Estimator, learned: bool, dt: float) -> None:
         """Take note of what the estimator made of a block of `dt` s that ends at `t` s."""
         self.learning = estimator.learning & learned
+        if learned:
+            held = ~self._within
+            self.gates.charge("residual", float(held.mean()))
+            self.gates.charge("excitation", float((~self.learning & ~held).mean()))
         self._quiet_time = np.where(self.learning, 0.0, self._quiet_time + dt)
         if not learned:
             return
@@ -205,7 +200,7 @@ class Supervisor:
         if self.closed:
             return dict.fromkeys(ROWS, self.closed)
         return {
-            row: "too little excitation" if within else "residual far outside its usual size"
+            row: TOO_QUIET if within else TOO_FAR
             for row, learning, within in zip(ROWS, self.learning, self._within, strict=True)
             if not learning
         }

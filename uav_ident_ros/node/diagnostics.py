@@ -204,5 +204,8 @@ def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
     yield "delay confidence", identifier.delay_confidence
     groups = identifier.collinear()
     yield "not told apart", "; ".join(", ".join(group) for group in groups) or "nothing"
+    costs = identifier.gate_costs().items()
+    gates = (f"{name} {100.0 * cost.share:.0f} ({cost.setting})" for name, cost in costs)
+    yield "gates [% of the flight]", ", ".join(gates) or "nothing"
     yield "implausible", "; ".join(f.text for f in identifier.findings) or "nothing"
     yield "changed in flight", ", ".join(c.name for c in identifier.changed) or "nothing"

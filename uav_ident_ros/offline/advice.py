@@ -98,7 +98,9 @@ def gated(e: Evidence) -> Iterator[str]:
     """Name what kept it from learning for a large part of the flight."""
     for reason, share in e.lost.items():
         if share > LOST_SHARE and not reason.startswith(GROUNDED):
-            yield f"{100.0 * share:.0f} % of the flight taught nothing: {reason}"
+            setting = e.gate_settings.get(reason)
+            see = f" (see '{setting}')" if setting else ""
+            yield f"{100.0 * share:.0f} % of the flight taught nothing: {reason}{see}"
 
 
 def weak_excitation(e: Evidence) -> Iterator[str]:

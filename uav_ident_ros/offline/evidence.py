@@ -85,6 +85,8 @@ class Evidence:
         (m, m).
     lost : mapping
         Share of the ticks at which a gate was closed, for each reason, the largest first.
+    gate_settings : mapping
+        Settings that go with those reasons.
     streams : mapping
         What became of the messages of each stream.
     """
@@ -108,6 +110,7 @@ class Evidence:
     collinear: tuple[tuple[str, ...], ...] = ()
     correlations: Mapping[str, tuple[tuple[str, ...], FloatArray]] = field(default_factory=dict)
     lost: Mapping[str, float] = field(default_factory=dict)
+    gate_settings: Mapping[str, str] = field(default_factory=dict)
     streams: Mapping[str, Refusals] = field(default_factory=dict)
 
     def t_ratio(self, name: str) -> float | None:
@@ -144,6 +147,10 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         collinear=tuple(run.identifier.collinear()),
         correlations=correlations,
         lost=lost_to(run.estimates),
+        gate_settings={
+            _NUMBER.sub("…", cost.reason): cost.setting
+            for cost in run.identifier.gate_costs().values()
+        },
         streams={name: run.refusals(name) for name in run.identifier.drops},
     )
 

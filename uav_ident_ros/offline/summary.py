@@ -40,6 +40,8 @@ def summarise(replayed: Replayed) -> dict[str, Any]:
         "reason": last.reason,
         "fault": run.fault,
         "usable": last.usable,
+        "gates": {name: cost._asdict() for name, cost in run.identifier.gate_costs().items()},
+        "implausible": [found.text for found in run.identifier.noted],
         "delay": run.identifier.delay,
         "delay_sigma": _json(run.identifier.delay_sigma),
         "structure": run.structure.name,
