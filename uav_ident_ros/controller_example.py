@@ -1,17 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `controller_example`: a rate controller on the identified model, to copy.
 
-Model-based inversion with a disturbance observer. With the identified ``xdot = A f(x, u)``
-
-    u = B^-1 (reference' + K (reference - x) - d - A f(x, 0))
-
-where d is what the model does not explain: trim, gusts, the flow angles, an error of A or B. An
-observer finds it from the rates and the commands that act by now, without differentiating::
-
-    xhat' = A f(x, u) + d + 2 w (x - xhat)        d' = w^2 (x - xhat)
-
-So the loop has integral action and is slow, not lost, while the model is wrong. With the
-parameter ``mode: fixed`` the same law keeps to the nominal coefficients for ever.
+Rates and their references in, surfaces out, one command for each Imu message. The law is in
+`uav_ident_ros.control`: incremental inversion (INDI) on measured angular acceleration, or inversion
+of the identified model with a disturbance observer (``law: inversion``). Whose control derivatives
+it flies on, identified, last good or nominal, is decided axis by axis. With the parameter
+``mode: fixed`` the same law keeps to the nominal coefficients for ever.
 """
 
 from __future__ import annotations
@@ -28,7 +22,6 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 
 from uav_ident_ros.client import (
-    AttitudeModel,
     Coefficients,
     CoefficientSource,
     Excitation,
@@ -38,32 +31,26 @@ from uav_ident_ros.client import (
     subscribe,
     subscribe_excitation,
 )
+from uav_ident_ros.control import Effect, Gains, Law, RateController
+from uav_ident_ros.control.controller import BANDWIDTHS
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import run, spin
 from uav_ident_ros.node.usage import node_usage
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
-RATE_GAIN = np.array([5.0, 4.0, 2.0])
-"""K: acceleration per rate error of roll, pitch, yaw, 1/s."""
-
-OBSERVER = np.array([8.0, 8.0, 4.0])
-"""w: bandwidth of the disturbance observer, rad/s; what the delay allows, a third of it at most."""
-
-REFERENCE_TIME = 0.1
-"""Time constant of the reference's derivative, s."""
-
-MAX_INTERVAL = 0.1
-"""Interval of the Imu above which the loop starts afresh, s."""
+AXES = ("roll", "pitch", "yaw")
 
 REPORT_PERIOD = 1.0
 """Time between reports on /diagnostics, s; a change is reported at once."""
 
 PARAMETERS: dict[str, Any] = {
+    "law": "incremental",  # or inversion
     "mode": "adaptive",  # or fixed: the nominal coefficients for ever
-    "nominal_file": "",  # coefficients.yaml of `replay`, the author's own
-    "fallback": "last good",  # refuse, last good, nominal
+    "nominal_file": "",  # coefficients.yaml of `replay`, the author's own; none: the first good set
     "heed_verdict": True,
+    "rate_gain": [5.0, 4.0, 2.0],  # acceleration per rate error of roll, pitch, yaw, 1/s
+    "bandwidth": 0.0,  # of the law's filter or observer, rad/s; 0 for its own, 20 or 8
     "trim": [0.0, 0.0, 0.0, 0.0],  # elevator, rudder, aileron, throttle
     "least": [-0.4, -0.25, -0.25, 0.0],
     "largest": [0.4, 0.25, 0.25, 1.0],
@@ -75,90 +62,25 @@ PARAMETERS: dict[str, Any] = {
 """Parameters and their defaults."""
 
 
-class RateLaw:
-    """The control law.
-
-    Parameters
-    ----------
-    limits : (2, 4) array
-        Least and largest de, dr, da, dth, deviations from trim.
-    delay : float
-        From a sample's stamp to the surface that its command moves, s.
-    """
-
-    def __init__(self, limits: FloatArray, delay: float) -> None:
-        self._limits = limits
-        self._delay_ns = round(delay * 1e9)
-        self._last_ns = 0
-
-    def restart(
-        self, t_ns: int, model: AttitudeModel, x: FloatArray, reference: FloatArray
-    ) -> None:
-        """Forget the past: the first sample, or one after a gap."""
-        self._last_ns, self._model = t_ns, model
-        self._commands: History[FloatArray] = History()
-        self._xhat, self._reference, self._disturbance = x, reference, np.zeros(3)
-
-    def update(
-        self, t_ns: int, model: AttitudeModel, x: FloatArray, reference: FloatArray
-    ) -> FloatArray:
-        """Return de, dr, da, dth for measured and wanted rates, (3,), rad/s, FRD.
-
-        Raises
-        ------
-        Refusal
-            If the model cannot be inverted.
-        """
-        dt = (t_ns - self._last_ns) * 1e-9
-        if not 0.0 < dt < MAX_INTERVAL:
-            self.restart(t_ns, model, x, reference)
-            dt = 0.0
-        self._last_ns = t_ns
-        acting = self._commands.at(t_ns - self._delay_ns)
-        acting = np.zeros(4) if acting is None else acting
-        known = model.acceleration(x, acting)
-        # a new model explains more or less of what goes on: no bump in the sum of both
-        self._disturbance = self._disturbance + self._model.acceleration(x, acting) - known
-        self._model = model
-        error = x - self._xhat
-        self._xhat = self._xhat + dt * (known + self._disturbance + 2.0 * OBSERVER * error)
-        self._disturbance = self._disturbance + dt * OBSERVER**2 * error
-        reference_rate = (reference - self._reference) / REFERENCE_TIME
-        self._reference = self._reference + dt * reference_rate
-        wanted = reference_rate + RATE_GAIN * (reference - x) - self._disturbance
-        u = model.invert(wanted, x, self._limits).u
-        self._commands.add(t_ns, u)
-        return u
-
-    def inject(self, t_ns: int, u: FloatArray, excitation: FloatArray) -> FloatArray:
-        """Return the command `u` of `t_ns` with an excitation on top, within the limits.
-
-        The observer is told: what is injected is no disturbance.
-        """
-        if not excitation.any():
-            return u
-        u = np.clip(u + excitation, *self._limits)
-        self._commands.add(t_ns, u)
-        return u
-
-
 class ControllerExample(Node):
     """Rates and references in, commands out; one command for each Imu message."""
 
     def __init__(self) -> None:
         super().__init__("controller")
-        value = self._declare()
+        value = {name: self.declare_parameter(name, v).value for name, v in PARAMETERS.items()}
+        self._value = value
+        self._law = Law(value["law"])
+        self._adaptive = value["mode"] != "fixed"
         self._trim = np.array(value["trim"])
-        limits = np.array([value["least"], value["largest"]]) - self._trim
-        self._law = RateLaw(limits, value["delay"])
-        fixed = value["mode"] == "fixed"
+        nominal = Coefficients.from_file(value["nominal_file"]) if value["nominal_file"] else None
         self._source = CoefficientSource(
-            Fallback.NOMINAL if fixed else Fallback(value["fallback"]),
-            Coefficients.from_file(value["nominal_file"]) if value["nominal_file"] else None,
+            Fallback.LAST_GOOD if self._adaptive else Fallback.NOMINAL,
+            nominal,
             heed_verdict=value["heed_verdict"],
             delay=value["coefficients_delay"],
         )
-        if not fixed:
+        self._controller = None if nominal is None else self._make(nominal)
+        if self._adaptive:
             subscribe(self, self._source)
         self._excitation = Excitation(value["excitation_limit"])
         subscribe_excitation(self, self._excitation)
@@ -171,10 +93,19 @@ class ControllerExample(Node):
         self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, 50)
         self.create_subscription(Imu, "imu/data", self._on_imu, best_effort)
 
-    def _declare(self) -> dict[str, Any]:
-        return {
-            name: self.declare_parameter(name, value).value for name, value in PARAMETERS.items()
-        }
+    def _make(self, nominal: Coefficients) -> RateController:
+        value = self._value
+        p, q, r = value["rate_gain"]
+        gains = Gains((p, q, r), value["bandwidth"] or BANDWIDTHS[self._law])
+        return RateController(
+            self._source,
+            nominal,
+            np.array([value["least"], value["largest"]]) - self._trim,
+            value["delay"],
+            self._law,
+            self._adaptive,
+            gains,
+        )
 
     def _on_reference(self, message: Vector3Stamped) -> None:
         vector = message.vector
@@ -186,14 +117,13 @@ class ControllerExample(Node):
         x = np.array([rates.x, rates.y, rates.z]) * FLU_TO_FRD
         reference = self._references.at(t_ns - self._reference_delay_ns)
         try:
-            model = self._source.model(t_ns)
-            u = self._law.update(t_ns, model, x, np.zeros(3) if reference is None else reference)
-            u = self._law.inject(t_ns, u, self._excitation.at(t_ns))
-            why = self._source.refusal(t_ns)
-            self._report(message.header, model.source, why, model)
+            controller = self._ready(t_ns)
+            u = controller.update(t_ns, x, np.zeros(3) if reference is None else reference)
+            u = controller.inject(t_ns, u, self._excitation.at(t_ns))
+            self._report(message.header, *summary(controller.effect), controller)
         except Refusal as refusal:
             u = np.zeros(4)  # trim: all that is left
-            self._report(message.header, "trim", str(refusal))
+            self._report(message.header, "flying on trim", str(refusal))
         raw = self._trim + u  # plain channels; others: raw = trim + pinv(mixing) u / scale
         self._commands.publish(
             JointState(
@@ -203,11 +133,26 @@ class ControllerExample(Node):
             )
         )
 
+    def _ready(self, t_ns: int) -> RateController:
+        """Return the controller; without a nominal set, the first good one takes its place.
+
+        Raises
+        ------
+        Refusal
+            If there is none yet.
+        """
+        if self._controller is None:
+            newest, why = self._source.newest(t_ns), self._source.refusal(t_ns)
+            if newest is None or why:
+                raise Refusal(why)
+            self._controller = self._make(newest)
+        return self._controller
+
     def _report(
-        self, header: Header, source: str, why: str, model: AttitudeModel | None = None
+        self, header: Header, line: str, why: str, controller: RateController | None = None
     ) -> None:
         """Say what the loop flies on: when it changes in the log, and on /diagnostics."""
-        line = f"flying on {source} coefficients" + (f": {why}" if why else "")
+        line += f": {why}" if why else ""
         t_ns = _ns(header)
         last_ns, said = self._reported
         if line == said and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
@@ -217,18 +162,40 @@ class ControllerExample(Node):
         elif line != said:
             self.get_logger().info(line)
         self._reported = (t_ns, line)
-        level = DiagnosticStatus.WARN if why else DiagnosticStatus.OK
-        values = (
-            []
-            if model is None
-            else [
-                KeyValue(key="from the fallback", value=", ".join(model.replaced) or "none"),
-                KeyValue(key="left out", value=", ".join(model.left_out) or "none"),
-            ]
+        values = [] if controller is None else measured(controller)
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if why else DiagnosticStatus.OK,
+            name=self.get_fully_qualified_name(),
+            message=line,
+            values=values,
         )
-        name = self.get_fully_qualified_name()
-        status = DiagnosticStatus(level=level, name=name, message=line, values=values)
         self._diagnostics.publish(DiagnosticArray(header=header, status=[status]))
+
+
+def summary(effect: Effect) -> tuple[str, str]:
+    """Return whose coefficients are flown on, and why not the identified ones on which axis."""
+    groups: dict[str, list[str]] = {}
+    reasons: dict[str, list[str]] = {}
+    for axis, source, reason in zip(AXES, effect.sources, effect.reasons, strict=True):
+        groups.setdefault(source, []).append(axis)
+        if reason:
+            reasons.setdefault(reason, []).append(axis)
+    named = [f"{source} coefficients" + _of(axes) for source, axes in groups.items()]
+    why = [reason + _of(axes) for reason, axes in reasons.items()]
+    return "flying on " + " and ".join(named), "; ".join(why)
+
+
+def _of(axes: list[str]) -> str:
+    return "" if len(axes) == len(AXES) else f" ({', '.join(axes)})"
+
+
+def measured(controller: RateController) -> list[KeyValue]:
+    """Return the measured effect of the inputs, for /diagnostics."""
+    found = controller.effectiveness
+    return [
+        KeyValue(key=f"measured effect of {axis}", value=f"{factor:.2f} +- {sigma:.2f} of believed")
+        for axis, factor, sigma in zip(AXES, found.factor, found.sigma, strict=True)
+    ]
 
 
 def _ns(header: Header) -> int:

@@ -125,7 +125,7 @@ def test_faults_come_by_topic_too(tmp_path: Path) -> None:
 def test_a_process_that_does_not_start_ends_the_flight(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    wrong = replace(SHORT, parameters={"controller": {"fallback": "hope"}})
+    wrong = replace(SHORT, parameters={"controller": {"law": "hope"}})
     with pytest.raises(SimulationError, match=r"controller ended: .*'hope'"):
         fly(wrong, tmp_path / "flight")
     assert main(["--fault", "flaps fall off"]) == 1

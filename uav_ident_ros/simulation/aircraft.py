@@ -253,8 +253,13 @@ class Aircraft:
 
     def clip(self, surfaces: FloatArray) -> FloatArray:
         """Limit surfaces to what the aircraft can do."""
-        low, high = np.append(self.ranges[:, 0], 0.0), np.append(self.ranges[:, -1], 1.0)
+        low, high = self.limits
         return np.clip(surfaces, low, high)
+
+    @property
+    def limits(self) -> FloatArray:
+        """Least and largest elevator, rudder, aileron (rad) and throttle, shape (2, 4)."""
+        return np.array([np.append(self.ranges[:, 0], 0.0), np.append(self.ranges[:, -1], 1.0)])
 
     def step(self) -> list[float]:
         """Move on by one step; the signals in the order of `SIGNALS`, in JSBSim's units."""

@@ -137,10 +137,13 @@ class LiveAircraft:
             If the aircraft is lost.
         """
         faults = self.faults.due(self.time)
+        moved = True  # a fault may have moved them
         for _ in range(self._substeps):
             while self._underway and self._underway[0][0] <= self._step:
-                self._acting = self._underway.popleft()[1]
-            self.aircraft.set_surfaces(self.faults.surfaces(self._acting))
+                self._acting, moved = self._underway.popleft()[1], True
+            if moved:
+                self.aircraft.set_surfaces(self.faults.surfaces(self._acting))
+                moved = False
             self._signals = self.aircraft.step()
             self._step += 1
         for angle in ("roll", "pitch"):

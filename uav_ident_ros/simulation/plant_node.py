@@ -305,14 +305,15 @@ class PlantNode(Node):
             return self._imu.get_subscription_count()
 
         def ready() -> bool:
-            commanded = self.count_publishers("command") > 0 and listeners() > 0
-            if self._value("wait_for_reference"):
+            guided = bool(self._value("wait_for_reference"))
+            commanded = self.count_publishers("command") > 0 and listeners() > guided
+            if guided:
                 commanded = commanded and self.count_publishers("rate_reference") > 0
             if self._identifier_silent:
                 return commanded
             identified = self.count_publishers("identifier/coefficients_named") > 0
             heard = self._clock is not None and self._clock.get_subscription_count() > 0
-            return commanded and identified and heard and listeners() > 1
+            return commanded and identified and heard and listeners() > 1 + guided
 
         if not self._wait(ready, START_PATIENCE) and self._going():
             raise SimulationError(
@@ -326,7 +327,11 @@ class PlantNode(Node):
         """Listen until the newest sample is answered and the coefficients are not far behind."""
 
         def answered() -> bool:
-            if self._reference is not None and self._reference[0] < self._now_ns:
+            if self._reference is None:
+                guided = not self._value("wait_for_reference")
+            else:
+                guided = self._reference[0] >= self._now_ns
+            if not guided:
                 return False
             return self._now_ns in self._commands
 

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A linear aircraft for controllers to fly, and the messages of an identifier about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
+from uav_ident_ros.control import Law, RateController
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
+
+STRUCTURE = STRUCTURES["baseline"]
+DT_NS = 10_000_000
+DELAY_STEPS = 2
+START = 1_700_000_000 * 10**9
+LIMITS = np.array([[-0.4, -0.3, -0.3, 0.0], [0.4, 0.3, 0.3, 0.0]])
+STEP = np.array([0.3, 0.1, 0.05])
+VALUES = {
+    "pdot/p": -6.4, "pdot/da": 29.5, "qdot/q": -5.5, "qdot/de": -26.0,
+    "rdot/r": -0.5, "rdot/dr": -4.3, "rdot/p": -0.3, "pdot/dr": 3.0, "pdot/pq": 0.2,
+}  # fmt: skip
+
+
+def coefficients(
+    effect: FloatArray | float = 1.0, t_ns: int = START, usable: bool = True
+) -> Coefficients:
+    """Coefficients whose inputs (de, dr, da, dth) have so much of their effect."""
+    values = np.zeros(STRUCTURE.mask.shape)
+    for name, value in VALUES.items():
+        values[STRUCTURE.index(name)] = value
+    values[:, INPUT_COLUMNS] *= effect
+    return Coefficients(STRUCTURE, values, 0.02 * np.abs(values), usable, t_ns=t_ns)
+
+
+def controller(
+    law: Law = Law.INCREMENTAL, **options: bool
+) -> tuple[RateController, CoefficientSource]:
+    """Return a controller with the healthy set as its nominal one, and what feeds it."""
+    nominal = coefficients()
+    source = CoefficientSource(Fallback.LAST_GOOD, nominal)
+    return RateController(
+        source, nominal, LIMITS, DELAY_STEPS * DT_NS * 1e-9, law, **options
+    ), source
+
+
+def flown(
+    flying: RateController,
+    effect: Callable[[float], FloatArray | float] | float = 1.0,
+    reference: Callable[[float], FloatArray] | FloatArray = STEP,
+    seconds: float = 4.0,
+    disturbance: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    noise: float = 0.0,
+    each: Callable[[int], None] = lambda t_ns: None,
+) -> FloatArray:
+    """Rates of the plant, (N, 3), with two samples of delay; `effect` may change with time."""
+    rng = np.random.default_rng(1)
+    x, underway, rates = np.zeros(3), [np.zeros(4)] * DELAY_STEPS, []
+    for k in range(round(seconds * 1e9 / DT_NS)):
+        t = k * DT_NS * 1e-9
+        rates.append(x)
+        wanted = reference(t) if callable(reference) else (reference if t > 0.5 else np.zeros(3))
+        each(START + k * DT_NS)
+        measured = x + noise * rng.standard_normal(3)
+        underway.append(flying.update(START + k * DT_NS, measured, wanted))
+        u = underway.pop(0)
+        plant = coefficients(effect(t) if callable(effect) else effect).values
+        for _ in range(10):
+            f = STRUCTURE.regressor(x, u)
+            x = x + DT_NS * 1e-10 * (plant @ f + np.array(disturbance))
+    return np.array(rates)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Allocation is exact, and a lost input leaves the other axes whole."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.control.allocation import allocate, authority, bounded_least_squares
+from uav_ident_ros.identification.structure import FloatArray
+
+# roll, pitch, yaw by de, dr, da, dth: a light aircraft; the throttle is not used
+EFFECT = np.array([[0.0, 3.2, 31.0, 0.0], [-27.0, 0.0, 0.0, 0.0], [0.0, -4.3, -0.2, 0.1]])
+LIMITS = np.array([[-0.5, -0.28, -0.35, 0.0], [0.4, 0.28, 0.26, 0.0]])
+SCALE = authority(EFFECT, LIMITS)
+
+
+def by_enumeration(
+    rows: FloatArray, target: FloatArray, low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """Try every way of holding each unknown at a bound or leaving it free."""
+    best, least = np.zeros(len(low)), np.inf
+    for held in itertools.product((-1, 0, 1), repeat=len(low)):
+        sides = np.array(held)
+        x = np.where(sides < 0, low, np.where(sides > 0, high, 0.0))
+        free = sides == 0
+        if free.any():
+            x[free] = np.linalg.lstsq(rows[:, free], target - rows @ x, rcond=None)[0]
+        inside = (x >= low - 1e-9).all() and (x <= high + 1e-9).all()
+        if inside and (cost := np.sum((rows @ x - target) ** 2)) < least:
+            best, least = x, cost
+    return best
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_the_active_set_finds_what_trying_everything_finds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m = int(rng.integers(2, 6))
+    rows = np.vstack([rng.normal(size=(3, m)), 1e-3 * np.eye(m)])
+    if seed % 3 == 0:
+        rows[:3, 0] = 0.0  # a dead input
+    target = np.append(rng.normal(size=3) * rng.choice([0.1, 1.0, 10.0]), np.zeros(m))
+    low, high = -rng.uniform(0.0, 1.0, m), rng.uniform(0.0, 1.0, m)
+    if seed % 4 == 0:
+        low[-1] = high[-1] = 0.0  # one that is not to be used
+    found = bounded_least_squares(rows, target, low, high)
+    expected = by_enumeration(rows, target, low, high)
+    assert (found >= low).all() and (found <= high).all()
+    np.testing.assert_allclose(found, expected, atol=1e-7)
+
+
+def test_what_can_be_had_is_had() -> None:
+    wanted = np.array([2.0, -1.0, 0.3])
+    u = allocate(EFFECT, wanted, LIMITS, SCALE)
+    np.testing.assert_allclose(EFFECT @ u, wanted, atol=1e-3)
+    assert u[3] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("lost", "axis"), [("da", 0), ("de", 1), ("dr", 2)], ids=["aileron", "elevator", "rudder"]
+)
+def test_a_dead_input_leaves_the_other_axes_whole(lost: str, axis: int) -> None:
+    effect = EFFECT.copy()
+    effect[:, {"de": 0, "dr": 1, "da": 2}[lost]] = 0.0
+    wanted = np.array([2.0, -1.0, 0.3])
+    got = effect @ allocate(effect, wanted, LIMITS, SCALE)
+    others = [i for i in range(3) if i != axis]
+    assert (np.abs(got - wanted)[others] < 0.03 * SCALE[others]).all()
+
+
+def test_a_saturated_input_leaves_the_other_axes_whole() -> None:
+    wanted = np.array([20.0, -1.0, 0.3])  # twice what the aileron can do
+    u = allocate(EFFECT, wanted, LIMITS, SCALE)
+    got = EFFECT @ u
+    assert u[2] == LIMITS[1, 2]
+    assert got[1] == pytest.approx(-1.0, rel=0.01)
+    assert got[2] == pytest.approx(0.3, abs=0.15 * SCALE[2])
+
+
+def test_nothing_known_moves_nothing() -> None:
+    assert not allocate(np.zeros((3, 4)), np.ones(3), LIMITS, SCALE).any()
+
+
+def test_a_preferred_input_is_kept_where_it_costs_nothing() -> None:
+    effect = EFFECT.copy()
+    effect[:, 2] = 0.0
+    preferred = np.array([0.0, 0.0, 0.1, 0.0])
+    u = allocate(effect, np.array([0.0, -1.0, 0.3]), LIMITS, SCALE, preferred)
+    assert u[2] == pytest.approx(0.1, abs=1e-6)

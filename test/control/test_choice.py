@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whose control derivatives are flown on, axis by axis, and what the inputs are measured to do."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from plants import LIMITS, START, STRUCTURE, coefficients, controller, flown
+
+from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
+from uav_ident_ros.control import AxisChoice, Effectiveness
+from uav_ident_ros.identification.structure import FloatArray
+
+LATER = START + 10**8
+
+
+def choice(**options: bool) -> tuple[AxisChoice, CoefficientSource]:
+    source = CoefficientSource(Fallback.LAST_GOOD, coefficients())
+    return AxisChoice(source, coefficients(), LIMITS, **options), source
+
+
+def changed(message: Coefficients, name: str, value: float, sigma: float) -> Coefficients:
+    values, sigmas = message.values.copy(), message.sigma.copy()
+    values[STRUCTURE.index(name)], sigmas[STRUCTURE.index(name)] = value, sigma
+    return dataclasses.replace(message, values=values, sigma=sigmas)
+
+
+def test_axes_that_are_known_are_adopted_and_the_others_stay() -> None:
+    chosen, source = choice()
+    source.add(changed(coefficients(0.5, LATER), "qdot/de", -20.0, 15.0))
+    effect = chosen.update(LATER, Effectiveness())
+    assert effect.sources == ("identified", "nominal", "identified")
+    assert effect.reasons[1] == "the main derivative of qdot is not known"
+    assert effect.values[0, 2] == pytest.approx(0.5 * 29.5)
+    assert effect.values[1, 0] == -26.0
+
+
+def test_the_last_good_row_stays_when_the_identifier_says_no_or_nothing() -> None:
+    chosen, source = choice()
+    source.add(coefficients(0.5, LATER))
+    chosen.update(LATER, Effectiveness())
+    source.add(coefficients(0.2, LATER + 50_000_000, usable=False))
+    effect = chosen.update(LATER + 50_000_000, Effectiveness())
+    assert effect.sources == ("last good",) * 3
+    assert "not usable" in effect.reasons[0]
+    assert effect.values[0, 2] == pytest.approx(0.5 * 29.5)
+    silent = chosen.update(LATER + 10**10, Effectiveness())
+    assert "old" in silent.reasons[0] and silent.values[0, 2] == pytest.approx(0.5 * 29.5)
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"), [(0.01, "0.00"), (2000.0, "authority"), (20.0, "turn its sign")]
+)
+def test_a_row_that_cannot_be_flown_is_never_adopted(value: float, reason: str) -> None:
+    chosen, source = choice()
+    source.add(changed(coefficients(1.0, LATER), "qdot/de", value, 1e-6))
+    effect = chosen.update(LATER, Effectiveness())
+    assert effect.sources == ("identified", "nominal", "identified")
+    assert reason in effect.reasons[1]
+    assert effect.values[1, 0] == -26.0
+
+
+def test_a_lost_aileron_is_adopted_for_the_rudder_still_rolls() -> None:
+    chosen, source = choice()
+    source.add(changed(coefficients(1.0, LATER), "pdot/da", 0.0, 0.1))
+    assert chosen.update(LATER, Effectiveness()).sources[0] == "identified"
+
+
+def test_fixed_never_asks() -> None:
+    chosen, source = choice(adaptive=False)
+    source.add(coefficients(0.5, LATER))
+    assert chosen.update(LATER, Effectiveness()).sources == ("nominal",) * 3
+
+
+def manoeuvre(t: float) -> FloatArray:
+    return np.array([0.2 * np.sin(2.0 * t), 0.1 * np.sin(1.3 * t), 0.05 * np.sin(1.7 * t)])
+
+
+@pytest.mark.parametrize("effect", [1.0, 0.5, 0.0])
+def test_the_effect_is_measured(effect: float) -> None:
+    """Aileron of another effect: its axis and no other."""
+    flying, _ = controller(adaptive=False)
+    flown(flying, np.array([1.0, 1.0, effect, 1.0]), manoeuvre, seconds=10.0, noise=0.002)
+    measured = flying.effectiveness
+    assert measured.factor[0] == pytest.approx(effect, abs=0.2)
+    assert not measured.reversed.any()
+    assert abs(measured.factor[0] - effect) < 4.0 * measured.sigma[0] + 0.05
+
+
+@pytest.mark.parametrize("surface", [0, 1, 2], ids=["elevator", "rudder", "aileron"])
+def test_a_reversed_surface_is_turned_before_the_aircraft_is_lost(surface: int) -> None:
+    def effect(t: float) -> FloatArray:
+        out = np.ones(4)
+        out[surface] = 1.0 if t < 8.0 else -1.0
+        return out
+
+    axis = {0: 1, 1: 2, 2: 0}[surface]
+    flying, _ = controller()
+    rates = flown(flying, effect, manoeuvre, seconds=14.0, noise=0.005)
+    assert flying.effect.sources[axis] == "measured"
+    assert [s for i, s in enumerate(flying.effect.sources) if i != axis] == ["nominal"] * 2
+    t = np.arange(len(rates)) * 0.01
+    wanted = np.array([manoeuvre(s) for s in t])
+    assert np.abs(rates - wanted)[1100:].max() < 0.06  # rad/s: as before the fault
+    fixed, _ = controller(adaptive=False)
+    assert np.abs(flown(fixed, effect, manoeuvre, seconds=14.0, noise=0.005)).max() > 1.0

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The laws on a linear aircraft: what the loop can stand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plants import DT_NS, START, STEP, coefficients, controller, flown
+
+from uav_ident_ros.client import CoefficientSource
+from uav_ident_ros.control import Law
+from uav_ident_ros.control.pid import PidGains, PidLaw
+from uav_ident_ros.control.smoothing import Smoother
+
+LAWS = pytest.mark.parametrize("law", list(Law))
+
+
+@LAWS
+def test_it_follows_a_step_without_overshoot_to_speak_of(law: Law) -> None:
+    rates = flown(controller(law)[0])
+    np.testing.assert_allclose(rates[-1], STEP, atol=2e-3)
+    assert (rates.max(axis=0) < 1.15 * STEP).all()
+    after_half_a_second = rates[100]
+    assert (after_half_a_second[:2] > 0.85 * STEP[:2]).all()
+
+
+@LAWS
+def test_a_steady_disturbance_leaves_no_error(law: Law) -> None:
+    rates = flown(controller(law)[0], reference=np.zeros(3), disturbance=(1.0, -0.5, 0.2))
+    assert np.abs(rates).max() > 0.02
+    np.testing.assert_allclose(rates[-1], 0.0, atol=2e-3)
+
+
+@LAWS
+@pytest.mark.parametrize("effect", [0.5, 1.6])
+def test_it_stands_surfaces_of_another_effect(law: Law, effect: float) -> None:
+    """What the last good set is after a fault: wrong, but stable and exact in the end."""
+    rates = flown(controller(law, adaptive=False)[0], effect, seconds=8.0)
+    np.testing.assert_allclose(rates[-1], STEP, atol=5e-3)
+    assert (rates.max(axis=0) < 1.6 * STEP).all()
+
+
+@LAWS
+@pytest.mark.parametrize("lost", [0, 1, 2], ids=["elevator", "rudder", "aileron"])
+def test_a_dead_surface_leaves_the_other_axes_whole(law: Law, lost: int) -> None:
+    effect = np.ones(4)
+    effect[lost] = 0.0
+    rates = flown(controller(law, adaptive=False)[0], effect, seconds=8.0)
+    axis = {0: 1, 1: 2, 2: 0}[lost]
+    others = [i for i in range(3) if i != axis]
+    np.testing.assert_allclose(rates[-1, others], STEP[others], atol=0.01)
+
+
+def test_after_a_gap_it_starts_afresh() -> None:
+    flying, _ = controller()
+    for k in range(200):
+        flying.update(START + k * DT_NS, np.array([0.3, 0.0, 0.0]), np.zeros(3))
+    x = np.array([0.1, 0.0, 0.0])
+    late = flying.update(START + 10**10, x, np.zeros(3))
+    fresh = controller()[0].update(START + 10**10, x, np.zeros(3))
+    np.testing.assert_allclose(late, fresh, atol=1e-12)
+
+
+def test_a_new_model_moves_no_surface_at_once() -> None:
+    """Steady rates held on a set of twice the effect; then the right one comes."""
+    for law in Law:
+        flying, source = controller(law)
+
+        def give(t_ns: int, source: CoefficientSource = source) -> None:
+            if t_ns > START + 6 * 10**9:
+                source.add(coefficients(0.5, t_ns))
+
+        rates = flown(flying, 0.5, seconds=8.0, each=give)
+        assert np.abs(rates[602:612] - STEP).max() < 0.01
+
+
+def test_pid_follows_and_stops_its_integrator_at_a_limit() -> None:
+    gains = PidGains(
+        forward=np.array([0.2, -0.2, -0.1]),
+        proportional=np.array([0.15, -0.15, -0.5]),
+        integral=np.array([0.3, -0.3, -0.5]),
+        derivative=np.zeros(3),
+    )
+    limits = np.array([[-0.4, -0.3, -0.3, 0.0], [0.4, 0.3, 0.3, 0.0]])
+    law = PidLaw(limits, gains)
+    law.restart(np.zeros(3))
+    for _ in range(1000):
+        u = law.update(0.01, np.zeros(3), np.array([3.0, 0.0, 0.0]))
+    assert u[2] == 0.3 and u[0] == u[1] == u[3] == 0.0
+    back = [law.update(0.01, np.array([0.3, 0.0, 0.0]), np.zeros(3))[2] for _ in range(200)]
+    assert min(back) < 0.0  # it let go at once, not after ten seconds of unwinding
+
+
+def test_the_filter_is_exact_at_any_step() -> None:
+    fine, coarse = Smoother(20.0, np.zeros(1)), Smoother(20.0, np.zeros(1))
+    for _ in range(100):
+        fine.update(np.ones(1), 0.001)
+    coarse.update(np.ones(1), 0.1)
+    np.testing.assert_allclose(fine.value, coarse.value, rtol=1e-9)
+    np.testing.assert_allclose(fine.slope, coarse.slope, rtol=1e-9)
+    w, d, t = 20.0, 0.8, 0.1
+    wd = w * np.sqrt(1.0 - d**2)
+    step = 1.0 - np.exp(-d * w * t) * (np.cos(wd * t) + d * w / wd * np.sin(wd * t))
+    np.testing.assert_allclose(coarse.value, step, rtol=1e-12)

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whose control derivatives to fly on, axis by axis: identified, last good or nominal.
+
+Three things keep a row of the newest set from being adopted, and the axis stays with what it has:
+
+- the identifier's own word: the set is stale, or its verdict is against it, or the main
+  derivative of the row is not known;
+- it cannot be flown: next to nothing moves the axis, or many times more than the nominal set says;
+- it would turn the sign of the axis while the flight does not show that (`Effectiveness`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.client import Coefficients, CoefficientSource
+from uav_ident_ros.control.allocation import authority
+from uav_ident_ros.control.effectiveness import Effectiveness
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, ROWS, BoolArray, FloatArray
+
+FLYABLE = (0.02, 10.0)
+"""Least and largest authority of an axis over the nominal one that is adopted. The least lies below
+what a surface's neighbours do: of the c172p's roll the rudder has a tenth, so that a lost
+aileron is adopted as what it is."""
+
+MAIN = {"pdot": 2, "qdot": 0, "rdot": 1}
+"""Column of the main input of each axis: da, de, dr."""
+
+IDENTIFIED, LAST_GOOD, NOMINAL, MEASURED = "identified", "last good", "nominal", "measured"
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """Control derivatives to fly on.
+
+    Parameters
+    ----------
+    values : (3, 4) array
+        B, rad/s^2 per unit of de, dr, da, dth.
+    sources : (3,) tuple of str
+        Of each row: ``identified``, ``last good``, ``nominal`` or ``measured`` (its sign turned by
+        what the flight shows).
+    reasons : (3,) tuple of str
+        Why it is not the newest identified one; empty if it is.
+    """
+
+    values: FloatArray
+    sources: tuple[str, ...]
+    reasons: tuple[str, ...]
+
+
+def control_derivatives(coefficients: Coefficients) -> tuple[FloatArray, BoolArray]:
+    """Return B and which of its entries are known, shapes (3, 4)."""
+    rows = slice(0, len(ROWS))
+    return coefficients.values[rows, INPUT_COLUMNS], coefficients.known[rows, INPUT_COLUMNS]
+
+
+class AxisChoice:
+    """Keeps the control derivatives in use.
+
+    Parameters
+    ----------
+    source : CoefficientSource
+        Has the identified sets; its fallback does not matter here.
+    nominal : Coefficients
+        The author's own set, to start with.
+    limits : (2, 4) array
+        Of the inputs.
+    adaptive : bool
+        Whether to leave the nominal set at all.
+    """
+
+    def __init__(
+        self,
+        source: CoefficientSource,
+        nominal: Coefficients,
+        limits: FloatArray,
+        adaptive: bool = True,
+    ) -> None:
+        self._source, self._limits, self._adaptive = source, limits, adaptive
+        self._values = control_derivatives(nominal)[0].copy()
+        self._nominal_authority = authority(self._values, limits)
+        self._sources = [NOMINAL] * len(ROWS)
+        self._seen: Coefficients | None = None
+        self._reasons = [""] * len(ROWS)
+
+    @property
+    def scale(self) -> FloatArray:
+        """Worth of each axis for `allocate`: its nominal authority, rad/s^2."""
+        return self._nominal_authority
+
+    def update(self, t_ns: int, measured: Effectiveness) -> Effect:
+        """Return what to fly on at message time `t_ns`.
+
+        Parameters
+        ----------
+        t_ns : int
+            Now, ns.
+        measured : Effectiveness
+            Measured with the values in use; told of those that change their sign.
+        """
+        if self._adaptive:
+            self._adopt(t_ns, measured)
+            self._turn(measured)
+        return Effect(self._values.copy(), tuple(self._sources), tuple(self._reasons))
+
+    def _adopt(self, t_ns: int, measured: Effectiveness) -> None:
+        newest = self._source.newest(t_ns)
+        stale = self._source.refusal(t_ns)
+        if newest is None or stale:
+            self._reasons = [stale] * len(ROWS)
+            self._sources = [LAST_GOOD if s == IDENTIFIED else s for s in self._sources]
+            return
+        if newest is self._seen:
+            return
+        self._seen = newest
+        found, known = control_derivatives(newest)
+        found = np.where(known, found, self._values)
+        for i, row in enumerate(ROWS):
+            reason = self._against(i, found[i], bool(known[i, MAIN[row]]), measured)
+            self._reasons[i] = reason
+            if not reason:
+                self._values[i], self._sources[i] = found[i], IDENTIFIED
+            elif self._sources[i] == IDENTIFIED:
+                self._sources[i] = LAST_GOOD
+
+    def _against(self, i: int, found: FloatArray, known: bool, measured: Effectiveness) -> str:
+        """Why a row is not adopted; empty if it is."""
+        row = ROWS[i]
+        if not known:
+            return f"the main derivative of {row} is not known"
+        share = authority(found[None], self._limits)[0] / self._nominal_authority[i]
+        if not FLYABLE[0] <= share <= FLYABLE[1]:
+            return f"{row} would have {share:.2g} times its nominal authority"
+        turned = found[MAIN[row]] * self._values[i, MAIN[row]] < 0.0
+        if turned and not measured.reversed[i]:
+            return f"{row} would turn its sign, which the flight does not show"
+        return ""
+
+    def _turn(self, measured: Effectiveness) -> None:
+        """Turn the sign of an axis that answers the wrong way."""
+        for i in np.flatnonzero(measured.reversed):
+            self._values[i] = -self._values[i]
+            self._sources[i] = MEASURED
+            measured.turned(int(i))

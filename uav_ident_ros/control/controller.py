@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rate controller on identified coefficients, without ROS: samples in, inputs out."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+
+from uav_ident_ros.client import Coefficients, CoefficientSource, History
+from uav_ident_ros.control.choice import AxisChoice, Effect
+from uav_ident_ros.control.effectiveness import Effectiveness
+from uav_ident_ros.control.incremental import GAINS, IncrementalLaw
+from uav_ident_ros.control.inversion import GAINS as INVERSION_GAINS
+from uav_ident_ros.control.inversion import InversionLaw
+from uav_ident_ros.control.reference import Gains
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
+
+MAX_INTERVAL = 0.1
+"""Interval of the Imu above which the loop starts afresh, s."""
+
+
+class Law(Enum):
+    """How the wanted angular acceleration becomes inputs."""
+
+    INCREMENTAL = "incremental"
+    INVERSION = "inversion"
+
+
+OWN_GAINS = {Law.INCREMENTAL: GAINS, Law.INVERSION: INVERSION_GAINS}
+BANDWIDTHS = {law: gains.bandwidth for law, gains in OWN_GAINS.items()}
+"""Bandwidth of each law's filter or observer unless told otherwise, rad/s."""
+
+
+class RateController:
+    """Everything between a gyro sample and the inputs that answer it.
+
+    Parameters
+    ----------
+    source : CoefficientSource
+        Takes the messages; `Fallback.LAST_GOOD` or `NOMINAL`, with the nominal set.
+    nominal : Coefficients
+        The author's own set.
+    limits : (2, 4) array
+        Least and largest de, dr, da, dth, deviations from trim; the throttle is not used.
+    delay : float
+        From a sample's stamp to the surface that its command moves, s.
+    law : Law
+        The law.
+    adaptive : bool
+        Whether to act on what is identified and measured, or on the nominal set for ever.
+    gains : Gains, optional
+        Of the law; for a light aircraft by default.
+
+    Attributes
+    ----------
+    effect : Effect
+        Control derivatives flown on, and where they are from.
+    effectiveness : Effectiveness
+        What the inputs really do.
+    """
+
+    def __init__(
+        self,
+        source: CoefficientSource,
+        nominal: Coefficients,
+        limits: FloatArray,
+        delay: float,
+        law: Law = Law.INCREMENTAL,
+        adaptive: bool = True,
+        gains: Gains | None = None,
+    ) -> None:
+        self._limits = limits
+        limits = np.array(limits, dtype=np.float64)
+        limits[:, INPUTS.index("dth")] = 0.0
+        self._source = source
+        self._choice = AxisChoice(source, nominal, limits, adaptive)
+        self._delay_ns = round(delay * 1e9)
+        self._last_ns = 0
+        self.effectiveness = Effectiveness()
+        scale = self._choice.scale
+        kind = IncrementalLaw if law is Law.INCREMENTAL else InversionLaw
+        self._law = kind(limits, scale, gains or OWN_GAINS[law])
+        self.effect: Effect = self._choice.update(0, self.effectiveness)
+
+    def update(self, t_ns: int, x: FloatArray, reference: FloatArray) -> FloatArray:
+        """Return de, dr, da, dth, deviations from trim.
+
+        Parameters
+        ----------
+        t_ns : int
+            Stamp of the sample, ns.
+        x, reference : (3,) arrays
+            Measured and wanted p, q, r, rad/s, FRD.
+        """
+        dt = (t_ns - self._last_ns) * 1e-9
+        self._last_ns = t_ns
+        if not 0.0 < dt < MAX_INTERVAL:
+            dt = 0.0
+            self._restart(t_ns, x, reference)
+        acting = self._commands.at(t_ns - self._delay_ns)
+        acting = np.zeros(4) if acting is None else acting
+        if dt > 0.0:
+            self.effectiveness.update(x, self.effect.values, acting, dt)
+        self.effect = self._choice.update(t_ns, self.effectiveness)
+        if isinstance(self._law, IncrementalLaw):
+            u = self._law.update(dt, self.effect.values, x, reference, acting)
+        else:
+            model = self._source.model(t_ns)
+            u = self._law.update(dt, model, self.effect.values, x, reference, acting)
+        self._commands.add(t_ns, u)
+        return u
+
+    def inject(self, t_ns: int, u: FloatArray, excitation: FloatArray) -> FloatArray:
+        """Return the inputs `u` of `t_ns` with an excitation on top, within the limits.
+
+        The law is told: what is injected is no disturbance.
+        """
+        if not excitation.any():
+            return u
+        u = np.clip(u + excitation, *self._limits)
+        self._commands.add(t_ns, u)
+        return u
+
+    def _restart(self, t_ns: int, x: FloatArray, reference: FloatArray) -> None:
+        self._commands: History[FloatArray] = History()
+        self.effectiveness.restart()
+        if isinstance(self._law, IncrementalLaw):
+            self._law.restart(x, reference, np.zeros(4))
+        else:
+            self._law.restart(self._source.model(t_ns), x, reference)

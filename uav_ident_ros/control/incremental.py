@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Incremental nonlinear dynamic inversion (INDI): measured acceleration instead of a model.
+
+    u = u_f + B^-1 (reference' + K (reference - x) - xdot_f)
+
+xdot_f is the angular acceleration that the gyro shows, u_f the inputs that made it: both pass the
+same filter, and the inputs are delayed as the surfaces are, so that they belong together. What the
+aircraft does by itself, by its trim or by a gust is in xdot_f; of the model the control
+derivatives B are needed, and they may be wrong: the loop converges for any true effect between
+none and twice B, at a speed of their ratio.
+
+S. Sieberling, Q. P. Chu, J. A. Mulder, "Robust flight control using incremental nonlinear dynamic
+inversion and angular acceleration prediction", JGCD 33(6), 2010; E. J. J. Smeur, Q. Chu,
+G. C. H. E. de Croon, "Adaptive incremental nonlinear dynamic inversion for attitude control of
+micro air vehicles", JGCD 39(3), 2016.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from uav_ident_ros.control.allocation import allocate
+from uav_ident_ros.control.reference import Gains, ReferenceModel
+from uav_ident_ros.control.smoothing import Smoother
+from uav_ident_ros.identification.structure import FloatArray
+
+GAINS = Gains(rate=(5.0, 4.0, 2.0), bandwidth=20.0)
+"""For a light aircraft at 100 Hz, 20 ms from sample to surface."""
+
+
+@dataclass
+class IncrementalLaw:
+    """INDI rate control.
+
+    Parameters
+    ----------
+    limits : (2, 4) array
+        Least and largest de, dr, da, dth, deviations from trim.
+    scale : (3,) array
+        Worth of each axis, rad/s^2: see `allocate`.
+    gains : Gains
+        How fast.
+    """
+
+    limits: FloatArray
+    scale: FloatArray
+    gains: Gains = GAINS
+
+    def restart(self, x: FloatArray, reference: FloatArray, acting: FloatArray) -> None:
+        """Forget the past: the first sample, or one after a gap. Parameters as of `update`."""
+        self._rates = Smoother(self.gains.bandwidth, x)
+        self._inputs = Smoother(self.gains.bandwidth, acting)
+        self._reference = ReferenceModel(self.gains, reference)
+
+    def update(
+        self,
+        dt: float,
+        effect: FloatArray,
+        x: FloatArray,
+        reference: FloatArray,
+        acting: FloatArray,
+    ) -> FloatArray:
+        """Return de, dr, da, dth, deviations from trim.
+
+        Parameters
+        ----------
+        dt : float
+            Time since the last call, s.
+        effect : (3, 4) array
+            B, control derivatives, rad/s^2 per unit.
+        x, reference : (3,) arrays
+            Measured and wanted p, q, r, rad/s, FRD.
+        acting : (4,) array
+            The inputs that act now: those commanded one delay ago.
+        """
+        self._rates.update(x, dt)
+        self._inputs.update(acting, dt)
+        missing = self._reference.wanted(dt, x, reference) - self._rates.slope
+        return allocate(effect, effect @ self._inputs.value + missing, self.limits, self.scale)

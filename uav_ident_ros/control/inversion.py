@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Model-based inversion with a disturbance observer.
+
+    u = B^-1 (reference' + K (reference - x) - d - A f(x, 0))
+
+d is what the model does not explain: trim, gusts, the flow angles, an error of A or B. An observer
+finds it from the rates and the commands that act by now, without differentiating::
+
+    xhat' = A f(x, u) + d + 2 w (x - xhat)        d' = w^2 (x - xhat)
+
+So the loop has integral action and is slow, not lost, while the model is wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.client import AttitudeModel
+from uav_ident_ros.control.allocation import allocate
+from uav_ident_ros.control.reference import Gains, ReferenceModel
+from uav_ident_ros.identification.structure import FloatArray
+
+GAINS = Gains(rate=(5.0, 4.0, 2.0), bandwidth=8.0)
+"""For a light aircraft at 100 Hz, 20 ms from sample to surface."""
+
+OBSERVER = np.array([1.0, 1.0, 0.5])
+"""Bandwidth of the observer by axis, over that of the gains: yaw is the slower loop."""
+
+
+@dataclass
+class InversionLaw:
+    """Rate control by inversion of the identified model; fields as of `IncrementalLaw`."""
+
+    limits: FloatArray
+    scale: FloatArray
+    gains: Gains = GAINS
+
+    def restart(self, model: AttitudeModel, x: FloatArray, reference: FloatArray) -> None:
+        """Forget the past: the first sample, or one after a gap."""
+        self._model, self._xhat, self._disturbance = model, x, np.zeros(3)
+        self._reference = ReferenceModel(self.gains, reference)
+
+    def update(
+        self,
+        dt: float,
+        model: AttitudeModel,
+        effect: FloatArray,
+        x: FloatArray,
+        reference: FloatArray,
+        acting: FloatArray,
+    ) -> FloatArray:
+        """Return de, dr, da, dth; parameters as of `IncrementalLaw.update`, and the model."""
+        known = model.acceleration(x, acting)
+        # a new model explains more or less of what goes on: no bump in the sum of both
+        self._disturbance = self._disturbance + self._model.acceleration(x, acting) - known
+        self._model = model
+        error, w = x - self._xhat, self.gains.bandwidth * OBSERVER
+        self._xhat = self._xhat + dt * (known + self._disturbance + 2.0 * w * error)
+        self._disturbance = self._disturbance + dt * w**2 * error
+        wanted = self._reference.wanted(dt, x, reference) - self._disturbance
+        by_itself = model.acceleration(x, np.zeros(4))
+        return allocate(effect, wanted - by_itself, self.limits, self.scale)

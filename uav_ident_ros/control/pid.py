@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rate loop of the usual autopilots, for comparison: PID and feed-forward, axis by axis.
+
+    u_i = F_i reference_i + P_i (reference_i - x_i) + I_i integral - D_i xdot_f,i
+
+one surface for each axis, the integrator held while its surface is at a limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.control.smoothing import Smoother
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
+
+SURFACES = tuple(INPUTS.index(name) for name in ("da", "de", "dr"))
+"""The input of roll, pitch and yaw."""
+
+
+@dataclass(frozen=True)
+class PidGains:
+    """Gains of roll, pitch, yaw, in rad of the surface: (3,) arrays.
+
+    Parameters
+    ----------
+    forward, proportional, integral, derivative : (3,) arrays
+        F (s), P (s), I (1), D (s^2).
+    bandwidth : float
+        Of the filter of the derivative, rad/s.
+    """
+
+    forward: FloatArray
+    proportional: FloatArray
+    integral: FloatArray
+    derivative: FloatArray
+    bandwidth: float = 30.0
+
+
+class PidLaw:
+    """PID rate control; `limits` as of `IncrementalLaw`."""
+
+    def __init__(self, limits: FloatArray, gains: PidGains) -> None:
+        self._low, self._high = limits[:, SURFACES]
+        self.gains = gains
+
+    def restart(self, x: FloatArray) -> None:
+        """Forget the past."""
+        self._rates = Smoother(self.gains.bandwidth, x)
+        self._integral = np.zeros(3)
+
+    def update(self, dt: float, x: FloatArray, reference: FloatArray) -> FloatArray:
+        """Return de, dr, da, dth, deviations from trim; parameters as of `IncrementalLaw`."""
+        g, error = self.gains, reference - x
+        self._rates.update(x, dt)
+        wanted = g.forward * reference + g.proportional * error - g.derivative * self._rates.slope
+        grown = self._integral + dt * g.integral * error
+        held = np.clip(wanted + grown, self._low, self._high) != wanted + grown
+        outward = np.sign(wanted + grown) == np.sign(dt * g.integral * error)
+        self._integral = np.where(held & outward, self._integral, grown)
+        u = np.zeros(4)
+        u[list(SURFACES)] = np.clip(wanted + self._integral, self._low, self._high)
+        return u

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The closed loop in one process, without ROS: for campaigns of many flights.
+
+The same aircraft, faults, reference, identifier and controllers as the nodes', called one after the
+other; coefficients count from the sample that makes them due. Faster than over DDS by far, and the
+same every time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
+from uav_ident_ros.control.controller import Law, RateController
+from uav_ident_ros.control.pid import PidGains, PidLaw
+from uav_ident_ros.control.reference import Gains
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.faults import SURFACE_NAMES, parse_fault
+from uav_ident_ros.simulation.flight import EPOCH_NS
+from uav_ident_ros.simulation.live_aircraft import LiveAircraft, Sample
+from uav_ident_ros.simulation.manoeuvres import Manoeuvres
+from uav_ident_ros.simulation.noise import Sensors
+from uav_ident_ros.simulation.preparation import SENSORS, Prepared
+
+DELAY = 0.02
+"""From a sample to the surface that its command moves, s."""
+
+MANOEUVRES = {"bank": 0.5, "pitch": 0.1, "hold": (2.0, 4.0)}
+"""Those of the node `rate_reference`."""
+
+
+class Controller(Protocol):
+    """What answers a sample."""
+
+    def update(self, t_ns: int, x: FloatArray, reference: FloatArray) -> FloatArray:
+        """Return de, dr, da, dth, deviations from trim."""
+
+
+@dataclass(frozen=True)
+class Mission:
+    """One flight.
+
+    Parameters
+    ----------
+    duration : float
+        s.
+    faults : tuple of str
+        As in `uav_ident_ros.simulation.faults`, with times.
+    seed : int
+        Of noise, turbulence and manoeuvres.
+    sensors : Sensors
+        Of the Imu.
+    """
+
+    duration: float = 60.0
+    faults: tuple[str, ...] = ()
+    seed: int = 0
+    sensors: Sensors = SENSORS
+
+
+@dataclass(eq=False)
+class Outcome:
+    """What came of it.
+
+    Parameters
+    ----------
+    time : (N,) array
+        Of the samples, s.
+    rates, reference : (N, 3) arrays
+        True and wanted p, q, r, rad/s.
+    outputs : (N, 4) array
+        What the actuators were told.
+    usable : list of (time, bool)
+        The verdict by tick, s.
+    changes : list of (time, name)
+        Coefficients that the identifier released, s.
+    sources : list of (time, tuple)
+        Whose control derivatives each axis was flown on, whenever that changed.
+    lost : float or None
+        When the aircraft was lost, s.
+    """
+
+    time: FloatArray
+    rates: FloatArray
+    reference: FloatArray
+    outputs: FloatArray
+    usable: list[tuple[float, bool]] = field(default_factory=list)
+    changes: list[tuple[float, str]] = field(default_factory=list)
+    sources: list[tuple[float, tuple[str, ...]]] = field(default_factory=list)
+    lost: float | None = None
+
+    def error(self, start: float, end: float) -> FloatArray:
+        """Rms of true rates minus reference from `start` to `end` (s), shape (3,), deg/s."""
+        inside = (self.time >= start) & (self.time < end)
+        if not inside.any():
+            return np.full(3, np.nan)
+        return np.degrees(np.sqrt(np.mean((self.rates - self.reference)[inside] ** 2, axis=0)))
+
+
+def nominal_of(prepared: Prepared) -> Coefficients:
+    """Coefficients of an aircraft as a controller takes them."""
+    c = prepared.coefficients
+    return Coefficients(STRUCTURES[c.structure], c.values, c.sigma, t_ns=c.t_ns)
+
+
+def make_identifier(prepared: Prepared, **settings: object) -> OnlineIdentifier:
+    """Return the identifier as the loop's node has it, FRD."""
+    values: dict[str, object] = {
+        "structure": prepared.coefficients.structure,
+        "imu.convention": "frd",
+        "actuators.type": "sensor_msgs/msg/JointState",
+        "actuators.channels": list(SURFACE_NAMES),
+        "actuators.trim": prepared.trim.tolist(),
+        "actuators.delay": DELAY,
+        **settings,
+    }
+    return OnlineIdentifier(Settings.from_values(values), prepared.coefficients)
+
+
+def message_of(identifier: OnlineIdentifier, estimate: Estimate) -> Coefficients:
+    """Return what the node would publish, as a controller takes it."""
+    return Coefficients(
+        identifier.structure,
+        estimate.coefficients,
+        estimate.sigma,
+        estimate.usable,
+        estimate.fit,
+        estimate.t_ns,
+    )
+
+
+def fly_loop(
+    prepared: Prepared,
+    mission: Mission,
+    make: Callable[[CoefficientSource], Controller],
+    identifier: OnlineIdentifier | None = None,
+) -> Outcome:
+    """Fly once.
+
+    Parameters
+    ----------
+    prepared : Prepared
+        The aircraft.
+    mission : Mission
+        The flight.
+    make : callable
+        Makes the controller, on a source of coefficients.
+    identifier : OnlineIdentifier, optional
+        Identifies on the way; without it nothing is.
+    """
+    frame = prepared.airframe
+    faults = [parse_fault(text) for text in mission.faults]
+    live = LiveAircraft(frame.name, mission.sensors, DELAY, faults, mission.seed, speed=frame.speed)
+    guide = Manoeuvres(airspeed=frame.speed, seed=mission.seed, **MANOEUVRES)  # type: ignore[arg-type]
+    source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(prepared))
+    controller = make(source)
+    rows: list[tuple[Sample, FloatArray, FloatArray]] = []
+    outcome = Outcome(*(np.empty(0) for _ in range(4)))
+    dt = 1.0 / mission.sensors.rate
+    reference = np.zeros(3)
+    try:
+        for k in range(round(mission.duration * mission.sensors.rate)):
+            sample = live.sample()
+            t_ns = EPOCH_NS + round(k * dt * 1e9)
+            reference = guide.rates(sample.time, *sample.attitude[:2].tolist(), dt)
+            u = controller.update(t_ns, sample.measured_rates, reference)
+            live.command((prepared.trim + u)[:3])
+            rows.append((sample, reference, live.outputs))
+            if identifier is not None:
+                _identify(identifier, source, outcome, t_ns, sample, live.outputs)
+            _note_sources(outcome, sample.time, controller)
+            live.advance()
+    except SimulationError:
+        outcome.lost = live.time
+    outcome.time = np.array([sample.time for sample, _, _ in rows])
+    outcome.rates = np.array([sample.rates for sample, _, _ in rows])
+    outcome.reference = np.array([wanted for _, wanted, _ in rows])
+    outcome.outputs = np.array([outputs for _, _, outputs in rows])
+    return outcome
+
+
+def _identify(
+    identifier: OnlineIdentifier,
+    source: CoefficientSource,
+    outcome: Outcome,
+    t_ns: int,
+    sample: Sample,
+    outputs: FloatArray,
+) -> None:
+    identifier.add_actuators(t_ns, outputs.tolist())
+    identifier.add_rates(t_ns, sample.measured_rates.tolist(), sample.measured_force.tolist())
+    while (due := identifier.due()) is not None:
+        estimate = identifier.update(due)
+        if estimate is None:
+            continue
+        source.add(message_of(identifier, estimate))
+        outcome.usable.append(((estimate.t_ns - EPOCH_NS) * 1e-9, estimate.usable))
+    for change in identifier.changed[len(outcome.changes) :]:
+        outcome.changes.append((sample.time, change.name))
+
+
+def _note_sources(outcome: Outcome, time: float, controller: Controller) -> None:
+    if isinstance(controller, RateController):
+        now = controller.effect.sources
+        if not outcome.sources or outcome.sources[-1][1] != now:
+            outcome.sources.append((time, now))
+
+
+# --- the controllers that are compared -------------------------------------------------------
+
+
+class PidController:
+    """`PidLaw` with its own clock."""
+
+    def __init__(self, limits: FloatArray, gains: PidGains) -> None:
+        self._law, self._last_ns = PidLaw(limits, gains), 0
+
+    def update(self, t_ns: int, x: FloatArray, reference: FloatArray) -> FloatArray:
+        """Return de, dr, da, dth, deviations from trim."""
+        dt = (t_ns - self._last_ns) * 1e-9
+        self._last_ns = t_ns
+        if not 0.0 < dt < 0.1:
+            self._law.restart(x)
+            dt = 0.0
+        return self._law.update(dt, x, reference)
+
+
+def rate_controller(
+    prepared: Prepared, law: Law, adaptive: bool, gains: Gains
+) -> Callable[[CoefficientSource], RateController]:
+    """Return what makes a `RateController` for `fly_loop`."""
+    limits = prepared.limits - prepared.trim
+
+    def make(source: CoefficientSource) -> RateController:
+        nominal = nominal_of(prepared)
+        return RateController(source, nominal, limits, DELAY, law, adaptive, gains)
+
+    return make

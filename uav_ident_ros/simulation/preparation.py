@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the name of an aircraft to a loop that can fly it: trim it, excite it, identify it.
+
+The identifier sees two minutes of multisines, as a first flight would give them, and its
+coefficients become the nominal set of the controller and the start of the identifier in the loop.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_ident_ros.files.coefficients_file import save_coefficients
+from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.airframe import Airframe, airframe
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.faults import SURFACE_NAMES
+from uav_ident_ros.simulation.flight import EPOCH_NS
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
+from uav_ident_ros.simulation.live_aircraft import LiveAircraft
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+from uav_ident_ros.simulation.recording import parameters
+
+EXCITED_TIME = 90.0
+"""Length of the flight that identifies an aircraft, s."""
+
+SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
+"""Of that flight and of the aircraft in the loop: a MEMS Imu after its low-pass."""
+
+BETWEEN_FLIGHTS = 0.2
+"""What a coefficient may differ by from one flight to the next, relative: the load and the
+weather. Added to the sigmas of what is handed on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """An aircraft that can be flown in the loop.
+
+    Parameters
+    ----------
+    airframe : Airframe
+        What it is, at the speed flown.
+    trim : (4,) array
+        Elevator, rudder, aileron (rad) and throttle of its steady flight.
+    limits : (2, 4) array
+        Least and largest of them.
+    coefficients : CoefficientSet
+        As identified, sigmas widened.
+    """
+
+    airframe: Airframe
+    trim: FloatArray
+    limits: FloatArray
+    coefficients: CoefficientSet
+
+
+def prepare(name: str, speed: float | None = None, seed: int = 0) -> Prepared:
+    """Trim, excite and identify an aircraft.
+
+    Parameters
+    ----------
+    name : str
+        As in `uav_ident_ros.simulation.airframe`.
+    speed : float, optional
+        True airspeed in place of its own, m/s.
+    seed : int
+        Of the noise and of the multisines' phases.
+
+    Raises
+    ------
+    SimulationError
+        If it cannot be flown or identified.
+    """
+    frame = airframe(name, speed)
+    segment = Segment("multisine", start=2.0, amplitudes=frame.excitation, seed=seed)
+    flight = fly(AircraftFlight(name, (segment,), EXCITED_TIME, speed=speed, seed=seed))
+    found = identify(measure(flight, SENSORS, seed))
+    live = LiveAircraft(name, SENSORS, speed=speed)
+    return Prepared(frame, live.trim, live.aircraft.limits, widened(found))
+
+
+def identify(measurements: Measurements, **settings: Any) -> CoefficientSet:
+    """Run the identifier over a flight, online, and return what it has at the end."""
+    identifier = OnlineIdentifier(Settings.from_values({**parameters(measurements), **settings}))
+    estimate = None
+    for is_rates, t_ns, values in _samples(measurements):
+        if not is_rates:
+            identifier.add_actuators(t_ns, values)
+            continue
+        identifier.add_rates(t_ns, values[:3], values[3:])
+        while (due := identifier.due()) is not None:
+            estimate = identifier.update(due)
+    if estimate is None:
+        raise SimulationError("the flight is too short to identify anything")
+    return CoefficientSet(
+        identifier.settings.structure, estimate.coefficients, estimate.sigma, estimate.t_ns
+    )
+
+
+def _samples(m: Measurements) -> Iterator[tuple[bool, int, list[float]]]:
+    """Yield (is rates, stamp, values) in the order of arrival, actuators first."""
+    rows = np.hstack([m.rates, m.specific_force]).tolist()
+    imu = ((t, True, row) for t, row in zip(m.imu_t_ns.tolist(), rows, strict=True))
+    moved = zip(m.actuator_t_ns.tolist(), m.actuators.tolist(), strict=True)
+    actuators = ((t, False, row) for t, row in moved)
+    for t, is_rates, row in heapq.merge(actuators, imu, key=lambda sample: sample[:2]):
+        yield is_rates, t, row
+
+
+def widened(found: CoefficientSet) -> CoefficientSet:
+    """Return coefficients with sigmas for another flight: see `BETWEEN_FLIGHTS`."""
+    sigma = np.hypot(found.sigma, BETWEEN_FLIGHTS * np.abs(found.values))
+    sigma = np.where(found.sigma > 0.0, sigma, 0.0)
+    return CoefficientSet(found.structure, found.values, sigma, EPOCH_NS)
+
+
+def write(prepared: Prepared, folder: Path) -> None:
+    """Write ``NAME.yaml``, the parameters of all nodes, and ``NAME_coefficients.yaml``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    name = prepared.airframe.name
+    save_coefficients(prepared.coefficients, folder / f"{name}_coefficients.yaml")
+    (folder / f"{name}.yaml").write_text(parameter_file(prepared), encoding="utf-8")
+
+
+def parameter_file(prepared: Prepared) -> str:
+    """Return the ROS parameter file of the loop's nodes."""
+    frame = prepared.airframe
+    trim, least, largest = (_numbers(v) for v in (prepared.trim, *prepared.limits))
+    sections: Mapping[str, Mapping[str, str]] = {
+        "identifier": {
+            "use_sim_time": "true",
+            "state_file": "none # every flight starts from the initial coefficients",
+            "imu.convention": "flu",
+            "actuators.type": "sensor_msgs/msg/JointState",
+            "actuators.channels": f"[{', '.join(SURFACE_NAMES)}]",
+            "actuators.trim": trim,
+            "actuators.delay": "0.02",
+        },
+        "controller": {
+            "trim": trim,
+            "least": least,
+            "largest": largest,
+            "delay": "0.02",
+            "coefficients_delay": "0.3",
+            "reference_delay": "0.02",
+        },
+        "rate_reference": {"airspeed": f"{frame.speed:.9g}"},
+        "simulated_plant": {
+            "aircraft": frame.name,
+            "speed": f"{frame.speed:.9g}",
+            "rate": "100.0",
+            "delay": "0.02",
+        },
+    }
+    lines = [
+        "# SPDX-License-Identifier: Apache-2.0",
+        f"# The closed loop of {frame.name} at {frame.speed:.1f} m/s and {frame.altitude:.0f} m.",
+    ]
+    for node, values in sections.items():
+        lines += [f"/**/{node}:", "  ros__parameters:"]
+        lines += [f"    {key}: {value}" for key, value in values.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(values: FloatArray) -> str:
+    return "[" + ", ".join(f"{v + 0.0:.10f}" for v in values.tolist()) + "]"
