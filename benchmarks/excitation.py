@@ -102,10 +102,14 @@ class Flight:
         self.run = ExcitationRun(self.identifier.structure)
         self.reference: FloatArray = np.zeros(3)
 
+    @property
+    def now_ns(self) -> int:
+        """Stamp of the next sample, ns."""
+        return EPOCH_NS + round(self.aircraft.time * 1e9)
+
     def step(self) -> FloatArray:
         """Fly one sample; return rates (3), attitude (2) and tracking error (3)."""
-        sample = self.aircraft.sample()
-        t_ns = EPOCH_NS + round(sample.time * 1e9)
+        sample, t_ns = self.aircraft.sample(), self.now_ns
         force = (sample.measured_force * FRD_TO_FLU).tolist()
         self.identifier.add_rates(t_ns, (sample.measured_rates * FRD_TO_FLU).tolist(), force)
         while (due := self.identifier.due()) is not None:

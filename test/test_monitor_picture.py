@@ -240,3 +240,31 @@ def test_states_are_shown_and_are_no_coefficients() -> None:
     shown = text(result)
     assert "state     alpha +5.7°, roll -28.6°" in shown
     assert re.search(r"^ay\n.*beta  -16.000 0.100", shown, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("values", "shown"),
+    [
+        ({"excite: state": "idle", "excite: last run": "none yet"}, ""),
+        (
+            {"excite: state": "idle", "excite: last run": "aborted: roll rate 1.60 rad/s"},
+            "excite    aborted: roll rate 1.60 rad/s",
+        ),
+        (
+            {
+                "excite: state": "running",
+                "excite: last run": "none yet",
+                "excite: elapsed [s]": "12.0",
+                "excite: remaining [s]": "48.0",
+                "excite: until known [s]": "9",
+                "excite: not known yet": "pdot/p, rdot/dr",
+            },
+            "excite    running  12.0 s, at most 48.0 s left  known in 9 s: pdot/p, rdot/dr",
+        ),
+    ],
+)
+def test_a_run_of_excitation_says_how_it_goes(values: dict[str, str], shown: str) -> None:
+    result, _ = heard()
+    result.diagnosed("learning", {**STATUS, **values})
+    lines = [line for line in text(result).splitlines() if line.startswith("excite")]
+    assert lines == ([shown] if shown else [])

@@ -8,7 +8,7 @@ on 80 columns and 24 lines the moment equations are in sight.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from rich.console import Console, Group, RenderableType
@@ -240,6 +240,7 @@ def _foot(heard: Heard) -> Iterator[Text]:
             f"  {CONFIDENCE.get(confidence, confidence)}",
             no_wrap=True,
         )
+    yield from _excitation(status.group("excite"))
     ticks = status.group("ticks")
     if "count" in ticks:
         cost = ticks.get("update time p99 [ms]")
@@ -248,3 +249,21 @@ def _foot(heard: Heard) -> Iterator[Text]:
     apart = status.values.get("not told apart", "nothing")
     if apart != "nothing":
         yield Text.assemble(("not told apart: ", "yellow"), apart, no_wrap=True)
+
+
+def _excitation(values: Mapping[str, str]) -> Iterator[Text]:
+    """Yield how a run of excitation goes, or how the last one ended; nothing before the first."""
+    ended = values.get("last run", "none yet")
+    if "remaining [s]" in values:
+        left = values.get("until known [s]", "?")
+        known = f"known in {left} s" if left.isdigit() else "not yet told when known"
+        yield Text.assemble(
+            f"{'excite':<10}",
+            (values.get("state", "?"), "bold magenta"),
+            f"  {values.get('elapsed [s]', '?')} s, at most {values['remaining [s]']} s left",
+            f"  {known}: {values.get('not known yet', '?')}",
+            no_wrap=True,
+        )
+    elif ended != "none yet":
+        style = "yellow" if ended.startswith("aborted") else ""
+        yield Text.assemble(f"{'excite':<10}", (ended, style), no_wrap=True)
