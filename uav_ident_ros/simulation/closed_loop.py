@@ -70,7 +70,7 @@ class Loop:
     files : Path
         Folder of ``AIRCRAFT.yaml`` and ``AIRCRAFT_coefficients.yaml``.
     aircraft : str
-        JSBSim's name.
+        ``c172p`` or ``quadrotor``, or what else there are files of.
     parameters : mapping
         More parameters, by process: ``{"simulated_plant": {"rate": "200.0"}}``.
     """
@@ -274,6 +274,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--excite", type=float, default=0.0, metavar="S",
         help="ask for excitation at S, s (docs/excitation.md)",
     )  # fmt: skip
+    parser.add_argument("--aircraft", choices=("c172p", "quadrotor"), default="c172p")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--real-time", action="store_true", help="with the wall clock, not in step")
     parser.add_argument("--output", type=Path, help="folder for the logs and the record")
@@ -281,6 +282,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     loop = Loop(
         options.duration, tuple(options.fault), options.mode, not options.ignore_verdict,
         options.cold, options.excite, options.seed, not options.real_time,
+        aircraft=options.aircraft,
     )  # fmt: skip
     try:
         times = [parse_fault(text).time for text in loop.faults]

@@ -2,6 +2,7 @@
 """What can go wrong with an aircraft in the loop, as short commands.
 
     aileron effect 0.5     half of its effect about trim; 0 is a surface lost, -1 reversed
+    motor_front_left effect 0.7    the same of a quadrotor's motor, of its whole thrust
     elevator jams          stands still where it is
     rudder jams -0.05      stands still at that deflection from trim, rad
     pitch inertia 1.3      ballast fore and aft (roll: on the wings), by that factor
@@ -22,6 +23,7 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.aircraft import FOOT, MAX_TURBULENCE, Aircraft, start_turbulence
+from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
 
 SURFACE_NAMES = ("elevator", "rudder", "aileron", "throttle")
@@ -89,7 +91,7 @@ def parse_fault(text: str) -> Fault:
                 return Fault("turbulence", value=_within(severity, 0, MAX_TURBULENCE), time=time)
             case [axis, "inertia", factor] if axis in BALLAST_AXES:
                 return Fault("inertia", axis, _within(factor, 1.0, 3.0), time)
-            case [surface, "effect", factor] if surface in SURFACE_NAMES:
+            case [surface, "effect", factor] if surface in (*SURFACE_NAMES, *QUADROTOR.names):
                 return Fault("effect", surface, _within(factor, -2.0, 2.0), time)
             case [surface, "jams"] if surface in SURFACE_NAMES:
                 return Fault("jams", surface, time=time)
@@ -149,6 +151,8 @@ class Faults:
         SimulationError
             If this aircraft cannot have it.
         """
+        if fault.what in QUADROTOR.names:
+            raise SimulationError(f"fault '{fault.what} effect': this aircraft has surfaces")
         index = SURFACE_NAMES.index(fault.what) if fault.what in SURFACE_NAMES else 0
         match fault.kind:
             case "repaired":

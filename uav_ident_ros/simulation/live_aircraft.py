@@ -13,7 +13,7 @@ import numpy as np
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, settle
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.faults import Fault, Faults
+from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, Faults
 from uav_ident_ros.simulation.noise import Sensors
 
 SIMULATION_RATE = 1000.0
@@ -79,6 +79,8 @@ class LiveAircraft:
         JSBSim's aircraft.
     faults : Faults
         What has gone wrong with it.
+    names : tuple of str
+        Names of the `outputs`.
     trim : (4,) array
         Elevator, rudder, aileron (rad) and throttle of the steady flight that it starts in.
     outputs : (4,) array
@@ -91,6 +93,8 @@ class LiveAircraft:
         If it cannot be flown, or a rate or the delay is no whole number of simulation steps.
     """
 
+    names = SURFACE_NAMES
+
     def __init__(
         self,
         name: str,
@@ -100,8 +104,8 @@ class LiveAircraft:
         seed: int = 0,
         speed: float | None = None,
     ) -> None:
-        self._substeps = _whole(SIMULATION_RATE / sensors.rate, f"Imu rate {sensors.rate:g} Hz")
-        self._delay = _whole(delay * SIMULATION_RATE, f"delay {delay:g} s")
+        self._substeps = whole(SIMULATION_RATE / sensors.rate, f"Imu rate {sensors.rate:g} Hz")
+        self._delay = whole(delay * SIMULATION_RATE, f"delay {delay:g} s")
         self.aircraft = Aircraft(name, SIMULATION_RATE, speed)
         self._sensors = sensors
         self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(2)]
@@ -175,7 +179,14 @@ class LiveAircraft:
         )
 
 
-def _whole(value: float, what: str) -> int:
+def whole(value: float, what: str) -> int:
+    """Return a number of simulation steps as an integer.
+
+    Raises
+    ------
+    SimulationError
+        If it is none; the message names `what`.
+    """
     if not (value >= 0.0 and abs(value - round(value)) < 1e-6):
         raise SimulationError(
             f"{what} is no whole number of simulation steps of {1e3 / SIMULATION_RATE:g} ms"

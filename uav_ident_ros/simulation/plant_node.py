@@ -41,11 +41,13 @@ from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import run
 from uav_ident_ros.node.startup import UsageError
 from uav_ident_ros.node.usage import node_usage
+from uav_ident_ros.simulation.definition import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, parse_fault
+from uav_ident_ros.simulation.faults import Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.flight_record import FlightRecord
 from uav_ident_ros.simulation.live_aircraft import LiveAircraft, Sample
+from uav_ident_ros.simulation.live_quadrotor import LiveQuadrotor
 from uav_ident_ros.simulation.noise import FRAME_IDS, FRD_TO_FLU, Sensors
 
 PATIENCE = 5.0
@@ -72,7 +74,7 @@ UNLIMITED = [math.inf] * 4
 RELIABLE = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
 
 PARAMETERS: dict[str, Any] = {
-    "aircraft": "c172p",  # a name or a file, see uav_ident_ros/simulation/airframe.py
+    "aircraft": "c172p",  # "quadrotor", or as in uav_ident_ros/simulation/airframe.py
     "speed": 0.0,  # true airspeed, m/s; 0 for the aircraft's own
     "rate": 100.0,  # of the Imu and of the commands, Hz
     "delay": 0.02,  # from the stamp of a sample to the surface that its command moves, s
@@ -118,14 +120,13 @@ class PlantNode(Node):
             accelerometer_noise=self._value("accelerometer_noise"),
         )
         faults = [parse_fault(text) for text in self._value("faults") if text]
-        self._aircraft = LiveAircraft(
-            self._value("aircraft"),
-            sensors,
-            self._value("delay"),
-            faults,
-            self._value("seed"),
-            self._value("speed") or None,
-        )
+        name, delay, seed = (self._value(key) for key in ("aircraft", "delay", "seed"))
+        self._aircraft: LiveAircraft | LiveQuadrotor
+        if name == QUADROTOR:
+            self._aircraft = LiveQuadrotor(sensors, delay, faults, seed)
+        else:
+            speed = self._value("speed") or None
+            self._aircraft = LiveAircraft(name, sensors, delay, faults, seed, speed)
         self._lock_step: bool = self._value("lock_step")
         self._period_ns = round(NS_PER_S / rate)
         self._start_ns = EPOCH_NS
@@ -254,7 +255,7 @@ class PlantNode(Node):
         self._actuators.publish(
             JointState(
                 header=Header(stamp=_stamp(self._now_ns)),
-                name=list(SURFACE_NAMES),
+                name=list(self._aircraft.names),
                 position=outputs.tolist(),
             )
         )

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The quadrotor that others fly: lags, mixing, faults, and that the example's law flies it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
+pytest.importorskip("rclpy", reason="the example controller is a ROS node")
+
+from uav_ident_ros.client import AttitudeModel, Coefficients
+from uav_ident_ros.controller_example import RateLaw
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.channels import QUADROTOR
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.faults import parse_fault
+from uav_ident_ros.simulation.live_quadrotor import LiveQuadrotor
+from uav_ident_ros.simulation.noise import Sensors
+
+FILES = Path(__file__).resolve().parents[2] / "config" / "closed_loop"
+SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
+START_NS = 1_700_000_000 * 10**9
+
+
+def flown(seconds: float, *faults: str) -> FloatArray:
+    """Rates minus reference over time, rad/s, under the law with the files' coefficients."""
+    known = Coefficients.from_file(FILES / "quadrotor_coefficients.yaml")
+    model = AttitudeModel(known.structure, known.values, known.structure.mask)
+    controller = load_parameters(FILES / "quadrotor.yaml", "controller")
+    limits = np.array([controller["least"], controller["largest"]]) - controller["trim"]
+    law = RateLaw(limits, controller["delay"])
+    craft = LiveQuadrotor(SENSORS, 0.01, [parse_fault(text) for text in faults])
+    errors = []
+    while craft.time < seconds:
+        sample = craft.sample()
+        t_ns = START_NS + round(sample.time * 1e9)
+        reference = -np.append(sample.attitude[:2], 0.0)  # level it
+        craft.command(law.update(t_ns, model, sample.measured_rates, reference)[:3])
+        craft.advance()
+        errors.append(sample.rates - reference)
+    assert np.ptp(craft.outputs) < 1.0
+    return np.array(errors)
+
+
+def test_the_law_flies_it_and_stands_a_weak_motor() -> None:
+    errors = np.abs(flown(8.0, "3: motor_front_left effect 0.7"))
+    before, after = errors[100:300].max(axis=0), errors[700:].max(axis=0)
+    assert before.max() < 0.05 and after.max() < 0.05
+    assert errors[300:400].max() > 0.2  # it was felt
+
+
+def test_its_channels_are_the_motors_and_they_act_after_the_delay() -> None:
+    craft = LiveQuadrotor(Sensors(rate=100.0), delay=0.02)
+    assert craft.names == QUADROTOR.names
+    craft.command(np.array([0.0, 0.0, 0.02]))
+    np.testing.assert_allclose(craft.outputs, [0.49, 0.51, 0.51, 0.49])
+    rolls = []
+    for _ in range(4):
+        craft.advance()
+        rolls.append(float(craft.sample().rates[0]))
+    assert rolls[1] == pytest.approx(0.0, abs=1e-12) and rolls[2] > 1e-3
+
+
+def test_a_fault_of_something_else_is_refused() -> None:
+    for text in ("5: elevator jams", "5: turbulence 4"):
+        with pytest.raises(SimulationError, match="MOTOR effect FACTOR"):
+            LiveQuadrotor(SENSORS, faults=[parse_fault(text)])
+    with pytest.raises(SimulationError, match="is none of"):
+        parse_fault("motor_middle effect 0.5")
+
+
+def test_the_files_of_its_loop_fit_each_other() -> None:
+    values = load_parameters(FILES / "quadrotor.yaml", "identifier")
+    settings = Settings.from_values(values)
+    known = Coefficients.from_file(FILES / "quadrotor_coefficients.yaml")
+    assert known.structure.name == settings.structure
+    for name in settings.fixed_coefficients:
+        assert known.sigma[known.structure.index(name)] == 0.0
