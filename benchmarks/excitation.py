@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 import uav_ident_ros  # noqa: F401  (first: it limits the threads of NumPy)
-from uav_ident_ros.client import AttitudeModel, Coefficients, Excitation
-from uav_ident_ros.controller_example import RateLaw
+from uav_ident_ros.client import Coefficients, CoefficientSource, Excitation, Fallback
+from uav_ident_ros.control import RateController
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.excitation_run import Asked, ExcitationRun
@@ -42,8 +42,8 @@ from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
 from uav_ident_ros.simulation.live_aircraft import LiveAircraft
+from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
-from uav_ident_ros.simulation.rate_reference import Manoeuvres
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "config" / "closed_loop"
@@ -92,11 +92,11 @@ class Flight:
         start = load_coefficients(nominal, self.settings.structure)
         self.identifier = OnlineIdentifier(self.settings, None if cold else start)
         known = Coefficients.from_file(nominal)
-        self.model = AttitudeModel(known.structure, known.values, known.structure.mask)
         controller = load_parameters(CONFIG / f"{AIRCRAFT}.yaml", "controller")
         self.trim = np.array(controller["trim"])
         limits = np.array([controller["least"], controller["largest"]]) - self.trim
-        self.law = RateLaw(limits, DELAY)
+        source = CoefficientSource(Fallback.NOMINAL, known)
+        self.controller = RateController(source, known, limits, DELAY, adaptive=False)
         self.excitation = Excitation(controller["excitation_limit"])
         self.manoeuvres = Manoeuvres(0.5, 0.1, (2.0, 4.0), 53.0, seed)
         self.run = ExcitationRun(self.identifier.structure)
@@ -117,8 +117,8 @@ class Flight:
             self.hear(self.run.step(self.identifier.flying(), self.estimate))
         roll, pitch = sample.attitude[:2].tolist()
         self.reference = self.manoeuvres.rates(sample.time, roll, pitch, 1.0 / SENSORS.rate)
-        u = self.law.update(t_ns, self.model, sample.measured_rates, self.reference)
-        u = self.law.inject(t_ns, u, self.excitation.at(t_ns))
+        u = self.controller.update(t_ns, sample.measured_rates, self.reference)
+        u = self.controller.inject(t_ns, u, self.excitation.at(t_ns))
         self.aircraft.command((self.trim + u)[:3])
         self.identifier.add_actuators(t_ns, self.aircraft.outputs.tolist())
         self.aircraft.advance()

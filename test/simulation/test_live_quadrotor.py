@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
-pytest.importorskip("rclpy", reason="the example controller is a ROS node")
-
-from uav_ident_ros.client import AttitudeModel, Coefficients
-from uav_ident_ros.controller_example import RateLaw
+from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
+from uav_ident_ros.control import Law, RateController
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
@@ -30,17 +28,18 @@ START_NS = 1_700_000_000 * 10**9
 def flown(seconds: float, *faults: str) -> FloatArray:
     """Rates minus reference over time, rad/s, under the law with the files' coefficients."""
     known = Coefficients.from_file(FILES / "quadrotor_coefficients.yaml")
-    model = AttitudeModel(known.structure, known.values, known.structure.mask)
     controller = load_parameters(FILES / "quadrotor.yaml", "controller")
     limits = np.array([controller["least"], controller["largest"]]) - controller["trim"]
-    law = RateLaw(limits, controller["delay"])
+    source = CoefficientSource(Fallback.NOMINAL, known)
+    chosen = Law(controller.get("law", "incremental"))
+    law = RateController(source, known, limits, controller["delay"], chosen, adaptive=False)
     craft = LiveQuadrotor(SENSORS, 0.01, [parse_fault(text) for text in faults])
     errors = []
     while craft.time < seconds:
         sample = craft.sample()
         t_ns = START_NS + round(sample.time * 1e9)
         reference = -np.append(sample.attitude[:2], 0.0)  # level it
-        craft.command(law.update(t_ns, model, sample.measured_rates, reference)[:3])
+        craft.command(law.update(t_ns, sample.measured_rates, reference)[:3])
         craft.advance()
         errors.append(sample.rates - reference)
     assert np.ptp(craft.outputs) < 1.0
