@@ -106,7 +106,7 @@ def _cell(case: cases.Case, structure: str, method: str, track: cases.Track, beg
         tuple(fits.model.tolist()),
         tuple(fits.truth.tolist()),
         tuple(fits.hold.tolist()),
-        tuple(fits.held_force.tolist()),
+        tuple(fits.measured_force.tolist()),
         _dominant_error(case, track),
         time.monotonic() - began,
     )

@@ -20,8 +20,12 @@ from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.prediction import (
+    Flown,
+    FlowStates,
     InputSignal,
+    Published,
     WindowErrors,
+    flow_states,
     score_windows,
     window_errors,
 )
@@ -207,6 +211,8 @@ class Track:
         Delay in use, s.
     changes : list of (time, row, column)
         Releases of changed coefficients.
+    flow : FlowStates or None
+        Flow angles and attitude; None for a structure without them.
     """
 
     settings: Settings
@@ -217,6 +223,11 @@ class Track:
     learning: NDArray[np.bool_]
     delay: FloatArray
     changes: list[tuple[float, int, int]]
+    flow: FlowStates | None = None
+
+    def published(self) -> Published:
+        """Return what the track published."""
+        return Published(self.t_ns, self.coefficients, self.structure, self.flow)
 
     @property
     def structure(self) -> Structure:
@@ -284,6 +295,7 @@ def identify(
         learning=np.array(learning),
         delay=np.array(delays),
         changes=changes,
+        flow=flow_states(estimates),
     )
 
 
@@ -332,21 +344,24 @@ def _ticks(case: Case, settings: Settings) -> TimeArray:
 
 @dataclass(frozen=True)
 class Fits:
-    """1-second fits over the last 40 % of a flight, percent, of p, q, r.
+    """Fits over the last 40 % of a flight, percent, of p, q, r.
 
     Parameters
     ----------
     model, hold : (3,) arrays
-        Of the identified model and of holding the rate, against the measured rates.
-    held_force : (3,) array
-        Of the model with ay and az held; NaN without them.
+        Of the free prediction over 1 s and of holding the rate, against the measured rates.
+    free : (H, 3) array
+        Of the free prediction over each of `HORIZONS`.
+    measured_force : (3,) array
+        Of the model with measured forces; NaN without them.
     truth : (3,) array
         Of the model against the noise-free rates; NaN where they are unknown.
     """
 
     model: FloatArray
     hold: FloatArray
-    held_force: FloatArray
+    free: FloatArray
+    measured_force: FloatArray
     truth: FloatArray
 
 
@@ -357,7 +372,13 @@ def score(case: Case, track: Track) -> Fits:
     truth = np.full(3, np.nan)
     if case.true_rates is not None:
         truth = _fit(case, track, case.true_rates, force).model
-    return Fits(against_measured.model, against_measured.hold, against_measured.held_force, truth)
+    return Fits(
+        against_measured.model,
+        against_measured.hold,
+        against_measured.free,
+        against_measured.measured_force,
+        truth,
+    )
 
 
 def _fit(case: Case, track: Track, rates: FloatArray, force: FloatArray) -> Any:
@@ -370,14 +391,14 @@ def _fit(case: Case, track: Track, rates: FloatArray, force: FloatArray) -> Any:
         chosen = late & (track.delay == delay)
         parts.append(
             window_errors(
-                case.imu_t_ns,
-                rates,
-                InputSignal(case.actuator_t_ns, u, float(delay), actuators.time_constant),
-                force,
-                track.t_ns[chosen],
-                track.coefficients[chosen],
-                track.structure,
-                lever_arm=np.array(track.settings.imu.lever_arm),
+                Flown(
+                    case.imu_t_ns,
+                    rates,
+                    InputSignal(case.actuator_t_ns, u, float(delay), actuators.time_constant),
+                    force,
+                    np.array(track.settings.imu.lever_arm),
+                ),
+                track.published().chosen(chosen),
             )
         )
     first, last = int(case.imu_t_ns[0]), int(case.imu_t_ns[-1])

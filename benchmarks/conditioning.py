@@ -26,7 +26,7 @@ import cases
 import flights
 import numpy as np
 
-from uav_ident_ros.identification.prediction import InputSignal, score
+from uav_ident_ros.identification.prediction import Flown, InputSignal, score
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 
 BUILD = flights.ROOT / "build"
@@ -122,7 +122,7 @@ def run(
 def true_fit(name: str, track: cases.Track, seed: int | None = None) -> FloatArray:
     """Fit of p, q, r against the noise-free rates at 200 Hz, percent."""
     m = flights.load(name, seed, rate=200.0)
-    fits = score(
+    flown = Flown(
         m.true_t_ns,
         m.true_rates,
         InputSignal(
@@ -133,10 +133,8 @@ def true_fit(name: str, track: cases.Track, seed: int | None = None) -> FloatArr
             "hold",
         ),
         m.flight.force_at((0.0, 0.0, 0.0))[:: round(m.flight.rate / 200.0), 1:],
-        track.t_ns,
-        track.coefficients,
-        track.structure,
     )
+    fits = score(flown, track.published())
     return np.asarray(fits[cases.LAST_PART].model)
 
 

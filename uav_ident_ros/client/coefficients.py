@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.structure import (
     CONSTANT,
     INPUT_COLUMNS,
@@ -25,6 +26,8 @@ from uav_ident_ros.identification.structure import (
 
 FIT_NAMES = ("fit/p", "fit/q", "fit/r")
 USABLE_NAME = "verdict/usable"
+ROW_USABLE_NAMES = tuple(f"{USABLE_NAME}/{row}" for row in ROWS)
+STATE_NAMES = ("state/alpha", "state/beta", "state/roll", "state/pitch", "state/airspeed")
 
 MIN_T_RATIO = 3.0
 """Value over sigma from which on a coefficient is known."""
@@ -66,12 +69,16 @@ class Coefficients:
     ----------
     structure : Structure
         Names the rows and columns.
-    values : (3, n) array
+    values : (R, n) array
         A, SI units, body axes forward-right-down.
-    sigma : (3, n) array
+    sigma : (R, n) array
         Standard deviations; 0 for what is fixed or absent.
     usable : bool
-        The identifier's verdict on the whole.
+        The identifier's verdict on all moment rows.
+    usable_rows : tuple of 3 bool
+        Its verdict on each of pdot, qdot, rdot.
+    flow : FlowState or None
+        Flow angles, attitude and airspeed; None for a structure without flow angles.
     fit : (3,) array
         Fit of its 1-second predictions of p, q, r, percent.
     t_ns : int
@@ -82,6 +89,8 @@ class Coefficients:
     values: FloatArray
     sigma: FloatArray
     usable: bool = True
+    usable_rows: tuple[bool, bool, bool] = (True, True, True)
+    flow: FlowState | None = None
     fit: FloatArray | None = None
     t_ns: int = 0
 
@@ -102,8 +111,10 @@ class Coefficients:
             )
         value = dict(zip(message.name, map(float, message.position), strict=True))
         sigma = dict(zip(message.name, map(float, message.effort), strict=True))
-        structure = _structure_of(value.keys() - {*FIT_NAMES, USABLE_NAME})
-        missing = [name for name in (*FIT_NAMES, USABLE_NAME) if name not in value]
+        verdicts = (*FIT_NAMES, USABLE_NAME, *ROW_USABLE_NAMES)
+        structure = _structure_of(value.keys() - {*verdicts, *STATE_NAMES})
+        needed = (*verdicts, *STATE_NAMES) if structure.has_flow else verdicts
+        missing = [name for name in needed if name not in value]
         if missing:
             raise MessageError(f"there is no entry '{missing[0]}': is this coefficients_named?")
         values, sigmas = (_matrix(structure, entries) for entries in (value, sigma))
@@ -115,6 +126,8 @@ class Coefficients:
             values=values,
             sigma=sigmas,
             usable=value[USABLE_NAME] == 1.0,
+            usable_rows=_three(value[name] == 1.0 for name in ROW_USABLE_NAMES),
+            flow=_flow(value, sigma) if structure.has_flow else None,
             fit=np.array([value[name] for name in FIT_NAMES]),
             t_ns=int(stamp.sec) * SECOND_NS + int(stamp.nanosec),
         )
@@ -144,7 +157,7 @@ class Coefficients:
 
     @cached_property
     def known(self) -> BoolArray:
-        """Which coefficients may be acted on, shape (3, n); absent ones count as known zeros.
+        """Which coefficients may be acted on, shape (R, n); absent ones count as known zeros.
 
         Known is what is `MIN_T_RATIO` sigma from zero, or surely small: with a sigma below
         `MAX_SHARE` of the largest known coefficient of its kind (rate products, rates, inputs,
@@ -174,6 +187,23 @@ def _structure_of(names: set[str]) -> Structure:
     raise MessageError(
         f"{len(names)} coefficients of no known structure: there are {', '.join(STRUCTURES)}, "
         f"with entries like '{ROWS[0]}/p'"
+    )
+
+
+def _three(flags: Iterable[bool]) -> tuple[bool, bool, bool]:
+    first, second, third = flags
+    return first, second, third
+
+
+def _flow(value: dict[str, float], sigma: dict[str, float]) -> FlowState:
+    return FlowState(
+        beta=value["state/beta"],
+        alpha=value["state/alpha"],
+        beta_sigma=sigma["state/beta"],
+        alpha_sigma=sigma["state/alpha"],
+        roll=value["state/roll"],
+        pitch=value["state/pitch"],
+        airspeed=value["state/airspeed"],
     )
 
 

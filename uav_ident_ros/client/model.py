@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The identified attitude dynamics ``xdot = A f(x, u)`` for a controller: NumPy only.
 
-States ``x = [p q r]`` in rad/s, body axes forward-right-down; inputs ``u = [de dr da dth]`` as the
-identifier has them: ``u = M (scale (raw - trim))``, acting a transport delay later.
+States ``x = [p q r]`` in rad/s, body axes forward-right-down, and with flow angles beta, alpha in
+rad; inputs ``u = [de dr da dth]`` as the identifier has them: ``u = M (scale (raw - trim))``,
+acting a transport delay later.
 """
 
 from __future__ import annotations
@@ -13,12 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_ident_ros.identification.flow import FlowState
+from uav_ident_ros.identification.linearisation import Condition, linearise
+from uav_ident_ros.identification.model import flight_derivative, integrate, rates_derivative
 from uav_ident_ros.identification.structure import (
+    CONSTANT_COLUMN,
     INPUT_COLUMNS,
     INPUTS,
-    RATE_COLUMNS,
+    LAST_COLUMNS,
     ROWS,
-    SPECIFIC_FORCES,
     BoolArray,
     FloatArray,
     Structure,
@@ -65,10 +69,13 @@ class AttitudeModel:
     ----------
     structure : Structure
         Names the rows and columns.
-    values : (3, n) array
+    values : (R, n) array
         A, SI units; 0 where a coefficient is left out.
-    known : (3, n) bool array
+    known : (R, n) bool array
         What may be acted on.
+    flow : FlowState or None
+        Flow angles, attitude and airspeed that the coefficients came with; for a structure with
+        flow angles.
     t_ns : int
         Message time of the coefficients, ns; 0 for the author's own.
     source : str
@@ -82,6 +89,7 @@ class AttitudeModel:
     structure: Structure
     values: FloatArray
     known: BoolArray
+    flow: FlowState | None = None
     t_ns: int = 0
     source: str = "identified"
     replaced: tuple[str, ...] = ()
@@ -90,52 +98,94 @@ class AttitudeModel:
     def acceleration(
         self, x: FloatArray, u: FloatArray, force: FloatArray | None = None
     ) -> FloatArray:
-        """Return pdot, qdot, rdot, shape (3,), rad/s^2.
+        """Return pdot, qdot, rdot, shape (..., 3), rad/s^2.
 
         Parameters
         ----------
-        x : (3,) array
-            Rates p, q, r, rad/s.
-        u : (4,) array
+        x : (..., 3) or (..., 5) array
+            Rates p, q, r, rad/s, and with flow angles as states beta, alpha, rad; those of the
+            message where they are left out.
+        u : (..., 4) array
             Inputs de, dr, da, dth.
-        force : (2,) array, optional
+        force : (..., 2) array, optional
             Specific forces ay, az, m/s^2. The augmented structure uses them; without them their
             coefficients and the constant, which belongs to them, are left out.
         """
-        f = self.structure.regressor(np.asarray(x), np.asarray(u), force)
-        if force is None:
-            f[..., INPUT_COLUMNS.stop :] = 0.0
-        return np.asarray(self.values @ f)
+        x, u = self._state(x), np.asarray(u, dtype=np.float64)
+        if self.structure.has_flow:
+            f = self.structure.regressor(x[..., :3], u, x[..., 3:])
+        else:
+            f = self.structure.regressor(x, u, force)
+            if force is None:
+                f[..., CONSTANT_COLUMN:] = 0.0
+        return np.asarray(f @ self.values[: len(ROWS)].T)
+
+    def _state(self, x: FloatArray) -> FloatArray:
+        """Return the state, with the flow angles of the message where they are left out."""
+        x = np.asarray(x, dtype=np.float64)
+        if not self.structure.has_flow or x.shape[-1] > len(ROWS):
+            return x
+        flow = self._flow_state()
+        angles = np.broadcast_to((flow.beta, flow.alpha), (*x.shape[:-1], 2))
+        return np.concatenate((x, angles), axis=-1)
+
+    def _flow_state(self) -> FlowState:
+        if self.flow is None:
+            raise Refusal(
+                f"structure '{self.structure.name}' needs 'flow': where the aircraft is flying"
+            )
+        return self.flow
 
     def predict(
         self, x: FloatArray, u: FloatArray, dt: float, force: FloatArray | None = None
     ) -> FloatArray:
-        """Return the rates `dt` seconds on, shape (3,), with inputs and forces held.
+        """Return the state `dt` seconds on, shape as x, with the inputs held.
 
-        Parameters are those of `acceleration`.
+        With flow angles as states the attitude starts at that of the message and is integrated;
+        otherwise the forces are held. Parameters are those of `acceleration`.
         """
-        x = np.array(x, dtype=np.float64)
+        asked = np.asarray(x, dtype=np.float64)
+        state = self._state(asked)
+        u = np.broadcast_to(np.asarray(u, dtype=np.float64), (*state.shape[:-1], 4))
         steps = max(1, math.ceil(dt / STEP))
-        h = dt / steps
-        for _ in range(steps):  # Runge-Kutta of order 4
-            k1 = self.acceleration(x, u, force)
-            k2 = self.acceleration(x + 0.5 * h * k1, u, force)
-            k3 = self.acceleration(x + 0.5 * h * k2, u, force)
-            k4 = self.acceleration(x + h * k3, u, force)
-            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        return x
+        parts = list(np.moveaxis(state, -1, 0))
+        if self.structure.has_flow:
+            flow = self._flow_state()
+            parts += [np.full(state.shape[:-1], part) for part in flow.down]
+            constant = self.values[:, CONSTANT_COLUMN]
+            rows = u @ self.values[:, INPUT_COLUMNS].T + constant
+            drive = [*np.moveaxis(rows, -1, 0), 1.0 / flow.airspeed, 0.0, 0.0, 0.0]
+            derivative = flight_derivative(self.values)
+        else:
+            drive = list(np.moveaxis(self.acceleration(0.0 * state, u, force), -1, 0))
+            derivative = rates_derivative(self.values)
+        step = (drive, drive, drive, dt / steps)
+        *_, parts = integrate(derivative, parts, [step] * steps)
+        return np.stack(parts[: asked.shape[-1]], axis=-1)
 
     def linearize(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return A (3, 3) and B (3, 4) of ``xdot = A dx + B du`` about rates `x` and inputs `u`.
+        """Return A and B of ``xdot = A dx + B du`` about a state and inputs.
 
-        The inputs enter linearly, so that `u` does not matter; it is there for the reader.
+        With flow angles the states are p, q, r, beta, alpha, phi: leave out the last row and column
+        if bank is held. Without them they are p, q, r.
+
+        Parameters
+        ----------
+        x : (3,) or (5,) array
+            As in `acceleration`.
+        u : (4,) array
+            Inputs; they enter linearly, so that they do not matter.
         """
-        p, q, r = (float(value) for value in x)
-        products = np.array(  # d(pq, qr, pr, pp, rr) / d(p, q, r)
-            [[q, p, 0.0], [0.0, r, q], [r, 0.0, p], [2.0 * p, 0.0, 0.0], [0.0, 0.0, 2.0 * r]]
+        p, q, r = (float(value) for value in np.asarray(x)[: len(ROWS)])
+        flow = self.flow
+        condition = (
+            Condition(flow.airspeed, (p, q, r), flow.roll, flow.pitch)
+            if flow is not None
+            else Condition(math.inf, (p, q, r))
         )
-        a = self.values[:, RATE_COLUMNS] + self.values[:, : RATE_COLUMNS.start] @ products
-        return a, self.values[:, INPUT_COLUMNS].copy()
+        if self.structure.has_flow:
+            self._flow_state()
+        return linearise(self.structure, self.values, condition)
 
     def invert(
         self,
@@ -155,8 +205,8 @@ class AttitudeModel:
         ----------
         wanted : (3,) array
             pdot, qdot, rdot, rad/s^2.
-        x : (3,) array
-            Rates p, q, r, rad/s.
+        x : (3,) or (5,) array
+            State, as in `acceleration`.
         limits : (2, 4) array, optional
             Least and largest de, dr, da, dth, deviations from trim. They also weigh the inputs:
             least is the sum of squares of their shares of the travel.
@@ -166,8 +216,8 @@ class AttitudeModel:
             Those that may be used.
         input_forces : (2, 4) array, optional
             What each input itself adds to ay, az, m/s^2 per unit. The augmented structure's
-            control derivatives hold at given ay, az; with this they become whole ones. A
-            rudder at the end of a tail makes a good part of its moment's worth of ay.
+            control derivatives hold at given ay, az; with this they become whole ones, as those
+            with flow angles are.
 
         Raises
         ------
@@ -175,11 +225,13 @@ class AttitudeModel:
             If an axis cannot be moved with what is known of the control derivatives.
         """
         columns = [INPUTS.index(name) for name in inputs if self._input_known(INPUTS.index(name))]
-        bound = np.stack([np.full(4, -np.inf), np.full(4, np.inf)]) if limits is None else limits
+        bound = np.stack([np.full(4, -np.inf), np.full(4, np.inf)])
+        if limits is not None:
+            bound = np.asarray(limits, dtype=np.float64)
         travel = np.where(np.isfinite(bound).all(axis=0), bound[1] - bound[0], 1.0)
-        B = self.values[:, INPUT_COLUMNS]
-        if input_forces is not None and self.structure.size > INPUT_COLUMNS.stop:
-            B = B + self.values[:, -len(SPECIFIC_FORCES) :] @ input_forces
+        B = self.values[: len(ROWS), INPUT_COLUMNS]
+        if input_forces is not None and self.structure.has_forces:
+            B = B + self.values[:, LAST_COLUMNS] @ input_forces
         self._check_invertible(B * travel, columns, inputs)
         drift = self.acceleration(x, np.zeros(4), force)
         u = _least_norm(B, np.asarray(wanted) - drift, columns, bound, travel)
@@ -188,7 +240,7 @@ class AttitudeModel:
 
     def _input_known(self, column: int) -> bool:
         """Whether anything is known to be moved by an input; what is not known counts as 0."""
-        return bool(self.values[:, INPUT_COLUMNS.start + column].any())
+        return bool(self.values[: len(ROWS), INPUT_COLUMNS.start + column].any())
 
     def _check_invertible(
         self, B: FloatArray, columns: Sequence[int], inputs: Sequence[str]

@@ -176,6 +176,7 @@ def _model(
 ) -> AttitudeModel:
     return AttitudeModel(
         structure=coefficients.structure,
+        flow=coefficients.flow,
         values=np.where(known, coefficients.values, 0.0),
         known=known,
         t_ns=coefficients.t_ns,

@@ -47,5 +47,14 @@ MEANINGS: Mapping[str, str] = {
     "rdot/dth": "yaw due to throttle (slipstream)",
     "rdot/1": "yaw offset of the trim",
     "rdot/ay": "weathercock stability (ay stands for sideslip)",
+    "pdot/beta": "dihedral effect",
+    "qdot/alpha": "pitch stiffness",
+    "rdot/beta": "weathercock stability",
+    "ay/dr": "side force due to rudder",
+    "ay/beta": "side force due to sideslip",
+    "az/de": "lift due to elevator",
+    "az/alpha": "lift slope",
+    "betadot/1": "bias of the sideslip's kinematics",
+    "alphadot/1": "bias of the angle of attack's kinematics",
 }
 """Every coefficient of every structure."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.structure import FloatArray
 
 
@@ -16,9 +17,9 @@ class CoefficientSet:
     ----------
     structure : str
         Name of the structure.
-    values : (3, n) array
+    values : (R, n) array
         A, SI units, body axes FRD; zero where the structure has no coefficient.
-    sigma : (3, n) array
+    sigma : (R, n) array
         Standard deviations; 0 for what is known or absent.
     t_ns : int
         Message time at which they were valid, nanoseconds; 0 if unknown.
@@ -38,9 +39,9 @@ class Estimate:
     ----------
     t_ns : int
         Message time of the tick, nanoseconds.
-    coefficients : (3, n) array
+    coefficients : (R, n) array
         A_m, SI units, body axes FRD.
-    sigma : (3, n) array
+    sigma : (R, n) array
         One standard deviation of each coefficient; 0 for the fixed ones; that of the prior
         where nothing is known yet.
     predicted_rates : (3,) array
@@ -52,11 +53,15 @@ class Estimate:
     adapting : bool
         Whether the coefficients moved, or could have moved, at this tick.
     usable : bool
-        Whether a controller may act on the coefficients.
+        Whether a controller may act on the coefficients of all moment rows.
+    usable_rows : (3,) tuple of bool
+        Whether it may act on those of pdot, qdot, rdot.
     state : str
         One word: ``waiting``, ``learning``, ``converged``, ``paused`` or ``fault``.
     reason : str
         Why it is not adapting, or not usable; empty if neither.
+    flow : FlowState or None
+        Attitude, flow angles and airspeed; None for a structure without flow angles.
     """
 
     t_ns: int
@@ -67,5 +72,7 @@ class Estimate:
     fit: FloatArray
     adapting: bool
     usable: bool
+    usable_rows: tuple[bool, bool, bool]
     state: str
     reason: str
+    flow: FlowState | None = None

@@ -29,13 +29,14 @@ from uav_ident_ros.identification.drops import (
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
+from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.gates import Cost, GlitchFilter
 from uav_ident_ros.identification.inputs import InputMap
-from uav_ident_ros.identification.model import IdentifiedModel
+from uav_ident_ros.identification.model import FlowSignals, IdentifiedModel
 from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.plausibility import Finding, Plausibility
-from uav_ident_ros.identification.prior import Start, resumed, start_from
+from uav_ident_ros.identification.prior import Start, resumed, start_from, without_flow
 from uav_ident_ros.identification.regression import Regression, StateVariableFilter
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
@@ -163,7 +164,15 @@ class OnlineIdentifier:
         if self.settings.actuators.estimate_delay:
             self._delay = DelayTracker(self._sampler.delay, self._arm)
         self._model = IdentifiedModel(self.structure, self._arm)
-        self.running_fit = RunningFit(self._model)
+        self._flow: FlowObserver | None = None
+        self._accelerometer = True
+        if self.structure.has_flow:
+            self._flow = FlowObserver(
+                self.structure, self.settings.filter.cutoff, self.settings.airspeed.reference
+            )
+            self._accelerometer = False
+            self._estimator.start = without_flow(self._start, self.structure)
+        self.running_fit = RunningFit(self.structure, self._model)
         self._saved: FloatArray | None = None
         self._supervisor.reset()
         self._plausibility = Plausibility(self.settings)
@@ -651,20 +660,31 @@ class OnlineIdentifier:
         fed = moved = False
         for block in self._sampler.blocks():
             coefficients = self._coefficients()
+            flow = self._follow_flow(block, coefficients)
             saved = None if self._saved is None else self._saved * self._speed.scale
             if self._supervisor.gates.unreadable:
                 self.running_fit.restart()
             else:
-                self.running_fit.add(block, coefficients, saved)
-            self._learn(block, coefficients)
+                self.running_fit.add(block, flow, coefficients, saved)
+            self._learn(block, flow, coefficients)
             moved = (self._delay is not None and self._delay.add(block)) or moved
             fed = True
         if moved and self._delay is not None:
             self._use_delay(self._delay.delay)
         return fed
 
+    def _follow_flow(self, block: Block, coefficients: FloatArray) -> FlowSignals | None:
+        """Follow attitude and flow angles; None for a structure without them."""
+        if self._flow is None:
+            return None
+        if not self._accelerometer and _changes(block.specific_force):
+            self._accelerometer = True
+            self._estimator.start = self._start
+        speed = self._speed.newest if self._speed.enabled else None
+        return self._flow.follow(block, coefficients, speed)
+
     def _coefficients(self) -> FloatArray:
-        """Coefficients at the airspeed flown, shape (3, n)."""
+        """Coefficients at the airspeed flown, shape (R, n)."""
         return self._estimator.coefficients * self._speed.scale
 
     def coefficient_set(self, t_ns: int = 0) -> CoefficientSet:
@@ -676,7 +696,10 @@ class OnlineIdentifier:
             Message time to note with them, ns.
         """
         return CoefficientSet(
-            self.structure.name, self._estimator.coefficients.copy(), self._estimator.sigma, t_ns
+            self.structure.name,
+            self._estimator.coefficients.copy(),
+            self._estimator.sigma.copy(),
+            t_ns,
         )
 
     def note_saved(self, saved: CoefficientSet) -> None:
@@ -684,10 +707,8 @@ class OnlineIdentifier:
         self._saved = saved.values
         self.running_fit.save()
 
-    def _learn(self, block: Block, coefficients: FloatArray) -> None:
+    def _learn(self, block: Block, flow: FlowSignals | None, coefficients: FloatArray) -> None:
         """Run the model over a block and learn from it."""
-        if block.restarted:
-            self._model.restart(block.x[0])
         if self._filter is None:
             self._filter = StateVariableFilter(
                 self.structure, self.settings.filter.cutoff, block.h, self._arm
@@ -695,18 +716,21 @@ class OnlineIdentifier:
         leak = self.settings.model.leak_time
         if leak > 0.0 and self._learned_time < START_TIME:
             leak = min(leak, START_LEAK_TIME)
-        states = self._model.run(coefficients, block, leak)
+        states = self._model.run(coefficients, block, flow, leak)
         scale = self._speed.scale if self._speed.enabled else None
-        regression = self._filter.apply(block, states, scale)
+        regression = self._filter.apply(block, states, scale, flow, coefficients)
         learns = self._speed.known and not self._supervisor.closed
         if learns:
             self._learned_time += regression.time
-            residual = regression.residual(self._estimator.coefficients)
-            clear = self._estimator.clear
-            weight = self._supervisor.weigh(residual, regression.time, clear)
-            self._estimator.update(regression, residual, weight)
+            mean = regression.mean()
+            residual = self._estimator.residual(mean)
+            weight = self._supervisor.weigh(
+                residual[None, :3], regression.time, self._estimator.clear
+            )
+            self._supervisor.confirm(mean, residual[:3], self._estimator.inputs)
+            self._estimator.update(regression, mean, residual, weight)
         t = int(block.t_ns[-1]) * NS
-        self._supervisor.follow(t, self._estimator, learns, regression.time)
+        self._supervisor.follow(t, self._estimator, learns)
         if learns and self._estimator.changes:
             self.running_fit.forget()
 
@@ -726,29 +750,35 @@ class OnlineIdentifier:
         )
         learns = not self._supervisor.closed
         if learns:
-            residual = regression.residual(self._estimator.coefficients)
-            self._estimator.update(regression, residual, np.ones(3))
-        self._supervisor.follow(t_ns * NS, self._estimator, learns, dt)
+            mean = regression.mean()
+            residual = self._estimator.residual(mean)
+            self._supervisor.confirm(mean, residual, self._estimator.inputs)
+            self._estimator.update(regression, mean, residual, np.ones(3))
+        self._supervisor.follow(t_ns * NS, self._estimator, learns)
         return True
 
     def _estimate(self, t_ns: int, fed: bool) -> Estimate:
         newest = self._newest_rates if self._newest_rates is not None else np.zeros(3)
-        predicted = self._model.state
+        predicted = self._model.state[:3]
         coefficients = self._coefficients()
         sigma = self._estimator.sigma * self._speed.scale
         verdict = self._supervisor.judge(t_ns * NS, coefficients, sigma, self.running_fit)
         if self.settings.supervision.plausibility:
             self._plausibility.judge(coefficients, sigma)
         state, reason = self._waiting(fed) or self._supervisor.state(verdict)
+        sound = state is not State.FAULT and not self._plausibility.doubted
+        usable = verdict.rows if sound else (False, False, False)
         return Estimate(
             t_ns=t_ns,
             coefficients=coefficients,
             sigma=sigma,
             predicted_rates=self._frame.to_imu(predicted),
             prediction_error=self._frame.to_imu(newest - predicted),
+            flow=None if self._flow is None else self._flow.state(coefficients, sigma),
             fit=self.running_fit.fit.copy(),
             adapting=fed and bool(self._supervisor.learning.any()),
-            usable=verdict.usable and state is not State.FAULT and not self._plausibility.doubted,
+            usable=all(usable),
+            usable_rows=usable,
             state=state.value,
             reason=reason,
         )
@@ -761,6 +791,11 @@ class OnlineIdentifier:
         if not fed:
             return State.WAITING, f"waiting for {self._sampler.waiting_for or 'samples'}"
         return None if self._speed.known else (State.WAITING, "waiting for airspeed")
+
+
+def _changes(force: FloatArray) -> bool:
+    """Whether a specific force changes from sample to sample, as every real one does."""
+    return bool((force[1:] != force[:-1]).any())
 
 
 _NO_FORCE = (0.0, 0.0, 0.0)

@@ -1,11 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The identified model xm_dot = A_m f(xm, u), run beside the aircraft (eq. (3))."""
+"""The model ``xdot = A f(x, u)``: its right-hand side, its integrator, and one run of it in flight.
+
+Instruments, running fit, score, client and simulated plants all integrate what stands here. The
+right-hand side is plain arithmetic, so that it takes numbers (one model, several times faster than
+arrays of three) as well as arrays (thousands of prediction windows side by side).
+
+With sideslip and angle of attack as states, with V the airspeed, g gravity and d the unit vector
+that points down, in body axes (``d = [-sin theta, sin phi cos theta, cos phi cos theta]``)::
+
+    ay       = A_ay f,  az = A_az f
+    betadot  = -r + (ay + g d_y) / V + A_betadot f
+    alphadot =  q + (az + g d_z) / V + A_alphadot f
+    ddot     = d x [p q r]
+
+(Stevens, Lewis and Johnson, Aircraft Control and Simulation, 2016, ch. 2, for small angles.)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,23 +30,202 @@ from numpy.typing import NDArray
 from uav_ident_ros.identification.frames import lever_arm_matrix
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
+    CONSTANT_COLUMN,
     EXOGENOUS_COLUMNS,
     INPUT_COLUMNS,
-    SPECIFIC_FORCES,
+    LAST_COLUMNS,
+    STATE_COLUMNS,
     FloatArray,
     Structure,
 )
 
+GRAVITY = 9.80665
+"""Standard acceleration of gravity, m/s^2."""
+
 STEP = 0.01
-"""Integration step aimed at, s: with the fastest roll mode of a small aircraft, 50 ms, the
-midpoint rule then errs by less than 1 %. Shorter cells are joined, longer ones are cut."""
+"""Integration step aimed at, s: between steps the states are straight lines, which for a motion of
+20 rad/s are off by half a percent. Shorter cells are joined, longer ones are cut."""
 
 LARGEST_RATE = 30.0
 """Rate beyond which the model's state has diverged, rad/s: no aircraft here turns faster."""
 
+LARGEST_ANGLE = 0.5 * math.pi
+"""Sideslip or angle of attack beyond which the state has diverged, rad."""
+
+DRIVE_COLUMNS = [*range(INPUT_COLUMNS.start, INPUT_COLUMNS.stop), CONSTANT_COLUMN]
+"""Columns of a structure with flow angles that are known before the state is."""
+
+Number = Any
+"""A float, or an array of one value per trajectory."""
+
+State = list[Number]
+Derivative = Callable[[State, Any], State]
+Step = tuple[Any, Any, Any, Number]
+
+
+def integrate(derivative: Derivative, state: State, steps: Iterable[Step]) -> Iterator[State]:
+    """Yield the state after each step, by the classical Runge-Kutta method of order 4.
+
+    Parameters
+    ----------
+    derivative : callable
+        ``derivative(state, drive)``: the state's rate of change.
+    state : list of floats or (W,) arrays
+        Where to start.
+    steps : iterable of (first, middle, last, dt)
+        What drives the model at the beginning, in the middle and at the end of each step, and how
+        long it is, s.
+    """
+    for first, middle, last, dt in steps:
+        half, sixth = 0.5 * dt, dt / 6.0
+        k1 = derivative(state, first)
+        k2 = derivative([s + half * k for s, k in zip(state, k1, strict=True)], middle)
+        k3 = derivative([s + half * k for s, k in zip(state, k2, strict=True)], middle)
+        k4 = derivative([s + dt * k for s, k in zip(state, k3, strict=True)], last)
+        state = [
+            s + sixth * (a + 2.0 * (b + c) + d)
+            for s, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
+        ]
+        yield state
+
+
+def rates_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
+    """Return the right-hand side for the state p, q, r.
+
+    Parameters
+    ----------
+    a : (3, n) or (3, n, W) array
+        Coefficients; their columns after the rates are in the drive.
+    leak : float
+        Reciprocal of the leak's time constant, 1/s; what it pulls towards is in the drive.
+
+    Returns
+    -------
+    callable
+        Its drive is the part of pdot, qdot, rdot that does not depend on the state.
+    """
+    first, second, third = (list(row) for row in _entries(a)[:3])
+    a1, a2, a3, a4, a5, a6, a7, a8 = first[STATE_COLUMNS]
+    b1, b2, b3, b4, b5, b6, b7, b8 = second[STATE_COLUMNS]
+    c1, c2, c3, c4, c5, c6, c7, c8 = third[STATE_COLUMNS]
+    a6, b7, c8 = a6 - leak, b7 - leak, c8 - leak
+
+    def derivative(state: State, drive: Any) -> State:
+        p, q, r = state
+        pq, qr, pr, pp, rr = p * q, q * r, p * r, p * p, r * r
+        return [
+            a1 * pq + a2 * qr + a3 * pr + a4 * pp + a5 * rr + a6 * p + a7 * q + a8 * r + drive[0],
+            b1 * pq + b2 * qr + b3 * pr + b4 * pp + b5 * rr + b6 * p + b7 * q + b8 * r + drive[1],
+            c1 * pq + c2 * qr + c3 * pr + c4 * pp + c5 * rr + c6 * p + c7 * q + c8 * r + drive[2],
+        ]
+
+    return derivative
+
+
+def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
+    """Return the right-hand side for the state p, q, r, beta, alpha, d_x, d_y, d_z.
+
+    Parameters
+    ----------
+    a : (7, n) or (7, n, W) array
+        Coefficients of a structure with flow angles.
+    leak : float
+        As in `rates_derivative`.
+
+    Returns
+    -------
+    callable
+        Its drive: the parts of the seven rows that do not depend on the state, 1/V (s/m), and
+        what is added to the rate of change of d.
+    """
+    moments = rates_derivative(a, leak)
+    rows = _entries(a)
+    beta_column, alpha_column = range(LAST_COLUMNS.start, LAST_COLUMNS.stop)
+    l_beta, n_beta, y_beta = (rows[i][beta_column] for i in (0, 2, 3))
+    m_alpha, z_alpha = (rows[i][alpha_column] for i in (1, 4))
+
+    def derivative(state: State, drive: Any) -> State:
+        p, q, r, beta, alpha, dx, dy, dz = state
+        pdot, qdot, rdot = moments(state[:3], drive)
+        per_speed = drive[7]
+        ay = y_beta * beta + drive[3]
+        az = z_alpha * alpha + drive[4]
+        return [
+            pdot + l_beta * beta,
+            qdot + m_alpha * alpha,
+            rdot + n_beta * beta,
+            (ay + GRAVITY * dy) * per_speed - r + drive[5] - leak * beta,
+            (az + GRAVITY * dz) * per_speed + q + drive[6] - leak * alpha,
+            dy * r - dz * q + drive[8] - leak * dx,
+            dz * p - dx * r + drive[9] - leak * dy,
+            dx * q - dy * p + drive[10] - leak * dz,
+        ]
+
+    return derivative
+
+
+def _entries(a: FloatArray) -> list[Any]:
+    """Rows of coefficients: floats of one model, (W,) arrays of many."""
+    return a.tolist() if a.ndim == 2 else list(a)
+
+
+def bounded(states: FloatArray) -> FloatArray:
+    """Return states that a number can hold: a divergent one, or none at all, at the bound."""
+    return np.asarray(np.fmin(np.fmax(states, -LARGEST_RATE), LARGEST_RATE))
+
+
+def diverged(state: FloatArray) -> bool:
+    """Whether a state is beyond what an aircraft does; NaN is."""
+    return not (
+        (np.abs(state[:3]) < LARGEST_RATE).all() and (np.abs(state[3:5]) < LARGEST_ANGLE).all()
+    )
+
+
+def with_measured_force(coefficients: FloatArray, structure: Structure) -> FloatArray:
+    """Return the moment rows with ay and az in the place of beta and alpha, shape (..., 3, n).
+
+    ``beta = (ay - Y_dr dr) / Y_beta`` put into the rows, and alpha likewise: what a structure
+    with flow angles says where the forces are measured. Others are returned as they are.
+    """
+    if not structure.has_flow:
+        return coefficients
+    moments = coefficients[..., :3, :].copy()
+    for (i, surface), column in zip(
+        ((3, "dr"), (4, "de")), range(LAST_COLUMNS.start, LAST_COLUMNS.stop), strict=True
+    ):
+        slope = coefficients[..., i, column, None]
+        share = moments[..., column] / np.where(slope == 0.0, np.inf, slope)
+        moments[..., column] = share
+        j = structure.column(surface)
+        moments[..., j] -= share * coefficients[..., i, j, None]
+    return np.asarray(moments)
+
+
+@dataclass(frozen=True)
+class FlowSignals:
+    """What the model with flow angles is run beside, at the edges of a block.
+
+    Parameters
+    ----------
+    angles : (m + 1, 2) array
+        Sideslip and angle of attack, rad.
+    down : (m + 1, 3) array
+        Unit vector that points down, body axes FRD.
+    airspeed : float
+        True airspeed, m/s.
+    """
+
+    angles: FloatArray
+    down: FloatArray
+    airspeed: float
+
+    def at_edges(self, x: FloatArray) -> FloatArray:
+        """Return the whole state at the edges, shape (m + 1, 8), with rates `x` (m + 1, 3)."""
+        return np.concatenate((x, self.angles, self.down), axis=1)
+
 
 class IdentifiedModel:
-    """State of the identified model.
+    """State of the identified model, run beside the aircraft (eq. (3)).
 
     Parameters
     ----------
@@ -40,22 +236,18 @@ class IdentifiedModel:
 
     Attributes
     ----------
-    state : (3,) array
-        xm: predicted p, q, r, rad/s, FRD.
+    state : (3,) or (8,) array
+        xm: predicted p, q, r, rad/s, FRD; with flow angles beta, alpha, rad, and down as well.
     resets : int
-        How often the state diverged and was set back to the measured rates.
+        How often the state diverged and was set back to what was measured.
     """
 
     def __init__(self, structure: Structure, lever_arm: FloatArray) -> None:
         self._structure = structure
         self._lever = lever_arm_matrix(lever_arm)
-        self._offset = bool(lever_arm.any()) and structure.size > INPUT_COLUMNS.stop
-        self.state: FloatArray = np.zeros(3)
+        self._offset = bool(lever_arm.any()) and structure.has_forces
+        self.state: FloatArray = np.zeros(8 if structure.has_flow else 3)
         self.resets = 0
-
-    def restart(self, x: FloatArray) -> None:
-        """Set the state to the rates `x`."""
-        self.state = np.array(x, dtype=np.float64)
 
     def effective(self, coefficients: FloatArray) -> FloatArray:
         """Coefficients for specific forces as measured by an offset accelerometer.
@@ -65,44 +257,67 @@ class IdentifiedModel:
         """
         if not self._offset:
             return coefficients
-        force_columns = coefficients[:, -len(SPECIFIC_FORCES) :]
+        force_columns = coefficients[:, LAST_COLUMNS]
         return np.asarray(np.linalg.solve(np.eye(3) + force_columns @ self._lever, coefficients))
 
-    def run(self, coefficients: FloatArray, block: Block, leak_time: float) -> FloatArray:
+    def measured(self, block: Block, flow: FlowSignals | None) -> FloatArray:
+        """Return the measured state at the edges of a block, shape (m + 1, 3 or 8)."""
+        return block.x if flow is None else flow.at_edges(block.x)
+
+    def run(
+        self,
+        coefficients: FloatArray,
+        block: Block,
+        flow: FlowSignals | None = None,
+        leak_time: float = 0.0,
+    ) -> FloatArray:
         """Advance the state over a block.
 
         Parameters
         ----------
-        coefficients : (3, n) array
+        coefficients : (R, n) array
             A_m.
         block : Block
             Measured signals over m cells.
+        flow : FlowSignals, optional
+            Flow angles and attitude; for a structure that has them.
         leak_time : float
-            Time constant of the pull towards the measured rates, s; 0 for none.
+            Time constant of the pull towards the measured state, s; 0 for none.
 
         Returns
         -------
-        (m + 1, 3) array
-            The state at the edges, rad/s.
+        (m + 1, 3 or 8) array
+            The state at the edges.
         """
-        states = self.propagate(coefficients, block, self.state, leak_time)
-        if not (np.abs(states[-1]) < LARGEST_RATE).all():  # NaN fails too
+        if block.restarted:
+            self.state = self.measured(block, flow)[0].copy()
+        states: FloatArray = self.propagate(coefficients, block, self.state, flow, leak_time)
+        if diverged(states[-1]):
             self.resets += 1
-            states = block.x.copy()
+            states = self.measured(block, flow).copy()
         self.state = states[-1]
         return states
 
     def propagate(
-        self, coefficients: FloatArray, block: Block, x0: FloatArray, leak_time: float = 0.0
+        self,
+        coefficients: FloatArray,
+        block: Block,
+        start: FloatArray,
+        flow: FlowSignals | None = None,
+        leak_time: float = 0.0,
     ) -> FloatArray:
-        """Predict the rates over a block from `x0`, shape (3,); parameters as in `run`."""
+        """Predict the state over a block from `start`; parameters as in `run`."""
         a = self.effective(coefficients)
-        drive = self._drive(a, block)
         leak = 1.0 / leak_time if leak_time > 0.0 else 0.0
+        drive = self._drive(a, block, flow)
         if leak:
-            drive = drive + leak * 0.5 * (block.x[:-1] + block.x[1:])
-        stride = max(1, round(STEP / block.h))
-        return _integrate(a, x0, drive, block.h, stride, leak)
+            measured = self.measured(block, flow)
+            pull = leak * 0.5 * (measured[:-1] + measured[1:])
+            drive[:, :3] += pull[:, :3]
+            drive[:, 5:7] += pull[:, 3:5]
+            drive[:, 8:] += pull[:, 5:]
+        form = flight_derivative if self._structure.has_flow else rates_derivative
+        return _over_cells(form(a, leak), start, drive, block.h)
 
     def euler(
         self,
@@ -121,60 +336,57 @@ class IdentifiedModel:
         state = self.state + dt * (self.effective(coefficients) @ f)
         if leak_time > 0.0:
             state = state + min(dt / leak_time, 1.0) * (x - self.state)
-        if not (np.abs(state) < LARGEST_RATE).all():  # NaN fails too
+        if diverged(state):
             self.resets += 1
             state = np.array(x)
         self.state = state
 
-    def _drive(self, a: FloatArray, block: Block) -> FloatArray:
-        """Part of xdot that does not depend on the state: inputs, constant, forces; (m, 3)."""
+    def restart(self, x: FloatArray) -> None:
+        """Set the state to the rates `x`."""
+        self.state = np.array(x, dtype=np.float64)
+
+    def _drive(self, a: FloatArray, block: Block, flow: FlowSignals | None) -> FloatArray:
+        """Part of the model that does not depend on the state, a row for each cell."""
+        if flow is not None:
+            drive = np.zeros((len(block.u), 11))
+            drive[:, :7] = block.u @ a[:, INPUT_COLUMNS].T + a[:, CONSTANT_COLUMN]
+            drive[:, 7] = 1.0 / flow.airspeed
+            return drive
         exogenous = a[:, EXOGENOUS_COLUMNS]
-        drive = block.u @ exogenous[:, :4].T
+        rates_drive: FloatArray = block.u @ exogenous[:, :4].T
         if exogenous.shape[1] > 4:
             force = 0.5 * (block.force[:-1] + block.force[1:])
-            drive = drive + exogenous[:, 4] + force @ exogenous[:, 5:].T
-        return np.asarray(drive)
+            rates_drive += exogenous[:, 4] + force @ exogenous[:, 5:].T
+        return rates_drive
 
 
-def _integrate(
-    a: FloatArray, x0: FloatArray, drive: FloatArray, h: float, stride: int, leak: float
+def _over_cells(
+    derivative: Derivative, start: FloatArray, drive: FloatArray, h: float
 ) -> FloatArray:
-    """Midpoint rule over the cells, `stride` cells a step; straight lines between the steps.
-
-    Plain floats: for three states they are several times faster than arrays.
-    """
-    xdot = _acceleration(a, leak)
-    steps = _steps(len(drive), stride)
-    if stride > 1:
-        drive = np.add.reduceat(drive, steps.begin) / steps.cells[:, None]
+    """Integrate over cells of `h` s, several a step; straight lines between the steps."""
+    plan = plan_steps(len(drive), h)
+    drive = plan.means(drive)
     per_cell = max(1, round(h / STEP))
-    p, q, r = x0.tolist()
-    states = [(p, q, r)]
-    for (bp, bq, br), dt in zip(
-        drive.tolist(), (steps.cells * (h / per_cell)).tolist(), strict=True
-    ):
-        half = 0.5 * dt
-        for _ in range(per_cell):
-            dp, dq, dr = xdot(p, q, r)
-            mp, mq, mr = xdot(p + half * (dp + bp), q + half * (dq + bq), r + half * (dr + br))
-            p, q, r = p + dt * (mp + bp), q + dt * (mq + bq), r + dt * (mr + br)
-        states.append((p, q, r))
-    coarse = np.array(states)
-    if not abs(p) + abs(q) + abs(r) < LARGEST_RATE:  # NaN fails too
+    dts = (plan.cells * (h / per_cell)).tolist()
+    cells = zip(drive.tolist(), dts, strict=True)
+    steps = [(drive, drive, drive, dt) for drive, dt in cells for _ in range(per_cell)]
+    first = start.tolist()
+    states = list(integrate(derivative, first, steps))
+    coarse = np.array([first, *states[per_cell - 1 :: per_cell]])
+    if diverged(coarse[-1]):
         # Diverged is diverged: what lies between infinite states would be no number.
-        coarse = np.clip(coarse, -2.0 * LARGEST_RATE, 2.0 * LARGEST_RATE)
-    if stride == 1:
-        return coarse
-    low = coarse[steps.left]
-    return np.asarray(low + steps.share * (coarse[steps.left + 1] - low))
+        coarse = bounded(coarse)
+    return plan.at_edges(coarse)
 
 
 @dataclass(frozen=True)
-class _Steps:
+class Steps:
     """Integration steps over the m cells of a block.
 
     Parameters
     ----------
+    stride : int
+        Cells joined in a step.
     begin : (s,) int array
         First cell of each step.
     cells : (s,) array
@@ -185,37 +397,32 @@ class _Steps:
         How far through it, 0 ... 1.
     """
 
+    stride: int
     begin: NDArray[np.intp]
     cells: FloatArray
     left: NDArray[np.intp]
     share: FloatArray
 
+    def means(self, values: FloatArray) -> FloatArray:
+        """Mean over each step of values of the cells, shape (s, ...)."""
+        if self.stride == 1:
+            return values
+        return np.asarray(np.add.reduceat(values, self.begin) / self.cells[:, None])
+
+    def at_edges(self, values: FloatArray) -> FloatArray:
+        """Values at the edges of the cells, from those at the edges of the steps."""
+        if self.stride == 1:
+            return values
+        low = values[self.left]
+        return np.asarray(low + self.share * (values[self.left + 1] - low))
+
 
 @lru_cache(maxsize=64)
-def _steps(m: int, stride: int) -> _Steps:
+def plan_steps(m: int, h: float) -> Steps:
+    """Return the steps over `m` cells of `h` s, none shorter than `STEP` where cells are."""
+    stride = max(1, round(STEP / h))
     begin = np.arange(0, m, stride)
     cells = np.minimum(stride, m - begin) * 1.0
     edges = np.arange(m + 1)
     left = np.minimum(edges // stride, len(begin) - 1)
-    return _Steps(begin, cells, left, ((edges - begin[left]) / cells[left])[:, None])
-
-
-def _acceleration(
-    a: FloatArray, leak: float
-) -> Callable[[float, float, float], tuple[float, float, float]]:
-    """Return the part of A f that depends on the state, less the leak, as a function of it."""
-    first, second, third = a[:, : INPUT_COLUMNS.start].tolist()
-    a1, a2, a3, a4, a5, a6, a7, a8 = first
-    b1, b2, b3, b4, b5, b6, b7, b8 = second
-    c1, c2, c3, c4, c5, c6, c7, c8 = third
-    a6, b7, c8 = a6 - leak, b7 - leak, c8 - leak
-
-    def xdot(p: float, q: float, r: float) -> tuple[float, float, float]:
-        pq, qr, pr, pp, rr = p * q, q * r, p * r, p * p, r * r
-        return (
-            a1 * pq + a2 * qr + a3 * pr + a4 * pp + a5 * rr + a6 * p + a7 * q + a8 * r,
-            b1 * pq + b2 * qr + b3 * pr + b4 * pp + b5 * rr + b6 * p + b7 * q + b8 * r,
-            c1 * pq + c2 * qr + c3 * pr + c4 * pp + c5 * rr + c6 * p + c7 * q + c8 * r,
-        )
-
-    return xdot
+    return Steps(stride, begin, cells, left, ((edges - begin[left]) / cells[left])[:, None])

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The score of record: how well the published coefficients predict the next second.
+"""The score of record: how well the published coefficients predict the next seconds, freely.
 
-A window starts at every tick t. The model ``xdot = A f(x, u)`` is run from the measured rates
-at t, with the coefficients published by t and the measured inputs, for one second, and is
-compared with every gyro sample of the window. The fit of an axis over a set of windows is
+A window starts at every tick t. The model is run from the measured state at t, with the
+coefficients published by t and the measured inputs, for 1, 3 and 5 s, and is compared with every
+gyro sample of the window. Nothing else that was measured after t enters: attitude is integrated,
+forces follow from the model; a structure that has the forces as regressors holds them at their
+value at t. The fit of an axis over a set of windows is
 
     fit = 100 (1 - |predicted - measured| / |measured - mean|),
 
 norms and mean over all compared samples (the normalised fit of Ljung, System Identification,
-1999). Nothing is filtered. Beside it stand two baselines: holding the initial rate, and, where
-ay and az are regressors, running the model with both held at their value at t.
+1999). Nothing is filtered. Beside it stand the fit of holding the initial rate, and that of the
+model with the specific forces as measured inside the window.
 """
 
 from __future__ import annotations
@@ -19,19 +21,28 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.frames import centripetal, lever_arm_matrix
-from uav_ident_ros.identification.model import LARGEST_RATE
+from uav_ident_ros.identification.model import (
+    DRIVE_COLUMNS,
+    Step,
+    bounded,
+    flight_derivative,
+    integrate,
+    rates_derivative,
+    with_measured_force,
+)
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.structure import (
-    INPUT_COLUMNS,
-    SPECIFIC_FORCES,
+    EXOGENOUS_COLUMNS,
+    LAST_COLUMNS,
     BoolArray,
     FloatArray,
     Structure,
 )
 
-WINDOW_NS = 1_000_000_000
-"""Length of a window, ns: one second, over which a controller plans."""
+HORIZONS = (1.0, 3.0, 5.0)
+"""How far the model predicts, s: a controller plans over the first, a pilot over the last."""
 
 LARGEST_STEP_NS = 10_000_000
 """Integration step, ns: at 10 ms the Runge-Kutta error of a 20 rad/s mode is below 1e-5."""
@@ -50,11 +61,6 @@ LAST_PART = 0.4
 
 BLOCK = 4096
 """Windows integrated at a time: their arrays then stay in the processor's cache."""
-
-_STATE_COLUMNS = 8
-_CONSTANT_COLUMN = 12
-_PRODUCTS = ((0, 1), (1, 2), (0, 2), (0, 0), (2, 2))
-"""Which rates the first five regressors are products of."""
 
 
 @dataclass(frozen=True)
@@ -128,41 +134,80 @@ class InputSignal:
 
 
 @dataclass(frozen=True)
+class FlowStates:
+    """What the state of a structure with flow angles has beside the rates, at each of K ticks.
+
+    Parameters
+    ----------
+    angles : (K, 2) array
+        Sideslip and angle of attack, rad.
+    down : (K, 3) array
+        Unit vector that points down, body axes FRD.
+    airspeed : (K,) array
+        True airspeed, m/s.
+    """
+
+    angles: FloatArray
+    down: FloatArray
+    airspeed: FloatArray
+
+    def chosen(self, which: BoolArray) -> FlowStates:
+        """Return those of the chosen ticks, shape (K,)."""
+        return FlowStates(self.angles[which], self.down[which], self.airspeed[which])
+
+
+def flow_states(estimates: Sequence[Estimate]) -> FlowStates | None:
+    """Return the flow states of estimates; None if their structure has none."""
+    flows = [estimate.flow for estimate in estimates if estimate.flow is not None]
+    if not flows:
+        return None
+    angles, attitude = (
+        np.array([[getattr(flow, name) for name in names] for flow in flows])
+        for names in (("beta", "alpha"), ("roll", "pitch"))
+    )
+    roll, pitch = attitude.T
+    down = np.stack(
+        [-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], axis=1
+    )
+    return FlowStates(angles, down, np.array([flow.airspeed for flow in flows]))
+
+
+@dataclass(frozen=True)
 class WindowErrors:
-    """Sums over the compared samples of each of W windows.
+    """Sums over the compared samples of each of W windows, up to each of H horizons.
 
     Parameters
     ----------
     t_ns : (W,) int array
         Start of each window, ns.
-    count : (W,) int array
-        Compared samples.
-    model : (W, 3) array
-        Squared prediction errors of the model, summed.
-    hold : (W, 3) array
+    count : (W, H) int array
+        Compared samples; 0 where the flight does not cover the window.
+    model : (W, H, 3) array
+        Squared errors of the free prediction, summed.
+    hold : (W, H, 3) array
         The same with the initial rate held.
-    held_force : (W, 3) array
-        The same of the model with ay and az held at their value at the start; NaN where the
-        structure has none.
-    measured : (W, 3) array
-        Measured rates, summed.
-    measured_square : (W, 3) array
-        Their squares, summed.
+    measured_force : (W, 3) array
+        The same of the model with measured forces, over the first horizon; NaN where the
+        structure has no use for them.
+    measured, measured_square : (W, H, 3) array
+        Measured rates, and their squares, summed.
     """
 
     t_ns: TimeArray
     count: TimeArray
     model: FloatArray
     hold: FloatArray
-    held_force: FloatArray
+    measured_force: FloatArray
     measured: FloatArray
     measured_square: FloatArray
 
     @staticmethod
     def none() -> WindowErrors:
         """Return the sums of no window at all."""
-        no_time, nothing = np.empty(0, dtype=np.int64), np.empty((0, 3))
-        return WindowErrors(no_time, no_time, nothing, nothing, nothing, nothing, nothing)
+        no_time = np.empty(0, dtype=np.int64)
+        sums = np.empty((0, len(HORIZONS), 3))
+        count = np.empty((0, len(HORIZONS)), dtype=np.int64)
+        return WindowErrors(no_time, count, sums, sums, np.empty((0, 3)), sums, sums)
 
     @staticmethod
     def join(parts: Sequence[WindowErrors]) -> WindowErrors:
@@ -177,23 +222,34 @@ class PredictionFit:
 
     Parameters
     ----------
-    model : (3,) array
-        The 1-second prediction fit; NaN if there is no window.
-    hold : (3,) array
+    free : (H, 3) array
+        Of the free prediction over each of `HORIZONS`; NaN if there is no window.
+    free_hold : (H, 3) array
         The same of holding the initial rate.
-    held_force : (3,) array
-        The same of the model with ay and az held; NaN where the structure has none.
+    measured_force : (3,) array
+        Of the model with measured forces over the first horizon; NaN where the structure has no
+        use for them.
     windows : int
         Number of windows.
     samples : int
-        Number of compared samples.
+        Number of compared samples, first horizon.
     """
 
-    model: FloatArray
-    hold: FloatArray
-    held_force: FloatArray
+    free: FloatArray
+    free_hold: FloatArray
+    measured_force: FloatArray
     windows: int
     samples: int
+
+    @property
+    def model(self) -> FloatArray:
+        """The headline: the free prediction over 1 s, shape (3,)."""
+        return np.asarray(self.free[0])
+
+    @property
+    def hold(self) -> FloatArray:
+        """Holding the initial rate over 1 s, shape (3,)."""
+        return np.asarray(self.free_hold[0])
 
 
 Selection = Callable[[TimeArray, int, int], BoolArray]
@@ -206,34 +262,85 @@ SELECTIONS: Mapping[str, Selection] = {
 """The sets of windows of the score of record."""
 
 
-def score(
-    t_ns: TimeArray,
-    rates: FloatArray,
-    inputs: InputSignal,
-    force: FloatArray | None,
-    ticks_ns: TimeArray,
-    coefficients: FloatArray,
-    structure: Structure,
-    *,
-    lever_arm: FloatArray | None = None,
-    selections: Mapping[str, Selection] = SELECTIONS,
-) -> dict[str, PredictionFit]:
-    """Score the coefficients of a flight; parameters as in `window_errors`.
+@dataclass(frozen=True)
+class Flown:
+    """What was measured, on one time base.
 
     Parameters
     ----------
-    selections : mapping
-        The sets of windows to score, by name.
-
-    Returns
-    -------
-    dict
-        A `PredictionFit` for each selection.
+    t_ns : (N,) int array
+        Stamps of the gyro samples, ns, strictly rising; they may be irregular.
+    rates : (N, 3) array
+        Measured p, q, r, rad/s, FRD, unfiltered.
+    inputs : InputSignal
+        Measured inputs.
+    force : (N, 2) array or None
+        Measured ay, az, m/s^2, FRD, at the gyro samples; None counts as zero.
+    lever_arm : (3,) array or None
+        Position of the accelerometer from the centre of gravity, m, FRD; None is zero.
     """
-    errors = window_errors(
-        t_ns, rates, inputs, force, ticks_ns, coefficients, structure, lever_arm=lever_arm
-    )
-    return score_windows(errors, int(t_ns[0]), int(t_ns[-1]), selections)
+
+    t_ns: TimeArray
+    rates: FloatArray
+    inputs: InputSignal
+    force: FloatArray | None = None
+    lever_arm: FloatArray | None = None
+
+    @property
+    def arm(self) -> FloatArray:
+        """Lever arm, m, shape (3,)."""
+        return np.zeros(3) if self.lever_arm is None else np.asarray(self.lever_arm, np.float64)
+
+    def steady_force(self) -> FloatArray:
+        """Return ay, az less their centripetal part, m/s^2, shape (N, 2)."""
+        force = np.zeros((len(self.rates), 2)) if self.force is None else self.force
+        return force - centripetal(self.rates, self.arm) if self.arm.any() else force
+
+
+@dataclass(frozen=True)
+class Published:
+    """What was published, tick by tick.
+
+    Parameters
+    ----------
+    t_ns : (K,) int array
+        Ticks, ns, strictly rising.
+    coefficients : (K, R, n) array
+        Coefficients published at each tick, SI, FRD. One that is not finite makes its window's
+        prediction a divergent one.
+    structure : Structure
+        Their structure.
+    flow : FlowStates or None
+        Flow angles and attitude; for a structure that has them.
+    """
+
+    t_ns: TimeArray
+    coefficients: FloatArray
+    structure: Structure
+    flow: FlowStates | None = None
+
+    @classmethod
+    def of(cls, estimates: Sequence[Estimate], structure: Structure) -> Published:
+        """Return what estimates of a structure published."""
+        return cls(
+            np.array([estimate.t_ns for estimate in estimates], dtype=np.int64),
+            np.array([estimate.coefficients for estimate in estimates]),
+            structure,
+            flow_states(estimates),
+        )
+
+    def chosen(self, which: BoolArray) -> Published:
+        """Return what was published at the chosen ticks, shape (K,)."""
+        flow = None if self.flow is None else self.flow.chosen(which)
+        return Published(self.t_ns[which], self.coefficients[which], self.structure, flow)
+
+
+def score(
+    flown: Flown, published: Published, selections: Mapping[str, Selection] = SELECTIONS
+) -> dict[str, PredictionFit]:
+    """Score what was published on a flight: a `PredictionFit` for each selection of windows."""
+    errors = window_errors(flown, published)
+    return score_windows(errors, int(flown.t_ns[0]), int(flown.t_ns[-1]), selections)
 
 
 def score_windows(
@@ -251,175 +358,118 @@ def score_windows(
 
 def fit(errors: WindowErrors, chosen: BoolArray) -> PredictionFit:
     """Fit over the `chosen` windows, shape (W,)."""
-    samples = int(errors.count[chosen].sum())
-    if samples:
-        mean = errors.measured[chosen].sum(axis=0) / samples
-        spread = errors.measured_square[chosen].sum(axis=0) - samples * mean**2
-    else:
-        spread = np.full(3, np.nan)
+    count = errors.count[chosen].sum(axis=0)
+    total, square = (sums[chosen].sum(axis=0) for sums in (errors.measured, errors.measured_square))
+    spread = square - total**2 / np.maximum(count, 1)[:, None]
     spread = np.where(spread > 0.0, spread, np.nan)
 
-    def percent(squares: FloatArray) -> FloatArray:
+    def percent(squares: FloatArray, spread: FloatArray) -> FloatArray:
         return np.asarray(100.0 * (1.0 - np.sqrt(squares[chosen].sum(axis=0) / spread)))
 
     return PredictionFit(
-        percent(errors.model),
-        percent(errors.hold),
-        percent(errors.held_force),
+        percent(errors.model, spread),
+        percent(errors.hold, spread),
+        percent(errors.measured_force, spread[0]),
         int(np.count_nonzero(chosen)),
-        samples,
+        int(count[0]),
     )
 
 
-def window_errors(
-    t_ns: TimeArray,
-    rates: FloatArray,
-    inputs: InputSignal,
-    force: FloatArray | None,
-    ticks_ns: TimeArray,
-    coefficients: FloatArray,
-    structure: Structure,
-    *,
-    lever_arm: FloatArray | None = None,
-) -> WindowErrors:
+def window_errors(flown: Flown, published: Published) -> WindowErrors:
     """Run the model through the window of every tick that the measurements cover.
-
-    Parameters
-    ----------
-    t_ns : (N,) int array
-        Stamps of the gyro samples, ns, strictly rising; they may be irregular.
-    rates : (N, 3) array
-        Measured p, q, r, rad/s, FRD, unfiltered.
-    inputs : InputSignal
-        Measured inputs.
-    force : (N, 2) array or None
-        Measured ay, az, m/s^2, FRD, at the gyro samples; None counts as zero.
-    ticks_ns : (K,) int array
-        Ticks, ns, strictly rising.
-    coefficients : (K, 3, n) array
-        Coefficients published at each tick, SI, FRD. One that is not finite makes its window's
-        prediction a divergent one.
-    structure : Structure
-        Their structure.
-    lever_arm : (3,) array, optional
-        Position of the accelerometer from the centre of gravity, m, FRD.
 
     Raises
     ------
     ValueError
         If stamps do not rise or shapes do not match.
     """
-    _check(t_ns, rates, inputs, ticks_ns, coefficients, structure)
-    arm, force = _arm_and_force(rates, force, lever_arm)
-    usable = _covered(ticks_ns, t_ns, inputs)
-    if not usable.any():
+    _check(flown, published)
+    covered = _covered(flown, published.t_ns, HORIZONS[0])
+    if not covered.any():
         return WindowErrors.none()
-    ticks = ticks_ns[usable]
-    grid = _Grid.build(t_ns, rates, inputs, force, ticks)
-    model = _effective(coefficients[usable], structure, arm)
-    first = np.searchsorted(t_ns, ticks, side="right")
-    end = np.searchsorted(t_ns, ticks + WINDOW_NS, side="right")
-    count = end - first
-    total, square = _sums(rates, first, end), _sums(rates**2, first, end)
-    x0 = grid.interpolated(ticks, t_ns, rates)
-    held_force = np.full((len(ticks), 3), np.nan)
-    if structure.size > INPUT_COLUMNS.stop:
-        held_force = _squared_errors(model, x0, grid, ticks, hold_force=True)
+    published = published.chosen(covered)
+    ticks = published.t_ns
+    grid = _Grid.build(flown, ticks)
+    x0 = _interpolated(ticks, flown.t_ns, flown.rates)
+    ends = [_window_end(flown, ticks, horizon) for horizon in HORIZONS]
+    nodes = np.stack([np.searchsorted(grid.t_ns, end, side="right") - 1 for end in ends], axis=1)
+    first = np.searchsorted(flown.t_ns, ticks, side="right")
+    last = np.stack([np.searchsorted(flown.t_ns, end, side="right") for end in ends], axis=1)
+    count = np.maximum(last - first[:, None], 0)
+    total, square = (_sums(part, first, last) for part in (flown.rates, flown.rates**2))
+    start = x0[:, None, :]
+    measured_force = np.full((len(ticks), 3), np.nan)
+    if published.structure.has_forces or published.structure.has_flow:
+        forced = _squared_errors(published, flown, grid, x0, nodes[:, :1], free=False)
+        measured_force = forced[:, 0]
     return WindowErrors(
         t_ns=ticks,
         count=count,
-        model=_squared_errors(model, x0, grid, ticks, hold_force=False),
-        hold=np.maximum(square - 2.0 * x0 * total + count[:, None] * x0**2, 0.0),
-        held_force=held_force,
+        model=_squared_errors(published, flown, grid, x0, nodes, free=True),
+        hold=np.maximum(square - 2.0 * start * total + count[..., None] * start**2, 0.0),
+        measured_force=measured_force,
         measured=total,
         measured_square=square,
     )
 
 
-def _arm_and_force(
-    rates: FloatArray, force: FloatArray | None, lever_arm: FloatArray | None
-) -> tuple[FloatArray, FloatArray]:
-    """Return the lever arm, and the forces less their centripetal part; zero where not given."""
-    arm = np.zeros(3) if lever_arm is None else np.asarray(lever_arm, dtype=np.float64)
-    force = np.zeros((len(rates), 2)) if force is None else force
-    return arm, force - centripetal(rates, arm) if arm.any() else force
-
-
 def predict_ahead(
-    t_ns: TimeArray,
-    rates: FloatArray,
-    inputs: InputSignal,
-    force: FloatArray | None,
-    ticks_ns: TimeArray,
-    coefficients: FloatArray,
-    structure: Structure,
-    *,
-    horizon_ns: int = WINDOW_NS,
-    lever_arm: FloatArray | None = None,
+    flown: Flown, published: Published, horizon: float = HORIZONS[0]
 ) -> tuple[TimeArray, FloatArray]:
-    """Predict from every tick to one `horizon_ns` later, where the measurements cover that.
-
-    The other parameters are those of `window_errors`, and so are the predictions: these are
-    the rates at the end of its windows.
+    """Predict from every tick to one `horizon`, s, later, where the measurements cover that.
 
     Returns
     -------
     t_ns : (W,) int array
         Times that the predictions are for, ns: a tick plus the horizon.
     predicted : (W, 3) array
-        Predicted p, q, r, rad/s, FRD.
+        Predicted p, q, r, rad/s, FRD: the rates at the end of the windows of `window_errors`.
 
     Raises
     ------
     ValueError
         If stamps do not rise or shapes do not match.
     """
-    _check(t_ns, rates, inputs, ticks_ns, coefficients, structure)
-    arm, force = _arm_and_force(rates, force, lever_arm)
-    usable = _covered(ticks_ns, t_ns, inputs, horizon_ns)
-    ticks = ticks_ns[usable]
+    _check(flown, published)
+    published = published.chosen(_covered(flown, published.t_ns, horizon))
+    ticks = published.t_ns
     if not len(ticks):
         return ticks, np.empty((0, 3))
-    grid = _Grid.build(t_ns, rates, inputs, force, np.union1d(ticks, ticks + horizon_ns))
-    model = _effective(coefficients[usable], structure, arm)
-    x0 = grid.interpolated(ticks, t_ns, rates)
-    start = np.searchsorted(grid.t_ns, ticks)
-    end = np.searchsorted(grid.t_ns, ticks + horizon_ns)
+    ends = ticks + round(horizon * 1e9)
+    grid = _Grid.build(flown, np.union1d(ticks, ends))
+    x0 = _interpolated(ticks, flown.t_ns, flown.rates)
+    last = np.searchsorted(grid.t_ns, ends)
     predicted = np.empty_like(x0)
-    for k in range(0, len(ticks), BLOCK):
-        block = slice(k, k + BLOCK)
-        run = _BlockRun(model[block], grid, start[block], hold_force=False)
-        predicted[block] = run.last_state(x0[block], end[block]).T
-    return ticks + horizon_ns, predicted
+    for block in _blocks(len(ticks)):
+        run = _BlockRun(published.chosen(block), flown, grid, free=True)
+        predicted[block] = run.last_rates(x0[block], last[block])
+    return ends, predicted
 
 
-def _check(
-    t_ns: TimeArray,
-    rates: FloatArray,
-    inputs: InputSignal,
-    ticks_ns: TimeArray,
-    coefficients: FloatArray,
-    structure: Structure,
-) -> None:
-    for name, stamps in (("rates", t_ns), ("inputs", inputs.t_ns), ("ticks", ticks_ns)):
+def _check(flown: Flown, published: Published) -> None:
+    stamped = (("rates", flown.t_ns), ("inputs", flown.inputs.t_ns), ("ticks", published.t_ns))
+    for name, stamps in stamped:
         if (np.diff(stamps) <= 0).any():
             raise ValueError(f"the stamps of the {name} do not rise")
-    if len(t_ns) != len(rates) or len(inputs.t_ns) != len(inputs.u):
+    if len(flown.t_ns) != len(flown.rates) or len(flown.inputs.t_ns) != len(flown.inputs.u):
         raise ValueError("stamps and samples differ in number")
-    if coefficients.shape != (len(ticks_ns), 3, structure.size):
+    structure, shape = published.structure, published.coefficients.shape
+    wanted = (len(published.t_ns), *structure.mask.shape)
+    if shape != wanted:
         raise ValueError(
-            f"coefficients have shape {coefficients.shape}: ({len(ticks_ns)}, 3, "
-            f"{structure.size}) is needed for the ticks and structure '{structure.name}'"
+            f"coefficients have shape {shape}: {wanted} is needed for the ticks and structure "
+            f"'{structure.name}'"
         )
+    if structure.has_flow and published.flow is None:
+        raise ValueError(f"structure '{structure.name}' needs the flow states of the ticks")
 
 
-def _covered(
-    ticks_ns: TimeArray, t_ns: TimeArray, inputs: InputSignal, window_ns: int = WINDOW_NS
-) -> BoolArray:
+def _covered(flown: Flown, ticks_ns: TimeArray, horizon: float) -> BoolArray:
     """Flag the ticks whose whole window has rates and inputs."""
+    t_ns, inputs = flown.t_ns, flown.inputs
     if not len(t_ns) or not len(inputs.t_ns):
         return np.zeros(len(ticks_ns), dtype=bool)
-    end = ticks_ns + window_ns
+    end = ticks_ns + round(horizon * 1e9)
     acting = inputs.t_ns + inputs.delay_ns
     timeout_ns = round(INPUT_TIMEOUT * 1e9)
     inside = (ticks_ns >= t_ns[0]) & (end <= t_ns[-1])
@@ -427,6 +477,12 @@ def _covered(
     gap = _meets_gap(ticks_ns, end, t_ns, round(MAX_GAP * 1e9))
     input_gap = _meets_gap(ticks_ns, end, acting, timeout_ns)
     return np.asarray(inside & known & ~gap & ~input_gap)
+
+
+def _window_end(flown: Flown, ticks: TimeArray, horizon: float) -> TimeArray:
+    """End of each window, ns; before its start where the flight does not cover it."""
+    covered = _covered(flown, ticks, horizon)
+    return np.asarray(ticks + np.where(covered, round(horizon * 1e9), -1))
 
 
 def _meets_gap(start: TimeArray, end: TimeArray, t_ns: TimeArray, longest_ns: int) -> BoolArray:
@@ -437,19 +493,17 @@ def _meets_gap(start: TimeArray, end: TimeArray, t_ns: TimeArray, longest_ns: in
     return np.asarray(begun > over)
 
 
-def _effective(coefficients: FloatArray, structure: Structure, arm: FloatArray) -> FloatArray:
-    """Coefficients for forces measured off the centre of gravity: (I + A_f L)^-1 A."""
-    if not arm.any() or structure.size == INPUT_COLUMNS.stop:
-        return coefficients
-    forces = coefficients[:, :, -len(SPECIFIC_FORCES) :]
-    return np.linalg.solve(np.eye(3) + forces @ lever_arm_matrix(arm), coefficients)
-
-
-def _sums(values: FloatArray, first: TimeArray, end: TimeArray) -> FloatArray:
-    """Sum the rows first..end-1, shape (len(first), 3)."""
+def _sums(values: FloatArray, first: TimeArray, last: TimeArray) -> FloatArray:
+    """Sum the rows first (W,) to before last (W, H), shape (W, H, 3)."""
     running = np.zeros((len(values) + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=running[1:])
-    return np.asarray(running[end] - running[first])
+    return np.asarray(running[np.maximum(last, first[:, None])] - running[first][:, None])
+
+
+def _interpolated(at_ns: TimeArray, t_ns: TimeArray, values: FloatArray) -> FloatArray:
+    """Straight lines through samples, shape (len(at_ns), width)."""
+    at, t = (at_ns - t_ns[0]) * NS, (t_ns - t_ns[0]) * NS
+    return np.stack([np.interp(at, t, column) for column in values.T], axis=1)
 
 
 @dataclass(frozen=True)
@@ -470,8 +524,6 @@ class _Grid:
         Exogenous regressors de, dr, da, dth, 1, ay, az just after and just before the nodes.
     middle : (7, G) array
         The same halfway to the next node.
-    jumps : bool
-        Whether `after` and `before` differ.
     """
 
     t_ns: TimeArray
@@ -480,17 +532,10 @@ class _Grid:
     after: FloatArray
     before: FloatArray
     middle: FloatArray
-    jumps: bool
 
     @classmethod
-    def build(
-        cls,
-        t_ns: TimeArray,
-        rates: FloatArray,
-        inputs: InputSignal,
-        force: FloatArray,
-        ticks: TimeArray,
-    ) -> _Grid:
+    def build(cls, flown: Flown, ticks: TimeArray) -> _Grid:
+        t_ns, inputs, force = flown.t_ns, flown.inputs, flown.steady_force()
         corners = inputs.t_ns + inputs.delay_ns
         corners = corners[(corners > t_ns[0]) & (corners < t_ns[-1])]
         nodes = np.unique(np.concatenate([t_ns, ticks, corners]))
@@ -500,25 +545,18 @@ class _Grid:
 
         def exogenous(t: TimeArray, *, left: bool = False) -> FloatArray:
             u = inputs.at(t, left=left)
-            return np.vstack([u.T, np.ones(len(t)), cls.interpolated(t, t_ns, force).T])
+            return np.vstack([u.T, np.ones(len(t)), _interpolated(t, t_ns, force).T])
 
         after = exogenous(nodes)
         jumps = inputs.interpolation == "hold" and inputs.time_constant == 0.0
         return cls(
             t_ns=nodes,
             compared=np.isin(nodes, t_ns, assume_unique=True),
-            rates=np.ascontiguousarray(cls.interpolated(nodes, t_ns, rates).T),
+            rates=np.ascontiguousarray(_interpolated(nodes, t_ns, flown.rates).T),
             after=after,
             before=exogenous(nodes, left=True) if jumps else after,
             middle=exogenous(middle),
-            jumps=jumps,
         )
-
-    @staticmethod
-    def interpolated(at_ns: TimeArray, t_ns: TimeArray, values: FloatArray) -> FloatArray:
-        """Straight lines through samples, shape (len(at_ns), width)."""
-        at, t = (at_ns - t_ns[0]) * NS, (t_ns - t_ns[0]) * NS
-        return np.stack([np.interp(at, t, column) for column in values.T], axis=1)
 
 
 def _fillers(nodes: TimeArray) -> TimeArray:
@@ -530,100 +568,130 @@ def _fillers(nodes: TimeArray) -> TimeArray:
     return np.concatenate(cut) if cut else np.empty(0, dtype=np.int64)
 
 
+def _blocks(count: int) -> Iterator[BoolArray]:
+    """Yield flags that choose `count` windows, a block of them at a time."""
+    place = np.arange(count) // BLOCK
+    for k in range(-(-count // BLOCK)):
+        yield place == k
+
+
 def _squared_errors(
-    model: FloatArray, x0: FloatArray, grid: _Grid, ticks: TimeArray, *, hold_force: bool
+    published: Published,
+    flown: Flown,
+    grid: _Grid,
+    x0: FloatArray,
+    ends: TimeArray,
+    *,
+    free: bool,
 ) -> FloatArray:
-    """Sum the squared prediction errors of every window, shape (W, 3)."""
-    start = np.searchsorted(grid.t_ns, ticks)
-    end = np.searchsorted(grid.t_ns, ticks + WINDOW_NS, side="right") - 1
-    errors = np.zeros((len(ticks), 3))
-    for k in range(0, len(ticks), BLOCK):
-        block = slice(k, k + BLOCK)
-        run = _BlockRun(model[block], grid, start[block], hold_force)
-        errors[block] = run.squared_errors(x0[block], end[block]).T
+    """Sum the squared prediction errors of every window up to its ends (W, H), (W, H, 3)."""
+    errors = np.zeros((*ends.shape, 3))
+    for block in _blocks(len(ends)):
+        run = _BlockRun(published.chosen(block), flown, grid, free=free)
+        errors[block] = run.squared_errors(x0[block], ends[block])
     return errors
 
 
 class _BlockRun:
-    """The model in many windows side by side: arrays are (3, W) or (W,)."""
+    """The model in many windows side by side: the states are arrays of W values.
 
-    def __init__(self, model: FloatArray, grid: _Grid, start: TimeArray, hold_force: bool) -> None:
-        self._a: FloatArray = np.ascontiguousarray(np.moveaxis(model, 0, 2))
-        present = [(int(i), int(j)) for i, j in np.argwhere(self._a.any(axis=2))]
-        self._state_terms = [(i, j) for i, j in present if j < _STATE_COLUMNS]
-        self._drive_terms = [(i, j) for i, j in present if j >= _STATE_COLUMNS]
+    Parameters
+    ----------
+    published : Published
+        Coefficients of each window; its ticks are the starts.
+    flown : Flown
+        What was measured.
+    grid : _Grid
+        The same on the nodes.
+    free : bool
+        Whether the forces are the model's own, or held; as measured if not.
+    """
+
+    def __init__(self, published: Published, flown: Flown, grid: _Grid, *, free: bool) -> None:
+        structure, a = published.structure, published.coefficients
         self._grid = grid
-        self._start = start
-        self._hold_force = hold_force
-        self._product: FloatArray = np.empty(len(start))
+        self._start = np.searchsorted(grid.t_ns, published.t_ns)
+        self._flow = published.flow if free else None
+        self._holds_force = free and structure.has_forces
+        if self._flow is None:
+            a = _effective(with_measured_force(a, structure), structure, flown.arm)
+            self._columns = list(range(*EXOGENOUS_COLUMNS.indices(structure.size)))
+        else:
+            self._columns = DRIVE_COLUMNS
+        self._a: FloatArray = np.ascontiguousarray(np.moveaxis(a, 0, 2))
+        self._rows = 3 if self._flow is None else len(structure.rows)
+        present = self._a[:, self._columns].any(axis=2)
+        self._terms = [(int(i), int(j)) for i, j in np.argwhere(present[: self._rows])]
 
-    def squared_errors(self, x: FloatArray, end: TimeArray) -> FloatArray:
-        """Sum the squared errors, shape (3, W), from the initial rates (W, 3)."""
-        sums = np.zeros((3, len(x)))
-        for node, state in self._states(x, end):
-            counts = self._grid.compared[node] & (node <= end)
-            sums += np.where(counts, (state - self._grid.rates[:, node]) ** 2, 0.0)
-        return sums
+    def squared_errors(self, x: FloatArray, ends: TimeArray) -> FloatArray:
+        """Sum the squared errors up to the nodes `ends` (W, H), from the rates x (W, 3)."""
+        grid, furthest = self._grid, ends.max(axis=1)
+        running = np.zeros((3, len(x)))
+        sums = np.zeros((ends.shape[1], 3, len(x)))
+        for node, state in self._states(x, furthest):
+            counts = grid.compared[node] & (node <= furthest)
+            running += np.where(counts, (np.array(state[:3]) - grid.rates[:, node]) ** 2, 0.0)
+            for total, end in zip(sums, ends.T, strict=True):
+                reached = node == end
+                if reached.any():
+                    total[:, reached] = running[:, reached]
+        return np.asarray(sums.transpose(2, 0, 1))
 
-    def last_state(self, x: FloatArray, end: TimeArray) -> FloatArray:
-        """Return the state at the node `end` of each window, shape (3, W); from (W, 3)."""
-        last = np.ascontiguousarray(x.T)
+    def last_rates(self, x: FloatArray, end: TimeArray) -> FloatArray:
+        """Return the rates at the node `end` of each window, shape (W, 3), from x (W, 3)."""
+        last = x.copy()
         for node, state in self._states(x, end):
-            last = np.where(node <= end, state, last)
+            reached = node == end
+            last[reached] = np.array(state[:3])[:, reached].T
         return last
 
-    def _states(self, x: FloatArray, end: TimeArray) -> Iterator[tuple[TimeArray, FloatArray]]:
-        """Yield node after node (W,) with the state there (3, W), until all are at their end."""
-        grid = self._grid
-        x = np.ascontiguousarray(x.T)
+    def _states(
+        self, x: FloatArray, end: TimeArray
+    ) -> Iterator[tuple[TimeArray, list[FloatArray]]]:
+        """Yield node after node (W,) with the state there, until all are at their end."""
+        state = list(x.T)
+        if self._flow is None:
+            derivative = rates_derivative(self._a)
+        else:
+            derivative = flight_derivative(self._a)
+            state += [*self._flow.angles.T, *self._flow.down.T]
         node = self._start
-        last = len(grid.t_ns) - 1
-        drive = self._drive(grid.after, node)
         for _ in range(int((end - node).max(initial=0))):
-            following = np.minimum(node + 1, last)
-            h = (grid.t_ns[following] - grid.t_ns[node]) * NS
-            middle = self._drive(grid.middle, node)
-            drive_end = self._drive(grid.before, following)
-            x = self._step(x, h, drive, middle, drive_end)
-            # fmax and fmin also turn the NaN of an overflow into a number
-            x = np.fmin(np.fmax(x, -LARGEST_RATE), LARGEST_RATE)
-            yield following, x
+            following = np.minimum(node + 1, len(self._grid.t_ns) - 1)
+            with np.errstate(over="ignore", invalid="ignore"):
+                (state,) = integrate(derivative, state, [self._step(node, following)])
+            # what is held at the bound has diverged; clipping turns an overflow into a number
+            state = [bounded(part) for part in state]
+            yield following, state
             node = following
-            drive = self._drive(grid.after, node) if grid.jumps else drive_end
 
-    def _step(
-        self, x: FloatArray, h: FloatArray, first: FloatArray, middle: FloatArray, last: FloatArray
-    ) -> FloatArray:
-        """Classical Runge-Kutta step of order 4."""
-        half = 0.5 * h
-        with np.errstate(over="ignore", invalid="ignore"):
-            k1 = self._derivative(x, first)
-            k2 = self._derivative(x + half * k1, middle)
-            k3 = self._derivative(x + half * k2, middle)
-            k4 = self._derivative(x + h * k3, last)
-            return np.asarray(x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4))
+    def _step(self, node: TimeArray, following: TimeArray) -> Step:
+        """Return what drives the models from `node` to `following`, and for how long."""
+        grid = self._grid
+        dt = (grid.t_ns[following] - grid.t_ns[node]) * NS
+        drives = [
+            self._drive(signals, at)
+            for signals, at in ((grid.after, node), (grid.middle, node), (grid.before, following))
+        ]
+        return drives[0], drives[1], drives[2], dt
 
-    def _derivative(self, x: FloatArray, drive: FloatArray) -> FloatArray:
-        f = [x[i] * x[j] for i, j in _PRODUCTS]
-        f += [x[0], x[1], x[2]]
-        xdot = drive.copy()
-        for i, j in self._state_terms:
-            np.multiply(self._a[i, j], f[j], out=self._product)
-            xdot[i] += self._product
-        return xdot
-
-    def _drive(self, exogenous: FloatArray, node: TimeArray) -> FloatArray:
-        """Evaluate the part of A f that does not depend on the state, shape (3, W)."""
-        drive = np.zeros((3, len(node)))
-        values: dict[int, FloatArray] = {}
-        for i, j in self._drive_terms:
-            if j == _CONSTANT_COLUMN:
-                drive[i] += self._a[i, j]
-                continue
-            if j not in values:
-                held = self._hold_force and j > _CONSTANT_COLUMN
-                row = self._grid.after if held else exogenous
-                values[j] = row[j - _STATE_COLUMNS][self._start if held else node]
-            np.multiply(self._a[i, j], values[j], out=self._product)
-            drive[i] += self._product
+    def _drive(self, exogenous: FloatArray, node: TimeArray) -> list[FloatArray]:
+        """Evaluate the part of the model that does not depend on the state."""
+        drive: list[FloatArray] = list(np.zeros((self._rows, len(node))))
+        for i, j in self._terms:
+            column = self._columns[j]
+            held = self._holds_force and column >= LAST_COLUMNS.start
+            value = self._grid.after[j, self._start] if held else exogenous[j, node]
+            drive[i] += self._a[i, column] * value
+        if self._flow is not None:
+            still = np.zeros(len(node))
+            drive += [1.0 / self._flow.airspeed, still, still, still]
         return drive
+
+
+def _effective(coefficients: FloatArray, structure: Structure, arm: FloatArray) -> FloatArray:
+    """Coefficients for forces measured off the centre of gravity: (I + A_f L)^-1 A."""
+    if not arm.any() or not (structure.has_forces or structure.has_flow):
+        return coefficients
+    forces = coefficients[:, :, LAST_COLUMNS]
+    return np.linalg.solve(np.eye(3) + forces @ lever_arm_matrix(arm), coefficients)

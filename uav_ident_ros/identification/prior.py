@@ -16,10 +16,13 @@ from uav_ident_ros.identification.settings import (
 )
 from uav_ident_ros.identification.structure import (
     CONSTANT,
+    FLOW_ANGLES,
     INPUTS,
+    LAST_COLUMNS,
     PRODUCT_COLUMNS,
     RATE_PRODUCTS,
     RATES,
+    ROWS,
     SPECIFIC_FORCES,
     STRUCTURES,
     BoolArray,
@@ -40,6 +43,21 @@ unit; constant, rad/s^2; specific forces, rad/s^2 per m/s^2. Several times what 
 a second of excitation outweighs them, and until then they keep noise from looking like
 coefficients of millions."""
 
+STATIC_SIGMA = 300.0
+"""Prior standard deviation of the moments of sideslip and angle of attack, rad/s^2 per rad."""
+
+SIDE_FORCE_SLOPE, LIFT_SLOPE = -15.0, -100.0
+"""Where `ay/beta` and `az/alpha` start, m/s^2 per rad, with a standard deviation of the same size.
+In level flight lift is weight, so that ``az/alpha = -g C_La / C_L`` whatever the aircraft's size:
+C_La is 4 to 6 per rad and C_L 0.2 to 0.8; the side force of fuselage and fin is a sixth of it."""
+
+SURFACE_FORCE_SIGMA = 100.0
+"""Prior standard deviation of the forces of the surfaces, m/s^2 per unit."""
+
+KINEMATIC_SIGMA = 0.3
+"""Prior standard deviation of what the kinematics of the flow angles miss, rad/s: a bias of the
+accelerometer of a tenth of gravity at 3 m/s."""
+
 RESUMED_WIDENING = 3.0
 """Standard deviations of saved coefficients count so many times on a warm start: they hold for
 the flight that they were learned in."""
@@ -56,11 +74,11 @@ class Start:
 
     Parameters
     ----------
-    values : (3, n) array
+    values : (R, n) array
         Initial coefficients, SI.
-    sigma : (3, n) array
+    sigma : (R, n) array
         Their standard deviations; 0 where not free.
-    free : (3, n) bool array
+    free : (R, n) bool array
         Coefficients that move.
     """
 
@@ -70,22 +88,65 @@ class Start:
 
     @property
     def precision(self) -> FloatArray:
-        """Prior information ``1 / sigma^2``, shape (3, n); 0 where not free."""
+        """Prior information ``1 / sigma^2``, shape (R, n); 0 where not free."""
         precision = np.zeros_like(self.sigma)
         precision[self.free] = self.sigma[self.free] ** -2
         return precision
 
 
+def first_values(structure: Structure) -> FloatArray:
+    """Values of unknown coefficients, shape (R, n), SI: zero but for the slopes of the forces."""
+    values = np.zeros(structure.mask.shape)
+    if structure.has_flow:
+        values[structure.index("ay/beta")] = SIDE_FORCE_SLOPE
+        values[structure.index("az/alpha")] = LIFT_SLOPE
+    return values
+
+
+def slope_bounds(structure: Structure) -> FloatArray:
+    """Largest values of the coefficients, shape (R, n): a force opposes its flow angle.
+
+    What is divided by must not vanish; a tenth of where it starts is less than any wing has.
+    """
+    bounds = np.full(structure.mask.shape, np.inf)
+    values = first_values(structure)
+    bounds[values < 0.0] = 0.1 * values[values < 0.0]
+    return bounds
+
+
 def weak_sigma(structure: Structure) -> FloatArray:
-    """Prior standard deviations of unknown coefficients, shape (3, n), SI."""
+    """Prior standard deviations of unknown coefficients, shape (R, n), SI."""
     by_label = {
         **dict.fromkeys(RATE_PRODUCTS, PRODUCT_SIGMA),
         **dict.fromkeys(RATES, RATE_SIGMA),
         **dict.fromkeys(INPUTS, INPUT_SIGMA),
         **dict.fromkeys(SPECIFIC_FORCES, FORCE_SIGMA),
+        **dict.fromkeys(FLOW_ANGLES, STATIC_SIGMA),
         CONSTANT: CONSTANT_SIGMA,
     }
-    return np.tile([by_label[label] for label in structure.regressors], (3, 1))
+    moments = [by_label[label] for label in structure.regressors]
+    sigma = np.tile(moments, (len(structure.rows), 1))
+    if structure.has_flow:
+        for name in ("ay/beta", "az/alpha"):
+            sigma[structure.index(name)] = abs(first_values(structure)[structure.index(name)])
+        for name in ("ay/dr", "az/de"):
+            sigma[structure.index(name)] = SURFACE_FORCE_SIGMA
+        for name in ("betadot/1", "alphadot/1"):
+            sigma[structure.index(name)] = KINEMATIC_SIGMA
+    return sigma
+
+
+def without_flow(start: Start, structure: Structure) -> Start:
+    """Return the start of an aircraft without an accelerometer: its flow is not observed.
+
+    No moment depends on the flow angles then, and what makes the forces stays unknown.
+    """
+    moments = np.s_[: len(ROWS), LAST_COLUMNS]
+    values, sigma, free = start.values.copy(), start.sigma.copy(), start.free.copy()
+    values[moments] = sigma[moments] = 0.0
+    free[moments] = free[len(ROWS) :] = False
+    values[len(ROWS) :] = first_values(structure)[len(ROWS) :]
+    return Start(values, sigma, free)
 
 
 def resumed(saved: CoefficientSet) -> CoefficientSet:
@@ -117,12 +178,12 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
         impossible.
     """
     structure = STRUCTURES[settings.structure]
-    values = np.zeros((3, structure.size))
+    values = first_values(structure)
     sigma = weak_sigma(structure)
     free = structure.mask.copy()
     if settings.initial_coefficients:
-        given = np.array(settings.initial_coefficients).reshape(3, structure.size)
-        values = np.where(structure.mask, given, 0.0)
+        given = np.array(settings.initial_coefficients).reshape(-1, structure.size)
+        values[: len(given)] = np.where(structure.mask[: len(given)], given, 0.0)
     if initial is not None:
         if initial.structure != structure.name:
             raise SettingsError(
@@ -142,8 +203,8 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
             inertia = Inertia(*settings.model.inertia)
         except ValueError as error:
             raise SettingsError("model.inertia", f"'model.inertia': {error}") from None
-        values[:, PRODUCT_COLUMNS] = product_coefficients(inertia)
-        free[:, PRODUCT_COLUMNS] = False
+        values[:3, PRODUCT_COLUMNS] = product_coefficients(inertia)
+        free[:3, PRODUCT_COLUMNS] = False
     for name in settings.fixed_coefficients:
         free[structure.index(name)] = False
     return Start(values, np.where(free, sigma, 0.0), free)

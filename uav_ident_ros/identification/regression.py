@@ -1,34 +1,104 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The regression problem of a tick: y = A f, sample by sample.
+"""The regression problem of a tick: ``y = A f``, linear in what is estimated.
 
 State-variable filter: with the same low-pass H(s) on every regressor and s H(s) on the rates,
 ``s H x = A H f(x, u)`` holds exactly for every plant of the structure, and nothing is ever
 differentiated (Young 1981; Garnier and Wang 2008, ch. 1).
+
+With sideslip and angle of attack the moment rows are regressed on ay and az, which stand for them
+(``beta = (ay - Y_dr dr) / Y_beta``), and each force row on the kinematics of its angle::
+
+    s H ay = Y_beta H[-r + (ay + g d_y) / V] + Y_dr s H dr + Y_beta b
+    s H az = Z_alpha H[q + (az + g d_z) / V] + Z_de s H de + Z_alpha a
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_ident_ros.identification.filters import BlockFilter, low_pass
 from uav_ident_ros.identification.frames import lever_arm_matrix
+from uav_ident_ros.identification.model import GRAVITY, FlowSignals
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
+    CONSTANT_COLUMN,
+    FLOW_FORCES,
     INPUT_COLUMNS,
     INPUTS,
-    SPECIFIC_FORCES,
+    LAST_COLUMNS,
+    STATE_COLUMNS,
+    BoolArray,
     FloatArray,
     Structure,
 )
 
-STATE_COLUMNS = slice(0, INPUT_COLUMNS.start)
-"""Regressors made of rates: those in which an instrument differs from the regressor."""
-
 NEGLIGIBLE = 1e-30
 """Magnitude below which a signal counts as zero, SI: no sensor resolves it, and the square of
 its square must be a number still."""
+
+_SURFACES = [INPUTS.index(surface) for _, _, surface in FLOW_FORCES]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Rows and columns of the regression problem of a structure.
+
+    Without flow angles they are those of the structure. With them ay, az stand where the
+    structure has beta, alpha, and four columns follow: the kinematics of both angles, and the
+    derivatives of the surfaces that add to their forces.
+
+    Parameters
+    ----------
+    rows, size : int
+        Rows, and columns of f.
+    index : (rows, k) int array
+        Columns that each row is regressed on.
+    place : (rows, k, 2) int array
+        Row and column of the structure that each of them estimates.
+    used : (rows, k) bool array
+        Which of the k are there; a row may have fewer.
+    """
+
+    rows: int
+    size: int
+    index: NDArray[np.intp]
+    place: NDArray[np.intp]
+    used: BoolArray
+
+    @property
+    def width(self) -> int:
+        """Number k of columns of the row with the most."""
+        return self.index.shape[1]
+
+
+@lru_cache(maxsize=16)
+def layout(structure: Structure) -> Layout:
+    """Return the layout of the regression problem of a structure."""
+    rows = [[(j, (i, j)) for j in np.flatnonzero(row)] for i, row in enumerate(structure.mask[:3])]
+    size = structure.size
+    if structure.has_flow:
+        for k, (angle, force, surface) in enumerate(FLOW_FORCES):
+            i = structure.row_labels.index(force)
+            rows.append(
+                [
+                    (size + k, (i, structure.column(angle))),
+                    (size + 2 + k, (i, structure.column(surface))),
+                    (CONSTANT_COLUMN, (i + len(FLOW_FORCES), CONSTANT_COLUMN)),
+                ]
+            )
+        size += 2 * len(FLOW_FORCES)
+    width = max(len(row) for row in rows)
+    index = np.zeros((len(rows), width), dtype=np.intp)
+    place = np.zeros((len(rows), width, 2), dtype=np.intp)
+    used = np.zeros((len(rows), width), dtype=bool)
+    for i, row in enumerate(rows):
+        for k, (column, where) in enumerate(row):
+            index[i, k], place[i, k], used[i, k] = column, where, True
+    return Layout(len(rows), size, index, place, used)
 
 
 @dataclass(frozen=True)
@@ -37,11 +107,11 @@ class Regression:
 
     Parameters
     ----------
-    y : (m, 3) array
-        Angular accelerations, filtered, rad/s^2.
-    f : (m, n) array
+    y : (m, rows) array
+        Angular accelerations, filtered, rad/s^2; with flow angles also aydot, azdot, m/s^3.
+    f : (m, c) array
         Regressors, filtered.
-    z : (m, n) array
+    z : (m, c) array
         Instruments: the regressors of the model's own state, filtered.
     dt : float
         Time that each sample stands for, s.
@@ -60,21 +130,27 @@ class Regression:
         """Time that all samples together stand for, s."""
         return self.dt * len(self.y)
 
+    def mean(self) -> Regression:
+        """Return the one sample that stands for all: their mean."""
+        m = len(self.y)
+        y, f, z = (np.add.reduce(part, keepdims=True) / m for part in (self.y, self.f, self.z))
+        return Regression(y, f, z, self.time, self.restarted)
+
     def residual(self, coefficients: FloatArray) -> FloatArray:
-        """Return ``e = y - A f`` of coefficients of shape (3, n); shape (m, 3), rad/s^2."""
+        """Return ``e = y - A f`` of coefficients of shape (rows, c); shape (m, rows)."""
         return np.asarray(self.y - self.f @ coefficients.T)
 
 
 class StateVariableFilter:
     """Filtered regressors, instruments and accelerations from the blocks of signals.
 
-    At a restart the filter of the rates starts in equilibrium and all others from zero: then
-    the equation holds from the first sample on, without a transient.
+    At a restart the filters of what is differentiated start in equilibrium and all others from
+    zero: then the equation holds from the first sample on, without a transient.
 
     Parameters
     ----------
     structure : Structure
-        The regressors.
+        The structure of the model.
     cutoff : float
         Cut-off of the low-pass, rad/s.
     h : float
@@ -88,12 +164,25 @@ class StateVariableFilter:
     ) -> None:
         self._structure = structure
         self._lever = lever_arm_matrix(lever_arm)
-        self._corrects_lever = bool(lever_arm.any()) and structure.size > INPUT_COLUMNS.stop
-        self._channels = 3 + structure.size + STATE_COLUMNS.stop
-        self._filter = BlockFilter(low_pass(cutoff, h), self._channels)
+        self._corrects_lever = bool(lever_arm.any()) and (
+            structure.has_forces or structure.has_flow
+        )
+        n = structure.size
+        self._cutoff = cutoff
+        # what is differentiated (rates, with flow angles also ay, az and their surfaces), f, and
+        # what differs in z
+        self._y = 7 if structure.has_flow else 3
+        self._f = n + (2 if structure.has_flow else 0)
+        self._z = STATE_COLUMNS.stop + (4 if structure.has_flow else 0)
+        self._filter = BlockFilter(low_pass(cutoff, h), self._y + self._f + self._z)
 
     def apply(
-        self, block: Block, model_states: FloatArray, scale: FloatArray | None = None
+        self,
+        block: Block,
+        model_states: FloatArray,
+        scale: FloatArray | None = None,
+        flow: FlowSignals | None = None,
+        coefficients: FloatArray | None = None,
     ) -> Regression:
         """Filter one block.
 
@@ -101,49 +190,119 @@ class StateVariableFilter:
         ----------
         block : Block
             Signals over m cells.
-        model_states : (m + 1, 3) array
-            State of the identified model at the edges, rad/s.
+        model_states : (m + 1, 3 or 8) array
+            State of the identified model at the edges.
         scale : (n,) array, optional
-            Factor of each regressor at the airspeed flown; one if left out.
+            Factor of each of the structure's regressors at the airspeed flown; one if left out.
+        flow : FlowSignals, optional
+            Flow angles and attitude; for a structure that has them.
+        coefficients : (R, n) array, optional
+            Those that the model ran with: they say what forces it makes.
         """
-        n = self._structure.size
-        if block.restarted:
-            self._filter.state = np.zeros((2, self._channels))
-            self._filter.state[0, :3] = block.x[0]
-        edges = self._edges(block, model_states)
-        left, right = edges[:-1].copy(), edges[1:]
-        inputs = slice(3 + INPUT_COLUMNS.start, 3 + INPUT_COLUMNS.stop)
-        left[:, inputs] = right[:, inputs] = block.u
+        left, right = self._edges(block, model_states, flow, coefficients)
         if scale is not None:
-            for edge in (left, right):
-                edge[:, 3 : 3 + n] *= scale
-                edge[:, 3 + n :] *= scale[STATE_COLUMNS]
+            self._scale(left, scale)
+            self._scale(right, scale)
+        if block.restarted:
+            self._filter.state = np.zeros((2, left.shape[1]))
+            self._filter.state[0, : self._y] = left[0, : self._y]
         states = without_negligible(self._filter.apply(left, right))
-        y = states[1, :, :3]
-        f = states[0, :, 3 : 3 + n]
-        z = f.copy()
-        z[:, STATE_COLUMNS] = states[0, :, 3 + n :]
+        return self._regression(states, block, flow)
+
+    def _edges(
+        self,
+        block: Block,
+        model_states: FloatArray,
+        flow: FlowSignals | None,
+        coefficients: FloatArray | None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Signals at the left and the right edges of the cells."""
+        n, points = self._structure.size, len(block.x)
+        both = self._structure.regressor(
+            np.concatenate((block.x, model_states[:, :3])), np.zeros(len(INPUTS))
+        )
+        edges = np.empty((points, self._y + self._f + self._z))
+        edges[:, :3] = block.x
+        f = edges[:, self._y : self._y + self._f]
+        z = edges[:, self._y + self._f :]
+        f[:, :n] = both[:points]
+        if n > CONSTANT_COLUMN:
+            f[:, LAST_COLUMNS] = block.force
+        z[:, STATE_COLUMNS] = both[points:, STATE_COLUMNS]
+        if flow is None:
+            left, right = edges[:-1].copy(), edges[1:]
+        else:
+            assert coefficients is not None
+            edges[:, 3:5] = block.force
+            f[:, n:] = _turning(block.x, block.force, flow.down, flow.airspeed)
+            left, right = edges[:-1].copy(), edges[1:].copy()
+            left[:, 5:7] = right[:, 5:7] = block.u[:, _SURFACES]
+            first = self._y + self._f + STATE_COLUMNS.stop
+            for side, states in ((left, model_states[:-1]), (right, model_states[1:])):
+                force = _model_force(states, block.u, coefficients)
+                side[:, first : first + 2] = force
+                side[:, first + 2 :] = _turning(states[:, :3], force, states[:, 5:8], flow.airspeed)
+        inputs = slice(self._y + INPUT_COLUMNS.start, self._y + INPUT_COLUMNS.stop)
+        left[:, inputs] = right[:, inputs] = block.u
+        return left, right
+
+    def _scale(self, edge: FloatArray, scale: FloatArray) -> None:
+        """Take regressors to the reference airspeed; forces stand for angles as they are."""
+        f = edge[:, self._y : self._y + self._f]
+        z = edge[:, self._y + self._f :]
+        kept = CONSTANT_COLUMN if self._structure.has_flow else len(scale)
+        f[:, :kept] *= scale[:kept]
+        z[:, STATE_COLUMNS] *= scale[STATE_COLUMNS]
+        if self._structure.has_flow:
+            edge[:, 5:7] *= scale[INPUT_COLUMNS][_SURFACES]
+            f[:, -2:] *= scale[-1]
+            z[:, -2:] *= scale[-1]
+
+    def _regression(self, states: FloatArray, block: Block, flow: FlowSignals | None) -> Regression:
+        """Regression problem from the filters' states: outputs and their derivatives."""
+        low, slope = states
+        f = low[:, self._y : self._y + self._f]
+        z_part = low[:, self._y + self._f :]
+        rates = STATE_COLUMNS.stop
+        if flow is None:
+            y, z = slope[:, :3], f.copy()
+        else:
+            y, surfaces = slope[:, :5], slope[:, 5:7]
+            f = np.concatenate((f, surfaces), axis=1)
+            z = f.copy()
+            z[:, LAST_COLUMNS] = z_part[:, rates : rates + 2]
+            z[:, -4:-2] = z_part[:, rates + 2 :]
+        z[:, STATE_COLUMNS] = z_part[:, :rates]
         if self._corrects_lever:
-            f = f.copy()
-            f[:, -len(SPECIFIC_FORCES) :] -= y @ self._lever.T
+            f, y = f.copy(), y.copy()
+            offset = y[:, :3] @ self._lever.T
+            f[:, LAST_COLUMNS] -= offset
+            if flow is not None:
+                f[:, -4:-2] -= offset / flow.airspeed
+                y[:, 3:] -= self._jerk(low, slope, block) @ self._lever.T
         return Regression(y, f, z, block.h, block.restarted)
 
-    def _edges(self, block: Block, model_states: FloatArray) -> FloatArray:
-        """Signals at the edges of the cells, but for the inputs: rates, regressors, instruments."""
-        n, points = self._structure.size, len(block.x)
-        both = self._structure.regressor(np.concatenate((block.x, model_states)), _NO_INPUT)
-        edges = np.empty((points, self._channels))
-        edges[:, :3] = block.x
-        edges[:, 3 : 3 + n] = both[:points]
-        edges[:, 3 + n :] = both[points:, STATE_COLUMNS]
-        if n > INPUT_COLUMNS.stop:
-            edges[:, 3 + n - len(SPECIFIC_FORCES) : 3 + n] = block.force
-        return edges
+    def _jerk(self, low: FloatArray, slope: FloatArray, block: Block) -> FloatArray:
+        """Second derivative of the filtered rates, shape (m, 3), by the filter's own equation."""
+        w = self._cutoff
+        return np.asarray(w * w * (block.x[1:] - low[:, :3]) - np.sqrt(2.0) * w * slope[:, :3])
+
+
+def _turning(x: FloatArray, force: FloatArray, down: FloatArray, v: float) -> FloatArray:
+    """Rates of change of sideslip and angle of attack by their kinematics, (m, 2), rad/s."""
+    turning = np.empty((len(x), 2))
+    turning[:, 0] = (force[:, 0] + GRAVITY * down[:, 1]) / v - x[:, 2]
+    turning[:, 1] = (force[:, 1] + GRAVITY * down[:, 2]) / v + x[:, 1]
+    return turning
+
+
+def _model_force(states: FloatArray, u: FloatArray, a: FloatArray) -> FloatArray:
+    """Specific forces ay, az that the model makes, shape (m, 2), m/s^2."""
+    force = u @ a[3:5, INPUT_COLUMNS].T
+    force += states[:, 3:5] * a[[3, 4], [LAST_COLUMNS.start, LAST_COLUMNS.start + 1]]
+    return force
 
 
 def without_negligible(signals: FloatArray) -> FloatArray:
     """Return signals with zeros where they are negligible."""
     return np.where(np.abs(signals) < NEGLIGIBLE, 0.0, signals)
-
-
-_NO_INPUT: FloatArray = np.zeros(len(INPUTS))

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The running 1-second prediction fit: how well the coefficients foretell the aircraft."""
+"""The running prediction fit: how well the coefficients foretell the next second, freely."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from uav_ident_ros.identification.model import LARGEST_RATE, IdentifiedModel
+from uav_ident_ros.identification.model import FlowSignals, IdentifiedModel, bounded
 from uav_ident_ros.identification.sampling import Block, join
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import FloatArray, Structure
 
 PREDICTION_TIME = 1.0
 """Length of a prediction, s, as in the score of record."""
@@ -19,6 +21,9 @@ a second twice as long as the others."""
 FIT_MEMORY = 30.0
 """Time constant of the running fit, s; half of its age while that is less, so that the first
 attempts are soon forgotten."""
+
+FLIGHT_SHARE = 0.4
+"""Memory of the fit of the flight, relative to its age: as in the score of record."""
 
 FAILED_PREDICTION = 4.0
 """Squared error, relative to the signal's own variation, at which a prediction has failed: how
@@ -32,27 +37,41 @@ _SPREAD, _MODEL, _HOLD, _SAVED = slice(0, 3), 3, 4, 5
 
 
 class RunningFit:
-    """1-second prediction fit of the coefficients in use, of those saved, and of holding.
+    """Free 1-second prediction fit of the coefficients in use, of those saved, and of holding.
 
-    Predictions follow one another: each starts from the measured rates, with the coefficients
-    of that time, and is compared with every sample of its second.
+    Predictions follow one another: each starts from the measured state, with the coefficients
+    of that time; nothing measured but the inputs enters after that. It is compared with every
+    sample of its second.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the coefficients.
+    model : IdentifiedModel
+        What predicts.
 
     Attributes
     ----------
     fit, hold, saved : (3,) array
         Fit of p, q, r in percent, of the coefficients in use, of the rates held and of the
         coefficients last saved; 0 until there is one.
+    flight_fit, flight_hold : (3,) array
+        The same over the last part of the flight so far.
     predictions : int
         Predictions that have counted.
     """
 
-    def __init__(self, model: IdentifiedModel) -> None:
+    def __init__(self, structure: Structure, model: IdentifiedModel) -> None:
+        self._holds_force = structure.has_forces
         self._model = model
         self.fit: FloatArray = np.zeros(3)
         self.hold: FloatArray = np.zeros(3)
         self.saved: FloatArray = np.zeros(3)
+        self.flight_fit: FloatArray = np.zeros(3)
+        self.flight_hold: FloatArray = np.zeros(3)
         self.predictions = 0
         self._sums: FloatArray = np.zeros((6, 3))
+        self._flight: FloatArray = np.zeros((6, 3))
         self.forget()
 
     def restart(self) -> None:
@@ -66,30 +85,41 @@ class RunningFit:
         self.restart()
         self._age = 0.0
         self._sums.fill(0.0)
+        self._flight.fill(0.0)
 
     def save(self) -> None:
         """Take note that the coefficients in use are saved: so far they have one history."""
         self._sums[_SAVED] = self._sums[_MODEL]
 
-    def add(self, block: Block, coefficients: FloatArray, saved: FloatArray | None) -> None:
+    def add(
+        self,
+        block: Block,
+        flow: FlowSignals | None,
+        coefficients: FloatArray,
+        saved: FloatArray | None,
+    ) -> None:
         """Take a block of signals; once a second is full, predict it.
 
         Parameters
         ----------
         block : Block
             Signals.
-        coefficients : (3, n) array
+        flow : FlowSignals or None
+            Flow angles and attitude; for a structure that has them.
+        coefficients : (R, n) array
             Coefficients in use when the block began.
-        saved : (3, n) array or None
+        saved : (R, n) array or None
             Coefficients last saved; None while there are none.
         """
         if block.restarted:
             self.restart()
         if self._time == 0.0 and not self._blocks:
             self._coefficients, self._saved = coefficients, saved
-            self._start = self._predicted = self._predicted_by_saved = block.x[0]
+            self._flow, self._force = flow, block.specific_force[:1]
+            self._start = block.x[0]
+            self._predicted = self._predicted_by_saved = self._model.measured(block, flow)[0]
         self._blocks.append(block)
-        self._piece_time += block.h * len(block.u)
+        self._piece_time += block.time
         rest = PREDICTION_TIME - self._time
         if self._piece_time >= min(PIECE_TIME, rest) - 0.5 * block.h:
             self._predict(join(self._blocks))
@@ -105,6 +135,9 @@ class RunningFit:
         x, now = piece.x[1:], self._now
         now[_SPREAD] += np.full(3, len(x)), x.sum(axis=0), (x * x).sum(axis=0)
         now[_HOLD] += ((x - self._start) ** 2).sum(axis=0)
+        if self._holds_force:
+            held = np.broadcast_to(self._force, piece.specific_force.shape)
+            piece = replace(piece, specific_force=held)
         error, self._predicted = self._error(piece, self._coefficients, self._predicted)
         now[_MODEL] += error
         if self._saved is not None:
@@ -114,28 +147,31 @@ class RunningFit:
 
     def _count(self) -> None:
         """Count the second that was predicted."""
-        now = self._now
         self.predictions += 1
         self._age += self._time
-        keep = np.exp(-self._time / min(FIT_MEMORY, 0.5 * self._age))
-        sums = keep * self._sums + now
-        usual = _spread(sums) * now[0] / sums[0]
-        failed = FAILED_PREDICTION * np.maximum(_spread(now), usual)
-        errors = slice(_SPREAD.stop, None)
-        sums[errors] -= np.maximum(now[errors] - failed, 0.0)
-        self._sums = sums
-        self.fit, self.hold, self.saved = _fit(sums[errors], _spread(sums))
+        self._sums = self._added(self._sums, min(FIT_MEMORY, 0.5 * self._age))
+        self._flight = self._added(self._flight, FLIGHT_SHARE * self._age)
+        self.fit, self.hold, self.saved = _fit(self._sums)
+        self.flight_fit, self.flight_hold, _ = _fit(self._flight)
         if self._saved is None:
             self.saved = np.zeros(3)
 
+    def _added(self, sums: FloatArray, memory: float) -> FloatArray:
+        """Return sums with the second that was predicted, and older ones faded by `memory`, s."""
+        now = self._now
+        sums = np.exp(-self._time / memory) * sums + now
+        typical = _spread(sums) * now[0] / sums[0]
+        failed = FAILED_PREDICTION * np.maximum(_spread(now), typical)
+        errors = slice(_SPREAD.stop, None)
+        sums[errors] -= np.maximum(now[errors] - failed, 0.0)
+        return np.asarray(sums)
+
     def _error(
-        self, piece: Block, coefficients: FloatArray, x0: FloatArray
+        self, piece: Block, coefficients: FloatArray, start: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Sum of the squared errors of a prediction from `x0`, and where it ends, shape (3,)."""
-        predicted = self._model.propagate(coefficients, piece, x0)[1:]
-        # A divergent prediction is clipped, as in the score of record; NaN fails the test too.
-        predicted = np.where(np.abs(predicted) < LARGEST_RATE, predicted, LARGEST_RATE)
-        return ((piece.x[1:] - predicted) ** 2).sum(axis=0), predicted[-1]
+        """Sum of the squared errors of a prediction from `start`, (3,), and where it ends."""
+        states = bounded(self._model.propagate(coefficients, piece, start, self._flow)[1:])
+        return ((piece.x[1:] - states[:, :3]) ** 2).sum(axis=0), states[-1]
 
 
 def _spread(sums: FloatArray) -> FloatArray:
@@ -144,7 +180,8 @@ def _spread(sums: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(square - total * total / count, 0.0))
 
 
-def _fit(errors: FloatArray, spread: FloatArray) -> FloatArray:
-    """Fit in percent from sums of squared errors of shape (k, 3)."""
+def _fit(sums: FloatArray) -> FloatArray:
+    """Fits in percent of model, holding and saved, shape (3, 3)."""
+    errors, spread = sums[_SPREAD.stop :], _spread(sums)
     ratio = np.divide(errors, spread, out=np.ones_like(errors), where=spread > 0.0)
     return np.asarray(np.maximum(100.0 * (1.0 - np.sqrt(ratio)), WORST_FIT))

@@ -60,8 +60,8 @@ class Block:
         Means of de, dr, da, dth over the cells, delayed and lagged.
     u_undelayed : (m, 4) array or None
         The same without the delay, for estimating it; None if it is not estimated.
-    force : (m + 1, 2) array
-        Specific forces ay, az at the edges, m/s^2, less their centripetal part.
+    specific_force : (m + 1, 3) array
+        Specific forces ax, ay, az at the edges, m/s^2; ay, az less their centripetal part.
     restarted : bool
         Whether the first edge does not continue the block before.
     excitation : (m, 4) array or None
@@ -73,9 +73,19 @@ class Block:
     x: FloatArray
     u: FloatArray
     u_undelayed: FloatArray | None
-    force: FloatArray
+    specific_force: FloatArray
     restarted: bool
     excitation: FloatArray | None = None
+
+    @property
+    def force(self) -> FloatArray:
+        """Specific forces ay, az at the edges, m/s^2, shape (m + 1, 2)."""
+        return self.specific_force[:, 1:]
+
+    @property
+    def time(self) -> float:
+        """Length of the block, s."""
+        return self.h * len(self.u)
 
 
 def join(blocks: Sequence[Block]) -> Block:
@@ -87,7 +97,7 @@ def join(blocks: Sequence[Block]) -> Block:
         np.concatenate([first.x, *(block.x[1:] for block in rest)]),
         np.concatenate([block.u for block in blocks]),
         None,
-        np.concatenate([first.force, *(block.force[1:] for block in rest)]),
+        np.concatenate([first.specific_force, *(block.specific_force[1:] for block in rest)]),
         first.restarted,
         _join_excitation(blocks),
     )
@@ -293,9 +303,9 @@ class Sampler:
         assert self.h_ns is not None
         signals = self.rates.interpolate(edges)
         x = self._frame.to_body(signals[:, :3])
-        force = self._frame.to_body(signals[:, 3:])[:, 1:]
+        force = self._frame.to_body(signals[:, 3:])
         if self._arm.any():
-            force = force - centripetal(x, self._arm)
+            force[:, 1:] -= centripetal(x, self._arm)
         u = self._input_means(edges - self._delay_ns, self._lag, restarted)
         undelayed = None
         if self._actuators.estimate_delay:

@@ -517,8 +517,8 @@ class AirspeedSettings:
     reference: float = _setting(
         20.0,
         "m/s",
-        "Airspeed at which initial and saved coefficients are valid: the usual one. Change it"
-        " once, before the first flight.",
+        "Airspeed at which initial and saved coefficients are valid: the usual one. Where none is "
+        "measured it serves as the airspeed, within 20 %. Set it once, before the first flight.",
         low=1.0,
         high=400.0,
     )
@@ -652,7 +652,8 @@ class SupervisionSettings:
     min_fit: float = _setting(
         25.0,
         "%",
-        "Running 1-second fit that every axis needs; it must also beat holding the rate. "
+        "Running fit of free 1-second predictions that every axis needs; it must also beat "
+        "holding the rate. "
         "Lower it for gusty flight, raise it for a demanding controller.",
         low=-100.0,
         high=100.0,
@@ -661,17 +662,17 @@ class SupervisionSettings:
     min_t_ratio: float = _setting(
         3.0,
         "",
-        "Value over sigma that at least one control derivative of every row needs. Raise it "
+        "Value over sigma that the main control derivative of every row needs. Raise it "
         "for a controller that needs sure values.",
         low=0.0,
         high=100.0,
         read_only=False,
     )
     max_age: float = _setting(
-        900.0,
+        60.0,
         "s",
-        "Time without excitation after which the coefficients count as stale; 0 for never. "
-        "Raise it for long cruises in one condition.",
+        "Time after which a control derivative counts as unconfirmed unless what its input does "
+        "confirms it; 0 for never. Raise it for long cruises in one condition.",
         low=0.0,
         high=1e6,
         read_only=False,
@@ -680,20 +681,10 @@ class SupervisionSettings:
         0.25,
         "",
         "Variance of an input, relative to its mean while learning, below which it counts as "
-        "quiet; a row whose inputs are all quiet pauses. 0 never pauses. Lower it if gentle "
-        "manoeuvres are not learned from.",
+        "quiet; a row whose inputs are all quiet learns the less, the quieter they are. 0 never "
+        "minds. Lower it if gentle manoeuvres are not learned from.",
         low=0.0,
         high=1.0,
-        read_only=False,
-    )
-    min_signal: float = _setting(
-        0.1,
-        "",
-        "Variance that the inputs can explain in a row, relative to that of its residual, below "
-        "which it pauses: in turbulence the autopilot's answers would be learned. 0 never "
-        "pauses. Lower it where a smooth flight is not learned from.",
-        low=0.0,
-        high=100.0,
         read_only=False,
     )
     min_motion: float = _setting(
@@ -795,11 +786,12 @@ class Settings:
         high=60.0,
     )
     structure: str = _setting(
-        "augmented",
+        "flight_dynamics",
         "",
         "Model structure: 'baseline' (Section 3 of the paper, 18 coefficients), "
-        "'throttle_coupled' (eq. 15, 20) or 'augmented' (with a constant, ay and az, 26). "
-        "Leave it unless a result must compare with the paper's.",
+        "'throttle_coupled' (eq. 15, 20), 'augmented' (with a constant and the measured ay and az, "
+        "26) or 'flight_dynamics' (with angle of attack and sideslip as states, 32). Leave it for "
+        "anything with wings; a multirotor is 'throttle_coupled' or 'augmented'.",
         choices=tuple(STRUCTURES),
     )
     estimator: str = _setting(
@@ -961,11 +953,12 @@ def _build(cls: Any, prefix: str, values: Mapping[str, Value]) -> Any:
 
 def _check_consistency(settings: Settings) -> None:
     """Check what no single setting can: lengths, and combinations that mean nothing."""
-    n = STRUCTURES[settings.structure].size
+    structure = STRUCTURES[settings.structure]
+    n = structure.size
     channels = len(settings.actuators.channels)
     lengths: dict[str, tuple[int, ...]] = {
         "gradient.gains": (0, n, n * n),
-        "initial_coefficients": (0, 3 * n),
+        "initial_coefficients": (0, len(structure.dense_rows) * n),
         "actuators.scale": (0, channels),
         "actuators.trim": (0, channels),
         "actuators.thrust_curve": (0, channels),
@@ -1010,6 +1003,12 @@ def _check_consistency(settings: Settings) -> None:
                 f"'supervision.expected_signs' has '{entry}': write + or - and a coefficient of "
                 f"structure '{settings.structure}', as in '+pdot/da'",
             )
+    if settings.estimator == "gradient" and structure.has_flow:
+        raise SettingsError(
+            "estimator",
+            "'estimator' is 'gradient' and 'structure' is 'flight_dynamics', which is not linear "
+            "in its coefficients: choose 'augmented', 'throttle_coupled' or 'baseline'",
+        )
     if settings.filter.method == "backward_difference" and settings.airspeed.type:
         raise SettingsError(
             "airspeed.type",

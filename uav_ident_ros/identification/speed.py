@@ -15,6 +15,7 @@ from uav_ident_ros.identification.samples import SampleBuffer
 from uav_ident_ros.identification.settings import AirspeedSettings
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
+    LAST_COLUMNS,
     RATE_COLUMNS,
     FloatArray,
     Structure,
@@ -42,7 +43,7 @@ class SpeedScaling:
     known : bool
         Whether the scale is that of the airspeed flown.
     scale : (n,) array
-        Factor of each regressor; one until there is an airspeed.
+        Factor of each regressor's coefficient; one until there is an airspeed.
     newest : float or None
         Airspeed flown, m/s; None until there is one.
     """
@@ -54,6 +55,8 @@ class SpeedScaling:
         self._power: FloatArray = np.zeros(structure.size)
         self._power[RATE_COLUMNS] = 1.0
         self._power[INPUT_COLUMNS] = 2.0
+        if structure.has_flow:
+            self._power[LAST_COLUMNS] = 2.0
         self.known = not self.enabled
         self.scale: FloatArray = np.ones_like(self._power)
         self.newest: float | None = None

@@ -3,7 +3,10 @@
 
 The model is ``xdot = A f(x, u)`` (eq. (2) of Salman et al. 2006) with the state
 ``x = [p q r]`` in rad/s, body axes forward-right-down (FRD), and the inputs
-``u = [de dr da dth]``, deviations from trim.
+``u = [de dr da dth]``, deviations from trim. `flight_dynamics` adds sideslip and angle of attack:
+rows of A for the specific forces ay and az, and for what the kinematics of both angles miss.
+
+This module alone knows the order of rows and columns; everybody else asks by name.
 """
 
 from __future__ import annotations
@@ -18,28 +21,52 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 ROWS = ("pdot", "qdot", "rdot")
-"""Row labels: angular accelerations, rad/s^2."""
+"""Moment rows: angular accelerations, rad/s^2."""
+
+FORCE_ROWS = ("ay", "az")
+"""Force rows: specific forces along y and z, m/s^2."""
+
+KINEMATIC_ROWS = ("betadot", "alphadot")
+"""What the kinematics of sideslip and angle of attack miss, rad/s: biases of the sensors."""
 
 INPUTS = ("de", "dr", "da", "dth")
 """Input labels, in the order of f(x, u): elevator, rudder, aileron, throttle."""
 
+MAIN_INPUTS = {"pdot": "da", "qdot": "de", "rdot": "dr"}
+"""The input that each moment row is controlled by."""
+
 RATE_PRODUCTS = ("pq", "qr", "pr", "pp", "rr")
 RATES = ("p", "q", "r")
-_FIRST_FACTOR = np.array([RATES.index(product[0]) for product in RATE_PRODUCTS])
-_SECOND_FACTOR = np.array([RATES.index(product[1]) for product in RATE_PRODUCTS])
 SPECIFIC_FORCES = ("ay", "az")
+FLOW_ANGLES = ("beta", "alpha")
+"""Sideslip and angle of attack, rad; zero where ay and az are zero with the inputs at trim."""
+
 CONSTANT = "1"
 
 PAPER_REGRESSORS = RATE_PRODUCTS + RATES + INPUTS
 AUGMENTED_REGRESSORS = (*PAPER_REGRESSORS, CONSTANT, *SPECIFIC_FORCES)
+FLIGHT_REGRESSORS = (*PAPER_REGRESSORS, CONSTANT, *FLOW_ANGLES)
 
 # Columns of f that every structure shares, in this order.
 PRODUCT_COLUMNS = slice(0, 5)
 RATE_COLUMNS = slice(5, 8)
 INPUT_COLUMNS = slice(8, 12)
-EXOGENOUS_COLUMNS = slice(8, None)
+STATE_COLUMNS = slice(0, INPUT_COLUMNS.start)
+"""Regressors made of rates."""
+
+# Columns of the structures that go beyond the paper.
+CONSTANT_COLUMN = len(PAPER_REGRESSORS)
+LAST_COLUMNS = slice(CONSTANT_COLUMN + 1, CONSTANT_COLUMN + 3)
+"""Specific forces ay, az, or the flow angles beta, alpha."""
+
+EXOGENOUS_COLUMNS = slice(INPUT_COLUMNS.start, None)
 """Inputs and, in the augmented structure, the constant and the specific forces."""
 
+FLOW_FORCES = tuple(zip(FLOW_ANGLES, FORCE_ROWS, ("dr", "de"), strict=True))
+"""Which force each flow angle makes, and the surface that adds to it."""
+
+_FIRST_FACTOR = np.array([RATES.index(product[0]) for product in RATE_PRODUCTS])
+_SECOND_FACTOR = np.array([RATES.index(product[1]) for product in RATE_PRODUCTS])
 _BASELINE_ROWS = (
     ("pq", "qr", "p", "r", "dr", "da"),
     ("pr", "pp", "rr", "q", "de", "dth"),
@@ -47,6 +74,8 @@ _BASELINE_ROWS = (
 )
 _THROTTLE_COUPLING = (("dth",), (), ("dth",))
 _AUGMENTATION = ((CONSTANT, "ay"), (CONSTANT, "az"), (CONSTANT, "ay"))
+_FLOW = ((CONSTANT, "beta"), (CONSTANT, "alpha"), (CONSTANT, "beta"))
+_FORCES = (("dr", "beta"), ("de", "alpha"), (CONSTANT,), (CONSTANT,))
 
 
 @dataclass(frozen=True)
@@ -56,11 +85,11 @@ class Structure:
     Parameters
     ----------
     name : str
-        ``baseline``, ``throttle_coupled`` or ``augmented``.
+        ``baseline``, ``throttle_coupled``, ``augmented`` or ``flight_dynamics``.
     regressors : tuple of str
         Labels of the n entries of f, in order.
     rows : tuple of tuple of str
-        For each of pdot, qdot, rdot the regressors with a free coefficient.
+        For each of `row_labels` the regressors with a free coefficient.
     """
 
     name: str
@@ -72,10 +101,34 @@ class Structure:
         """Number n of regressors."""
         return len(self.regressors)
 
+    @property
+    def has_flow(self) -> bool:
+        """Whether sideslip and angle of attack are states, with rows for their forces."""
+        return FLOW_ANGLES[0] in self.regressors
+
+    @property
+    def has_forces(self) -> bool:
+        """Whether the specific forces ay and az are regressors."""
+        return SPECIFIC_FORCES[0] in self.regressors
+
+    @property
+    def row_labels(self) -> tuple[str, ...]:
+        """Labels of the R rows of A: three, or seven with sideslip and angle of attack."""
+        return (*ROWS, *FORCE_ROWS, *KINEMATIC_ROWS)[: len(self.rows)]
+
+    @property
+    def dense_rows(self) -> tuple[str, ...]:
+        """Labels of the rows that the dense message holds."""
+        return self.row_labels[: len(ROWS) + len(FORCE_ROWS)]
+
+    def column(self, label: str) -> int:
+        """Return the column of the regressor called `label`."""
+        return self.regressors.index(label)
+
     @cached_property
     def mask(self) -> BoolArray:
-        """Free coefficients, shape (3, n)."""
-        mask = np.zeros((len(ROWS), self.size), dtype=bool)
+        """Free coefficients, shape (R, n)."""
+        mask = np.zeros((len(self.rows), self.size), dtype=bool)
         for i, row in enumerate(self.rows):
             for label in row:
                 mask[i, self.regressors.index(label)] = True
@@ -90,7 +143,7 @@ class Structure:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the coefficients, ``pdot/pq`` and so on, row-major."""
-        return tuple(f"{ROWS[i]}/{self.regressors[j]}" for i, j in self.free)
+        return tuple(f"{self.row_labels[i]}/{self.regressors[j]}" for i, j in self.free)
 
     def index(self, name: str) -> tuple[int, int]:
         """Return (row, column) of the coefficient called `name`.
@@ -108,9 +161,7 @@ class Structure:
                 f"it has {', '.join(self.names)}"
             ) from None
 
-    def regressor(
-        self, x: FloatArray, u: FloatArray, force: FloatArray | None = None
-    ) -> FloatArray:
+    def regressor(self, x: FloatArray, u: FloatArray, last: FloatArray | None = None) -> FloatArray:
         """Evaluate f(x, u).
 
         Parameters
@@ -119,8 +170,9 @@ class Structure:
             Rates p, q, r, rad/s, FRD.
         u : (..., 4) array
             Inputs de, dr, da, dth, deviations from trim.
-        force : (..., 2) array, optional
-            Specific forces ay, az, m/s^2, FRD; used by the augmented structure, zero if left out.
+        last : (..., 2) array, optional
+            What the structure has as its last regressors: specific forces ay, az, m/s^2, FRD,
+            or flow angles beta, alpha, rad; zero if left out.
 
         Returns
         -------
@@ -131,9 +183,9 @@ class Structure:
         f[..., PRODUCT_COLUMNS] = x.take(_FIRST_FACTOR, axis=-1) * x.take(_SECOND_FACTOR, axis=-1)
         f[..., RATE_COLUMNS] = x
         f[..., INPUT_COLUMNS] = u
-        if self.size > len(PAPER_REGRESSORS):
-            f[..., 12] = 1.0
-            f[..., 13:15] = 0.0 if force is None else force
+        if self.size > CONSTANT_COLUMN:
+            f[..., CONSTANT_COLUMN] = 1.0
+            f[..., LAST_COLUMNS] = 0.0 if last is None else last
         return f
 
 
@@ -154,6 +206,13 @@ STRUCTURES = {
             "augmented",
             AUGMENTED_REGRESSORS,
             _with(_BASELINE_ROWS, _THROTTLE_COUPLING, _AUGMENTATION),
+        ),
+        # Sideslip and angle of attack as states: 26 coefficients of the moments, 4 of the
+        # forces, 2 of the kinematics.
+        Structure(
+            "flight_dynamics",
+            FLIGHT_REGRESSORS,
+            (*_with(_BASELINE_ROWS, _THROTTLE_COUPLING, _FLOW), *_FORCES),
         ),
     )
 }

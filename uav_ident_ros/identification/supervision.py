@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from uav_ident_ros.identification.confirmation import Confirmation
 from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.gates import (
     TOO_FAR,
@@ -17,10 +18,11 @@ from uav_ident_ros.identification.gates import (
     ResidualGate,
     grounded,
 )
+from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
-    INPUT_COLUMNS,
+    MAIN_INPUTS,
     ROWS,
     BoolArray,
     FloatArray,
@@ -58,14 +60,27 @@ class Verdict:
 
     Parameters
     ----------
-    usable : bool
-        Whether it may.
-    reason : str
-        Why it may not, in a sentence; empty if it may.
+    reasons : tuple of 3 str
+        For each of pdot, qdot, rdot why it may not, in a sentence; empty where it may.
     """
 
-    usable: bool
-    reason: str = ""
+    reasons: tuple[str, str, str]
+
+    @property
+    def rows(self) -> tuple[bool, bool, bool]:
+        """Whether it may act on each row."""
+        first, second, third = (not reason for reason in self.reasons)
+        return first, second, third
+
+    @property
+    def usable(self) -> bool:
+        """Whether it may act on all rows."""
+        return not any(self.reasons)
+
+    @property
+    def reason(self) -> str:
+        """Why it may not act on all rows; empty if it may."""
+        return "; ".join(dict.fromkeys(filter(None, self.reasons)))
 
 
 @dataclass(frozen=True)
@@ -128,7 +143,7 @@ class Supervisor:
         self._residuals = ResidualGate()
         self._within: BoolArray = np.ones(3, dtype=bool)
         self.learning: BoolArray = np.zeros(3, dtype=bool)
-        self._quiet_time: FloatArray = np.zeros(3)
+        self._confirmed = Confirmation()
         self._sigma: FloatArray | None = None
         self._proven = False
         self.restart()
@@ -178,14 +193,13 @@ class Supervisor:
         self._within = weight > 0.0
         return weight
 
-    def follow(self, t: float, estimator: Estimator, learned: bool, dt: float) -> None:
-        """Take note of what the estimator made of a block of `dt` s that ends at `t` s."""
+    def follow(self, t: float, estimator: Estimator, learned: bool) -> None:
+        """Take note of what the estimator made of a block that ends at `t` s."""
         self.learning = estimator.learning & learned
         if learned:
             held = ~self._within
             self.gates.charge("residual", float(held.mean()))
             self.gates.charge("excitation", float((~self.learning & ~held).mean()))
-        self._quiet_time = np.where(self.learning, 0.0, self._quiet_time + dt)
         if not learned:
             return
         for i, j in estimator.changes:
@@ -194,6 +208,21 @@ class Supervisor:
             self._relearning[i, j] = change
             self.changed.append(change)
             self._residuals.release(i)
+            self._confirmed.forget(i)
+
+    def confirm(self, sample: Regression, residual: FloatArray, inputs: FloatArray) -> None:
+        """Let what the inputs did at a tick confirm the control derivatives, or contradict them.
+
+        Parameters
+        ----------
+        sample : Regression
+            Mean of the tick's samples.
+        residual : (3,) array
+            Its residuals in the moment rows, rad/s^2.
+        inputs : (3, 4) array
+            Control derivatives that go with the residuals.
+        """
+        self._confirmed.add(sample, residual, inputs, self.settings.supervision.max_age)
 
     def pauses(self) -> dict[str, str]:
         """Return why each row that does not learn pauses: row to reason."""
@@ -216,13 +245,15 @@ class Supervisor:
             )
             if t - change.t > SHORTEST_RELEARNING and sigma[i, j] <= enough:
                 del self._relearning[i, j]
-        if self._relearning:
-            names = ", ".join(change.name for change in self._relearning.values())
-            verdict = Verdict(False, f"{names} changed in flight and is learned anew")
-        else:
-            age = float(self._quiet_time.max())
-            thresholds = self.settings.supervision
-            verdict = judge(thresholds, self._structure, coefficients, sigma, running, age)
+        relearning = [""] * len(ROWS)
+        for (i, _), change in self._relearning.items():
+            relearning[i] = f"{change.name} changed in flight and is learned anew"
+        thresholds = self.settings.supervision
+        found = judge(thresholds, self._structure, coefficients, sigma, running, self._confirmed)
+        first, second, third = (
+            changed or reason for changed, reason in zip(relearning, found.reasons, strict=True)
+        )
+        verdict = Verdict((first, second, third))
         self._proven = self._proven or verdict.usable
         return verdict
 
@@ -243,13 +274,13 @@ def judge(
     coefficients: FloatArray,
     sigma: FloatArray,
     running: RunningFit,
-    age: float,
+    confirmed: Confirmation,
 ) -> Verdict:
-    """Give the verdict on a set of coefficients.
+    """Give the verdict on a set of coefficients, row by row.
 
-    Usable are coefficients that predict the next second of every axis clearly better than
-    holding the rate does, that know at least one control derivative in every row well, and
-    that were confirmed by excited flight not too long ago.
+    Usable is a row that predicts the next second clearly better than holding the rate does, of
+    late and over the flight, whose main control derivative is known well, and was confirmed by
+    what its input did not long ago.
 
     Parameters
     ----------
@@ -257,45 +288,55 @@ def judge(
         Thresholds.
     structure : Structure
         Names the coefficients.
-    coefficients, sigma : (3, n) arrays
+    coefficients, sigma : (R, n) arrays
         Estimate and standard deviations.
     running : RunningFit
         Fit of the coefficients.
-    age : float
-        Time since the rows last learned, s.
+    confirmed : Confirmation
+        Which control derivatives the flight has confirmed.
     """
     if running.predictions < MIN_PREDICTIONS:
-        return Verdict(False, f"only {running.predictions} predictions of 1 s to judge by")
-    for axis, fit, hold in zip(AXES, running.fit, running.hold, strict=True):
-        if not fit >= max(settings.min_fit, float(hold)):
-            return Verdict(
-                False,
-                f"the 1-second fit of {axis} is {fit:.0f} % (holding the rate: {hold:.0f} %, "
-                f"needed: {settings.min_fit:.0f} %)",
-            )
-    for i, row in enumerate(ROWS):
-        ratio, name = _best_known_input(structure, i, coefficients, sigma)
-        if ratio < settings.min_t_ratio:
-            return Verdict(
-                False,
-                f"{row} knows no control derivative: the best, {name}, has a t-ratio of "
-                f"{ratio:.1f} ({settings.min_t_ratio:.1f} needed); excite it",
-            )
-    if settings.max_age > 0.0 and age > settings.max_age:
-        return Verdict(False, f"nothing was learned for {age:.0f} s")
-    return Verdict(True)
+        few = f"only {running.predictions} predictions of 1 s to judge by"
+        return Verdict((few, few, few))
+    first, second, third = (
+        _poor_fit(settings, running, i)
+        or _unknown_input(settings, structure, i, coefficients, sigma)
+        or confirmed.doubt(i)
+        for i in range(len(ROWS))
+    )
+    return Verdict((first, second, third))
 
 
-def _best_known_input(
-    structure: Structure, row: int, coefficients: FloatArray, sigma: FloatArray
-) -> tuple[float, str]:
-    """Largest t-ratio among a row's control derivatives, and its name."""
-    best, name = 0.0, f"{ROWS[row]}/-"
-    for j in range(INPUT_COLUMNS.start, INPUT_COLUMNS.stop):
-        if not structure.mask[row, j]:
-            continue
-        value, spread = abs(float(coefficients[row, j])), float(sigma[row, j])
-        ratio = value / spread if spread > 0.0 else (np.inf if value > 0.0 else 0.0)
-        if ratio >= best:
-            best, name = ratio, f"{ROWS[row]}/{structure.regressors[j]}"
-    return best, name
+def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str:
+    """Return how an axis is predicted too badly; empty if it is not."""
+    for when, fit, hold in (
+        ("of late", running.fit[i], running.hold[i]),
+        ("over the flight", running.flight_fit[i], running.flight_hold[i]),
+    ):
+        needed = max(settings.min_fit, float(hold))
+        if not fit >= needed:
+            return (
+                f"the 1-second prediction fit of {AXES[i]} {when} is {fit:.0f} % "
+                f"(holding the rate: {hold:.0f} %, needed: {needed:.0f} %)"
+            )
+    return ""
+
+
+def _unknown_input(
+    settings: SupervisionSettings,
+    structure: Structure,
+    row: int,
+    coefficients: FloatArray,
+    sigma: FloatArray,
+) -> str:
+    """Return how the main control derivative of a row is not known; empty if it is."""
+    name = f"{ROWS[row]}/{MAIN_INPUTS[ROWS[row]]}"
+    index = structure.index(name)
+    value, spread = abs(float(coefficients[index])), float(sigma[index])
+    ratio = value / spread if spread > 0.0 else (np.inf if value > 0.0 else 0.0)
+    if ratio >= settings.min_t_ratio:
+        return ""
+    return (
+        f"{name} has a t-ratio of {ratio:.1f} ({settings.min_t_ratio:.1f} needed): move "
+        f"{MAIN_INPUTS[ROWS[row]]}"
+    )

@@ -441,21 +441,32 @@ class Dimension(NamedTuple):
 
 
 def coefficients_layout(structure: Structure) -> tuple[Dimension, Dimension]:
-    """Layout of ~/coefficients: the dense 3 x n matrix, row-major."""
-    rows, n = len(ROWS), structure.size
+    """Layout of ~/coefficients: the dense matrix of moment and force rows, row-major."""
+    rows, n = len(structure.dense_rows), structure.size
     return (
-        Dimension(",".join(ROWS), rows, rows * n),
+        Dimension(",".join(structure.dense_rows), rows, rows * n),
         Dimension(",".join(structure.regressors), n, n),
     )
 
 
+STATE_FIELDS = ("alpha", "beta", "roll", "pitch", "airspeed")
+STATE_NAMES = tuple(f"state/{field}" for field in STATE_FIELDS)
+"""States of a structure with flow angles beside the rates: rad, rad, rad, rad, m/s."""
+
 FIT_NAMES = ("fit/p", "fit/q", "fit/r")
 USABLE_NAME = "verdict/usable"
+ROW_USABLE_NAMES = tuple(f"{USABLE_NAME}/{row}" for row in ROWS)
 
 
 def entry_names(structure: Structure) -> tuple[str, ...]:
-    """Names in ~/coefficients_named: the coefficients, the fit of each axis, the verdict."""
-    return (*structure.names, *FIT_NAMES, USABLE_NAME)
+    """Names in ~/coefficients_named: coefficients, states, the fit of each axis, verdicts."""
+    states = STATE_NAMES if structure.has_flow else ()
+    return (*structure.names, *states, *FIT_NAMES, USABLE_NAME, *ROW_USABLE_NAMES)
+
+
+def dense_coefficients(estimate: Estimate, structure: Structure) -> FloatArray:
+    """Matrix of ~/coefficients of an estimate."""
+    return estimate.coefficients[: len(structure.dense_rows)]
 
 
 class NamedEntries(NamedTuple):
@@ -468,7 +479,7 @@ class NamedEntries(NamedTuple):
     positions : (k,) array
         Values, SI; the fits in percent; 1 or 0 for usable.
     efforts : (k,) array
-        One standard deviation of each coefficient, 0 for the others.
+        One standard deviation of each coefficient and flow angle, 0 for the others.
     """
 
     names: tuple[str, ...]
@@ -478,8 +489,13 @@ class NamedEntries(NamedTuple):
 
 def named_entries(estimate: Estimate, structure: Structure) -> NamedEntries:
     """Entries of ~/coefficients_named of an estimate."""
-    verdict = (1.0 if estimate.usable else 0.0,)
-    mask = structure.mask
-    positions = np.concatenate([estimate.coefficients[mask], estimate.fit, verdict])
-    efforts = np.concatenate([estimate.sigma[mask], np.zeros(len(FIT_NAMES) + 1)])
+    verdict = (float(estimate.usable), *map(float, estimate.usable_rows))
+    mask, flow = structure.mask, estimate.flow
+    states, spreads = ((), ())
+    if flow is not None:
+        states = tuple(getattr(flow, field) for field in STATE_FIELDS)
+        spreads = (flow.alpha_sigma, flow.beta_sigma, 0.0, 0.0, 0.0)
+    positions = np.concatenate([estimate.coefficients[mask], states, estimate.fit, verdict])
+    rest = np.zeros(len(FIT_NAMES) + len(verdict))
+    efforts = np.concatenate([estimate.sigma[mask], spreads, rest])
     return NamedEntries(entry_names(structure), positions, efforts)

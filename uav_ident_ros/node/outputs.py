@@ -17,7 +17,12 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiAr
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.messages.cdr import Template
-from uav_ident_ros.messages.types import coefficients_layout, entry_names, named_entries
+from uav_ident_ros.messages.types import (
+    coefficients_layout,
+    dense_coefficients,
+    entry_names,
+    named_entries,
+)
 
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
@@ -68,7 +73,9 @@ class Outputs:
         self._vector_form.stamp(estimate.t_ns)
         vector = self._vector_form.filled
         self._named.publish(self._named_form.filled(entries.positions, entries.efforts))
-        self._coefficients.publish(self._dense_form.filled(estimate.coefficients))
+        self._coefficients.publish(
+            self._dense_form.filled(dense_coefficients(estimate, self._structure))
+        )
         self._predicted.publish(vector(estimate.predicted_rates))
         self._error.publish(vector(estimate.prediction_error))
 
@@ -86,7 +93,7 @@ def _named_form(structure: Structure) -> Template:
 
 
 def _dense_form(structure: Structure) -> Template:
-    data = _marks(structure.mask.size)
+    data = _marks(len(structure.dense_rows) * structure.size)
     layout = MultiArrayLayout(
         dim=[
             MultiArrayDimension(label=label, size=size, stride=stride)

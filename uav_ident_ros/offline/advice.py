@@ -145,14 +145,16 @@ def row_needs_force(e: Evidence) -> Iterator[str]:
 def leans_on_force(e: Evidence) -> Iterator[str]:
     """Name the axes whose fit comes from measured forces."""
     points = [
-        f"{model - held:.0f} of {axis} ({ROW_FORCES[row]})"
-        for row, axis, model, held in zip(ROWS, AXES, e.fit.model, e.fit.held_force, strict=True)
-        if model - held > FORCE_POINTS
+        f"{measured - free:.0f} of {axis} ({ROW_FORCES[row]})"
+        for row, axis, measured, free in zip(
+            ROWS, AXES, e.fit.measured_force, e.fit.model, strict=True
+        )
+        if measured - free > FORCE_POINTS
     ]
     if points:
         yield (
-            f"measured specific forces carry a part of the fit, in points: {', '.join(points)}; "
-            "whoever predicts with this model must measure them too"
+            f"with the specific forces measured the fit would be higher, in points: "
+            f"{', '.join(points)}; a controller has no such measurement of the next second"
         )
 
 

@@ -20,7 +20,13 @@ from uav_ident_ros.bags.writing import (
 )
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.messages.types import NS_PER_S, coefficients_layout, entry_names, named_entries
+from uav_ident_ros.messages.types import (
+    NS_PER_S,
+    coefficients_layout,
+    dense_coefficients,
+    entry_names,
+    named_entries,
+)
 
 NAMED_TYPE = "sensor_msgs/msg/JointState"
 ARRAY_TYPE = "std_msgs/msg/Float64MultiArray"
@@ -107,7 +113,7 @@ class EstimatesBag:
         entries = named_entries(estimate, self._structure)
         messages = (
             self._named.filled(t_ns, entries.positions, entries.efforts),
-            self._array.filled(t_ns, estimate.coefficients),
+            self._array.filled(t_ns, dense_coefficients(estimate, self._structure)),
             self._vector.filled(t_ns, estimate.predicted_rates),
             self._vector.filled(t_ns, estimate.prediction_error),
         )

@@ -215,7 +215,7 @@ def _pieces(blocks: Iterator[Block], seconds: float) -> Iterator[Block]:
                 x=block.x[edges],
                 u=block.u[inner],
                 u_undelayed=block.u_undelayed[inner],
-                force=block.force[edges],
+                specific_force=block.specific_force[edges],
                 restarted=block.restarted and k == 0,
             )
 

@@ -17,8 +17,10 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.prediction import (
+    Flown,
     InputSignal,
     PredictionFit,
+    Published,
     WindowErrors,
     score_windows,
     window_errors,
@@ -43,24 +45,36 @@ class Stretch:
     ----------
     era : int
         Restarts of the time base before it.
-    t_ns : (N,) int array
-        Stamps of all rates on the time base, ns.
-    rates : (N, 3) array
-        p, q, r, rad/s, FRD.
-    force : (N, 2) array
-        ay, az, m/s^2, FRD.
-    inputs : InputSignal
-        Inputs on the time base, with the delay.
+    flown : Flown
+        What was measured on the time base; its inputs have the delay.
     ticks : list of Estimate
         The estimates made with that delay.
     """
 
     era: int
-    t_ns: TimeArray
-    rates: FloatArray
-    force: FloatArray
-    inputs: InputSignal
+    flown: Flown
     ticks: list[Estimate]
+
+    @property
+    def t_ns(self) -> TimeArray:
+        """Stamps of all rates on the time base, ns, shape (N,)."""
+        return self.flown.t_ns
+
+    @property
+    def rates(self) -> FloatArray:
+        """Measured p, q, r, rad/s, FRD, shape (N, 3)."""
+        return self.flown.rates
+
+    @property
+    def force(self) -> FloatArray:
+        """Measured ay, az, m/s^2, FRD, shape (N, 2)."""
+        assert self.flown.force is not None
+        return self.flown.force
+
+    @property
+    def inputs(self) -> InputSignal:
+        """Inputs on the time base, with the delay."""
+        return self.flown.inputs
 
 
 class OfflineRun:
@@ -174,7 +188,9 @@ class OfflineRun:
             t_ns, rates, force = self.measured(era)
             pairs = zip(self.estimates, self._contexts, strict=True)
             ticks = [estimate for estimate, other in pairs if other == context]
-            yield Stretch(era, t_ns, rates, force, self.input_signal(era, delay), ticks)
+            arm = np.array(self.inputs.settings.imu.lever_arm)
+            flown = Flown(t_ns, rates, self.input_signal(era, delay), force, arm)
+            yield Stretch(era, flown, ticks)
 
     def blocks(self, part: Stretch) -> Iterator[Block]:
         """Yield the signals of a stretch on a uniform grid, a block for each part without gaps.
@@ -194,16 +210,5 @@ class OfflineRun:
     def _window_errors(self) -> Iterator[tuple[TimeArray, WindowErrors]]:
         """Stamps and windows of every stretch of the flight."""
         for part in self.stretches():
-            yield (
-                part.t_ns,
-                window_errors(
-                    part.t_ns,
-                    part.rates,
-                    part.inputs,
-                    part.force,
-                    np.array([estimate.t_ns for estimate in part.ticks], dtype=np.int64),
-                    np.array([estimate.coefficients for estimate in part.ticks]),
-                    self.structure,
-                    lever_arm=np.array(self.inputs.settings.imu.lever_arm),
-                ),
-            )
+            published = Published.of(part.ticks, self.structure)
+            yield part.flown.t_ns, window_errors(part.flown, published)

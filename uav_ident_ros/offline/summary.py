@@ -6,11 +6,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from uav_ident_ros.identification.prediction import PredictionFit
+from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.offline.inputs import STREAMS, Inputs
 from uav_ident_ros.offline.replayed import Replayed
 
-SUMMARY_VERSION = 1
+SUMMARY_VERSION = 2
 AXES = ("p", "q", "r")
 
 
@@ -84,8 +84,12 @@ def _json_fit(fit: PredictionFit) -> dict[str, Any]:
         "windows": fit.windows,
         "samples": fit.samples,
         "model": by_axis(fit.model),
-        "model_with_ay_az_held": by_axis(fit.held_force),
         "hold": by_axis(fit.hold),
+        "model_with_measured_forces": by_axis(fit.measured_force),
+        "free": {
+            f"{horizon:g} s": {"model": by_axis(model), "hold": by_axis(hold)}
+            for horizon, model, hold in zip(HORIZONS, fit.free, fit.free_hold, strict=True)
+        },
     }
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from uav_ident_ros.files.meanings import MEANINGS
-from uav_ident_ros.identification.prediction import PredictionFit
+from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.offline.replayed import Replayed
 from uav_ident_ros.offline.summary import AXES, streams
 
@@ -76,18 +76,21 @@ def _t_ratio(value: float, sigma: float) -> str:
 
 def _fit_lines(title: str, fit: PredictionFit) -> Iterator[str]:
     """Yield the fit of each axis beside the baselines."""
-    header = f"1-second prediction fit {title} [%]"
+    header = f"free prediction, fit {title} [%]"
     if not fit.windows:
         yield f"{header}: no window to score"
         return
-    rows = [("identified model", fit.model)]
-    if np.isfinite(fit.held_force).any():
-        rows.append(("  with ay, az held", fit.held_force))
-    rows.append(("holding the rates", fit.hold))
+    rows = []
+    for horizon, model, hold in zip(HORIZONS, fit.free, fit.free_hold, strict=True):
+        rows.append((f"identified model, {horizon:g} s", model))
+        rows.append(("  holding the rates", hold))
+    if np.isfinite(fit.measured_force).any():
+        rows.append(("with measured forces, 1 s", fit.measured_force))
     yield f"{header}, {fit.windows} windows"
-    yield f"{'':<20}" + "".join(f"{axis:>9}" for axis in AXES)
+    yield f"{'':<26}" + "".join(f"{axis:>9}" for axis in AXES)
     for row, values in rows:
-        yield f"{row:<20}" + "".join(f"{value:>9.1f}" for value in values)
+        if np.isfinite(values).any():
+            yield f"{row:<26}" + "".join(f"{value:>9.1f}" for value in values)
 
 
 def _verdict(replayed: Replayed) -> Iterator[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.identification.prediction import LAST_PART, predict_ahead
+from uav_ident_ros.identification.prediction import LAST_PART, Published, predict_ahead
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.offline.run import Stretch
@@ -85,15 +85,7 @@ def _of_stretch(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return time, prediction, measurement, and measurement one horizon before."""
     t_ns, predicted = predict_ahead(
-        part.t_ns,
-        part.rates,
-        part.inputs,
-        part.force,
-        np.array([estimate.t_ns for estimate in part.ticks], dtype=np.int64),
-        np.array([estimate.coefficients for estimate in part.ticks]),
-        flight.structure,
-        horizon_ns=horizon_ns,
-        lever_arm=np.array(flight.settings.imu.lever_arm),
+        part.flown, Published.of(part.ticks, flight.structure), horizon_ns * NS
     )
     t = flight.clock.seconds(part.era, t_ns)
     return t, predicted, _rates_at(part, t_ns), _rates_at(part, t_ns - horizon_ns)

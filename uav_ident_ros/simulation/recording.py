@@ -126,7 +126,13 @@ def parameters(measurements: Measurements) -> dict[str, Any]:
     }
     for name, row in zip(INPUTS, channel_set.mixing, strict=True):
         values[f"actuators.mixing.{name}"] = row.tolist()
-    return values | measurements.flight.parameters
+    flight = measurements.flight
+    if flight.airspeed is not None:
+        values["airspeed.reference"] = round(float(flight.airspeed.mean()), 1)
+    elif flight.structure:
+        # The plant has no aerodynamic forces: its own structure has its coefficients.
+        values["structure"] = "augmented"
+    return values | flight.parameters
 
 
 def parameter_file(measurements: Measurements) -> str:

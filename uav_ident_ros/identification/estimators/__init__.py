@@ -23,8 +23,12 @@ class Estimator(Protocol):
 
     Attributes
     ----------
-    coefficients : (3, n) array
+    coefficients : (R, n) array
         A_m, SI.
+    sigma : (R, n) array
+        Standard deviations; 0 where a coefficient is not free.
+    start : Start
+        Initial coefficients, their uncertainty, and which are free; it may change.
     problem : str
         What went wrong, in a sentence; empty if nothing did.
     learning : (3,) bool array
@@ -34,6 +38,8 @@ class Estimator(Protocol):
     """
 
     coefficients: FloatArray
+    sigma: FloatArray
+    start: Start
     problem: str
     learning: BoolArray
     changes: list[tuple[int, int]]
@@ -43,24 +49,31 @@ class Estimator(Protocol):
         """Rows in which the inputs stand out from all else that moves the aircraft."""
 
     @property
+    def inputs(self) -> FloatArray:
+        """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
+
+    @property
     def information(self) -> Information:
         """What the flight has told, by which excitation and uncertainty are judged."""
 
-    @property
-    def sigma(self) -> FloatArray:
-        """Standard deviations, shape (3, n); 0 where a coefficient is not free."""
+    def residual(self, sample: Regression) -> FloatArray:
+        """Return ``y - A f`` of the one sample of a tick, shape (rows,)."""
 
-    def update(self, data: Regression, residual: FloatArray, weight: FloatArray) -> None:
+    def update(
+        self, data: Regression, sample: Regression, residual: FloatArray, weight: FloatArray
+    ) -> None:
         """Learn from the samples of a tick.
 
         Parameters
         ----------
         data : Regression
             m samples.
-        residual : (m, 3) array
-            Their residuals from the coefficients as they are, rad/s^2.
+        sample : Regression
+            Their mean.
+        residual : (rows,) array
+            Its residuals from the coefficients as they are, rad/s^2.
         weight : (3,) array
-            How much they count in each row, 0 ... 1.
+            How much it counts in each moment row, 0 ... 1.
         """
 
     def reconfigure(self, settings: Settings) -> None:
@@ -73,6 +86,6 @@ class Estimator(Protocol):
 def make_estimator(settings: Settings, start: Start) -> Estimator:
     """Return the estimator that the settings name."""
     if settings.estimator == "gradient":
-        return GradientEstimator(settings.gradient, start)
+        return GradientEstimator(settings, start)
     instrumental = settings.estimator == "instrumental_variable"
     return RecursiveRegression(start, settings, instrumental=instrumental)

@@ -74,7 +74,6 @@ class TickMean:
 
     y: FloatArray
     f: FloatArray
-    z: FloatArray
     dt: float
 
 
@@ -160,8 +159,8 @@ class ChangeDetector:
         if data.restarted:
             self.restart()
         dt, m = data.time, len(data.y)
-        y, f, z = (np.add.reduce(part) / m for part in (data.y, data.f, data.z))
-        self.recent.append(TickMean(y, f, z, dt))
+        y, f = (np.add.reduce(part) / m for part in (data.y[:, :3], data.f))
+        self.recent.append(TickMean(y, f, dt))
         self._recent_time += dt
         while self._recent_time > WINDOW_TIME:
             self._recent_time -= self.recent.popleft().dt

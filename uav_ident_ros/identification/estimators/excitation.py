@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the inputs say anything new: the gate that pauses a row in quiet flight.
+"""How much a row may learn: little in quiet flight.
 
 In quiet flight the autopilot's surfaces answer the gusts, and an estimator that goes on
-learning learns the autopilot. Forgetting by direction does not help, pausing the row does. In
-severe turbulence the answers are as large as any excitation: then it is the effect of the inputs,
-small beside that of the gusts, that gives them away.
+learning learns the autopilot. Forgetting by direction does not help, less weight to the whole row
+does. A switch in the place of the weight starves the instruments where a flight tells little.
 """
 
 from __future__ import annotations
@@ -31,15 +30,11 @@ CLEAR_SIGNAL = 0.5
 do not stand out: in a storm, an autopilot's answers look like a change, and large residuals are
 no reason to learn."""
 
-LIKELY_SIGMAS = 2.0
-"""An input may have this many standard deviations more effect than is known."""
-
 
 class ExcitationGate:
-    """Tells which rows see excitation.
+    """Tells how much excitation the rows see.
 
-    A row learns while at least one of its inputs is lively, and while its inputs, for all that
-    is known of their effect, could explain a part of what moves the aircraft.
+    A row learns while at least one of its inputs is lively; the less lively, the less it counts.
 
     Parameters
     ----------
@@ -57,12 +52,12 @@ class ExcitationGate:
         to the largest one, one wild manoeuvre would close the gate for an ordinary flight.
     signal : (3,) array
         Variance that the inputs explain in each row, relative to that of the residual.
+    weight : (3,) array
+        How much each row learns, 0 ... 1.
     learning : (3,) bool array
-        Rows that see excitation.
+        Rows that see excitation: those with full weight.
     clear : (3,) bool array
         Those of them in which the inputs stand out from all else that moves the aircraft.
-    quiet : (n,) bool array
-        Regressors that are inputs and say nothing at present.
     """
 
     def __init__(self, free: BoolArray, settings: SupervisionSettings) -> None:
@@ -75,14 +70,14 @@ class ExcitationGate:
         self._usual_time: FloatArray = np.zeros(4)
         self.share: FloatArray = np.zeros(4)
         self.signal: FloatArray = np.zeros(3)
+        self.weight: FloatArray = np.ones(3)
         self.learning: BoolArray = np.ones(3, dtype=bool)
         self.clear: BoolArray = np.ones(3, dtype=bool)
-        self.quiet: BoolArray = np.zeros(free.shape[1], dtype=bool)
 
     def update(
-        self, data: Regression, residual: FloatArray, coefficients: FloatArray, sigma: FloatArray
-    ) -> BoolArray:
-        """Return which rows may learn from the samples of this tick, shape (3,).
+        self, data: Regression, residual: FloatArray, coefficients: FloatArray
+    ) -> FloatArray:
+        """Return how much the rows may learn from the samples of this tick, shape (3,).
 
         Parameters
         ----------
@@ -90,18 +85,18 @@ class ExcitationGate:
             Samples of the tick.
         residual : (m, 3) array
             Their residuals, rad/s^2.
-        coefficients, sigma : (3, n) arrays
-            What is known, and how well.
+        coefficients : (3, n) array
+            What is known.
         """
         u = data.f[:, INPUT_COLUMNS]
         sums = (np.add.reduce(u), np.add.reduce(u * u), np.add.reduce(residual * residual))
         self._window.append(data.dt * np.concatenate(((len(u),), *sums)))
         self._since_look += data.time
         if self._since_look >= LOOK_TIME or len(self._window) == 1:
-            self._look(coefficients[:, INPUT_COLUMNS], sigma[:, INPUT_COLUMNS])
-        return self.learning
+            self._look(coefficients[:, INPUT_COLUMNS])
+        return self.weight
 
-    def _look(self, effect: FloatArray, sigma: FloatArray) -> None:
+    def _look(self, effect: FloatArray) -> None:
         """Compare the inputs over the window with what is usual, and with the residuals."""
         elapsed, self._since_look = self._since_look, 0.0
         self._window_time += elapsed
@@ -114,13 +109,15 @@ class ExcitationGate:
         newest = np.add.reduce(sums[len(sums) - len(sums) // NEWEST_PART - 1 :])
         variance = np.maximum(means[5:9] - means[1:5] ** 2, 0.0)
         self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
-        self.quiet[INPUT_COLUMNS] = self.share < self.settings.min_excitation
-        lively = self._watched & (self.share >= self.settings.min_excitation)
         residual = np.maximum(newest[9:] / newest[0], np.finfo(float).tiny)
         self.signal = (self._watched * effect**2) @ variance / residual
-        largest = self._watched * (np.abs(effect) + LIKELY_SIGMAS * sigma)
-        audible = largest**2 @ variance >= self.settings.min_signal * residual
-        self.learning = (lively.any(axis=1) & audible) | ~self._watched.any(axis=1)
+        enough = max(self.settings.min_excitation, np.finfo(float).tiny)
+        liveliest = np.where(self._watched, self.share, 0.0).max(axis=1) / enough
+        liveliest[~self._watched.any(axis=1)] = 1.0
+        # The square: what the samples tell falls as the variance of the inputs, and what
+        # feedback tells instead does not.
+        self.weight = np.minimum(liveliest, 1.0) ** 2
+        self.learning = self.weight == 1.0
         self.clear = self.learning & (self.signal >= CLEAR_SIGNAL)
         heard = (self._watched & self.learning[:, None]).any(axis=0)
         spent = np.where(heard, elapsed, 0.0)

@@ -6,16 +6,21 @@ from __future__ import annotations
 import numpy as np
 
 from uav_ident_ros.identification.estimators.information import Information
-from uav_ident_ros.identification.estimators.recursive import InstrumentalVariable
+from uav_ident_ros.identification.estimators.recursive import InstrumentalVariable, Sample
 from uav_ident_ros.identification.prior import Start
-from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.regression import Regression, layout
 from uav_ident_ros.identification.settings import (
     LARGEST_COEFFICIENT,
-    GradientSettings,
     Settings,
     SettingsError,
 )
-from uav_ident_ros.identification.structure import PRODUCT_COLUMNS, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import (
+    INPUT_COLUMNS,
+    PRODUCT_COLUMNS,
+    STRUCTURES,
+    BoolArray,
+    FloatArray,
+)
 
 DEFAULT_GAIN = 0.15
 """Diagonal of K relative to the regressors' variances, 1/s: settles in some tens of seconds."""
@@ -114,56 +119,76 @@ class GradientEstimator:
 
     Parameters
     ----------
-    settings : GradientSettings
-        Gains, what they are relative to, and the step.
+    settings : Settings
+        Structure; gains, what they are relative to, and the step.
     start : Start
         Initial coefficients and which of them are free.
+
+    Attributes
+    ----------
+    coefficients, sigma : (3, n) array
+        Estimate and standard deviations. The law has none: they are those of the instrumental
+        variable that runs beside it, widened by the distance from it.
     """
 
-    def __init__(self, settings: GradientSettings, start: Start) -> None:
-        self._gain = gain_matrix(settings.gains, start.values.shape[1])
-        self._normalisation = settings.normalisation
-        self._guarded = settings.step == "guarded"
-        self._start = start
+    def __init__(self, settings: Settings, start: Start) -> None:
+        structure = STRUCTURES[settings.structure]
+        law = settings.gradient
+        self._gain = gain_matrix(law.gains, start.values.shape[1])
+        self._normalisation = law.normalisation
+        self._guarded = law.step == "guarded"
+        self.start = start
         self.learning: BoolArray = np.ones(3, dtype=bool)
         self.clear: BoolArray = np.ones(3, dtype=bool)  # it does not look
         self.changes: list[tuple[int, int]] = []
-        self._reference = InstrumentalVariable(start, forgetting_time=0.0)
+        information = Information(structure, layout(structure), start, 2.0 / settings.filter.cutoff)
+        self._reference = InstrumentalVariable(information)
         self.coefficients: FloatArray = start.values.copy()
+        self.sigma: FloatArray = np.where(start.free, start.sigma, 0.0)
         self.problem = ""
         self._power: FloatArray = np.zeros(start.values.shape[1])
         self._power_time = 0.0
+
+    @property
+    def inputs(self) -> FloatArray:
+        """Control derivatives that go with the residuals, shape (3, 4)."""
+        return self.coefficients[:, INPUT_COLUMNS]
 
     @property
     def information(self) -> Information:
         """Information of the instrumental variable that runs beside the law."""
         return self._reference.information
 
-    @property
-    def sigma(self) -> FloatArray:
-        """Standard deviations, shape (3, n).
+    def residual(self, sample: Regression) -> FloatArray:
+        """Return ``y - A f`` of the one sample of a tick, shape (3,)."""
+        return np.asarray(sample.residual(self.coefficients)[0])
 
-        The law has none: they are those of the instrumental variable, widened by the
-        distance from it.
-        """
-        distance = self.coefficients - self.information.solve()
-        return np.where(self._start.free, np.hypot(self.information.sigma, distance), 0.0)
-
-    def update(self, data: Regression, residual: FloatArray, weight: FloatArray) -> None:
+    def update(
+        self, data: Regression, mean: Regression, residual: FloatArray, weight: FloatArray
+    ) -> None:
         """Take one step of the law over the time that the samples stand for.
 
         The law knows no weights: a row that counts at all takes the whole step.
         """
         dt = data.time
         self.learning = weight > 0.0
-        self._reference.accumulate(data, residual, weight)
+        index, used = self.information.layout.index, self.information.layout.used
+        f, z = (np.where(used, part[0][index], 0.0) for part in (mean.f, mean.z))
+        self._reference.add(Sample(mean.y[0], residual, f, z, dt), dt * weight)
+        self._step(data, dt)
+        reference = self._reference.solve(self.coefficients)
+        distance = self.coefficients - reference.values
+        self.sigma = np.where(self.start.free, np.hypot(reference.sigma, distance), 0.0)
+
+    def _step(self, data: Regression, dt: float) -> None:
+        """Step the law."""
         y, f = data.y[-1], data.f[-1]
         moved, step = gradient_step(
             self.coefficients,
             y,
             f,
             self._gain_now(data, dt),
-            self._start.free,
+            self.start.free,
             dt,
             guarded=self._guarded,
         )

@@ -10,7 +10,7 @@ while its coefficients are still poor).
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,11 +20,18 @@ from uav_ident_ros.identification.estimators.change import (
     ChangeDetector,
 )
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
-from uav_ident_ros.identification.estimators.information import Information, Snapshot
-from uav_ident_ros.identification.prior import Start
-from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.estimators.information import Information, Solution, Sums
+from uav_ident_ros.identification.noise import NoiseModel, Whitener
+from uav_ident_ros.identification.prior import Start, slope_bounds
+from uav_ident_ros.identification.regression import Regression, layout
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import (
+    CONSTANT_COLUMN,
+    INPUT_COLUMNS,
+    STRUCTURES,
+    BoolArray,
+    FloatArray,
+)
 
 WARM_UP_TIME = 10.0
 """Time for which least squares builds the first model, s."""
@@ -33,50 +40,64 @@ FADE_TIME = 8.0
 """Time constant with which the information of the least-squares start then fades, s. It is
 biased, so it must go; at once, too little would be left where a flight has told little yet."""
 
-FADE_STEP = 0.5
-"""Time between two steps of that fading, s."""
-
-FADED_SHARE = 1e-12
-"""Share of the start below which nothing is left to fade."""
-
 SNAPSHOT_TIME = 0.5
 """Time between the copies of the information that a change goes back to, s."""
+
+WHITENED_TIME = 0.25
+"""Time between two solutions of the whitened estimate, s: sigma needs no more."""
 
 READD_TIME = 2.5
 """Newest stretch that lies after a noticed change, s, or very nearly."""
 
-SLOPE_SHARE = 0.1
-"""Share of the information behind the slope of a change that counts beside that stretch: most of
-it is in there already, and some may be from before the change."""
-
-SLOPE_ERROR = 0.15
-"""Relative error of that slope, for the same reason."""
+SLOPE_ERROR = 0.5
+"""Relative error of the slope by which a change shows: its window straddles the change."""
 
 TRIAL_TIME = 10.0
-"""Time in which a release has to prove itself, s."""
+"""Time in which a covariance reset has to prove itself, s."""
 
 TRIAL_RATIO = 0.8
-"""Squared residual of the new coefficients, relative to the old ones', above which a release
+"""Squared residual of the new coefficients, relative to the old ones', above which a reset
 is taken back: a real change leaves the old ones far behind, a false alarm does not."""
 
 
 @dataclass
 class Trial:
-    """A release on trial.
+    """A covariance reset on trial.
 
     Parameters
     ----------
-    before : Snapshot
-        The information as it would be without the release.
-    old : (n,) array
-        The row's coefficients before the release.
+    before : Sums
+        The information as it would be without the reset.
+    old : (k,) array
+        The row's coefficients before the reset.
     """
 
-    before: Snapshot
+    before: Sums
     old: FloatArray
     old_error: float = 0.0
     new_error: float = 0.0
     time: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The regression problem of a tick, one sample a row, gathered from its columns.
+
+    Parameters
+    ----------
+    y, residual : (rows,) array
+        What is explained, and what the coefficients before left of it.
+    f, z : (rows, k) array
+        Regressors and instruments.
+    dt : float
+        Time that the sample stands for, s.
+    """
+
+    y: FloatArray
+    residual: FloatArray
+    f: FloatArray
+    z: FloatArray
+    dt: float
 
 
 class InstrumentalVariable:
@@ -84,58 +105,109 @@ class InstrumentalVariable:
 
     Parameters
     ----------
-    start : Start
-        Initial coefficients, their uncertainty, and which are free.
-    forgetting_time : float
-        Time constant of forgetting, s; 0 for never.
+    information : Information
+        Where to accumulate.
 
     Attributes
     ----------
+    information : Information
+        The parameter.
     warming_up : bool
         Whether the regressors are still their own instruments.
     """
 
-    def __init__(self, start: Start, forgetting_time: float) -> None:
-        self.information = Information(start, forgetting_time)
+    def __init__(self, information: Information) -> None:
+        self.information = information
         self.warming_up = True
-        self._fading: Snapshot | None = None
-        self._start_share: FloatArray = np.ones(3)
-        self._since_fade: FloatArray = np.zeros(3)
+        self._start: Sums | None = None
 
-    def accumulate(
-        self,
-        data: Regression,
-        residual: FloatArray,
-        weight: FloatArray,
-        quiet: BoolArray | None = None,
-    ) -> None:
-        """Add the samples of a tick; parameters as in `Information.accumulate`."""
-        if self.warming_up and self.information.time.max() >= WARM_UP_TIME:
+    def add(self, sample: Sample, dt: FloatArray) -> None:
+        """Add a sample; each row counts for `dt` (rows,) s."""
+        information = self.information
+        if self.warming_up and information.time.max() >= WARM_UP_TIME:
             self.warming_up = False
-            self._fading = self.information.snapshot()
-        if self._fading is not None:
-            self._since_fade += (weight > 0.0) * data.time
-            if self._since_fade.max() >= FADE_STEP:
-                self._fading = self._fade(self._fading)
-        z = data.f if self.warming_up else data.z
-        self.information.accumulate(data, z, residual, weight, quiet)
+            self._start, information.sums = information.sums, information.sums.nothing_alike()
+        if self._start is not None:
+            self._start.weigh(np.exp(-dt / FADE_TIME))
+        z = sample.f if self.warming_up else sample.z
+        information.add(sample.f, z, sample.y, sample.residual, dt)
 
-    def _fade(self, start: Snapshot) -> Snapshot | None:
-        """Fade the least-squares start a step further; return what is left of it."""
-        spent, self._since_fade = self._since_fade, np.zeros(3)
-        keep = np.exp(-spent / FADE_TIME)
-        left = self.information.fade(start, keep)
-        self._start_share *= keep
-        if self._start_share.max() < FADED_SHARE:
-            return None
-        forgetting_time = self.information.forgetting_time
-        return left.scaled(np.exp(-spent / forgetting_time)) if forgetting_time > 0.0 else left
+    @property
+    def sums(self) -> Sums:
+        """All that is known."""
+        sums = self.information.sums
+        return sums if self._start is None else sums.plus(self._start)
 
-    def discount(self, weight: float) -> None:
-        """Let all that was accumulated count for `weight` of what it did."""
-        self.information.discount(weight)
-        if self._fading is not None:
-            self._fading = self._fading.scaled(np.full(3, weight))
+    def solve(self, values: FloatArray) -> Solution:
+        """Return the solution; `values` (R, n) are the coefficients before."""
+        return self.information.solve(values, self._start)
+
+    def discount(self, keep: float) -> None:
+        """Let all that was accumulated be worth `keep` of what it was."""
+        self.information.discount(keep)
+        if self._start is not None:
+            self._start.discount(np.full(len(self._start.blocks), keep))
+
+    def set_row(self, row: int, sums: Sums) -> None:
+        """Replace what is known in one row."""
+        self.information.sums.set_row(row, sums)
+        if self._start is not None:
+            self._start.set_row(row, self._start.nothing_alike())
+
+
+class Whitened:
+    """The same estimate with the residuals whitened: what both agree on is known.
+
+    Where an autopilot answers gusts, and nothing else moves its surfaces, the plain estimate is the
+    autopilot's; the whitened one is less so. With excitation they agree.
+
+    Parameters
+    ----------
+    estimate : InstrumentalVariable
+        Where to accumulate what was whitened.
+    """
+
+    def __init__(self, estimate: InstrumentalVariable) -> None:
+        self.estimate = estimate
+        layout = estimate.information.layout
+        self._noise = NoiseModel(layout.rows)
+        self._signals = Whitener((layout.rows, 2 + 2 * layout.width))
+        self._solution: Solution | None = None
+        self._since = 0.0
+
+    def add(self, sample: Sample, dt: FloatArray, *, restarted: bool) -> None:
+        """Add a sample; each row counts for `dt` (rows,) s."""
+        if restarted:
+            self._noise.restart()
+            self._signals.restart()
+        self._noise.add(sample.residual, sample.dt)
+        signals = np.column_stack((sample.y, sample.residual, sample.f, sample.z))
+        white = self._signals.apply(signals, self._noise)
+        if white is None:
+            return
+        k = sample.f.shape[1]
+        self.estimate.add(
+            Sample(white[:, 0], white[:, 1], white[:, 2 : 2 + k], white[:, 2 + k :], sample.dt), dt
+        )
+        self._since += sample.dt
+
+    def widened(
+        self, sigma: FloatArray, values: FloatArray, coefficients: FloatArray
+    ) -> FloatArray:
+        """Return standard deviations, shape (R, n), that cover the distance from this estimate.
+
+        Parameters
+        ----------
+        sigma, values : (R, n) arrays
+            The plain solution.
+        coefficients : (R, n) array
+            The coefficients before.
+        """
+        if self._solution is None or self._since >= WHITENED_TIME:
+            self._solution = self.estimate.solve(coefficients)
+            self._since = 0.0
+        white = self._solution
+        return np.asarray(np.hypot(np.maximum(sigma, white.sigma), values - white.values))
 
 
 class RecursiveRegression:
@@ -148,15 +220,19 @@ class RecursiveRegression:
     start : Start
         Initial coefficients, their uncertainty, and which are free.
     settings : Settings
-        Time constant of forgetting, and the excitation that a row needs.
+        Structure, time constant of forgetting, and the excitation that a row needs.
     instrumental : bool
         Whether the instrumental variable gives the coefficients. If not, it only tells how
         far least squares is biased.
 
     Attributes
     ----------
+    coefficients, sigma : (R, n) array
+        Estimate and standard deviations; 0 where a coefficient is not free. Those of least squares
+        are widened by its distance from the instrumental variable: its bias in gusts is many
+        times what its own residuals tell.
     learning : (3,) bool array
-        Rows that learned at the last tick.
+        Moment rows that learned at the last tick.
     changes : list of (row, column)
         Coefficients released at the last tick.
     information : Information
@@ -164,117 +240,209 @@ class RecursiveRegression:
     """
 
     def __init__(self, start: Start, settings: Settings, *, instrumental: bool) -> None:
-        forgetting_time = settings.forgetting_time
-        self.coefficients: FloatArray = start.values.copy()
-        self.problem = ""
-        self.learning: BoolArray = np.ones(3, dtype=bool)
-        self.changes: list[tuple[int, int]] = []
+        self._structure = STRUCTURES[settings.structure]
+        self._layout = layout(self._structure)
+        self._bounds = slope_bounds(self._structure)
+        used = self._layout.used[:3]
+        self._moment_rows = np.nonzero(used)[0]
+        self._moment_columns = self._layout.index[:3][used]
         self._start = start
-        self._instrumental = instrumental
-        self._reference = InstrumentalVariable(start, forgetting_time)
-        self.information = (
-            self._reference.information if instrumental else Information(start, forgetting_time)
+        self.problem = ""
+        self.learning = np.ones(3, dtype=bool)
+        self.changes: list[tuple[int, int]] = []
+
+        def information() -> Information:
+            correlation_time = 2.0 / settings.filter.cutoff
+            return Information(
+                self._structure, self._layout, start, correlation_time, settings.forgetting_time
+            )
+
+        self._reference = InstrumentalVariable(information())
+        self._least_squares = None if instrumental else information()
+        self._whitened = Whitened(InstrumentalVariable(information()))
+        self.information = self._least_squares or self._reference.information
+        self.coefficients: FloatArray = start.values.copy()
+        self.sigma: FloatArray = start.sigma.copy()
+        self._solution = self._solve()
+        self._gate = ExcitationGate(start.free[:3], settings.supervision)
+        self._detector = ChangeDetector(start.free[:3])
+        self._recent: deque[Sample] = deque()
+        self._snapshots: deque[tuple[Sums, Solution]] = deque(
+            maxlen=round(WINDOW_TIME / SNAPSHOT_TIME)
         )
-        self._gate = ExcitationGate(start.free, settings.supervision)
-        self._detector = ChangeDetector(start.free)
-        self._snapshots: deque[Snapshot] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
         self._trials: dict[int, Trial] = {}
         self._since_snapshot = 0.0
 
     @property
+    def start(self) -> Start:
+        """Initial coefficients, their uncertainty, and which are free."""
+        return self._start
+
+    @start.setter
+    def start(self, start: Start) -> None:
+        self._start = start
+        for information in (
+            self._reference.information,
+            self._whitened.estimate.information,
+            self.information,
+        ):
+            information.start = start
+        self.coefficients = np.where(start.free, self.coefficients, start.values)
+        self.sigma = np.where(start.free, self.sigma, start.sigma)
+
+    @property
     def clear(self) -> BoolArray:
-        """Rows in which the inputs stand out from all else that moves the aircraft."""
+        """Moment rows in which the inputs stand out from all else that moves the aircraft."""
         return self._gate.clear
 
     @property
-    def sigma(self) -> FloatArray:
-        """Standard deviations, shape (3, n); 0 where a coefficient is not free.
+    def inputs(self) -> FloatArray:
+        """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
+        return self._linear()[:, INPUT_COLUMNS]
 
-        Those of least squares are widened by its distance from the instrumental variable:
-        its bias in gusts is many times what its own residuals tell.
-        """
-        sigma = self.information.sigma
-        if self._instrumental:
-            return sigma
-        distance = self.coefficients - self._reference.information.solve()
-        return np.where(self._start.free, np.hypot(sigma, distance), 0.0)
+    def _linear(self) -> FloatArray:
+        """Moment rows of the linear problem in the place of their columns, shape (3, c)."""
+        linear = np.zeros((3, self._layout.size))
+        linear[self._moment_rows, self._moment_columns] = self._solution.linear[:3][
+            self._layout.used[:3]
+        ]
+        return linear
 
-    def update(self, data: Regression, residual: FloatArray, weight: FloatArray) -> None:
+    def residual(self, data: Regression) -> FloatArray:
+        """Return ``y - A f`` of the tick's mean, shape (rows,); `data` is one sample."""
+        f = data.f[0][self._layout.index]
+        return np.asarray(data.y[0] - np.add.reduce(f * self._solution.linear, axis=1))
+
+    def update(
+        self, data: Regression, mean: Regression, residual: FloatArray, weight: FloatArray
+    ) -> None:
         """Add the samples of a tick and solve."""
-        seen = self._gate.update(data, residual, self.coefficients, self.information.sigma)
+        index, used = self._layout.index, self._layout.used
+        f, z = (np.where(used, part[0][index], 0.0) for part in (mean.f, mean.z))
+        sample = Sample(mean.y[0], residual, f, z, data.time)
+        seen = self._gate.update(mean, residual[None, :3], self.coefficients[:3])
+        self.learning = self._gate.learning & (weight > 0.0)
         weight = weight * seen
-        self.learning = weight > 0.0
-        self._reference.accumulate(data, residual, weight, self._gate.quiet)
-        if not self._instrumental:
-            self.information.accumulate(data, data.f, residual, weight, self._gate.quiet)
-        self._follow_changes(data)
-        self._accept(self.information.solve())
+        dt = data.time * self._row_weights(weight)
+        self._reference.add(sample, dt)
+        self._whitened.add(sample, dt, restarted=mean.restarted)
+        if self._least_squares is not None:
+            self._least_squares.add(f, f, sample.y, residual, dt)
+        self._follow_changes(mean, sample, dt)
+        self._accept(self._solve())
 
-    def _accept(self, solution: FloatArray) -> None:
-        """Take a solution row by row; a row that makes no sense starts anew where it stood."""
-        sane = (np.abs(solution) < LARGEST_COEFFICIENT).all(axis=1)  # NaN fails too
-        if not sane.all():
-            solution = np.where(sane[:, None], solution, self.coefficients)
-            self.information.discount(sane * 1.0)
-        self.coefficients = solution
+    def _row_weights(self, weight: FloatArray) -> FloatArray:
+        """Weights of all rows (rows,): forces count as the moments that are learned with them."""
+        if self._layout.rows == len(weight):
+            return weight
+        return np.array([*weight, max(weight[0], weight[2]), weight[1]])
+
+    def _solve(self) -> Solution:
+        """Return the solution that is published, with the standard deviations that it has."""
+        solution = reference = self._reference.solve(self.coefficients)
+        sigma = solution.sigma
+        if self._least_squares is not None:
+            solution = self._least_squares.solve(self.coefficients)
+            sigma = np.hypot(solution.sigma, solution.values - reference.values)
+        sigma = self._whitened.widened(sigma, solution.values, self.coefficients)
+        sigma = np.where(self._start.free, sigma, self._start.sigma)
+        return replace(solution, sigma=sigma)
+
+    def _accept(self, solution: Solution) -> None:
+        """Take a solution, unless a row makes no sense: then all starts anew where it stood."""
+        sane = (np.abs(solution.values) < LARGEST_COEFFICIENT) & np.isfinite(solution.sigma)
+        if not sane.all():  # NaN fails too
+            self.forget(0.0)
+            return
+        values = np.minimum(solution.values, self._bounds)
+        self._solution, self.coefficients, self.sigma = solution, values, solution.sigma
 
     def reconfigure(self, settings: Settings) -> None:
         """Take over the settings that may change in flight."""
         self._reference.information.forgetting_time = settings.forgetting_time
+        self._whitened.estimate.information.forgetting_time = settings.forgetting_time
         self.information.forgetting_time = settings.forgetting_time
         self._gate.settings = settings.supervision
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""
         self._reference.discount(weight)
-        if not self._instrumental:
-            self.information.discount(weight)
-        self._detector = ChangeDetector(self._start.free)
+        self._whitened.estimate.discount(weight)
+        if self._least_squares is not None:
+            self._least_squares.discount(weight)
+        self._detector = ChangeDetector(self._start.free[:3])
+        self._recent.clear()
         self._snapshots.clear()
         self._trials.clear()
 
-    def _follow_changes(self, data: Regression) -> None:
+    # -- changes in flight -----------------------------------------------------------------
+
+    def _follow_changes(self, data: Regression, sample: Sample, dt: FloatArray) -> None:
         """Release what has changed, and take back a release that does not prove itself."""
+        self._recent.append(sample)
+        if len(self._recent) * sample.dt > READD_TIME:
+            self._recent.popleft()
         for row in list(self._trials):
-            self._continue_trial(row, data)
+            self._continue_trial(row, sample, dt)
         lively = self._gate.share >= LIVELY_SHARE
-        changed = self._detector.update(data, self.coefficients, lively, self.clear)
+        changed = self._detector.update(data, self._linear(), lively, self.clear)
         self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
         for i, j in changed:
             self._release(i, j)
         self._since_snapshot += data.time
         if self._since_snapshot >= SNAPSHOT_TIME:
-            self._snapshots.append(self.information.snapshot())
+            self._snapshots.append((self._sums().copy(), self._solution))
             self._since_snapshot = 0.0
 
-    def _release(self, row: int, j: int) -> None:
-        """Forget what input `j` did in one row, back to before the change, and learn it anew."""
-        found, column = self._detector.found, INPUT_COLUMNS.start + j
-        shift = float(found.slope[row, j])
-        self._trials[row] = Trial(self.information.snapshot(), self.coefficients[row].copy())
-        if self._snapshots:
-            self.information.restore(row, self._snapshots[0])
-        sigma = max(float(found.deviation[row, j]), SLOPE_ERROR * abs(shift))
-        power = SLOPE_SHARE * float(found.power[j])
-        self.information.release(row, column, shift, sigma, power)
-        time = 0.0
-        for tick in reversed(self._detector.recent):
-            time += tick.dt
-            if time > READD_TIME:
-                break
-            z = tick.z if self._instrumental and not self._reference.warming_up else tick.f
-            self.information.add_sample(row, tick.y, tick.f, z, tick.dt)
+    def _sums(self) -> Sums:
+        return self._reference.sums if self._least_squares is None else self._least_squares.sums
 
-    def _continue_trial(self, row: int, data: Regression) -> None:
+    def _set_row(self, row: int, sums: Sums) -> None:
+        if self._least_squares is None:
+            self._reference.set_row(row, sums)
+        else:
+            self._least_squares.sums.set_row(row, sums)
+
+    def _release(self, row: int, j: int) -> None:
+        """Forget what input `j` did in one row, back to before the change, and learn it anew.
+
+        A covariance reset: of all that was known before, the covariance of this coefficient and of
+        the constant, which takes up part of any change about a trim, are set to what a change
+        by so much allows.
+        """
+        found, information = self._detector.found, self.information
+        sums = self._sums().copy()
+        self._trials[row] = Trial(sums.copy(), self._solution.linear[row].copy())
+        known = self._snapshots[0][1] if self._snapshots else self._solution
+        mean, covariance = known.linear[row].copy(), known.covariance[row].copy()
+        columns = self._layout.index[row].tolist()
+        entry = columns.index(INPUT_COLUMNS.start + j)
+        shift = float(found.slope[row, j])
+        mean[entry] += shift
+        covariance[entry, entry] += max(float(found.deviation[row, j]), SLOPE_ERROR * shift) ** 2
+        if CONSTANT_COLUMN in columns:
+            constant = columns.index(CONSTANT_COLUMN)
+            covariance[constant, constant] += self._start.sigma[row, CONSTANT_COLUMN] ** 2
+        unit = float(information.unit[row])
+        sums.set_known(row, mean, covariance, information.free[row], unit)
+        alone = np.zeros(self._layout.rows)
+        alone[row] = 1.0
+        for sample in self._recent:
+            plain = self._least_squares is not None or self._reference.warming_up
+            z = sample.f if plain else sample.z
+            sums.add(sample.f, z, sample.y, alone * sample.dt)
+        self._set_row(row, sums)
+
+    def _continue_trial(self, row: int, sample: Sample, dt: FloatArray) -> None:
         """Compare the old with the new coefficients on samples that neither has seen."""
         trial = self._trials[row]
-        trial.before.matrix[row] += self.information.added[0][row]
-        trial.before.vector[row] += self.information.added[1][row]
-        y = data.y[:, row]
-        trial.old_error += float(np.sum((y - data.f @ trial.old) ** 2))
-        trial.new_error += float(np.sum((y - data.f @ self.coefficients[row]) ** 2))
-        trial.time += data.time
+        plain = self._least_squares is not None or self._reference.warming_up
+        trial.before.add(sample.f, sample.f if plain else sample.z, sample.y, dt)
+        y = sample.y[row]
+        trial.old_error += float(y - sample.f[row] @ trial.old) ** 2
+        trial.new_error += float(y - sample.f[row] @ self._solution.linear[row]) ** 2
+        trial.time += sample.dt
         if trial.time >= TRIAL_TIME:
             del self._trials[row]
             if trial.new_error > TRIAL_RATIO * trial.old_error:
-                self.information.restore(row, trial.before)
+                self._set_row(row, trial.before)

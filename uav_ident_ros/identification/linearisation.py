@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What engineers read off a model: its linearisation, its modes, their standard deviations.
+
+The state is ``[p q r beta alpha phi]``; small angles about level flight, or about the attitude
+given. Modes by the eigenvalues of the longitudinal part (q, alpha) and the lateral one (p, r, beta,
+phi); their standard deviations to first order from those of the coefficients (Etkin and Reid,
+Dynamics of Flight, 1996, ch. 6).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.structure import (
+    FLOW_FORCES,
+    INPUT_COLUMNS,
+    LAST_COLUMNS,
+    PRODUCT_COLUMNS,
+    RATE_COLUMNS,
+    ROWS,
+    FloatArray,
+    Structure,
+)
+
+STATES = ("p", "q", "r", "beta", "alpha", "phi")
+"""States of the linear model: rad/s and rad."""
+
+LONGITUDINAL = [STATES.index(name) for name in ("q", "alpha")]
+LATERAL = [STATES.index(name) for name in ("p", "r", "beta", "phi")]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """The flight condition to linearise about.
+
+    Parameters
+    ----------
+    airspeed : float
+        True airspeed, m/s.
+    rates : (3,) tuple of float
+        p, q, r, rad/s.
+    roll, pitch : float
+        Attitude, rad.
+    """
+
+    airspeed: float
+    rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    roll: float = 0.0
+    pitch: float = 0.0
+
+
+def linearise(
+    structure: Structure, values: FloatArray, condition: Condition
+) -> tuple[FloatArray, FloatArray]:
+    """Return A and B of ``dx/dt = A dx + B du``.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the coefficients.
+    values : (R, n) array
+        Coefficients.
+    condition : Condition
+        Where; the airspeed and the attitude matter to a structure with flow angles alone.
+
+    Returns
+    -------
+    (6, 6) and (6, 4) arrays
+        For the states p, q, r, beta, alpha, phi; (3, 3) and (3, 4) for p, q, r of a structure
+        without flow angles.
+    """
+    p, q, r = condition.rates
+    products = np.array(  # d(pq, qr, pr, pp, rr) / d(p, q, r)
+        [[q, p, 0.0], [0.0, r, q], [r, 0.0, p], [2.0 * p, 0.0, 0.0], [0.0, 0.0, 2.0 * r]]
+    )
+    moments = values[: len(ROWS)]
+    rates = moments[:, RATE_COLUMNS] + moments[:, PRODUCT_COLUMNS] @ products
+    if not structure.has_flow:
+        return rates, moments[:, INPUT_COLUMNS].copy()
+    a, b = np.zeros((6, 6)), np.zeros((6, 4))
+    a[:3, :3] = rates
+    a[:3, 3:5] = moments[:, LAST_COLUMNS]
+    b[:3] = moments[:, INPUT_COLUMNS]
+    for k, (angle, force, _) in enumerate(FLOW_FORCES):
+        row = structure.row_labels.index(force)
+        a[3 + k, 3 + k] = values[row, structure.column(angle)] / condition.airspeed
+        b[3 + k] = values[row, INPUT_COLUMNS] / condition.airspeed
+    a[3, 2], a[4, 1] = -1.0, 1.0
+    sine, cosine = math.sin(condition.roll), math.cos(condition.roll)
+    lift = GRAVITY * math.cos(condition.pitch) / condition.airspeed
+    a[3, 5], a[4, 5] = lift * cosine, -lift * sine
+    slope = math.tan(condition.pitch)
+    a[5, :3] = 1.0, slope * sine, slope * cosine
+    a[5, 5] = slope * (q * cosine - r * sine)
+    return a, b
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode of the linear model, as its eigenvalue and in the words of the field.
+
+    Parameters
+    ----------
+    name : str
+        ``short period``, ``dutch roll``, ``roll``, ``spiral``; ``longitudinal`` or ``lateral``
+        where the eigenvalues do not allow such a name.
+    eigenvalue : complex
+        1/s; of a pair the one above the real axis.
+    eigenvalue_sigma : (float, float)
+        Standard deviations of its real and imaginary part, 1/s.
+    frequency, frequency_sigma : float
+        Natural frequency of an oscillation, rad/s; NaN for a real mode.
+    damping, damping_sigma : float
+        Damping ratio of an oscillation; NaN for a real mode.
+    time_constant, time_constant_sigma : float
+        Of a real mode, s; negative where it grows. NaN for an oscillation.
+    """
+
+    name: str
+    eigenvalue: complex
+    eigenvalue_sigma: tuple[float, float]
+    frequency: float = math.nan
+    frequency_sigma: float = math.nan
+    damping: float = math.nan
+    damping_sigma: float = math.nan
+    time_constant: float = math.nan
+    time_constant_sigma: float = math.nan
+
+    @property
+    def stable(self) -> bool:
+        """Whether it decays."""
+        return self.eigenvalue.real < 0.0
+
+
+def modes(
+    structure: Structure, values: FloatArray, sigma: FloatArray, condition: Condition
+) -> list[Mode]:
+    """Return the modes of a model, longitudinal ones first; none without flow angles.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the coefficients.
+    values, sigma : (R, n) arrays
+        Coefficients and their standard deviations.
+    condition : Condition
+        Where.
+    """
+    if not structure.has_flow:
+        return []
+    a, _ = linearise(structure, values, condition)
+    spread = _spread_of(structure, values, sigma, condition)
+    found = []
+    for part, name in ((LONGITUDINAL, "longitudinal"), (LATERAL, "lateral")):
+        pick = np.ix_(part, part)
+        eigenvalues, right = np.linalg.eig(a[pick])
+        left = np.linalg.inv(right)
+        order = np.argsort(eigenvalues.real)
+        chosen = [int(k) for k in order if eigenvalues[k].imag >= 0.0]
+        names = _names(name, [complex(eigenvalues[k]) for k in chosen])
+        for k, label in zip(chosen, names, strict=True):
+            # d lambda / d a_ij = w_i v_j, with w, v the left and right eigenvectors
+            slope = np.outer(left[k], right[:, k])
+            found.append(_mode(label, complex(eigenvalues[k]), slope, spread[pick]))
+    return found
+
+
+def _spread_of(
+    structure: Structure, values: FloatArray, sigma: FloatArray, condition: Condition
+) -> FloatArray:
+    """Return the standard deviations of A, shape (6, 6), the coefficients as independent."""
+    base, _ = linearise(structure, values, condition)
+    variance = np.zeros_like(base)
+    for index in structure.free:
+        moved = values.copy()
+        moved[index] += sigma[index]
+        variance += (linearise(structure, moved, condition)[0] - base) ** 2
+    return np.sqrt(variance)
+
+
+def _names(part: str, eigenvalues: list[complex]) -> list[str]:
+    """Name the modes of one part, given the eigenvalues of pairs once, fastest decay first."""
+    oscillating = [value.imag > 0.0 for value in eigenvalues]
+    if part == "longitudinal":
+        return ["short period"] if oscillating == [True] else [part] * len(eigenvalues)
+    real = iter(("roll", "spiral"))
+    if sorted(oscillating) == [False, False, True]:
+        return ["dutch roll" if pair else next(real) for pair in oscillating]
+    return [part] * len(eigenvalues)
+
+
+def _mode(name: str, value: complex, slope: NDArray[np.complex128], spread: FloatArray) -> Mode:
+    """One mode, with standard deviations to first order."""
+    real = float(np.sqrt(((slope.real * spread) ** 2).sum()))
+    imaginary = float(np.sqrt(((slope.imag * spread) ** 2).sum()))
+    if value.imag == 0.0:
+        constant = -1.0 / value.real if value.real else math.inf
+        return Mode(
+            name,
+            value,
+            (real, 0.0),
+            time_constant=constant,
+            time_constant_sigma=abs(constant / value.real) * real if value.real else math.inf,
+        )
+    size = abs(value)
+    by_size = (value.real * slope.real + value.imag * slope.imag) / size
+    by_damping = -slope.real / size + value.real * by_size / size**2
+    return Mode(
+        name,
+        value,
+        (real, imaginary),
+        frequency=size,
+        frequency_sigma=float(np.sqrt(((by_size * spread) ** 2).sum())),
+        damping=-value.real / size,
+        damping_sigma=float(np.sqrt(((by_damping * spread) ** 2).sum())),
+    )
