@@ -117,6 +117,21 @@ def test_the_whole_file_is_no_damage(flight: Path) -> None:
     assert reader.damage == ""
 
 
+def test_chunks_behind_a_torn_place_are_found_without_an_index(flight: Path, copy: Path) -> None:
+    """The length of one record is wrong, and the index is gone."""
+    whole, _ = messages(flight)
+    places = chunk_places(flight)
+    torn, _ = places[len(places) // 2]
+    content = bytearray(flight.read_bytes()[: sum(places[-1])])
+    content[torn + 1 : torn + 9] = b"\xff" * 8
+    copy.write_bytes(content)
+    found, (damage,) = messages(copy)
+    assert "cannot be read in 1 places between chunks" in damage
+    assert found[0] == whole[0]
+    assert found[-1] == whole[-1]
+    assert len(whole) * 0.8 < len(found) < len(whole)
+
+
 def test_cut_off_file_gives_everything_before_the_cut(flight: Path, copy: Path) -> None:
     whole, _ = messages(flight)
     places = chunk_places(flight)

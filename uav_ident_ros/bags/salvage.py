@@ -9,8 +9,11 @@ does not check out is left out as a whole: nobody knows which of its messages ar
 from __future__ import annotations
 
 import heapq
+import mmap
+import re
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
@@ -36,6 +39,14 @@ FORMATS: Mapping[str, MessageDefinitionFormat] = {
     "ros2idl": MessageDefinitionFormat.IDL,
 }
 """Encodings of the definitions in a file."""
+
+RECORD_HEADER = 9
+"""Bytes of a record before what it holds: its kind and length."""
+
+CHUNK = re.compile(
+    rb"\x06(?=(.{8}).{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd)(.{8}))", re.DOTALL
+)
+"""Begin of a chunk: length, times, size and checksum, compression, length of the data."""
 
 MAGIC_SIZE = 8
 """Bytes before the first record."""
@@ -67,6 +78,8 @@ class _Contents:
         Whether the end of the messages was reached; the index follows.
     cut : bool
         Whether the file ends before.
+    torn : int
+        Places between chunks that cannot be read.
     start_ns, end_ns : int
         First and last log time, ns.
     """
@@ -80,6 +93,7 @@ class _Contents:
     indexed: bool = False
     ended: bool = False
     cut: bool = False
+    torn: int = 0
     start_ns: int = 2**63 - 1
     end_ns: int = 0
 
@@ -203,11 +217,12 @@ def _scan(file: IO[bytes]) -> _Contents:
 
     contents = _Contents()
     index = _index(file, contents)
-    for position, record in _records(file, sorted(index)):
+    places = _chunk_places(file)
+    for position, record in _records(file, places):
         if isinstance(record, Chunk):
             _take_chunk(contents, position, record, index)
         elif record is None:
-            _take_rest(contents, file, position, index)
+            _take_rest(contents, file, position, index, places)
         else:
             contents.ended = contents.ended or isinstance(record, DataEnd)
             contents.loose = contents.loose or isinstance(record, Message)
@@ -235,7 +250,7 @@ def _index(file: IO[bytes], contents: _Contents) -> dict[int, tuple[int, int]]:
 
 
 def _records(
-    file: IO[bytes], chunk_positions: Collection[int]
+    file: IO[bytes], chunk_positions: Sequence[int]
 ) -> Iterator[tuple[int, McapRecord | None]]:
     """Yield position and content of every record that can be read; None for one that cannot.
 
@@ -256,10 +271,24 @@ def _records(
             return
         except Exception:  # as above
             yield position, None
-        following = [p for p in chunk_positions if p > position]
-        if not following:
+        following = bisect_right(chunk_positions, position)
+        if following == len(chunk_positions):
             return
-        position, skip_magic = min(following), True
+        position, skip_magic = chunk_positions[following], True
+
+
+def _chunk_places(file: IO[bytes]) -> list[int]:
+    """Find every place where a chunk begins, in rising order: by its form, whatever an index says."""
+    size = file.seek(0, 2)
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        result = []
+        for found in CHUNK.finditer(data):
+            length, inner = (int.from_bytes(found[i], "little") for i in (1, 2))
+            begin = found.end(2) - found.start() - RECORD_HEADER
+            fits = found.start() + RECORD_HEADER + length <= size
+            if fits and begin + inner == length:
+                result.append(found.start())
+        return result
 
 
 def _take_chunk(
@@ -277,13 +306,20 @@ def _take_chunk(
 
 
 def _take_rest(
-    contents: _Contents, file: IO[bytes], position: int, index: Mapping[int, tuple[int, int]]
+    contents: _Contents,
+    file: IO[bytes],
+    position: int,
+    index: Mapping[int, tuple[int, int]],
+    places: Sequence[int],
 ) -> None:
     """Take what there is of a record that cannot be read."""
     if position in index:
         contents.lost.append(index[position])
         return
     if contents.ended:
+        return
+    if places and places[-1] > position:
+        contents.torn += 1
         return
     contents.cut = True
     try:
@@ -340,6 +376,8 @@ def _damage(contents: _Contents) -> str:
             f"is damaged: {len(contents.lost)} of {chunks} chunks are left out, between "
             f"{(begin - zero) * NS:.1f} s and {(end - zero) * NS:.1f} s after its start"
         )
+    if contents.torn:
+        found.append(f"cannot be read in {contents.torn} places between chunks")
     if contents.cut:
         found.append("is cut off at its end")
     if not found and not contents.indexed:

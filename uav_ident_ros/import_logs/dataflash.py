@@ -95,7 +95,8 @@ class Messages:
 
     def values(self, *fields: str) -> FloatArray:
         """Values of some fields, shape (k, number of fields)."""
-        return np.column_stack([self.columns[field] for field in fields]).astype(float)
+        with np.errstate(invalid="ignore"):  # damaged bytes may be a NaN that signals
+            return np.column_stack([self.columns[field] for field in fields]).astype(float)
 
 
 @dataclass(frozen=True)

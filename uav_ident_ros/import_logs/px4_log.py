@@ -97,7 +97,9 @@ class Topic:
 
     def vector(self, field: str, size: int = 3) -> FloatArray:
         """Values of an array field, shape (k, size)."""
-        return np.column_stack([self.column(f"{field}[{i}]") for i in range(size)]).astype(float)
+        columns = [self.column(f"{field}[{i}]") for i in range(size)]
+        with np.errstate(invalid="ignore"):  # damaged bytes may be a NaN that signals
+            return np.column_stack(columns).astype(float)
 
     def size(self, field: str) -> int:
         """Length of an array field."""

@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mutated logs and bags: each is read, or refused in one line, quickly and in little memory.
+
+Thousands of files of each kind are spoilt as disks, cables and people spoil them, and some as only
+an enemy would: bytes, blocks, lengths. The whole command runs on each, in this process, so that
+nothing hides behind an exit status. The same seed gives the same files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import multiprocessing
+import resource
+import signal
+import struct
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "test" / "import_logs"))
+
+from dataflash_writing import DataflashWriter  # noqa: E402
+from mcap.writer import CompressionType  # noqa: E402
+from mcap.writer import Writer as McapWriter  # noqa: E402
+from ulog_writing import commands, sensor_combined, write_ulog  # noqa: E402
+
+from uav_ident_ros.bags.reading import Bag, BagError  # noqa: E402
+from uav_ident_ros.bags.writing import jazzy_types  # noqa: E402
+from uav_ident_ros.identification.settings import SettingsError  # noqa: E402
+from uav_ident_ros.import_logs.cli import main as import_log  # noqa: E402
+from uav_ident_ros.offline.run import OfflineRun, choose_inputs  # noqa: E402
+
+LONGEST, MOST_MEMORY = 10.0, 500.0
+"""What reading one file may take, s, and the process may hold, MiB."""
+
+SECONDS = 3.0
+NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1)
+
+COLUMNS = """\
+time: {column: t}
+axes: frd
+rates: {columns: [p, q, r], unit: rad/s}
+channels:
+  elevator: {column: de, de: 1.0}
+"""
+
+
+class Outcome(NamedTuple):
+    """What became of one file: a word, the time it took (s), peak memory (MiB), words on it."""
+
+    word: str
+    seconds: float
+    memory: float
+    said: str
+
+
+# --- whole files ----------------------------------------------------------------------------------
+
+
+def write_whole(folder: Path) -> dict[str, Path]:
+    """Write one good file of each kind, of a few seconds."""
+    t_ns = 5_000_000 * np.arange(1, round(SECONDS * 200))
+    values = np.random.default_rng(1).normal(size=(len(t_ns), 3))
+    files = {"ulg": _ulog(folder, t_ns, values), "bin": _dataflash(folder, t_ns, values)}
+    rows = zip(t_ns * 1e-9, values, values[:, 0], strict=True)
+    text = "t,p,q,r,de\n" + "".join(f"{t:.3f},{p},{q},{r},{de}\n" for t, (p, q, r), de in rows)
+    files["csv"] = folder / "whole.csv"
+    files["csv"].write_text(text)
+    for compression in CompressionType:
+        name = f"mcap {compression.name.lower()}"
+        files[name] = _mcap(folder / f"{name}.mcap", compression)
+    return files
+
+
+def _ulog(folder: Path, t_ns: np.ndarray, values: np.ndarray) -> Path:
+    topics: dict[tuple[str, int], Any] = {
+        ("sensor_combined", 0): sensor_combined(t_ns, values, values),
+        ("vehicle_torque_setpoint", 0): commands(t_ns[::4], values[::4], "xyz"),
+        ("vehicle_status", 0): {
+            "timestamp": (t_ns[:3] // 1000).astype(np.uint64),
+            "arming_state": np.full(3, 2, np.uint8),
+        },
+    }
+    return write_ulog(folder / "whole.ulg", topics, {"SENS_BOARD_ROT": 0, "CA_AIRFRAME": 0})
+
+
+def _dataflash(folder: Path, t_ns: np.ndarray, values: np.ndarray) -> Path:
+    writer = DataflashWriter(folder)
+    writer.add_parameters({"SERVO1_FUNCTION": 4, "SERVO2_FUNCTION": 19, "SERVO1_MIN": 1100})
+    rows: list[tuple[int, str, tuple[float, ...]]] = [
+        (int(t) // 1000, "IMU", (0, *v, *v)) for t, v in zip(t_ns, values, strict=True)
+    ]
+    rows += [(int(t) // 1000, "RCOU", (1500, 1500 + i % 9)) for i, t in enumerate(t_ns[::4])]
+    rows += [(int(t_ns[0]) // 1000, "ARM", (1,)), (int(t_ns[9]) // 1000, "ARSP", (0, 16.0))]
+    writer.add_rows(rows)
+    return writer.write(folder / "whole.bin")
+
+
+def _mcap(path: Path, compression: CompressionType) -> Path:
+    """Copy the start of a flight, in small chunks."""
+    types = {"/imu/data": "sensor_msgs/msg/Imu", "/actuators": "sensor_msgs/msg/JointState"}
+    with Bag(ROOT / "bags" / "multisine") as bag, path.open("wb") as file:
+        writer = McapWriter(file, chunk_size=50_000, compression=compression)
+        writer.start(profile="ros2", library="fuzz")
+        channels = {}
+        for topic, name in types.items():
+            definition = jazzy_types().generate_msgdef(name)[0].encode()
+            schema = writer.register_schema(name, "ros2msg", definition)
+            channels[topic] = writer.register_channel(topic, "cdr", schema)
+        for topic, log_ns, data in bag.messages(types):
+            if log_ns < bag.start_ns + SECONDS * 1e9:
+                writer.add_message(channels[topic], log_ns, data, log_ns)
+        writer.finish()
+    return path
+
+
+# --- mutations ------------------------------------------------------------------------------------
+
+
+def mutated(content: bytes, chance: np.random.Generator) -> bytes:
+    """Return a spoilt copy: one to eight changes of a kind drawn at random."""
+    data = bytearray(content)
+    for _ in range(int(chance.integers(1, 9))):
+        change = MUTATIONS[int(chance.integers(len(MUTATIONS)))]
+        at = int(chance.integers(max(len(data), 1)))
+        if chance.random() < 0.3:  # where formats are declared
+            at = min(at, int(chance.integers(1, 3000)))
+        change(data, at, chance)
+    return bytes(data)
+
+
+def _flip(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    data[at : at + 1] = bytes(b ^ 1 << int(chance.integers(8)) for b in data[at : at + 1])
+
+
+def _noise(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    size = int(chance.integers(1, 600))
+    data[at : at + size] = chance.bytes(min(size, len(data) - at))
+
+
+def _zeros(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    size = min(int(chance.integers(1, 5000)), len(data) - at)
+    data[at : at + size] = bytes(size)
+
+
+def _cut_out(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    del data[at : at + int(chance.integers(1, 600))]
+
+
+def _repeat(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    data[at:at] = data[at : at + int(chance.integers(1, 2000))]
+
+
+def _move(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    block = data[at : at + int(chance.integers(1, 2000))]
+    to = int(chance.integers(max(len(data), 1)))
+    data[to : to + len(block)] = block
+
+
+def _number(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    size = int(chance.choice([1, 2, 4, 8]))
+    number = NUMBERS[int(chance.integers(len(NUMBERS)))] % 256**size
+    data[at : at + size] = number.to_bytes(size, "little")
+
+
+def _float(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    value = float(chance.choice([np.nan, np.inf, -np.inf, 1e300, -1.0, 5e-324]))
+    data[at : at + 8] = struct.pack("<d", value)
+
+
+def _truncate(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    if chance.random() < 0.3:
+        del data[at:]
+
+
+def _text(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    data[at : at + 4] = chance.choice([b"1e999", b"-1", b",,,,", b"\n", b'"', b"\xff\xfe", b"nan"])
+
+
+MUTATIONS: tuple[Callable[[bytearray, int, np.random.Generator], None], ...] = (
+    _flip, _flip, _noise, _zeros, _cut_out, _repeat, _move, _number, _number, _float, _truncate,
+    _text,
+)  # fmt: skip
+
+
+# --- reading --------------------------------------------------------------------------------------
+
+
+def read_log(path: Path) -> tuple[str, str]:
+    """Import a log; return a word on the outcome and what was said of it.
+
+    Raises
+    ------
+    AssertionError
+        If the command breaks its promises: one line and nothing left behind on a refusal.
+    """
+    folder = path.with_suffix(".out")
+    columns = path.with_suffix(".yaml")
+    columns.write_text(COLUMNS)
+    options = ["--columns", str(columns)] if path.suffix == ".csv" else []
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = import_log([str(path), "--output", str(folder), *options])
+    said = err.getvalue()
+    assert status in (0, 1, 2), status
+    assert (status == 2) == (len(said.splitlines()) == 1) == (not folder.exists()), said
+    assert status == 2 or not said, said
+    if status != 2:
+        with Bag(folder) as bag:
+            assert not bag.damage, bag.damage
+    return ("whole", "with a loss", "refused")[status], said
+
+
+def read_bag(path: Path) -> tuple[str, str]:
+    """Run the identifier over a bag; return a word on the outcome and what was said of it."""
+    try:
+        with Bag(path) as bag:
+            offline = OfflineRun(choose_inputs(bag, {}))
+            offline.run(bag, lambda messages, _: messages)
+            return ("with a loss" if bag.damage else "whole"), "; ".join(bag.damage)
+    except (BagError, SettingsError) as error:
+        first, *_ = str(error).splitlines()
+        assert first, "an empty message"
+        return "refused", str(error)
+
+
+def judge(job: tuple[str, str, int, str]) -> Outcome:
+    """Mutate a file, read it, and say what became of it.
+
+    Parameters
+    ----------
+    job : tuple
+        Kind, whole file, seed, folder for the spoilt ones.
+    """
+    kind, whole, seed, folder = job
+    content = mutated(Path(whole).read_bytes(), np.random.default_rng([seed, len(kind)]))
+    path = Path(folder) / f"{kind.replace(' ', '_')}_{seed}.{kind.split()[0]}"
+    path.write_bytes(content)
+    read = read_bag if kind.startswith("mcap") else read_log
+    begin = time.perf_counter()
+    try:
+        word, said = read(path)
+    except BaseException:
+        word, said = "FAILED", f"{path.name}: {traceback.format_exc()}"
+    seconds = time.perf_counter() - begin
+    return Outcome(word, seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, said)
+
+
+def judge_in_time(job: tuple[str, str, int, str]) -> Outcome:
+    """Judge a file; what takes too long has failed."""
+    signal.signal(signal.SIGALRM, _too_long)
+    signal.alarm(round(LONGEST))
+    try:
+        return judge(job)
+    finally:
+        signal.alarm(0)
+
+
+def _too_long(*_: object) -> None:
+    raise TimeoutError(f"longer than {LONGEST} s")
+
+
+def main() -> int:
+    """Spoil and read; 1 if one file was neither read nor refused as it should."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=5000, help="files of each kind (5000)")
+    parser.add_argument("--first", type=int, default=0, help="first seed (0)")
+    parser.add_argument("--only", default="", help="kinds that begin like this")
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    failed = False
+    with tempfile.TemporaryDirectory() as name:
+        files = write_whole(Path(name))
+        with multiprocessing.get_context("spawn").Pool(options.workers) as pool:
+            for kind, whole in files.items():
+                if not kind.startswith(options.only):
+                    continue
+                seeds = range(options.first, options.first + options.count)
+                jobs = [(kind, str(whole), seed, name) for seed in seeds]
+                outcomes = pool.map(judge_in_time, jobs, chunksize=20)
+                failed |= report(kind, outcomes)
+    return int(failed)
+
+
+def report(kind: str, outcomes: list[Outcome]) -> bool:
+    """Print what came of the files of one kind; return whether some failed."""
+    words = Counter(outcome.word for outcome in outcomes)
+    counts = ", ".join(f"{count} {word}" for word, count in sorted(words.items()))
+    slowest = max(outcome.seconds for outcome in outcomes)
+    memory = max(outcome.memory for outcome in outcomes)
+    print(f"{kind:10} {counts}; slowest {slowest:.1f} s, at most {memory:.0f} MiB", flush=True)
+    for outcome in [o for o in outcomes if o.word == "FAILED"][:5]:
+        print(outcome.said)
+    return words["FAILED"] > 0 or memory > MOST_MEMORY
+
+
+if __name__ == "__main__":
+    sys.exit(main())
