@@ -50,7 +50,7 @@ def decompressed(data: bytes, compression: str) -> bytes:
     TooLargeError
         If that is more than `LARGEST_PART`.
     """
-    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+    from lz4.frame import LZ4FrameDecompressor
 
     if not compression:
         return data

@@ -166,7 +166,7 @@ class SalvageReader:
             digest="",
             msgcount=self._contents.counts[channel.id],
             ext=ConnectionExtRosbag2(ENCODING, []),
-            owner=self,  # type: ignore[arg-type]
+            owner=self,
         )
 
     def close(self) -> None:
@@ -205,7 +205,7 @@ def _is_of(record: Any, chosen: Collection[int]) -> bool:
 
 def _loose(file: IO[bytes], chosen: Collection[int]) -> Iterator[tuple[int, int, Message | None]]:
     """Yield the messages that are in no chunk, by their time."""
-    records = [record for _, record in _records(file, []) if _is_of(record, chosen)]
+    records: list[Any] = [record for _, record in _records(file, []) if _is_of(record, chosen)]
     records.sort(key=lambda message: message.log_time)
     for message in records:
         yield message.log_time, 1, message
@@ -352,7 +352,7 @@ def _unpacked(chunk: Chunk, *, whole: bool) -> list[McapRecord]:
 
     data = decompressed(chunk.data, chunk.compression)
     if whole:
-        return breakup_chunk(replace(chunk, data=data, compression=""), validate_crc=True)
+        return list(breakup_chunk(replace(chunk, data=data, compression=""), validate_crc=True))
     found = []
     try:
         for record in StreamReader(

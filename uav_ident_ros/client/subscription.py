@@ -45,7 +45,7 @@ def subscribe(
         The subscription: reliable and latched, so that the last coefficients come at once.
     """
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-    from sensor_msgs.msg import JointState  # type: ignore[import-untyped]
+    from sensor_msgs.msg import JointState
 
     def take(message: JointState) -> None:
         try:
@@ -56,7 +56,7 @@ def subscribe(
         if callback is not None:
             callback(coefficients)
 
-    latched = QoSProfile(  # type: ignore[no-untyped-call]
+    latched = QoSProfile(
         depth=DEPTH,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL,

@@ -87,8 +87,8 @@ def _plane(log: DataflashLog, findings: Findings) -> dict[str, float]:
     for pin, function in pins.items():
         result[f"SERVO{pin}_FUNCTION"] = function
         for end in RANGES:
-            if (value := parameters.get(f"RC{pin}_{end}")) is not None:
-                result[f"SERVO{pin}_{end}"] = value
+            if (reach := parameters.get(f"RC{pin}_{end}")) is not None:
+                result[f"SERVO{pin}_{end}"] = reach
         result[f"SERVO{pin}_REVERSED"] = float(parameters.get(f"RC{pin}_REV", 1.0) < 0)
     findings.assumed.append(
         "a log without SERVOn_FUNCTION: aileron, elevator, throttle, rudder are on the pins of "

@@ -221,7 +221,9 @@ class FlightLog:
         ImportLogError
             If no rates or no actuators are left.
         """
-        streams = {"rates": self.rates, "actuators": self.actuators, "airspeed": self.airspeed}
+        streams: dict[str, Any] = {
+            "rates": self.rates, "actuators": self.actuators, "airspeed": self.airspeed
+        }  # fmt: skip
         changed: dict[str, Any] = {}
         for name, stream in streams.items():
             if stream is None or (good := plausible(stream.t_ns)).all():

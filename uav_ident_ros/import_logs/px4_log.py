@@ -11,9 +11,10 @@ from __future__ import annotations
 import mmap
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -270,7 +271,7 @@ class _Walker:
         self._formats: dict[str, list[tuple[str, int, str]]] = {}
         self._newest: _Subscription | None = None
         self._last: _Subscription | None = None
-        self._known = {
+        self._known: dict[str, Callable[[int, int], bool]] = {
             "B": lambda at, size: size == 40,
             "F": lambda at, size: _FORMAT.fullmatch(data, at, at + size) is not None,
             "I": self._has_key,
@@ -424,7 +425,7 @@ class _Walker:
         if self._newest is None:
             self.parameters[name] = value
             return
-        place = self._newest.dtype.fields or {}
+        place: Mapping[str, Any] = self._newest.dtype.fields or {}
         at = self._newest.places[-1] + DATA_HEADER + int(place["timestamp"][1])
         self.changes.append((int.from_bytes(self._data[at : at + 8], "little"), name, value))
 

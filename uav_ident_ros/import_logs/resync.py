@@ -12,15 +12,11 @@ Gap = tuple[int, int]
 
 
 class Format(Protocol):
-    """What a walk has to know of a log's format, and whom it tells what it finds.
+    """What a walk has to know of a log's format, and whom it tells what it finds."""
 
-    Attributes
-    ----------
-    lengths : collection of int
-        Lengths that messages with samples can have, bytes.
-    """
-
-    lengths: Collection[int]
+    @property
+    def lengths(self) -> Collection[int]:
+        """Lengths that messages with samples can have, bytes."""
 
     def length(self, at: int) -> int:
         """Return the length of the message that may begin here, bytes; 0 if none does."""

@@ -147,7 +147,7 @@ class TickMeter:
 
 def level_of(state: str) -> bytes:
     """Return the diagnostic level of a state word."""
-    return _LEVELS.get(state, DiagnosticStatus.WARN)
+    return bytes(_LEVELS.get(state, DiagnosticStatus.WARN))
 
 
 def status(

@@ -54,14 +54,15 @@ def why_silent(node: Node, wanted: Wanted) -> str:
     fitting = [end for end in ends if end.topic_type == wanted.type_name]
     if not fitting:
         return _other_type(node, wanted, ends[0])
-    (subscription,) = [
+    own = (
         end.qos_profile
         for end in node.get_subscriptions_info_by_topic(wanted.topic)
         if _owner(end) == node.get_fully_qualified_name()
-    ][:1] or [None]
+    )
+    subscription = next(own, None)
     problems = [_mismatch(end.qos_profile, subscription) for end in fitting]
     if subscription is not None and all(problems):
-        policy, offered, asked = problems[0]
+        policy, offered, asked = next(filter(None, problems))
         return (
             f"'{wanted.topic}' of {_owner(fitting[0])} is {offered}, and "
             f"'qos_overrides.{wanted.topic}.subscription.{policy}' asks for {asked}: set it to "

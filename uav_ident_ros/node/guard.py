@@ -38,7 +38,7 @@ class Guard:
         self.problem = ""
 
     def __call__(
-        self, callback: Callable[P, R], otherwise: Callable[P, R] | None = None
+        self, callback: Callable[P, R], otherwise: Callable[..., R] | None = None
     ) -> Callable[P, R | None]:
         """Return `callback`, guarded.
 

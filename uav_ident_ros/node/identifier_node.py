@@ -104,11 +104,15 @@ class IdentifierNode(Node):
             self._optional[AIRSPEED] = airspeed_input(to)
         if settings.armed.type:
             self._optional[ARMED] = armed_input(to)
-        inputs = {RATES: self._rates, ACTUATORS: actuator_input(to), **self._optional}
-        return {**inputs, EXCITATION: excitation_input(to)}
+        return {
+            RATES: self._rates,
+            ACTUATORS: actuator_input(to),
+            **self._optional,
+            EXCITATION: excitation_input(to),
+        }
 
     def _injection_is_told(self) -> bool:
-        return self.count_publishers(self._inputs[EXCITATION].monitor.topic) > 0
+        return bool(self.count_publishers(self._inputs[EXCITATION].monitor.topic) > 0)
 
     def _offer_services(self) -> None:
         guard = self._guard

@@ -69,16 +69,20 @@ class _Processes:
         for process in list(self._alive):
             process.terminate()
 
+    def _is_stopped(self) -> bool:
+        """Whether `stop` has been called, by another thread."""
+        return self._stopped
+
     def replay(self, job: Job, told: Told) -> Outcome:
         """Do a job in a process of its own and wait for it."""
-        if self._stopped:
+        if self._is_stopped():
             return Outcome(job, NO_RESULT, ("interrupted",))
         receiver, sender = self._context.Pipe(duplex=False)
         process = self._context.Process(target=_work, args=(job, sender), daemon=True)
         process.start()
         sender.close()
         self._alive.add(process)
-        if self._stopped:  # meanwhile
+        if self._is_stopped():  # meanwhile
             process.terminate()
         done = 0.0
         try:

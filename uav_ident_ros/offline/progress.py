@@ -15,7 +15,7 @@ def bar(**options: Any) -> Any:
     if not sys.stderr.isatty():
         return None
     try:
-        from tqdm import tqdm  # type: ignore[import-untyped]
+        from tqdm import tqdm
     except ImportError:
         return None
     return tqdm(leave=False, **options)

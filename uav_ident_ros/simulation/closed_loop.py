@@ -236,7 +236,7 @@ def tracking_error(record: Mapping[str, FloatArray], start: float, end: float) -
     """Rms of true rates minus reference from `start` to `end` (s), shape (3,), deg/s."""
     inside = (record["time"] >= start) & (record["time"] < end)
     error = (record["rates"] - record["reference"])[inside]
-    return np.degrees(np.sqrt(np.nanmean(error**2, axis=0)))
+    return np.asarray(np.degrees(np.sqrt(np.nanmean(error**2, axis=0))))
 
 
 def windows(fault_time: float, duration: float) -> list[tuple[float, float]]:

@@ -36,6 +36,7 @@ from uav_ident_ros.client import (
     subscribe,
     subscribe_excitation,
 )
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import run
@@ -132,8 +133,8 @@ class PlantNode(Node):
         self._start_ns = EPOCH_NS
         self._now_ns, self._clock_ns = self._start_ns, 0
         self._record = FlightRecord()
-        self._commands: dict[int, np.ndarray] = {}
-        self._reference: tuple[int, np.ndarray] | None = None
+        self._commands: dict[int, FloatArray] = {}
+        self._reference: tuple[int, FloatArray] | None = None
         self._coefficients_ns = 0
         self._identifier_silent = not self._value("wait_for_identifier")
         self._controller_silent = False
@@ -303,7 +304,7 @@ class PlantNode(Node):
         """Listen until there is a controller, and an identifier if one is waited for."""
 
         def listeners() -> int:
-            return self._imu.get_subscription_count()
+            return int(self._imu.get_subscription_count())
 
         def ready() -> bool:
             guided = bool(self._value("wait_for_reference"))
@@ -375,7 +376,7 @@ def _stamp(t_ns: int) -> Time:
     return Time(sec=t_ns // NS_PER_S, nanosec=t_ns % NS_PER_S)
 
 
-def _vector(values: np.ndarray) -> Vector3:
+def _vector(values: FloatArray) -> Vector3:
     return Vector3(x=float(values[0]), y=float(values[1]), z=float(values[2]))
 
 

@@ -205,8 +205,8 @@ class Quadrotor:
         h: float,
     ) -> None:
         self.rates, self.angles, self.velocity = (
-            [x + h * d for x, d in zip(state[k], slopes[k], strict=True)]  # type: ignore[call-overload]
-            for k in range(3)
+            [x + h * d for x, d in zip(part, slope, strict=True)]
+            for part, slope in zip(state[:3], slopes[:3], strict=True)
         )
         self.down = state[3] + h * slopes[3]
 
