@@ -491,7 +491,8 @@ def named_entries(estimate: Estimate, structure: Structure) -> NamedEntries:
     """Entries of ~/coefficients_named of an estimate."""
     verdict = (float(estimate.usable), *map(float, estimate.usable_rows))
     mask, flow = structure.mask, estimate.flow
-    states, spreads = ((), ())
+    states: tuple[float, ...] = ()
+    spreads: tuple[float, ...] = ()
     if flow is not None:
         states = tuple(getattr(flow, field) for field in STATE_FIELDS)
         spreads = (flow.alpha_sigma, flow.beta_sigma, 0.0, 0.0, 0.0)

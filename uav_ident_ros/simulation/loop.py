@@ -102,7 +102,8 @@ class Outcome:
         inside = (self.time >= start) & (self.time < end)
         if not inside.any():
             return np.full(3, np.nan)
-        return np.degrees(np.sqrt(np.mean((self.rates - self.reference)[inside] ** 2, axis=0)))
+        mean = np.mean((self.rates - self.reference)[inside] ** 2, axis=0)
+        return np.asarray(np.degrees(np.sqrt(mean)))
 
 
 def nominal_of(prepared: Prepared) -> Coefficients:
@@ -131,9 +132,11 @@ def message_of(identifier: OnlineIdentifier, estimate: Estimate) -> Coefficients
         identifier.structure,
         estimate.coefficients,
         estimate.sigma,
-        estimate.usable,
-        estimate.fit,
-        estimate.t_ns,
+        usable=estimate.usable,
+        usable_rows=estimate.usable_rows,
+        flow=estimate.flow,
+        fit=estimate.fit,
+        t_ns=estimate.t_ns,
     )
 
 
@@ -163,14 +166,16 @@ def fly_loop(
     source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(prepared))
     controller = make(source)
     rows: list[tuple[Sample, FloatArray, FloatArray]] = []
-    outcome = Outcome(*(np.empty(0) for _ in range(4)))
+    nothing: FloatArray = np.empty(0)
+    outcome = Outcome(nothing, nothing, nothing, nothing)
     dt = 1.0 / mission.sensors.rate
     reference = np.zeros(3)
     try:
         for k in range(round(mission.duration * mission.sensors.rate)):
             sample = live.sample()
             t_ns = EPOCH_NS + round(k * dt * 1e9)
-            reference = guide.rates(sample.time, *sample.attitude[:2].tolist(), dt)
+            roll, pitch = map(float, sample.attitude[:2])
+            reference = guide.rates(sample.time, roll, pitch, dt)
             u = controller.update(t_ns, sample.measured_rates, reference)
             live.command((prepared.trim + u)[:3])
             rows.append((sample, reference, live.outputs))
