@@ -172,22 +172,26 @@ def _change(name: str, factor: float, time: float = CHANGED) -> tuple[Coefficien
 
 def _feedback(seed: int, length: float) -> list[Trial]:
     """Bank commands, yaw damper and gusts; nobody excites."""
+    flights: Sequence[tuple[str, float, float, dict[str, float]]] = (
+        ("light_aircraft", 30.0, 0.3, {}),
+        ("light_aircraft", 30.0, 0.8, {}),
+        ("light_aircraft", 15.0, 1.5, {}),
+        # a span of 2 m, and a stiff autopilot, which answers each gust
+        ("light_aircraft", 15.0, 0.5, {"roll_gust": 0.8, "roll_gain": 0.5, "yaw_damper": 0.5}),
+        ("light_aircraft", 30.0, 1.0, {"roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}),
+        ("c172p", 30.0, 5, {}),
+        ("T37", 30.0, 3, {}),
+        ("OV10", 30.0, 3, {}),
+    )
     return [
         Trial(
             "feedback",
-            f"{aircraft}, wind {wind:g}",
+            f"{aircraft}, wind {wind:g}" + "".join(f", {k} {v:g}" for k, v in more.items()),
             seed,
-            partial(_fly, aircraft, seed, bank=bank, wind=wind, duration=length * 150.0),
+            partial(_fly, aircraft, seed, bank=bank, wind=wind, duration=length * 150.0, **more),
             feedback=True,
         )
-        for aircraft, bank, wind in (
-            ("light_aircraft", 30.0, 0.3),
-            ("light_aircraft", 30.0, 0.8),
-            ("light_aircraft", 15.0, 1.5),
-            ("c172p", 30.0, 5),
-            ("T37", 30.0, 3),
-            ("OV10", 30.0, 3),
-        )
+        for aircraft, bank, wind, more in flights
     ]
 
 

@@ -48,9 +48,6 @@ TURN_TIME = 10.0
 GUST_TIME, ROLL_GUST_TIME = 1.5, 0.3
 """Correlation times of wind and of its rolling part, s: 30 m and 6 m of flight."""
 
-ROLL_GUST = 0.15
-"""Rolling part, rad/s per m/s of wind."""
-
 LOST = math.radians(85.0)
 """Roll or pitch angle at which a flight counts as lost, rad."""
 
@@ -79,6 +76,10 @@ class LightFlight:
         Largest deflection of a surface, rad: commands beyond it are without effect.
     yaw_damper : float
         Rudder per rad/s of yaw rate.
+    roll_gain : float
+        Aileron per rad of bank error; a tenth of it per rad/s of roll rate.
+    roll_gust : float
+        Rolling part of the wind, rad/s per m/s: 2 / span for eddies as large as the wing.
     changes : tuple of CoefficientChange
         From a time on, an input (``de`` and so on) has its effect multiplied.
     seed : int
@@ -95,6 +96,8 @@ class LightFlight:
     time_constant: float = 0.0
     travel: float = math.inf
     yaw_damper: float = 0.15
+    roll_gain: float = 0.2
+    roll_gust: float = 0.15
     changes: tuple[CoefficientChange, ...] = ()
     seed: int = 0
     truth: Mapping[str, float] = field(default_factory=lambda: dict(TRUTH))
@@ -198,7 +201,7 @@ def _wind(spec: LightFlight, count: int) -> list[list[float]]:
     """Wind v, w (m/s) and rolling p (rad/s) at each step."""
     rng = np.random.default_rng([spec.seed, 7])
     v_w = ColouredNoise(spec.gust, GUST_TIME).sample(count, 2, spec.rate, rng)
-    p = ColouredNoise(ROLL_GUST * spec.gust, ROLL_GUST_TIME).sample(count, 1, spec.rate, rng)
+    p = ColouredNoise(spec.roll_gust * spec.gust, ROLL_GUST_TIME).sample(count, 1, spec.rate, rng)
     out: list[list[float]] = np.column_stack([v_w, p]).tolist()
     return out
 
@@ -214,7 +217,7 @@ def _autopilot(spec: LightFlight, state: State, t: float) -> FloatArray:
         [
             0.3 * (pitch - wanted) + 0.03 * q,
             spec.yaw_damper * (r - GRAVITY / SPEED * math.sin(roll) * math.cos(pitch)),
-            0.2 * (bank - roll) - 0.02 * p,
+            spec.roll_gain * (bank - roll - 0.1 * p),
             max(-0.5, min(0.5, 0.1 * (SPEED - u))),
         ]
     )
