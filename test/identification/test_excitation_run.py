@@ -16,13 +16,15 @@ from uav_ident_ros.identification.excitation_run import (
     Flying,
     Phase,
 )
+from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.programmed_input import ProgrammedInput
 from uav_ident_ros.identification.settings import ExcitationSettings, Settings, SettingsError
 from uav_ident_ros.identification.structure import STRUCTURES
 
+ARMED = "std_msgs/msg/Bool"
 TICK_NS = 50_000_000
 T0_NS = 1_000 * TICK_NS
-STRUCTURE = STRUCTURES["augmented"]
+STRUCTURE = STRUCTURES["flight_dynamics"]
 SETTINGS = ExcitationSettings(duration=20.0)
 LEVEL = Flying(np.zeros(3), roll=0.0, pitch=0.05, airspeed=20.0)
 
@@ -34,8 +36,9 @@ def estimate(
     coefficients = value * STRUCTURE.mask
     three = np.zeros(3)
     sigma = coefficients / ratio
+    usable = (False, False, False)
     return Estimate(
-        t_ns, coefficients, sigma, three, three, three, True, False, state, "why it waits"
+        t_ns, coefficients, sigma, three, three, three, True, False, usable, state, "why it waits"
     )
 
 
@@ -266,3 +269,24 @@ def test_what_is_next_to_nothing_need_not_be_told_from_nothing() -> None:
         assert run.sufficiency is not None
         assert (run.sufficiency.unknown == ()) is known
     assert run.sufficiency.effects["da"] == ("pdot/da", 10.0, pytest.approx(0.1))
+
+
+def test_the_identifier_knows_attitude_and_airspeed_for_the_limits() -> None:
+    """A vehicle that stands on a slope, in the wind: the accelerometer tells the attitude."""
+    settings = Settings.from_values(
+        {"imu.convention": "frd", "airspeed.type": "std_msgs/msg/Float64", "armed.type": ARMED}
+    )
+    identifier = OnlineIdentifier(settings)
+    assert identifier.flying().rates is None
+    force = (9.81 * np.sin(0.2), -9.81 * np.sin(0.5) * np.cos(0.2), -9.81 * np.cos(0.5) * 0.98)
+    for k in range(600):
+        t_ns = T0_NS + k * 10_000_000
+        identifier.add_actuators(t_ns, (0.0,) * 4)
+        identifier.add_airspeed(t_ns, 18.0)
+        identifier.add_rates(t_ns, (1e-3 * (k % 2), 0.0, 0.0), force)
+        while (due := identifier.due()) is not None:
+            identifier.update(due)
+    flying = identifier.flying()
+    assert (flying.roll, flying.pitch) == pytest.approx((0.5, 0.2), abs=0.02)
+    assert flying.airspeed == 18.0
+    assert flying.grounded == "nothing was heard of being armed"

@@ -114,9 +114,15 @@ class FlowObserver:
         self._bias: Vector = (0.0, 0.0, 0.0)
         self._speed = reference
 
+    @property
+    def attitude(self) -> tuple[float, float]:
+        """Roll and pitch at the newest edge, rad."""
+        x, y, z = self.down
+        return atan2(y, z), asin(min(max(-x, -1.0), 1.0))
+
     def state(self, coefficients: FloatArray, sigma: FloatArray) -> FlowState:
         """Return the state at the newest edge; with coefficients and sigma of shape (7, n)."""
-        x, y, z = self.down
+        roll, pitch = self.attitude
         beta, alpha = self.angles
         beta_share, alpha_share = (
             abs(float(sigma[row, column] / coefficients[row, column]))
@@ -127,8 +133,8 @@ class FlowObserver:
             alpha=alpha,
             beta_sigma=abs(beta) * beta_share,
             alpha_sigma=abs(alpha) * alpha_share,
-            roll=atan2(y, z),
-            pitch=asin(min(max(-x, -1.0), 1.0)),
+            roll=roll,
+            pitch=pitch,
             airspeed=self._speed,
         )
 

@@ -288,8 +288,11 @@ class OnlineIdentifier:
 
     def flying(self) -> Flying:
         """Return what is known of the flight, as of the last tick."""
+        roll, pitch = (None, None) if self._flow is None else self._flow.attitude
         return Flying(
             self._newest_rates,
+            roll,
+            pitch,
             airspeed=self._speed.newest,
             grounded=self._supervisor.grounded(self._speed.newest),
         )

@@ -11,12 +11,15 @@ import math
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import INPUTS, RATES, BoolArray, FloatArray, Structure
-
-ANGULAR_ROWS = 3
-"""The rows pdot, qdot, rdot come first in every structure."""
-
-FLOW_ANGLES = ("beta", "alpha")
+from uav_ident_ros.identification.structure import (
+    FLOW_ANGLES,
+    INPUTS,
+    RATES,
+    ROWS,
+    BoolArray,
+    FloatArray,
+    Structure,
+)
 
 SHORTEST_SPAN = 2.0
 """Time of a run from which its information is extrapolated, s: the filters' memory is over."""
@@ -50,12 +53,12 @@ class Sufficiency:
                 for k, (i, j) in enumerate(self._free)
                 if i == row and structure.regressors[j] in kind
             ]
-            for row in range(ANGULAR_ROWS)
+            for row in range(len(ROWS))
             for kind in kinds
         ]
         self._controls = [
             k for k, (i, j) in enumerate(self._free)
-            if i < ANGULAR_ROWS and structure.regressors[j] in INPUTS
+            if i < len(ROWS) and structure.regressors[j] in INPUTS
         ]  # fmt: skip
         self._start: tuple[int, FloatArray] | None = None
         self.unknown: tuple[str, ...] = ()
