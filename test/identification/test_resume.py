@@ -152,10 +152,54 @@ def test_settings_that_may_change_in_flight_do() -> None:
     assert not np.array_equal(last.coefficients, kept.coefficient_set().values)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("actuators.delay", 0.08),
+        ("actuators.time_constant", 0.05),
+        ("actuators.trim", (0.01, 0.0, 0.0, 0.4)),
+        ("filter.cutoff", 25.0),
+        ("imu.lever_arm", (0.3, 0.0, 0.0)),
+    ],
+)
+def test_how_signals_are_made_may_change_and_the_coefficients_go_on(name: str, value: Any) -> None:
+    _, measurements = first_flight()
+    stream = messages(measurements)
+    half = len(stream) // 2
+    identifier = fresh()
+    before = run(identifier, stream[:half])[-1]
+    sigma = identifier.coefficient_set().sigma
+    values = identifier.settings.values()
+    identifier.reconfigure(Settings.from_values({**values, name: value}))
+    assert np.array_equal(identifier.coefficient_set().values, before.coefficients)
+    free = sigma > 0.0
+    assert (identifier.coefficient_set().sigma[free] > sigma[free]).all(), "it is trusted less"
+    first, *_, last = run(identifier, stream[half:])
+    assert np.array_equal(first.coefficients, before.coefficients)
+    assert first.t_ns - before.t_ns < 1_000_000_000
+    assert not np.array_equal(last.coefficients, before.coefficients)
+
+
+def test_a_delay_that_is_corrected_in_flight_mends_the_coefficients() -> None:
+    flight, measurements = first_flight()
+    stream = messages(measurements)
+    half = len(stream) // 2
+    right = settings(measurements).actuators.delay
+    wrong = fresh(actuators__delay=right + 0.1)
+    first = run(wrong, stream[:half])[-1]
+    astray = worst(errors(first.coefficients, STRUCTURE, flight, DOMINANT))
+    assert astray > 0.3
+    values = wrong.settings.values()
+    wrong.reconfigure(Settings.from_values({**values, "actuators.delay": right}))
+    last = run(wrong, stream[half:])[-1]
+    assert worst(errors(last.coefficients, STRUCTURE, flight, DOMINANT)) < 0.3 * astray
+    assert last.usable, last.reason
+
+
 def test_settings_that_may_not_change_are_refused_by_name() -> None:
     identifier = fresh()
     before = identifier.settings
-    values = {**before.values(), "forgetting_time": 50.0, "filter.cutoff": 20.0}
-    with pytest.raises(SettingsError, match=r"'filter\.cutoff' cannot change in flight"):
+    values = {**before.values(), "forgetting_time": 50.0, "update_rate": 10.0}
+    with pytest.raises(SettingsError, match=r"'update_rate' cannot change in flight"):
         identifier.reconfigure(Settings.from_values(values))
     assert identifier.settings is before

@@ -110,9 +110,21 @@ def test_change_that_is_allowed_is_applied_and_a_set_of_them_only_whole(context:
     assert len(applied) == 2
     assert (applied[1].model.leak_time, applied[1].supervision.min_fit) == (2.0, 40.0)
     assert applied[1].forgetting_time == 60.0
-    (result,) = node.set_parameters([Parameter("filter.cutoff", value=20.0)])
+    for name, value in (
+        ("filter.cutoff", 20.0),
+        ("actuators.delay", 0.03),
+        ("actuators.time_constant", 0.05),
+        ("actuators.trim", [0.0, 0.0, 0.0, 0.4]),
+        ("imu.lever_arm", [0.3, 0.0, 0.0]),
+    ):
+        (result,) = node.set_parameters([Parameter(name, value=value)])
+        assert result.successful, result.reason
+        changed = applied[-1].values()[name]
+        assert (list(changed) if isinstance(changed, tuple) else changed) == value
+    (result,) = node.set_parameters([Parameter("update_rate", value=10.0)])
     assert not result.successful
-    assert "filter.cutoff" in result.reason
+    assert "update_rate" in result.reason
+    assert "read once" in node.describe_parameter("update_rate").additional_constraints
 
 
 def test_qos_override_changes_the_subscription(context: Context, tmp_path: Path) -> None:

@@ -99,11 +99,16 @@ def main_table() -> str:
 
 
 def changeable() -> str:
-    """Say which parameters may change while the node runs."""
-    names = [f"`{setting.name}`" for setting in declarations() if not setting.read_only]
-    if not names:
-        return "Every parameter is read once, at the start; a later change is refused.\n"
-    return f"These may change while the node runs: {', '.join(names)}; all others are read once.\n"
+    """Say which parameters may change while the node runs, and what that does."""
+    free = [s for s in declarations() if not s.read_only]
+    at_once = ", ".join(f"`{setting.name}`" for setting in free if not setting.restarts)
+    warm = ", ".join(f"`{setting.name}`" for setting in free if setting.restarts)
+    return (
+        f"These take effect at the next tick: {at_once}.\n\nThese change what the signals are, and "
+        "are taken over as at a warm start: the filters restart, the coefficients go on, and what "
+        f"was learned before is trusted less: {warm}.\n\nAll others are read once, at the start: "
+        "they say what the messages and the coefficients mean, or how many there are.\n"
+    )
 
 
 def rates_types() -> str:

@@ -145,14 +145,18 @@ class OnlineIdentifier:
             If one differs that cannot change in flight: then nothing changes.
         """
         before, after = self.settings.values(), settings.values()
-        for setting in declarations():
-            if setting.read_only and before[setting.name] != after[setting.name]:
+        changed = [s for s in declarations() if before[s.name] != after[s.name]]
+        for setting in changed:
+            if setting.read_only:
                 raise SettingsError(
                     setting.name, f"'{setting.name}' cannot change in flight: start anew"
                 )
         self.settings = settings
         self._supervisor.settings = settings
-        self._estimator.reconfigure(settings)
+        if any(setting.restarts for setting in changed):
+            self._make_signals_anew("actuators.delay" in {setting.name for setting in changed})
+        else:
+            self._estimator.reconfigure(settings)
 
     def _begin(self, start: Start, delay: float) -> None:
         """Forget everything and start from what is known."""
@@ -179,6 +183,15 @@ class OnlineIdentifier:
         self.fault = ""
         self._learned_time = 0.0
         self.restart()
+
+    def _make_signals_anew(self, delay_is_given: bool) -> None:
+        """Make the signals by the settings of now: a warm start from what was learned before."""
+        learned, saved = self.coefficient_set(), self._saved
+        delay = self.settings.actuators.delay if delay_is_given else self.delay
+        self._arm = np.array(self.settings.imu.lever_arm)
+        self._sampler = Sampler(self.settings)
+        self.resume(learned, delay)
+        self._saved = saved
 
     def restart(self) -> None:
         """Start on a new time base: buffers and filters restart, the coefficients stay."""

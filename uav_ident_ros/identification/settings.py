@@ -58,6 +58,9 @@ class Setting:
         Allowed words; empty if any is.
     read_only : bool
         Whether it cannot change while the identifier runs.
+    restarts : bool
+        Whether, when it changes, the filters restart and what was learned so far is trusted as
+        after a warm start: it was learned from signals that were made otherwise.
     """
 
     name: str
@@ -69,6 +72,7 @@ class Setting:
     high: float = math.inf
     choices: tuple[str, ...] = ()
     read_only: bool = True
+    restarts: bool = False
 
     @property
     def bounded(self) -> bool:
@@ -196,6 +200,7 @@ def _setting(
     high: float = math.inf,
     choices: Sequence[str] = (),
     read_only: bool = True,
+    restarts: bool = False,
 ) -> Any:
     """Declare one setting as a dataclass field."""
     return dataclasses.field(
@@ -206,7 +211,8 @@ def _setting(
             "low": low,
             "high": high,
             "choices": tuple(choices),
-            "read_only": read_only,
+            "read_only": read_only and not restarts,
+            "restarts": restarts,
         },
     )
 
@@ -287,6 +293,7 @@ class ImuSettings:
         "centimetres away.",
         low=-100.0,
         high=100.0,
+        restarts=True,
     )
 
 
@@ -359,6 +366,7 @@ class ActuatorSettings:
         "",
         "Raw value of each channel in trimmed flight, N values. Empty: zeros. Set it to what "
         "the autopilot's trimmed flight shows.",
+        restarts=True,
     )
     learn_trim_time: float = _setting(
         0.0,
@@ -376,6 +384,7 @@ class ActuatorSettings:
         "replay.",
         low=0.0,
         high=MAX_DELAY,
+        restarts=True,
     )
     estimate_delay: bool = _setting(
         False,
@@ -390,6 +399,7 @@ class ActuatorSettings:
         "not positions.",
         low=0.0,
         high=2.0,
+        restarts=True,
     )
     interpolation: str = _setting(
         "hold",
@@ -442,6 +452,7 @@ class FilterSettings:
         "for small, agile aircraft.",
         low=1.0,
         high=200.0,
+        restarts=True,
     )
     max_gap: float = _setting(
         0.2,

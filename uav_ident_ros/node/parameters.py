@@ -175,12 +175,17 @@ def _described(setting: Setting) -> str:
 
 
 def _constraints(setting: Setting) -> str:
-    """Say what a descriptor's range cannot: words, and the entries of arrays."""
+    """Say what a descriptor's range cannot: words, the entries of arrays, what a change does."""
+    parts = []
     if setting.choices:
-        return f"one of: {setting.allowed()}"
-    if setting.type.endswith("[]") and (setting.low > -math.inf or setting.high < math.inf):
-        return f"each: {setting.allowed()}"
-    return ""
+        parts.append(f"one of: {setting.allowed()}")
+    elif setting.type.endswith("[]") and (setting.low > -math.inf or setting.high < math.inf):
+        parts.append(f"each: {setting.allowed()}")
+    if setting.read_only:
+        parts.append("read once, at the start")
+    elif setting.restarts:
+        parts.append("a change restarts the filters; the coefficients go on")
+    return "; ".join(parts)
 
 
 class Changes:
