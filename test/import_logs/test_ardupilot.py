@@ -218,6 +218,17 @@ def test_trim_airspeed_lever_arm_and_lost_messages(tmp_path: Path, capsys) -> No
     assert "ARSP.Airspeed times CTUN.E2T" in said
 
 
+def test_a_log_that_begins_in_flight(tmp_path: Path, capsys) -> None:
+    """Its only event is the end of the flight: it was armed before."""
+    end_us = int(IMU_US[200])
+    rows = [(end_us, "ARM", (0,)), *((int(t), "ATT", (0, 3000, 0, -1000, 0, 9000)) for t in IMU_US)]
+    bag, values, said = imported(tmp_path, capsys, imu() + rcou() + rows, PLANE, "--flight-only")
+    assert bag.imu_t_ns[-1] == end_us * 1000
+    assert "armed for 0.8 s in 1 stretch(es) (ARM, EV)" in said
+    assert values["armed.type"] == "std_msgs/msg/Bool"
+    assert "attitude: ATT" in said
+
+
 def test_a_parameter_that_changes_is_told(tmp_path: Path, capsys) -> None:
     writer = DataflashWriter(tmp_path)
     writer.add_parameters(PLANE)

@@ -10,7 +10,9 @@ import pytest
 from imported import contents, parameters, refusal, replayed, run
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.frames import rotation
+from uav_ident_ros.import_logs.orientation import quaternions
 from uav_ident_ros.simulation.channels import ELEVON, QUADROTOR
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared" / "logs" / "px4_quad_sample.ulg"
@@ -162,7 +164,7 @@ def test_a_vtol_has_two_sets_of_setpoints(tmp_path: Path, capsys) -> None:
     }
     airframe = {"CA_AIRFRAME": 2}
     bag, _, said = imported(tmp_path, capsys, topics, airframe)
-    assert "1 those of forward flight (--actuators-instance); 0 is taken" in said
+    assert "of instance 1 those of forward flight (--actuators-instance); 0 is taken" in said
     np.testing.assert_array_equal(bag.actuators, noise(3).astype(np.float32))
     forward = tmp_path / "forward"
     options = ["--actuators-instance", "1", "--output", str(forward)]
@@ -179,7 +181,7 @@ def test_an_old_vtol_has_a_topic_for_each_set(tmp_path: Path, capsys) -> None:
     topics |= {("actuator_outputs", 1): commands(COMMAND_NS, noise(8), "output")}
     bag, _, said = imported(tmp_path, capsys, topics, {"MAV_TYPE": 22})
     np.testing.assert_array_equal(bag.actuators, noise(8).astype(np.float32))
-    assert "a VTOL: actuator_controls_ 0 are the commands of hover" in said
+    assert "a VTOL: actuator_controls_0 are the commands of hover" in said
     log = [str(tmp_path / "flight.ulg"), "--output"]
     for name, option in (("a", ["--actuators-instance", "1"]),
                          ("b", ["--actuators-topic", "actuator_controls_1"])):  # fmt: skip
@@ -328,13 +330,68 @@ def test_airspeed(tmp_path: Path, capsys, name: str) -> None:
         "true_airspeed_m_s": np.linspace(14.0, 16.0, len(COMMAND_NS)).astype(np.float32),
     }
     topics = combined() | TORQUES | {(name, 0): speed}
-    bag, values, _ = imported(tmp_path, capsys, topics, {})
+    bag, values, said = imported(tmp_path, capsys, topics, {})
     np.testing.assert_array_equal(bag.airspeed, speed["true_airspeed_m_s"])
+    assert values["airspeed.type"] == "geometry_msgs/msg/TwistStamped"
+    assert values["airspeed.reference"] == pytest.approx(15.0)
+    assert "the airspeed is used; in flight its median is 15 m/s" in said
+    log = [str(tmp_path / "flight.ulg"), "--output", str(tmp_path / "plain")]
+    run([*log, "--no-airspeed"], capsys)
+    assert "airspeed.type" not in parameters(tmp_path / "plain")
+    assert parameters(tmp_path / "plain")["airspeed.reference"] == pytest.approx(15.0)
+
+
+@pytest.mark.parametrize("part", [slice(0, 30), slice(None)])
+def test_an_airspeed_that_is_no_use_is_left_out(tmp_path: Path, capsys, part: slice) -> None:
+    """Measured for a part of the flight, or that of a hover; the ground speed stands in."""
+    slow = part == slice(None)
+    t_ns = COMMAND_NS[part] + (0 if slow else 10**10)
+    speed = np.full(len(t_ns), 1.0 if slow else 15.0, dtype=np.float32)
+    ground = np.full(len(COMMAND_NS), 12.5, dtype=np.float32)
+    topics = (
+        combined()
+        | TORQUES
+        | {
+            ("airspeed", 0): {"timestamp": stamps(t_ns), "true_airspeed_m_s": speed},
+            ("vehicle_gps_position", 0): {"timestamp": stamps(COMMAND_NS), "vel_m_s": ground},
+        }
+    )
+    _, values, said = imported(tmp_path, capsys, topics, {})
     assert "airspeed.type" not in values
-    text = (tmp_path / "bag" / "identifier.yaml").read_text()
-    assert '# airspeed.type: "geometry_msgs/msg/TwistStamped"' in text
-    run([str(tmp_path / "flight.ulg"), "--airspeed", "--output", str(tmp_path / "scaled")], capsys)
-    assert parameters(tmp_path / "scaled")["airspeed.reference"] == pytest.approx(15.0)
+    assert ("airspeed.reference" not in values) if slow else values["airspeed.reference"] == 12.5
+    assert "the airspeed is not used" in said
+
+
+def test_attitude_and_arming_come_along(tmp_path: Path, capsys) -> None:
+    yaw = np.linspace(3.0, 3.4, 21)  # through 180 deg, where the quaternion changes its sign
+    q = quaternions(
+        np.full(21, 0.3), np.full(21, -0.2), np.remainder(yaw + np.pi, 2 * np.pi) - np.pi
+    )
+    logged = np.column_stack([q[:, 3], q[:, :3]])
+    attitude = commands(IMU_NS[::20][:21] + 30_000, logged[: len(IMU_NS[::20])], "q", delay_us=30)
+    armed_ns = int(IMU_NS[100])
+    topics = (
+        combined()
+        | TORQUES
+        | {
+            ("vehicle_attitude", 0): attitude,
+            ("vehicle_status", 0): status(IMU_NS[[0, 100]], "arming_state", [1, 2]),
+        }
+    )
+    _, values, _ = imported(tmp_path, capsys, topics, {"MC_ROLLRATE_P": 0.15})
+    assert values["armed.type"] == "std_msgs/msg/Bool"
+    assert "MC_ROLLRATE_P 0.15" in (tmp_path / "bag" / "identifier.yaml").read_text()
+    with Bag(tmp_path / "bag") as bag:
+        decode = {topic: bag.decoder(topic) for topic in ("/imu/data", "/armed")}
+        read = [(m.topic, m.log_ns, decode[m.topic](m.data)) for m in bag.messages(decode)]
+    states = [(t, m.data) for topic, t, m in read if topic == "/armed"]
+    assert all(armed == (t >= armed_ns) for t, armed in states)
+    assert (armed_ns, True) in states and len(states) == 3
+    imu = [m for topic, _, m in read if topic == "/imu/data"]
+    o = imu[110].orientation  # between two samples of the attitude
+    middle = quaternions(*(np.array([angle]) for angle in (0.3, -0.2, yaw[5:7].mean())))[0]
+    assert abs(np.dot([o.x, o.y, o.z, o.w], middle)) == pytest.approx(1.0, abs=1e-6)
+    assert imu[0].orientation_covariance[0] == 0.0
 
 
 def test_the_lever_arm_and_learnt_trim(tmp_path: Path, capsys) -> None:

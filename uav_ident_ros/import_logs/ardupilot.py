@@ -17,15 +17,18 @@ from uav_ident_ros.import_logs.autopilot import (
     NO_FORCE,
     choose,
     find_messages,
+    median_in_flight,
     read_lever_arm,
     refuse_others,
     say_changes,
     say_instances,
     say_stretches,
+    that_explain,
 )
 from uav_ident_ros.import_logs.dataflash import DataflashLog, Messages
 from uav_ident_ros.import_logs.flight_log import (
     Airspeed,
+    Attitude,
     Choice,
     Findings,
     FlightLog,
@@ -33,7 +36,7 @@ from uav_ident_ros.import_logs.flight_log import (
     Rates,
 )
 from uav_ident_ros.import_logs.knowledge import table
-from uav_ident_ros.import_logs.orientation import describe_rotation
+from uav_ident_ros.import_logs.orientation import describe_rotation, quaternions
 from uav_ident_ros.import_logs.stamps import Stretches, hold, interpolate, intervals
 
 RAW, FILTERED = "GYR", "IMU"
@@ -44,22 +47,20 @@ OLD_INSTANCES = {"IMU2": 1, "IMU3": 2}
 EVENT_ARMED, EVENT_DISARMED = 10, 11
 """EV.Id, in logs without ARM messages."""
 
-FLIGHT_STATES = (
-    ("in the air", "STAT", "isFlying"),
-    ("armed", "ARM", "ArmState"),
-    ("armed", "EV", "Id"),
-)
-"""What tells of flight: the state in words, message and field, the best first."""
-
-EXPLAINING = ("SERVO", "FRAME_", "AHRS_ORIENTATION", "INS_GYR", "INS_POS", "MOT_PWM_")
+IMPORTED = ("SERVO", "FRAME_", "AHRS_ORIENTATION", "INS_GYR", "INS_POS", "MOT_PWM_")
 """First letters of the parameters that an import is based on."""
+
+EXPLAINING = (*IMPORTED, "INS_", "ATC_RAT_", "RLL", "PTCH", "YAW", "LOG_", "SCHED_LOOP")
+"""... and of those that matter to what comes of it: filters, gains, what is logged."""
+
+EULER = ("Roll", "Pitch", "Yaw")
 
 TYPES = (
     *RATES_TYPES,
     *OLD_INSTANCES,
     *PINS,
     *READERS,
-    *("ACC", "ARSP", "CTUN", "ARM", "EV", "STAT", "DSF"),
+    *("ACC", "ARSP", "CTUN", "ARM", "EV", "STAT", "DSF", "ATT", "GPS"),
 )
 """The messages that are read."""
 
@@ -89,15 +90,29 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     title = next((text for text in log.texts if _firmware(text)), "ArduPilot")
     refuse_others(log, table("ardupilot")["not_aircraft"], _firmware(title), "it calls itself")
     name_as_today(log, _firmware(title), findings)
-    flown = _flown(log, findings)
+    armed = _armed(log)
+    flown = _flown(log, armed, findings)
     rates = _read_rates(log, findings, choice.rates_topic, unit, flown or [])
     actuators = read_outputs(log, findings, choice.actuators_topic, flown or [])
     lever_arm = read_lever_arm(log.parameters, f"INS_POS{unit + 1}_", findings)
     airspeed = _airspeed(log, findings)
-    say_changes((change for change in log.changes if change[1].startswith(EXPLAINING)), findings)
+    say_changes((change for change in log.changes if change[1].startswith(IMPORTED)), findings)
     _say_dropouts(log, findings)
     findings.read.append(BOOT_TIME)
-    return FlightLog(path, title, rates, actuators, findings, airspeed, lever_arm, flown)
+    return FlightLog(
+        path,
+        title,
+        rates,
+        actuators,
+        findings,
+        airspeed,
+        lever_arm,
+        flown,
+        armed,
+        _attitude(log, findings),
+        _ground_speed(log, flown or []),
+        that_explain(log.parameters, EXPLAINING),
+    )
 
 
 # --- rates --------------------------------------------------------------------------------------
@@ -199,9 +214,30 @@ def _airspeed(log: DataflashLog, findings: Findings) -> Airspeed | None:
     return Airspeed("ARSP", messages.stamp_ns, speed)
 
 
-def _flown(log: DataflashLog, findings: Findings) -> list[tuple[int, int]] | None:
-    """Stretches in the air (Plane) or armed; None if the log says neither."""
-    for state, name, field in FLIGHT_STATES:
+def _attitude(log: DataflashLog, findings: Findings) -> Attitude | None:
+    """Find ArduPilot's estimate of the attitude."""
+    messages = log.messages("ATT")
+    if messages is None or not set(EULER) <= set(messages.columns):
+        return None
+    findings.read.append("attitude: ATT, as the Imu's orientation (FRD to NED)")
+    roll, pitch, yaw = np.radians(messages.values(*EULER)).T
+    return Attitude("ATT", messages.stamp_ns, quaternions(roll, pitch, yaw))
+
+
+def _ground_speed(log: DataflashLog, flight: Stretches) -> float:
+    """Return the median speed over ground in flight, m/s; 0 if it is not known."""
+    messages = log.messages("GPS")
+    if messages is None or "Spd" not in messages:
+        return 0.0
+    return median_in_flight(messages.stamp_ns, messages.values("Spd")[:, 0], flight)
+
+
+def _armed(log: DataflashLog) -> list[tuple[int, int]] | None:
+    """Stretches in which it was armed; None if the log does not say.
+
+    What is logged is the change: before the first the state was the other.
+    """
+    for name, field in (("ARM", "ArmState"), ("EV", "Id")):
         messages = log.messages(name)
         if messages is None or field not in messages:
             continue
@@ -209,16 +245,30 @@ def _flown(log: DataflashLog, findings: Findings) -> list[tuple[int, int]] | Non
         if name == "EV":
             known = np.isin(values, (EVENT_ARMED, EVENT_DISARMED))
             t_ns, values = t_ns[known], values[known] == EVENT_ARMED
-        if not len(t_ns):
-            continue
-        stretches = intervals(t_ns, values > 0, log.end_ns)
-        if not stretches:
-            findings.lost.append(f"the vehicle was never {state} ({name}.{field})")
-            return []
-        say_stretches(state, f"{name}.{field}", stretches, findings)
-        return stretches
-    findings.assumed.append("the log does not say when it flew: all of it counts as flight")
+        if len(t_ns):
+            before = not values[0]
+            return intervals(
+                np.append(log.start_ns, t_ns), np.append(before, values > 0), log.end_ns
+            )
     return None
+
+
+def _flown(
+    log: DataflashLog, armed: list[tuple[int, int]] | None, findings: Findings
+) -> list[tuple[int, int]] | None:
+    """Stretches in the air (Plane) or armed; None if the log says neither."""
+    state, source, stretches = "armed", "ARM, EV", armed
+    flying = log.messages("STAT")
+    if flying is not None and "isFlying" in flying:
+        state, source = "in the air", "STAT.isFlying"
+        stretches = intervals(flying.stamp_ns, flying.columns["isFlying"] > 0, log.end_ns)
+    if stretches is None:
+        findings.assumed.append("the log does not say when it flew: all of it counts as flight")
+    elif not stretches:
+        findings.lost.append(f"the vehicle was never {state} ({source})")
+    else:
+        say_stretches(state, source, stretches, findings)
+    return stretches
 
 
 def _say_dropouts(log: DataflashLog, findings: Findings) -> None:

@@ -7,7 +7,10 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+import numpy as np
+
 from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError
 from uav_ident_ros.import_logs.stamps import Stretches, coverage
 
@@ -177,6 +180,20 @@ def read_lever_arm(
     else:
         findings.assumed.append(f"the accelerometer is at the centre of gravity ({prefix}* 0)")
     return x, y, z
+
+
+def median_in_flight(t_ns: TimeArray, values: FloatArray, flight: Stretches) -> float:
+    """Return the median of finite values in some stretches, everywhere if there are none; or 0."""
+    inside = np.zeros(len(t_ns), dtype=bool) if flight else np.ones(len(t_ns), dtype=bool)
+    for start, end in flight:
+        inside |= (start <= t_ns) & (t_ns <= end)
+    chosen = values[inside & np.isfinite(values)]
+    return float(np.median(chosen)) if len(chosen) else 0.0
+
+
+def that_explain(parameters: Mapping[str, float], prefixes: tuple[str, ...]) -> dict[str, float]:
+    """Return the parameters that begin with some letters, in the order of their names."""
+    return {name: value for name, value in sorted(parameters.items()) if name.startswith(prefixes)}
 
 
 def say_stretches(

@@ -70,7 +70,8 @@ def parser() -> argparse.ArgumentParser:
     add("--trim", choices=TRIMS, default=TRIMS[0],
         help="trim of the channels: median in flight, rest position, or learnt by the "
              "identifier from steady flight (flight)")  # fmt: skip
-    add("--airspeed", action="store_true", help="scale the coefficients with the airspeed")
+    add("--airspeed", action=argparse.BooleanOptionalAction,
+        help="use the airspeed (default: if it was measured for most of the flight)")  # fmt: skip
     add("--flight-only", action="store_true", help="leave out what was logged on the ground")
     return result
 
@@ -100,8 +101,10 @@ def import_log(options: argparse.Namespace) -> FlightLog:
         If the log cannot be used or the bag cannot be written.
     """
     from uav_ident_ros.import_logs.writing import (
+        SLOWEST_FLIGHT,
         findings_by_title,
         fitting_parameters,
+        flown_speed,
         inputs_in_words,
         write_import,
     )
@@ -115,8 +118,13 @@ def import_log(options: argparse.Namespace) -> FlightLog:
     if options.flight_only:
         log = log.only_flight()
     _say_streams(log)
-    parameters = fitting_parameters(log, options.trim, options.airspeed)
-    path = write_import(log, folder, parameters, options.airspeed)
+    speed = flown_speed(log)
+    use_airspeed = options.airspeed
+    if use_airspeed is None:
+        use_airspeed = speed >= SLOWEST_FLIGHT
+    _say_speed(log, speed, use_airspeed, SLOWEST_FLIGHT)
+    parameters = fitting_parameters(log, options.trim, use_airspeed)
+    path = write_import(log, folder, parameters)
     print(f"{log.path.name}: {log.title}")
     inputs = [("Inputs", inputs_in_words(log, parameters))]
     for title, sentences in findings_by_title(log.findings) + inputs:
@@ -203,10 +211,8 @@ def _first_bytes(path: Path) -> bytes:
 
 def _say_streams(log: FlightLog) -> None:
     """Add to the findings what the stamps tell."""
-    streams = [("rates", log.rates.t_ns), ("actuators", log.actuators.t_ns)]
-    if log.airspeed is not None:
-        streams.append(("airspeed", log.airspeed.t_ns))
-    for name, t_ns in streams:
+    for name, stream in log.streams().items():
+        t_ns = stream.t_ns
         log.findings.read.append(f"{name}: {describe(t_ns)}")
         log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(t_ns)]
     used = [i for i, channel in enumerate(log.actuators.channels) if any(channel.effect)]
@@ -214,6 +220,24 @@ def _say_streams(log: FlightLog) -> None:
         log.findings.lost.append(
             f"actuators: {without} samples lack a value of a channel in use, as of a motor that is "
             "off: they will be dropped"
+        )
+
+
+def _say_speed(log: FlightLog, airspeed: float, used: bool, slowest: float) -> None:
+    """Add to the findings which airspeed counts."""
+    if used:
+        log.findings.read.append(
+            f"the airspeed is used; in flight its median is {airspeed:.3g} m/s"
+        )
+    elif log.airspeed is not None:
+        log.findings.lost.append(
+            f"the airspeed is not used: in flight its median is {airspeed:.3g} m/s"
+            if airspeed
+            else "the airspeed is not used: it was not measured for most of the flight"
+        )
+    if not airspeed and log.ground_speed >= slowest:
+        log.findings.assumed.append(
+            f"airspeed.reference is the median speed over ground, {log.ground_speed:.3g} m/s"
         )
 
 

@@ -20,7 +20,7 @@ from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column, ImportLogError
 from uav_ident_ros.import_logs.resync import Gap, loss_in_words, walk
-from uav_ident_ros.import_logs.stamps import plausible, rate
+from uav_ident_ros.import_logs.stamps import LATEST_NS, plausible, rate
 
 HEADER = b"\xa3\x95"
 """First bytes of every message."""
@@ -198,8 +198,8 @@ class DataflashLog:
         What could not be read, and how much it is.
     remarks : list of str
         What else there is to say about the file.
-    end_ns : int
-        Newest stamp, ns.
+    start_ns, end_ns : int
+        Oldest and newest stamp, ns.
 
     Raises
     ------
@@ -214,7 +214,7 @@ class DataflashLog:
         self.texts: list[str] = []
         self.damage: list[str] = []
         self.remarks: list[str] = []
-        self.end_ns = 0
+        self.start_ns, self.end_ns = LATEST_NS, 0
         self._columns: dict[str, dict[str, Column]] = {}
         try:
             with (
@@ -273,6 +273,7 @@ class DataflashLog:
                 good = plausible(t_ns)
                 self._columns[declared.name] = {n: values[good] for n, values in columns.items()}
                 if good.any():
+                    self.start_ns = min(self.start_ns, int(t_ns[good].min()))
                     self.end_ns = max(self.end_ns, int(t_ns[good].max()))
                 if not good.all():
                     self.damage.append(

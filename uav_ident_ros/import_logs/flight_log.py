@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -151,6 +152,25 @@ class Airspeed:
     values: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class Attitude:
+    """Samples of the autopilot's own estimate of the attitude.
+
+    Parameters
+    ----------
+    source : str
+        Where in the log they are from.
+    t_ns : (m,) int array
+        Stamps, ns.
+    quaternion : (m, 4) array
+        Unit quaternions x, y, z, w that turn vectors from body axes (FRD) to north-east-down.
+    """
+
+    source: str
+    t_ns: TimeArray
+    quaternion: FloatArray
+
+
 @dataclass
 class Findings:
     """What there is to say about an import, a sentence each.
@@ -195,6 +215,14 @@ class FlightLog:
         Accelerometer from the centre of gravity, m, FRD.
     flown : list of pairs of int, optional
         Start and end of every stretch in the air, or armed, ns; None if the log does not say.
+    armed : list of pairs of int, optional
+        Start and end of every stretch in which it was armed, ns; None if the log does not say.
+    attitude : Attitude, optional
+        The attitude.
+    ground_speed : float
+        Median speed over ground in flight, m/s; 0 if it is not known.
+    parameters : dict
+        What the log says of the autopilot's parameters that matter, by name.
     """
 
     path: Path
@@ -205,6 +233,15 @@ class FlightLog:
     airspeed: Airspeed | None = None
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     flown: list[tuple[int, int]] | None = None
+    armed: list[tuple[int, int]] | None = None
+    attitude: Attitude | None = None
+    ground_speed: float = 0.0
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def streams(self) -> dict[str, Any]:
+        """Return the streams that there are, by name."""
+        names = ("rates", "actuators", "airspeed", "attitude")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def in_flight(self, t_ns: TimeArray) -> BoolArray:
         """Whether each stamp lies in a stretch of flight; everywhere if there is none known."""
@@ -221,12 +258,10 @@ class FlightLog:
         ImportLogError
             If no rates or no actuators are left.
         """
-        streams: dict[str, Any] = {
-            "rates": self.rates, "actuators": self.actuators, "airspeed": self.airspeed
-        }  # fmt: skip
         changed: dict[str, Any] = {}
-        for name, stream in streams.items():
-            if stream is None or (good := plausible(stream.t_ns)).all():
+        for name, stream in self.streams().items():
+            good = plausible(stream.t_ns)
+            if good.all():
                 continue
             self.findings.damage.append(
                 f"{name}: {int((~good).sum())} of {len(good)} samples have a stamp that no clock "
@@ -249,8 +284,7 @@ class FlightLog:
         log = self._with(
             {
                 name: _chosen(stream, self.in_flight(stream.t_ns))
-                for name in ("rates", "actuators", "airspeed")
-                if (stream := getattr(self, name)) is not None
+                for name, stream in self.streams().items()
             },
             "in flight: leave --flight-only out",
         )

@@ -15,14 +15,17 @@ from uav_ident_ros.import_logs.autopilot import (
     NO_FORCE,
     choose,
     find_messages,
+    median_in_flight,
     read_lever_arm,
     refuse_others,
     say_changes,
     say_instances,
     say_stretches,
+    that_explain,
 )
 from uav_ident_ros.import_logs.flight_log import (
     Airspeed,
+    Attitude,
     Choice,
     Findings,
     FlightLog,
@@ -45,9 +48,13 @@ RELATIVE_STAMP_INVALID = 0x7FFFFFFF
 """sensor_combined: there is no accelerometer sample."""
 
 MOST_GYROS = 4
+QUATERNION = 4
 
-EXPLAINING = ("CA_", "PWM_", "SENS_BOARD_", "CAL_GYRO", "CAL_ACC", "EKF2_IMU_POS_")
+IMPORTED = ("CA_", "PWM_", "SENS_BOARD_", "CAL_GYRO", "CAL_ACC", "EKF2_IMU_POS_")
 """First letters of the parameters that an import is based on."""
+
+EXPLAINING = (*IMPORTED, "IMU_", "MC_", "FW_", "SDLOG_", "SYS_AUTOSTART", "MAV_TYPE")
+"""... and of those that matter to what comes of it: filters, gains, what is logged."""
 
 
 def read_px4(path: Path, choice: Choice) -> FlightLog:
@@ -68,19 +75,33 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     log = Px4Log(path)
     findings = Findings(lost=list(log.remarks), damage=list(log.damage))
     _refuse_others(log)
-    flown = _flown(log, findings)
+    armed = _armed(log)
+    flown = _flown(log, armed, findings)
     rates = _read_rates(log, findings, choice, flown or [])
     actuators = read_actuators(log, findings, choice, flown or [])
     lever_arm = read_lever_arm(log.parameters, "EKF2_IMU_POS_", findings)
     airspeed = _airspeed(log, findings)
-    say_changes(log.changes(EXPLAINING), findings)
+    say_changes(log.changes(IMPORTED), findings)
     if dropouts := log.dropouts:
         findings.lost.append(
             f"the logger lost messages {len(dropouts)} times, together {sum(dropouts):.3g} s, at "
             f"most {max(dropouts):.3g} s (dropouts)"
         )
     findings.read.append(BOOT_TIME)
-    return FlightLog(path, log.title, rates, actuators, findings, airspeed, lever_arm, flown)
+    return FlightLog(
+        path,
+        log.title,
+        rates,
+        actuators,
+        findings,
+        airspeed,
+        lever_arm,
+        flown,
+        armed,
+        _attitude(log, findings),
+        _ground_speed(log, flown or []),
+        that_explain(log.parameters, EXPLAINING),
+    )
 
 
 # --- rates --------------------------------------------------------------------------------------
@@ -236,27 +257,52 @@ def _airspeed(log: Px4Log, findings: Findings) -> Airspeed | None:
     return None
 
 
-def _flown(log: Px4Log, findings: Findings) -> list[tuple[int, int]] | None:
-    """Stretches in the air, else those armed; None if the log says neither."""
-    landed = log.topic("vehicle_land_detected")
+def _attitude(log: Px4Log, findings: Findings) -> Attitude | None:
+    """Find PX4's estimate of the attitude."""
+    topic = log.topic("vehicle_attitude")
+    if topic is None or topic.size("q") != QUATERNION:
+        return None
+    findings.read.append("attitude: vehicle_attitude.q, as the Imu's orientation (FRD to NED)")
+    return Attitude(topic.name, topic.sample_ns, topic.vector("q", QUATERNION)[:, [1, 2, 3, 0]])
+
+
+def _ground_speed(log: Px4Log, flight: Stretches) -> float:
+    """Return the median speed over ground in flight, m/s; 0 if it is not known."""
+    for name in ("vehicle_gps_position", "sensor_gps"):
+        topic = log.topic(name)
+        if topic is not None and "vel_m_s" in topic:
+            return median_in_flight(topic.stamp_ns, topic.column("vel_m_s").astype(float), flight)
+    return 0.0
+
+
+def _armed(log: Px4Log) -> list[tuple[int, int]] | None:
+    """Stretches in which it was armed; None if the log does not say."""
     status = log.topic("vehicle_status")
-    if status is not None:
-        armed = status.column("arming_state") == ARMED
-        if not armed.any():
-            findings.lost.append(
-                "the vehicle was never armed (vehicle_status.arming_state): nothing moved by its "
-                "actuators, so no model can come of this log"
-            )
-            return []
+    if status is None or "arming_state" not in status:
+        return None
+    armed = status.column("arming_state") == ARMED
+    return intervals(status.stamp_ns, armed, log.end_ns, log.start_ns)
+
+
+def _flown(
+    log: Px4Log, armed: list[tuple[int, int]] | None, findings: Findings
+) -> list[tuple[int, int]] | None:
+    """Stretches in the air, else those armed; None if the log says neither."""
+    if armed is not None and not armed:
+        findings.lost.append(
+            "the vehicle was never armed (vehicle_status.arming_state): nothing moved by its "
+            "actuators, so no model can come of this log"
+        )
+        return []
+    landed = log.topic("vehicle_land_detected")
     if landed is not None and "landed" in landed:
         stretches = intervals(
             landed.stamp_ns, landed.column("landed") == 0, log.end_ns, log.start_ns
         )
         say_stretches("in the air", "vehicle_land_detected", stretches, findings)
         return stretches
-    if status is not None:
-        stretches = intervals(status.stamp_ns, armed, log.end_ns, log.start_ns)
-        say_stretches("armed", "vehicle_status.arming_state", stretches, findings)
-        return stretches
+    if armed is not None:
+        say_stretches("armed", "vehicle_status.arming_state", armed, findings)
+        return armed
     findings.assumed.append("the log does not say when it flew: all of it counts as flight")
     return None

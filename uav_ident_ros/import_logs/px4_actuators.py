@@ -82,11 +82,11 @@ def _choose(
     """Name the best topic: nearest to the actuators, of those that say what they move."""
     parameters = log.parameters
     if parameters.get("CA_AIRFRAME") in KNOWN["hybrid_airframes"]:
-        _say_hybrid(f"{' and '.join(SETPOINTS)} of instance", instance, findings)
+        _say_hybrid("the setpoints of instance 0", "of instance 1", instance, findings)
         if SETPOINTS[0] in usable:
             return SETPOINTS[0]
     elif parameters.get("MAV_TYPE") in KNOWN["hybrid_types"]:
-        _say_hybrid(CONTROLS, instance, findings)
+        _say_hybrid(f"{CONTROLS}0", f"{CONTROLS}1", instance, findings)
     explained = [n for n in usable if n not in ALLOCATED or _explained(log, n)]
     streams = {name: (usable[name].stamp_ns, usable[name].rate) for name in explained or usable}
     if set(ALLOCATED) <= set(streams):  # they count as one: what is slower decides
@@ -94,9 +94,9 @@ def _choose(
     return choose(streams, flight, findings, "SDLOG_PROFILE: 'high rate'", BEFORE_MIXER)
 
 
-def _say_hybrid(name: str, instance: int, findings: Findings) -> None:
+def _say_hybrid(hover: str, forward: str, instance: int, findings: Findings) -> None:
     findings.assumed.append(
-        f"a VTOL: {name} 0 are the commands of hover, 1 those of forward flight "
+        f"a VTOL: {hover} are the commands of hover, {forward} those of forward flight "
         f"(--actuators-instance); {instance} is taken"
     )
 

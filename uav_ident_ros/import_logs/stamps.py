@@ -106,13 +106,13 @@ LONGEST_HOLD_NS = 500_000_000
 10 Hz. Nothing is learned from commands that are older."""
 
 
-def coverage(t_ns: TimeArray, stretches: Stretches) -> float:
-    """Return which share of some stretches a stream covers, 0 to 1."""
+def coverage(t_ns: TimeArray, stretches: Stretches, hold_ns: int = LONGEST_HOLD_NS) -> float:
+    """Return which share of some stretches a stream covers, 0 to 1; a sample lasts `hold_ns`."""
     covered, whole = 0, 0
     for start, end in stretches:
         inside = t_ns[(start <= t_ns) & (t_ns <= end)]
         steps = np.diff(np.append(inside, end))
-        covered += int(np.clip(steps, 0, LONGEST_HOLD_NS).sum())
+        covered += int(np.clip(steps, 0, hold_ns).sum())
         whole += end - start
     return min(covered / whole, 1.0) if whole else 0.0
 
@@ -138,7 +138,7 @@ def intervals(
     if stamps and start_ns is not None:
         stamps[0] = min(stamps[0], start_ns)
     for start, end, holds in zip(stamps, [*stamps[1:], end_ns], active, strict=True):
-        if not holds or end < start:
+        if not holds or end <= start:
             continue
         if result and result[-1][1] == start:
             result[-1] = (result[-1][0], end)

@@ -19,10 +19,28 @@ from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.import_logs.flight_log import Channel, Findings, FlightLog
+from uav_ident_ros.import_logs.orientation import at_times
+from uav_ident_ros.import_logs.stamps import coverage
 
 IMU_TOPIC, IMU_TYPE = "/imu/data", "sensor_msgs/msg/Imu"
 ACTUATORS_TOPIC, ACTUATORS_TYPE = "/actuators", "sensor_msgs/msg/JointState"
 AIRSPEED_TOPIC, AIRSPEED_TYPE = "/airspeed", "geometry_msgs/msg/TwistStamped"
+ARMED_TOPIC, ARMED_TYPE = "/armed", "std_msgs/msg/Bool"
+
+ARMED_STEP_NS = 1_000_000_000
+"""Time between two messages that say the same of whether it is armed, ns: the type has no stamp."""
+
+SLOWEST_FLIGHT = 5.0
+"""Airspeed, m/s, below which forces do not go with it: a multirotor's, or a sensor that is off."""
+
+FASTEST = 400.0
+"""What `airspeed.reference` may be at most, m/s."""
+
+SLOWEST_NS = 2_500_000_000
+"""For how long a sample of the airspeed counts, ns: the autopilots log one a second or more."""
+
+ENOUGH_AIRSPEED = 0.8
+"""Share of the flight that an airspeed must cover to be used."""
 
 FRAME_IDS = {"frd": "base_link_frd", "flu": "base_link"}
 """Frame of the Imu's header; the identifier takes the suffix as the convention."""
@@ -46,9 +64,7 @@ COMMENT_WIDTH = 96
 Entry = tuple[int, str, Any]
 
 
-def write_import(
-    log: FlightLog, folder: Path, parameters: dict[str, Any], use_airspeed: bool
-) -> Path:
+def write_import(log: FlightLog, folder: Path, parameters: dict[str, Any]) -> Path:
     """Write the bag and the parameter file.
 
     Parameters
@@ -59,8 +75,6 @@ def write_import(
         Folder of the new bag; must not exist.
     parameters : dict
         What `fitting_parameters` gives for it.
-    use_airspeed : bool
-        Whether they switch the scaling with the airspeed on.
 
     Returns
     -------
@@ -74,7 +88,7 @@ def write_import(
     """
     existed = folder.exists()
     try:
-        return _write(log, folder, parameters, use_airspeed)
+        return _write(log, folder, parameters)
     except BaseException as error:
         if not existed:
             shutil.rmtree(folder, ignore_errors=True)
@@ -83,7 +97,7 @@ def write_import(
         raise
 
 
-def _write(log: FlightLog, folder: Path, parameters: dict[str, Any], use_airspeed: bool) -> Path:
+def _write(log: FlightLog, folder: Path, parameters: dict[str, Any]) -> Path:
     with BagWriter(folder) as bag:
         bag.topic(IMU_TOPIC, IMU_TYPE, qos(500, reliable=False))
         bag.topic(ACTUATORS_TOPIC, ACTUATORS_TYPE, qos(10))
@@ -91,11 +105,14 @@ def _write(log: FlightLog, folder: Path, parameters: dict[str, Any], use_airspee
         if log.airspeed is not None:
             bag.topic(AIRSPEED_TOPIC, AIRSPEED_TYPE, qos(10))
             streams.append(_airspeed_entries(log))
+        if log.armed is not None:
+            bag.topic(ARMED_TOPIC, ARMED_TYPE, qos(10))
+            streams.append(_armed_entries(log))
         # At equal times the actuators come first, as the command precedes its effect.
         for log_ns, topic, message in heapq.merge(*streams, key=lambda entry: entry[0]):
             bag.write(topic, log_ns, message)
     path = folder / PARAMETER_FILE
-    path.write_text(_parameter_text(log, parameters, use_airspeed), encoding="utf-8")
+    path.write_text(_parameter_text(log, parameters), encoding="utf-8")
     Settings.from_values(load_parameters(path, "/identifier"))  # what was written can be used
     return path
 
@@ -110,19 +127,28 @@ def _log_times(t_ns: TimeArray) -> list[int]:
 
 def _imu_entries(log: FlightLog) -> Iterator[Entry]:
     imu, vector = message_class(IMU_TYPE), message_class("geometry_msgs/msg/Vector3")
-    quaternion = message_class("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0)
+    quaternion = message_class("geometry_msgs/msg/Quaternion")
     rates = log.rates
     frame_id = FRAME_IDS[rates.convention]
     force = np.zeros_like(rates.rates) if rates.force is None else rates.force
-    columns = (_log_times(rates.t_ns), rates.t_ns.tolist(), rates.rates.tolist(), force.tolist())
-    for log_ns, t_ns, pqr, f in zip(*columns, strict=True):
+    turned = [(0.0, 0.0, 0.0, 1.0)] * len(force)
+    if log.attitude is not None:
+        turned = at_times(rates.t_ns, log.attitude.t_ns, log.attitude.quaternion).tolist()
+    columns = (
+        _log_times(rates.t_ns),
+        rates.t_ns.tolist(),
+        rates.rates.tolist(),
+        force.tolist(),
+        turned,
+    )
+    for log_ns, t_ns, pqr, f, xyzw in zip(*columns, strict=True):
         yield (
             log_ns,
             IMU_TOPIC,
             imu(
                 header=header(t_ns, frame_id),
-                orientation=quaternion,
-                orientation_covariance=NOT_MEASURED,
+                orientation=quaternion(*xyzw),
+                orientation_covariance=NOT_MEASURED if log.attitude is None else UNKNOWN,
                 angular_velocity=vector(*pqr),
                 angular_velocity_covariance=UNKNOWN,
                 linear_acceleration=vector(*f),
@@ -155,6 +181,17 @@ def _airspeed_entries(log: FlightLog) -> Iterator[Entry]:
     for log_ns, t_ns, speed in zip(*columns, strict=True):
         motion = twist(linear=vector(x=speed, y=0.0, z=0.0), angular=still)
         yield log_ns, AIRSPEED_TOPIC, stamped(header=header(t_ns), twist=motion)
+
+
+def _armed_entries(log: FlightLog) -> Iterator[Entry]:
+    """Yield the state at every change, and once a second: the type has no stamp."""
+    boolean = message_class(ARMED_TYPE)
+    changes = [t for stretch in log.armed or [] for t in stretch]
+    start, end = int(log.rates.t_ns.min()), int(log.rates.t_ns.max())
+    regular = range(start, end, ARMED_STEP_NS)
+    for t_ns in sorted({*regular, *(t for t in changes if start <= t < end)}):
+        armed = any(first <= t_ns < last for first, last in log.armed or [])
+        yield t_ns, ARMED_TOPIC, boolean(data=armed)
 
 
 # --- parameters ---------------------------------------------------------------------------------
@@ -205,9 +242,12 @@ def fitting_parameters(log: FlightLog, trim: str, use_airspeed: bool) -> dict[st
         values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
     for i, name in enumerate(INPUTS):
         values[f"actuators.mixing.{name}"] = [channel.effect[i] for channel in channels]
-    if use_airspeed and log.airspeed is not None:
+    if use_airspeed:
         values["airspeed.type"] = AIRSPEED_TYPE
-        values["airspeed.reference"] = reference_speed(log)
+    if speed := reference_speed(log):
+        values["airspeed.reference"] = speed
+    if log.armed is not None:
+        values["armed.type"] = ARMED_TYPE
     return values
 
 
@@ -227,34 +267,41 @@ def trim_values(log: FlightLog, trim: str) -> list[float]:
     return result
 
 
-def reference_speed(log: FlightLog) -> float:
-    """Median airspeed in flight, m/s, within what the setting allows."""
+def flown_speed(log: FlightLog) -> float:
+    """Return the median airspeed in flight, m/s; 0 if it was not measured for most of it."""
     airspeed = log.airspeed
-    assert airspeed is not None  # the caller has looked
-    inside = airspeed.values[log.in_flight(airspeed.t_ns)]
-    inside = inside[np.isfinite(inside) & (inside > 0.0)]
-    return round(float(np.clip(np.median(inside), 1.0, 400.0)), 3) if len(inside) else 20.0
+    if airspeed is None:
+        return 0.0
+    known = np.isfinite(airspeed.values) & (airspeed.values > 0.0)
+    flight = log.flown or [(int(log.rates.t_ns.min()), int(log.rates.t_ns.max()))]
+    inside = known & log.in_flight(airspeed.t_ns)
+    if not inside.any() or coverage(airspeed.t_ns[inside], flight, SLOWEST_NS) < ENOUGH_AIRSPEED:
+        return 0.0
+    return float(np.median(airspeed.values[inside]))
 
 
-def _parameter_text(log: FlightLog, parameters: dict[str, Any], use_airspeed: bool) -> str:
+def reference_speed(log: FlightLog) -> float:
+    """Return the usual speed, at which the coefficients are valid, m/s; 0 for a hovering one."""
+    speed = flown_speed(log) or log.ground_speed
+    return round(min(speed, FASTEST), 3) if speed >= SLOWEST_FLIGHT else 0.0
+
+
+def _parameter_text(log: FlightLog, parameters: dict[str, Any]) -> str:
     """Return the parameter file, with everything that was found out as comments."""
     lines = [
         "# SPDX-License-Identifier: Apache-2.0",
         *_comment(f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."),
     ]
     inputs = [("Inputs", inputs_in_words(log, parameters))]
+    if log.parameters:
+        named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())
+        inputs.append(("Parameters of the autopilot", [named]))
     for title, sentences in findings_by_title(log.findings) + inputs:
         lines.append(f"# {title}:")
         for sentence in sentences:
             lines += _comment(sentence, "- ", "  ")
     lines += ["/**:", "  ros__parameters:"]
     lines += [f"    {name}: {_yaml(value)}" for name, value in parameters.items()]
-    if log.airspeed is not None and not use_airspeed:
-        lines += [
-            "    # The bag has an airspeed; these lines scale the coefficients with it:",
-            f"    # airspeed.type: {_yaml(AIRSPEED_TYPE)}",
-            f"    # airspeed.reference: {_yaml(reference_speed(log))}",
-        ]
     return "\n".join(lines) + "\n"
 
 
