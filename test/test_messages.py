@@ -169,6 +169,15 @@ def test_unknown_channel_name() -> None:
         read(message)
 
 
+def test_a_complaint_lists_some_names_not_thousands() -> None:
+    read = reader(type="sensor_msgs/msg/JointState", channels=["elevator"])
+    names = [f"servo{i}" for i in range(5000)]
+    message = SimpleNamespace(header=header(), name=names, position=[1.0] * 5000)
+    with pytest.raises(ChannelError, match=r"servo19 and 4980 more") as error:
+        read(message)
+    assert len(str(error.value)) < 500
+
+
 def test_no_names_at_all() -> None:
     read = reader(type="sensor_msgs/msg/JointState", channels=["elevator", "rudder"])
     unnamed = SimpleNamespace(header=header(), name=[], position=[1.0, 2.0])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import configparser
 import importlib
 import importlib.metadata
 import re
@@ -21,6 +22,8 @@ import setuptools
 import yaml
 
 from uav_ident_ros.client import Coefficients
+from uav_ident_ros.node.saving import FINISH_WITHIN
+from uav_ident_ros.node.startup import USAGE_ERROR
 from uav_ident_ros.simulation import closed_loop
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -163,6 +166,45 @@ def test_versions_agree():
     assert importlib.metadata.version(PACKAGE) == version
     headings = re.findall(r"^## \[(\d.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert headings[0] == version
+
+
+def test_bloom_can_read_the_manifest_and_the_changelog():
+    """With catkin_pkg, which bloom reads both with; `catkin_prepare_release` renames the label."""
+    package = pytest.importorskip("catkin_pkg.package", reason="comes with colcon-ros")
+    warnings: list[str] = []
+    read = package.parse_package(str(ROOT), warnings=warnings)
+    read.validate(warnings=warnings)
+    assert not warnings
+    rst = (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")
+    label = importlib.import_module("catkin_pkg.package_version").get_forthcoming_label(rst)
+    released = re.findall(r"^(\d+\.\d+\.\d+) \(\d{4}-\d\d-\d\d\)$", rst, re.MULTILINE)
+    assert label == "Forthcoming" or read.version in released
+
+
+def test_the_workflow_runs_what_is_here():
+    """Every script and executable that the public forge's workflow calls exists."""
+    (path,) = (ROOT / ".github" / "workflows").glob("*.yml")
+    jobs = yaml.safe_load(path.read_text())["jobs"]
+    commands = "\n".join(step.get("run", "") for job in jobs.values() for step in job["steps"])
+    scripts = re.findall(r"^(?:scripts|\.ci)/\S+", commands, re.MULTILINE)
+    assert {"scripts/setup", "scripts/test", ".ci/run"} == set(scripts)
+    assert all((ROOT / name).is_file() for name in scripts)
+    assert set(re.findall(rf"ros2 run {PACKAGE} (\w+)", commands)) <= set(console_scripts())
+    for name in re.findall(rf"ros2 launch {PACKAGE} (\S+)", commands):
+        assert (ROOT / "launch" / name).is_file()
+
+
+def test_the_unit_of_the_documentation_fits_the_node():
+    """systemd must wait for the state file, and must not start again what was started wrongly."""
+    text = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
+    unit = configparser.ConfigParser()
+    unit.optionxform = str
+    unit.read_string(text.split("```ini\n")[1].split("```")[0])
+    service = unit["Service"]
+    assert int(service["RestartPreventExitStatus"]) == USAGE_ERROR
+    assert float(service["TimeoutStopSec"]) > FINISH_WITHIN
+    assert service["ExecStart"].count(f"lib/{PACKAGE}/identifier") == 1
+    assert "identifier" in console_scripts()
 
 
 def test_names_and_licences_agree():

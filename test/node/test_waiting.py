@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -16,7 +17,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState, MagneticField
 from std_msgs.msg import Float64MultiArray
 
-from uav_ident_ros.node.graph import Wanted, why_silent
+from uav_ident_ros.node.diagnostics import TickMeter
+from uav_ident_ros.node.graph import Wanted, namesakes, why_silent
 
 IMU = "sensor_msgs/msg/Imu"
 TYPES = (IMU, "px4_msgs/msg/SensorCombined")
@@ -106,6 +108,26 @@ def test_a_publisher_that_sends_nothing_is_named(graph: tuple[Node, Node]) -> No
     assert says(listener, wanted(), "'/imu/data' has a publisher, /driver, which sends nothing")
 
 
+def test_nodes_of_one_name_are_counted(graph: tuple[Node, Node]) -> None:
+    listener, driver = graph
+    assert namesakes(listener) == 1
+    twin = rclpy.create_node("listener", context=driver.context)
+    assert wait_for(lambda: namesakes(listener) == 2)
+    twin.destroy_node()
+
+
+def test_a_node_that_was_held_up_knows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(time, "perf_counter", lambda: now)
+    meter = TickMeter(0.05)
+    for interval in (0.05, 1.4, 0.05):
+        meter.called()
+        assert meter.held_up() == pytest.approx(0.0 if now < 101.0 else 1.4)
+        now += interval
+    now += 10.0
+    assert meter.held_up() == 0.0
+
+
 # --- through the node --------------------------------------------------------------------------
 
 
@@ -140,6 +162,8 @@ class Source:
         elif mistake == "frozen":
             self.frozen_ns = self.frozen_ns or self.t_ns
             imu.header.stamp.sec, imu.header.stamp.nanosec = divmod(self.frozen_ns, 10**9)
+        elif mistake == "huge":
+            imu.header.frame_id = "x" * 300_000
         elif mistake == "names":
             actuators.name = ["elevator", "rudder", "aileron", "throttle"]
         elif mistake == "clocks":
@@ -171,6 +195,7 @@ def source() -> Iterator[Source]:
 
 MISTAKES = [
     ("zero stamps", "every message on '/imu/data' is dropped: their stamp is zero"),
+    ("huge", "every message on '/imu/data' is dropped: it takes 3003"),
     ("frozen", "the stamps on '/imu/data' stand still at 17"),
     ("names", "every message on '/actuators' is dropped: "),
     ("clocks", "they run on different clocks"),

@@ -27,6 +27,10 @@ NS_PER_US = 1_000
 Vector = tuple[float, float, float]
 
 
+MOST_LISTED = 20
+"""Names of a message that a complaint about it lists: more is no help, and floods the log."""
+
+
 class MessageTypeError(Exception):
     """A message type or field is unknown or not installed; the message names it."""
 
@@ -316,7 +320,8 @@ class ActuatorReader:
 
 
 def _listed(items: Sequence[object]) -> str:
-    return ", ".join(f"{item}" for item in items) or "none"
+    shown = ", ".join(f"{item}" for item in items[:MOST_LISTED]) or "none"
+    return f"{shown} and {len(items) - MOST_LISTED} more" if len(items) > MOST_LISTED else shown
 
 
 def frame_fault(convention: str, frame_id: str, msgtype: str) -> str:

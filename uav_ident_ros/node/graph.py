@@ -46,6 +46,12 @@ def publishers(node: Node, topic: str) -> list[str]:
     return sorted(_owner(end) for end in node.get_publishers_info_by_topic(topic))
 
 
+def namesakes(node: Node) -> int:
+    """Return how many nodes carry the full name of `node`, itself included."""
+    own = (node.get_name(), node.get_namespace())
+    return node.get_node_names_and_namespaces().count(own)
+
+
 def why_silent(node: Node, wanted: Wanted) -> str:
     """Return why nothing arrives on a topic, and what to do about it."""
     ends = node.get_publishers_info_by_topic(wanted.topic)

@@ -271,13 +271,23 @@ class IdentifierNode(Node):
             self._guard.problem
             or self._rates.fault
             or self._clock_watch.fault(self._meter.count)
-            or ("" if self._waiting.standing() else self.identifier.fault)
+            or ("" if self._waiting.standing() else self._clocks_apart())
         )
         if fault:
             return "fault", fault
         if missed or self._estimate is None:
             return "waiting", missed or "the first tick is not due yet"
         return self._estimate.state, self._estimate.reason
+
+    def _clocks_apart(self) -> str:
+        """Return the fault of the identifier, or the overload that explains it."""
+        seconds = self._meter.held_up()
+        if not self.identifier.fault or not seconds:
+            return self.identifier.fault
+        return (
+            f"overload: the node was held up for {seconds:.1f} s, and messages without a stamp "
+            "counted as late as that: give it more of the processor, or a type with stamps"
+        )
 
     def _groups(self) -> dict[str, list[tuple[str, str]]]:
         """Return everything worth showing, by group."""

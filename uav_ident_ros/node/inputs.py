@@ -46,6 +46,10 @@ LARGEST_INBOX = 200
 QUEUE_DEPTH = 500
 """Messages kept while the node is busy: half a second at 1 kHz. A depth of 5 loses some."""
 
+LARGEST_MESSAGE = 65_536
+"""Bytes of a message beyond which it is none of these: an Imu takes 350, a hundred named channels
+4000. Its names or its frame would fill the log and /diagnostics, and take a second to read."""
+
 Reading = tuple[int | None, Any]
 """Stamp, ns, None if the message has none, and values."""
 
@@ -137,6 +141,10 @@ class _Input:
         inbox, clock, guarded = wiring.inbox, wiring.node.get_clock(), wiring.guard(take)
 
         def put(data: bytes) -> None:
+            if len(data) > LARGEST_MESSAGE:
+                self.monitor.arrived()
+                self.refuse("too large", f"it takes {len(data)} bytes: is it {type_name} at all?")
+                return
             inbox.put(guarded, data, clock.now().nanoseconds if timed else 0)
 
         subscription = wiring.node.create_subscription(

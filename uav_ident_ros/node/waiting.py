@@ -24,7 +24,7 @@ from uav_ident_ros.messages.types import NS_PER_S
 from uav_ident_ros.messages.types import RATES as RATES_TYPES
 from uav_ident_ros.node.clock import ClockWatch
 from uav_ident_ros.node.diagnostics import InputMonitor
-from uav_ident_ros.node.graph import Wanted, publishers, why_silent
+from uav_ident_ros.node.graph import Wanted, namesakes, publishers, why_silent
 from uav_ident_ros.node.inputs import (
     ACTUATORS_TOPIC,
     AIRSPEED_TOPIC,
@@ -93,6 +93,7 @@ class Waiting:
         self._ticks = (0, time.monotonic())
         self._stamp: tuple[int | None, float] = (None, time.monotonic())
         self._began = time.monotonic()
+        self._same = 1
         self._lost = dict.fromkeys(self._monitors, "")
 
     def reason(self, ticks: int) -> str:
@@ -176,8 +177,15 @@ class Waiting:
         return "no tick is due any more" if ticks else "the first tick is not due yet"
 
     def several(self) -> list[str]:
-        """Return a line for each input that has come to have several publishers."""
+        """Return a line for what has come to exist twice: a publisher of an input, this node."""
         lines = []
+        same = namesakes(self._node)
+        if same > max(self._same, 1):
+            lines.append(
+                f"{same} nodes are called '{self._node.get_fully_qualified_name()}': their outputs "
+                "mix, and they write the same state file; give each a namespace, -r __ns:=/drone1"
+            )
+        self._same = same
         for monitor in self._monitors.values():
             before, names = monitor.publishers, publishers(self._node, monitor.topic)
             monitor.publishers = names
