@@ -70,4 +70,4 @@ def at_times(t_ns: TimeArray, samples_ns: TimeArray, quaternion: FloatArray) -> 
     """Return unit quaternions (k, 4) at other times (n,), joined along the shorter arcs."""
     flips = np.cumprod(np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
     joined = interpolate(t_ns, samples_ns, quaternion * np.append(1.0, flips)[:, None])
-    return joined / np.linalg.norm(joined, axis=1, keepdims=True)
+    return np.asarray(joined / np.linalg.norm(joined, axis=1, keepdims=True))

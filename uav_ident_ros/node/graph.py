@@ -49,7 +49,7 @@ def publishers(node: Node, topic: str) -> list[str]:
 def namesakes(node: Node) -> int:
     """Return how many nodes carry the full name of `node`, itself included."""
     own = (node.get_name(), node.get_namespace())
-    return node.get_node_names_and_namespaces().count(own)
+    return int(node.get_node_names_and_namespaces().count(own))
 
 
 def why_silent(node: Node, wanted: Wanted) -> str:
