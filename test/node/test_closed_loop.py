@@ -139,3 +139,19 @@ def test_the_command_says_how_well_the_reference_was_followed(
     lines = capsys.readouterr().out.splitlines()
     assert any("fault at 4.0" in line for line in lines)
     assert any(line.split()[:6] == ["4", "s", "to", "8", "s", *line.split()[5:6]] for line in lines)
+
+
+def test_a_lost_aircraft_leaves_its_record_and_the_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fault = "4: aileron effect -1"  # which nobody survives on fixed coefficients
+    arguments = ["--duration", "60", "--mode", "fixed", "--fault", fault]
+    assert main([*arguments, "--output", str(tmp_path)]) == 1
+    said = capsys.readouterr().out
+    assert "flying on nominal coefficients" in said
+    assert "rms of true rates minus reference" in said
+    with np.load(tmp_path / "flight.npz") as record:
+        lost = float(record["lost"][0])
+        assert 4.0 < lost < 12.0
+        assert record["time"][-1] == pytest.approx(lost, abs=0.05)
+    assert f"the aircraft was lost at {lost:.1f} s" in said

@@ -2,7 +2,8 @@
 """The closed loop as processes, without launch: plant, identifier, controller, rate reference.
 
 ``scripts/closed_loop --fault '60: aileron effect 0.5'`` flies one flight and says how well the
-reference was followed.
+reference was followed, also if the aircraft was lost. An aircraft that was not flown before is
+trimmed, excited and identified first, which takes some ten seconds.
 """
 
 from __future__ import annotations
@@ -23,12 +24,16 @@ from types import TracebackType
 
 import numpy as np
 
+from uav_ident_ros.control import Law
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config" / "closed_loop"
+PREPARED = ROOT / "build" / "aircraft"
+"""Where aircraft that were identified for the loop are kept."""
 
 MODULES = {
     "identifier": "uav_ident_ros.node",
@@ -70,7 +75,7 @@ class Loop:
     files : Path
         Folder of ``AIRCRAFT.yaml`` and ``AIRCRAFT_coefficients.yaml``.
     aircraft : str
-        ``c172p`` or ``quadrotor``, or what else there are files of.
+        Name of the aircraft, and of its files there.
     parameters : mapping
         More parameters, by process: ``{"simulated_plant": {"rate": "200.0"}}``.
     """
@@ -189,7 +194,7 @@ class ClosedLoop:
         return self.log_file(name).read_text(encoding="utf-8", errors="replace")
 
     def wait(self, timeout: float) -> dict[str, FloatArray]:
-        """Wait until the plant has landed; return its record.
+        """Wait until the plant has landed, or the aircraft is lost; return its record.
 
         Raises
         ------
@@ -205,7 +210,7 @@ class ClosedLoop:
             if time.monotonic() > end:
                 raise SimulationError(f"the flight is not over after {timeout:g} s")
             time.sleep(0.1)
-        if plant.returncode:
+        if plant.returncode and not self.record_file.exists():
             raise SimulationError(f"simulated_plant: {_last_line(self.log('simulated_plant'))}")
         with np.load(self.record_file) as archive:
             return dict(archive)
@@ -253,39 +258,91 @@ def report(record: Mapping[str, FloatArray], fault_time: float) -> Iterator[str]
     for start, end in windows(fault_time, duration):
         p, q, r = tracking_error(record, start, end)
         yield f"  {start:5.0f} s to {end:5.0f} s {'':22} {p:6.2f} {q:6.2f} {r:6.2f}"
+    if np.isfinite(lost := float(record["lost"][0])):
+        yield f"the aircraft was lost at {lost:.1f} s, {lost - fault_time:.1f} s after the fault"
     if len(record["usable"]):
         yield f"coefficients usable in {100.0 * np.mean(record['usable']):.0f} % of the ticks"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly one flight; the return value is the exit status."""
+def prepared_files(aircraft: str, speed: float | None, folder: Path) -> tuple[Path, str]:
+    """Return the folder of an aircraft's files and their name.
+
+    What has no files yet is trimmed, excited and identified.
+
+    Parameters
+    ----------
+    aircraft : str
+        Its name, or the path of its file.
+    speed : float or None
+        True airspeed in place of its own, m/s.
+    folder : Path
+        Where each aircraft and speed has a folder.
+    """
+    from uav_ident_ros.simulation.preparation import prepare, write
+
+    if aircraft in shipped() and speed is None:
+        return CONFIG, aircraft
+    frame = airframe(aircraft, speed)
+    own = folder / f"{frame.name}_{frame.speed:.1f}"
+    if not (own / f"{frame.name}.yaml").exists():
+        print(f"identifying {frame.name} at {frame.speed:.1f} m/s: {frame.description}", flush=True)
+        write(prepare(aircraft, speed), own)
+    return own, frame.name
+
+
+def shipped() -> list[str]:
+    """Return the names of the aircraft whose files come with this package."""
+    end = "_coefficients"
+    return sorted(path.stem.removesuffix(end) for path in CONFIG.glob(f"*{end}.yaml"))
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(prog="scripts/closed_loop", description=__doc__)
-    parser.add_argument("--duration", type=float, default=120.0, help="s (default: 120)")
-    parser.add_argument(
-        "--fault", action="append", default=[], help="'60: aileron effect 0.5'; may be repeated"
-    )
-    parser.add_argument("--mode", choices=("adaptive", "fixed"), default="adaptive")
-    parser.add_argument(
-        "--ignore-verdict", action="store_true",
-        help="act on the newest coefficients, each as far as its sigma allows",
-    )  # fmt: skip
-    parser.add_argument("--cold", action="store_true", help="no initial coefficients")
-    parser.add_argument(
-        "--excite", type=float, default=0.0, metavar="S",
-        help="ask for excitation at S, s (docs/excitation.md)",
-    )  # fmt: skip
-    parser.add_argument("--aircraft", choices=("c172p", "quadrotor"), default="c172p")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--real-time", action="store_true", help="with the wall clock, not in step")
-    parser.add_argument("--output", type=Path, help="folder for the logs and the record")
-    options = parser.parse_args(arguments)
-    loop = Loop(
-        options.duration, tuple(options.fault), options.mode, not options.ignore_verdict,
+    add = parser.add_argument
+    add("--aircraft", default="c172p", metavar="NAME",
+        help=f"{', '.join(dict.fromkeys((*shipped(), *airframe_names())))}, or the path of a file like theirs (default: c172p); "
+             "it is identified first, once")  # fmt: skip
+    add("--speed", type=float, metavar="M/S", help="true airspeed (default: the aircraft's own)")
+    add("--duration", type=float, default=120.0, help="s (default: 120)")
+    add("--fault", action="append", default=[],
+        help="'60: aileron effect 0.5'; may be repeated")  # fmt: skip
+    add("--turbulence", type=int, default=0, metavar="LEVEL", help="0 (calm) to 7 (default: 0)")
+    add("--mode", choices=("adaptive", "fixed"), default="adaptive")
+    add("--law", choices=[law.value for law in Law], default=Law.INCREMENTAL.value)
+    add("--ignore-verdict", action="store_true",
+        help="act on the newest coefficients, each as far as its sigma allows")  # fmt: skip
+    add("--cold", action="store_true", help="no initial coefficients")
+    add("--excite", type=float, default=0.0, metavar="S",
+        help="ask for excitation at S, s (docs/excitation.md)")  # fmt: skip
+    add("--seed", type=int, default=0)
+    add("--real-time", action="store_true", help="with the wall clock, not in step")
+    add("--output", type=Path, help="folder for the logs and the record")
+    return parser
+
+
+def loop_from(options: argparse.Namespace) -> Loop:
+    """Return the flight that the options ask for; the aircraft is identified if need be."""
+    faults = list(options.fault)
+    if options.turbulence:
+        faults.append(f"0: turbulence {options.turbulence}")
+    for text in faults:
+        parse_fault(text)
+    files, name = prepared_files(options.aircraft, options.speed, PREPARED)
+    return Loop(
+        options.duration, tuple(faults), options.mode, not options.ignore_verdict,
         options.cold, options.excite, options.seed, not options.real_time,
-        aircraft=options.aircraft,
+        files=files, aircraft=name,
+        parameters={"controller": {"law": options.law}},
     )  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Fly one flight; the return value is the exit status: 1 if the aircraft was lost."""
+    options = make_parser().parse_args(arguments)
     try:
-        times = [parse_fault(text).time for text in loop.faults]
+        loop = loop_from(options)
+        times = [parse_fault(text).time for text in options.fault]
         with tempfile.TemporaryDirectory() as scratch:
             folder = options.output or Path(scratch)
             folder.mkdir(parents=True, exist_ok=True)
@@ -298,7 +355,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SimulationError as error:
         print(f"closed_loop: {error}", file=sys.stderr)
         return 1
-    return 0
+    return int(np.isfinite(record["lost"][0]))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,6 +28,7 @@ class FlightRecord:
 
     samples: list[tuple[Sample, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
     estimates: list[tuple[float, Coefficients]] = field(default_factory=list)
+    lost: float = math.nan
 
     def add(
         self,
@@ -60,6 +62,7 @@ class FlightRecord:
             "outputs": [outputs for _, outputs, _, _ in self.samples],
             "reference": [reference for _, _, reference, _ in self.samples],
             "excitation": [excitation for *_, excitation in self.samples],
+            "lost": [self.lost],
             "tick": [time for time, _ in self.estimates],
             "usable": [c.usable for _, c in self.estimates],
             "fit": [c.fit for _, c in self.estimates],

@@ -161,7 +161,9 @@ def fly_loop(
     """
     frame = prepared.airframe
     faults = [parse_fault(text) for text in mission.faults]
-    live = LiveAircraft(frame.name, mission.sensors, DELAY, faults, mission.seed, speed=frame.speed)
+    live = LiveAircraft(
+        prepared.aircraft, mission.sensors, DELAY, faults, mission.seed, speed=frame.speed
+    )
     guide = Manoeuvres(airspeed=frame.speed, seed=mission.seed, **MANOEUVRES)  # type: ignore[arg-type]
     source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(prepared))
     controller = make(source)

@@ -221,6 +221,9 @@ class PlantNode(Node):
         try:
             while self._going() and self._aircraft.time < duration:
                 self._one_interval(began)
+        except SimulationError:
+            self._record.lost = self._aircraft.time
+            raise
         finally:
             if path := self._value("record_file"):
                 self._record.save(Path(path))

@@ -19,7 +19,7 @@ from uav_ident_ros.files.coefficients_file import save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.airframe import Airframe, airframe
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import SURFACE_NAMES
@@ -36,6 +36,9 @@ EXCITED_TIME = 90.0
 SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
 """Of that flight and of the aircraft in the loop: a MEMS Imu after its low-pass."""
 
+EXCITED_SHARE = 0.1
+"""Excitation in the loop, over half of the travel of each surface."""
+
 BETWEEN_FLIGHTS = 0.2
 """What a coefficient may differ by from one flight to the next, relative: the load and the
 weather. Added to the sigmas of what is handed on."""
@@ -47,6 +50,8 @@ class Prepared:
 
     Parameters
     ----------
+    aircraft : str
+        Its name, or the path of its file.
     airframe : Airframe
         What it is, at the speed flown.
     trim : (4,) array
@@ -57,13 +62,16 @@ class Prepared:
         As identified, sigmas widened.
     """
 
+    aircraft: str
     airframe: Airframe
     trim: FloatArray
     limits: FloatArray
     coefficients: CoefficientSet
 
 
-def prepare(name: str, speed: float | None = None, seed: int = 0) -> Prepared:
+def prepare(
+    name: str, speed: float | None = None, seed: int = 0, time: float = EXCITED_TIME
+) -> Prepared:
     """Trim, excite and identify an aircraft.
 
     Parameters
@@ -74,6 +82,8 @@ def prepare(name: str, speed: float | None = None, seed: int = 0) -> Prepared:
         True airspeed in place of its own, m/s.
     seed : int
         Of the noise and of the multisines' phases.
+    time : float
+        Length of the flight that identifies it, s.
 
     Raises
     ------
@@ -82,10 +92,10 @@ def prepare(name: str, speed: float | None = None, seed: int = 0) -> Prepared:
     """
     frame = airframe(name, speed)
     segment = Segment("multisine", start=2.0, amplitudes=frame.excitation, seed=seed)
-    flight = fly(AircraftFlight(name, (segment,), EXCITED_TIME, speed=speed, seed=seed))
+    flight = fly(AircraftFlight(name, (segment,), time, speed=speed, seed=seed))
     found = identify(measure(flight, SENSORS, seed))
     live = LiveAircraft(name, SENSORS, speed=speed)
-    return Prepared(frame, live.trim, live.aircraft.limits, widened(found))
+    return Prepared(name, frame, live.trim, live.aircraft.limits, widened(found))
 
 
 def identify(measurements: Measurements, **settings: Any) -> CoefficientSet:
@@ -135,6 +145,8 @@ def parameter_file(prepared: Prepared) -> str:
     """Return the ROS parameter file of the loop's nodes."""
     frame = prepared.airframe
     trim, least, largest = (_numbers(v) for v in (prepared.trim, *prepared.limits))
+    added = EXCITED_SHARE * 0.5 * (prepared.limits[1] - prepared.limits[0])
+    added[INPUTS.index("dth")] = 0.0
     sections: Mapping[str, Mapping[str, str]] = {
         "identifier": {
             "use_sim_time": "true",
@@ -144,19 +156,24 @@ def parameter_file(prepared: Prepared) -> str:
             "actuators.channels": f"[{', '.join(SURFACE_NAMES)}]",
             "actuators.trim": trim,
             "actuators.delay": "0.02",
+            "excitation.amplitude": _numbers(added),
+            "excitation.lead": "0.4",
+            "excitation.max_attitude": "1.0",
         },
         "controller": {
             "trim": trim,
             "least": least,
             "largest": largest,
+            "excitation_limit": _numbers(1.2 * added),
             "delay": "0.02",
             "coefficients_delay": "0.3",
             "reference_delay": "0.02",
         },
-        "rate_reference": {"airspeed": f"{frame.speed:.9g}"},
+        "rate_reference": {"airspeed": repr(float(frame.speed))},
         "simulated_plant": {
-            "aircraft": frame.name,
-            "speed": f"{frame.speed:.9g}",
+            "aircraft": prepared.aircraft,
+            "wait_for_reference": "true",
+            "speed": repr(float(frame.speed)),
             "rate": "100.0",
             "delay": "0.02",
         },

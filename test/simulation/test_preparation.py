@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a name to a flying loop: the small electric aeroplane, in one process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
+
+from uav_ident_ros.client import Coefficients
+from uav_ident_ros.control import Law
+from uav_ident_ros.control.controller import OWN_GAINS
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.simulation.linearisation import linearise_cruise
+from uav_ident_ros.simulation.loop import Mission, fly_loop, make_identifier, rate_controller
+from uav_ident_ros.simulation.preparation import Prepared, prepare, write
+
+NAME, LAW = "ultra_stick_25e", Law.INCREMENTAL
+
+
+@pytest.fixture(scope="module")
+def small() -> Prepared:
+    return prepare(NAME, time=40.0)
+
+
+def make(prepared: Prepared, adaptive: bool = True):  # type: ignore[no-untyped-def]
+    return rate_controller(prepared, LAW, adaptive, OWN_GAINS[LAW])
+
+
+def test_what_is_identified_is_true(small: Prepared, tmp_path: Path) -> None:
+    write(small, tmp_path)
+    found = Coefficients.from_file(tmp_path / f"{NAME}_coefficients.yaml")
+    truth = linearise_cruise(NAME).derivatives
+    for name in ("pdot/da", "qdot/de"):
+        value = found.values[found.structure.index(name)]
+        assert value == pytest.approx(truth[name], rel=0.15), name
+
+
+def test_the_files_say_what_the_nodes_need(small: Prepared, tmp_path: Path) -> None:
+    write(small, tmp_path)
+    path = tmp_path / f"{NAME}.yaml"
+    plant, controller = (load_parameters(path, f"/{n}") for n in ("simulated_plant", "controller"))
+    assert plant["aircraft"] == NAME and plant["speed"] == 17.0
+    np.testing.assert_allclose(controller["trim"], small.trim, atol=1e-9)
+    assert np.all(np.array(controller["least"]) < small.trim)
+
+
+def test_it_flies_on_what_was_identified(small: Prepared) -> None:
+    outcome = fly_loop(small, Mission(8.0), make(small), make_identifier(small))
+    assert outcome.lost is None and len(outcome.time) == 800
+    assert outcome.error(3.0, 8.0).max() < 5.0
+    assert len(outcome.usable) > 100
+    again = fly_loop(small, Mission(8.0), make(small), make_identifier(small))
+    np.testing.assert_array_equal(outcome.rates, again.rates)
+
+
+def test_a_reversed_aileron_is_survived_and_a_fixed_law_is_lost(small: Prepared) -> None:
+    mission = Mission(12.0, ("5: aileron effect -1",))
+    adaptive = fly_loop(small, mission, make(small))
+    fixed = fly_loop(small, mission, make(small, adaptive=False))
+    assert adaptive.lost is None
+    assert adaptive.sources[-1][1][0] == "measured"
+    assert adaptive.error(8.0, 12.0)[0] < 6.0
+    assert fixed.lost is not None and fixed.time[-1] < fixed.lost
+    assert np.isnan(fixed.error(11.0, 12.0)).all()
