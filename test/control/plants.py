@@ -23,15 +23,13 @@ VALUES = {
 }  # fmt: skip
 
 
-def coefficients(
-    effect: FloatArray | float = 1.0, t_ns: int = START, usable: bool = True
-) -> Coefficients:
+def coefficients(effect: FloatArray | float = 1.0, t_ns: int = START) -> Coefficients:
     """Coefficients whose inputs (de, dr, da, dth) have so much of their effect."""
     values = np.zeros(STRUCTURE.mask.shape)
     for name, value in VALUES.items():
         values[STRUCTURE.index(name)] = value
     values[:, INPUT_COLUMNS] *= effect
-    return Coefficients(STRUCTURE, values, 0.02 * np.abs(values), usable, t_ns=t_ns)
+    return Coefficients(STRUCTURE, values, 0.02 * np.abs(values), t_ns=t_ns)
 
 
 def controller(

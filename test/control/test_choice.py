@@ -41,10 +41,11 @@ def test_the_last_good_row_stays_when_the_identifier_says_no_or_nothing() -> Non
     chosen, source = choice()
     source.add(coefficients(0.5, LATER))
     chosen.update(LATER, Effectiveness())
-    source.add(coefficients(0.2, LATER + 50_000_000, usable=False))
+    refused = coefficients(0.2, LATER + 50_000_000)
+    source.add(dataclasses.replace(refused, usable=False, usable_rows=(False, False, True)))
     effect = chosen.update(LATER + 50_000_000, Effectiveness())
-    assert effect.sources == ("last good",) * 3
-    assert "not usable" in effect.reasons[0]
+    assert effect.sources == ("last good", "last good", "identified")
+    assert "not usable" in effect.reasons[0] and not effect.reasons[2]
     assert effect.values[0, 2] == pytest.approx(0.5 * 29.5)
     silent = chosen.update(LATER + 10**10, Effectiveness())
     assert "old" in silent.reasons[0] and silent.values[0, 2] == pytest.approx(0.5 * 29.5)

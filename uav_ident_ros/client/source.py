@@ -105,14 +105,23 @@ class CoefficientSource:
         """Newest coefficients that count at message time `now_ns`; None before the first."""
         return self._history.at(now_ns - self._delay_ns)
 
-    def refusal(self, now_ns: int) -> str:
-        """Why the newest coefficients must not be used; empty if they may."""
+    def refusal(self, now_ns: int, row: int | None = None) -> str:
+        """Why the newest coefficients must not be used; empty if they may.
+
+        Parameters
+        ----------
+        now_ns : int
+            Message time, ns.
+        row : int, optional
+            Ask for one of pdot, qdot, rdot alone, by its own verdict.
+        """
         newest = self.newest(now_ns)
         if newest is None:
             return "there are no coefficients yet"
         if newest.age(now_ns - self._delay_ns) > self._max_age:
             return f"the coefficients are more than {self._max_age:g} s old"
-        if self._heed_verdict and not newest.usable:
+        usable = newest.usable if row is None else newest.usable_rows[row]
+        if self._heed_verdict and not usable:
             return "the identifier's verdict is 'not usable'"
         return ""
 

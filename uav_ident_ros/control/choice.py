@@ -108,23 +108,22 @@ class AxisChoice:
 
     def _adopt(self, t_ns: int, measured: Effectiveness) -> None:
         newest = self._source.newest(t_ns)
-        stale = self._source.refusal(t_ns)
-        if newest is None or stale:
-            self._reasons = [stale] * len(ROWS)
-            self._sources = [LAST_GOOD if s == IDENTIFIED else s for s in self._sources]
-            return
-        if newest is self._seen:
-            return
+        old = newest is None or newest is self._seen
         self._seen = newest
-        found, known = control_derivatives(newest)
-        found = np.where(known, found, self._values)
-        for i, row in enumerate(ROWS):
-            reason = self._against(i, found[i], bool(known[i, MAIN[row]]), measured)
-            self._reasons[i] = reason
+        found, known = (None, None) if newest is None else control_derivatives(newest)
+        for i in range(len(ROWS)):
+            reason = self._source.refusal(t_ns, i)
             if not reason:
-                self._values[i], self._sources[i] = found[i], IDENTIFIED
-            elif self._sources[i] == IDENTIFIED:
+                if old:
+                    continue  # it was weighed when it came
+                assert found is not None and known is not None
+                row = np.where(known[i], found[i], self._values[i])
+                reason = self._against(i, row, bool(known[i, MAIN[ROWS[i]]]), measured)
+                if not reason:
+                    self._values[i], self._sources[i] = row, IDENTIFIED
+            if reason and self._sources[i] == IDENTIFIED:
                 self._sources[i] = LAST_GOOD
+            self._reasons[i] = reason
 
     def _against(self, i: int, found: FloatArray, known: bool, measured: Effectiveness) -> str:
         """Why a row is not adopted; empty if it is."""

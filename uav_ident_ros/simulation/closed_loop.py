@@ -301,8 +301,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="scripts/closed_loop", description=__doc__)
     add = parser.add_argument
     add("--aircraft", default="c172p", metavar="NAME",
-        help=f"{', '.join(dict.fromkeys((*shipped(), *airframe_names())))}, or the path of a file like theirs (default: c172p); "
-             "it is identified first, once")  # fmt: skip
+        help=f"{', '.join(dict.fromkeys((*shipped(), *airframe_names())))}, or the path of a "
+             "file like theirs (default: c172p); it is identified first, once")  # fmt: skip
     add("--speed", type=float, metavar="M/S", help="true airspeed (default: the aircraft's own)")
     add("--duration", type=float, default=120.0, help="s (default: 120)")
     add("--fault", action="append", default=[],

@@ -78,8 +78,8 @@ class Outcome:
         True and wanted p, q, r, rad/s.
     outputs : (N, 4) array
         What the actuators were told.
-    usable : list of (time, bool)
-        The verdict by tick, s.
+    usable : list of (time, tuple of bool)
+        The verdicts of roll, pitch and yaw by tick, s.
     changes : list of (time, name)
         Coefficients that the identifier released, s.
     sources : list of (time, tuple)
@@ -92,7 +92,7 @@ class Outcome:
     rates: FloatArray
     reference: FloatArray
     outputs: FloatArray
-    usable: list[tuple[float, bool]] = field(default_factory=list)
+    usable: list[tuple[float, tuple[bool, bool, bool]]] = field(default_factory=list)
     changes: list[tuple[float, str]] = field(default_factory=list)
     sources: list[tuple[float, tuple[str, ...]]] = field(default_factory=list)
     lost: float | None = None
@@ -121,6 +121,7 @@ def make_identifier(prepared: Prepared, **settings: object) -> OnlineIdentifier:
         "actuators.channels": list(SURFACE_NAMES),
         "actuators.trim": prepared.trim.tolist(),
         "actuators.delay": DELAY,
+        "airspeed.reference": prepared.airframe.speed,
         **settings,
     }
     return OnlineIdentifier(Settings.from_values(values), prepared.coefficients)
@@ -129,9 +130,9 @@ def make_identifier(prepared: Prepared, **settings: object) -> OnlineIdentifier:
 def message_of(identifier: OnlineIdentifier, estimate: Estimate) -> Coefficients:
     """Return what the node would publish, as a controller takes it."""
     return Coefficients(
-        identifier.structure,
-        estimate.coefficients,
-        estimate.sigma,
+        structure=identifier.structure,
+        values=estimate.coefficients,
+        sigma=estimate.sigma,
         usable=estimate.usable,
         usable_rows=estimate.usable_rows,
         flow=estimate.flow,
@@ -209,7 +210,7 @@ def _identify(
         if estimate is None:
             continue
         source.add(message_of(identifier, estimate))
-        outcome.usable.append(((estimate.t_ns - EPOCH_NS) * 1e-9, estimate.usable))
+        outcome.usable.append(((estimate.t_ns - EPOCH_NS) * 1e-9, estimate.usable_rows))
     for change in identifier.changed[len(outcome.changes) :]:
         outcome.changes.append((sample.time, change.name))
 

@@ -156,6 +156,8 @@ def parameter_file(prepared: Prepared) -> str:
             "actuators.channels": f"[{', '.join(SURFACE_NAMES)}]",
             "actuators.trim": trim,
             "actuators.delay": "0.02",
+            "structure": prepared.coefficients.structure,
+            "airspeed.reference": repr(float(frame.speed)),
             "excitation.amplitude": _numbers(added),
             "excitation.lead": "0.4",
             "excitation.max_attitude": "1.0",
