@@ -24,7 +24,7 @@ from uav_ident_ros.identification.structure import (
 CONFIRMED = 4.6
 """Logarithm of the odds, a hundred to one, from which on a derivative counts as confirmed."""
 
-LARGEST_ODDS = 3.0 * CONFIRMED
+LARGEST_ODDS = 2.0 * CONFIRMED
 """Logarithm of the odds beyond which more evidence adds nothing: what has failed is noticed
 soon, however long it had worked."""
 

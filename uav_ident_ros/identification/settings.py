@@ -680,7 +680,7 @@ class SupervisionSettings:
         read_only=False,
     )
     max_age: float = _setting(
-        60.0,
+        10.0,
         "s",
         "Time after which a control derivative counts as unconfirmed unless what its input does "
         "confirms it; 0 for never. Raise it for long cruises in one condition.",
