@@ -61,6 +61,9 @@ SECOND_NS = 1_000_000_000
 START_TIME = 20.0
 """Time of learning for which the coefficients count as poor, s."""
 
+ANSWER_TIME = 2.0
+"""Time for which an aircraft still answers an input, s: a few periods of the short modes."""
+
 START_LEAK_TIME = 0.5
 """Leak of the model meanwhile, s: with poor coefficients its rate products would diverge."""
 
@@ -168,6 +171,8 @@ class OnlineIdentifier:
         if self.settings.actuators.estimate_delay:
             self._delay = DelayTracker(self._sampler.delay, self._arm)
         self._model = IdentifiedModel(self.structure, self._arm)
+        self._response = IdentifiedModel(self.structure, self._arm)
+        self._since_injected = ANSWER_TIME
         self._flow: FlowObserver | None = None
         self._accelerometer = True
         if self.structure.has_flow:
@@ -732,9 +737,12 @@ class OnlineIdentifier:
         leak = self.settings.model.leak_time
         if leak > 0.0 and self._learned_time < START_TIME:
             leak = min(leak, START_LEAK_TIME)
-        states = self._model.run(coefficients, block, flow, leak)
+        states, driven_by = self._model.run(coefficients, block, flow, leak), None
+        if self._injected(block):
+            driven_by = block.excitation
+            states = self._response.respond(coefficients, block, flow, leak)
         scale = self._speed.scale if self._speed.enabled else None
-        regression = self._filter.apply(block, states, scale, flow, coefficients)
+        regression = self._filter.apply(block, states, scale, flow, coefficients, driven_by)
         learns = self._speed.known and not self._supervisor.closed
         if learns:
             self._learned_time += regression.time
@@ -749,6 +757,14 @@ class OnlineIdentifier:
         self._supervisor.follow(t, self._estimator, learns)
         if learns and self._estimator.changes:
             self.running_fit.forget()
+
+    def _injected(self, block: Block) -> bool:
+        """Whether the aircraft still answers inputs that were injected on purpose."""
+        if block.excitation is not None and block.excitation.any():
+            self._since_injected = 0.0
+        else:
+            self._since_injected += block.time
+        return block.excitation is not None and self._since_injected < ANSWER_TIME
 
     def _paper_tick(self, t_ns: int) -> bool:
         """Learn as the paper does: backward differences of the rates at the ticks."""

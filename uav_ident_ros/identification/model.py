@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -297,6 +297,27 @@ class IdentifiedModel:
             states = self.measured(block, flow).copy()
         self.state = states[-1]
         return states
+
+    def respond(
+        self, coefficients: FloatArray, block: Block, flow: FlowSignals | None, leak_time: float
+    ) -> FloatArray:
+        """Advance the response to the injected part of the inputs alone; parameters as in `run`.
+
+        It starts at rest, without gravity and constants: what feedback and gusts do is not in it.
+        """
+        assert block.excitation is not None
+        coefficients = coefficients.copy()
+        coefficients[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1] = 0.0
+        alone = replace(
+            block,
+            x=np.zeros_like(block.x),
+            u=block.excitation,
+            specific_force=np.zeros_like(block.specific_force),
+        )
+        if flow is not None:
+            still = np.zeros_like
+            flow = FlowSignals(still(flow.angles), still(flow.down), flow.airspeed)
+        return self.run(coefficients, alone, flow, leak_time)
 
     def propagate(
         self,

@@ -173,7 +173,7 @@ class StateVariableFilter:
         # what differs in z
         self._y = 7 if structure.has_flow else 3
         self._f = n + (2 if structure.has_flow else 0)
-        self._z = STATE_COLUMNS.stop + (4 if structure.has_flow else 0)
+        self._z = INPUT_COLUMNS.stop + (4 if structure.has_flow else 0)
         self._filter = BlockFilter(low_pass(cutoff, h), self._y + self._f + self._z)
 
     def apply(
@@ -183,6 +183,7 @@ class StateVariableFilter:
         scale: FloatArray | None = None,
         flow: FlowSignals | None = None,
         coefficients: FloatArray | None = None,
+        driven_by: FloatArray | None = None,
     ) -> Regression:
         """Filter one block.
 
@@ -198,8 +199,12 @@ class StateVariableFilter:
             Flow angles and attitude; for a structure that has them.
         coefficients : (R, n) array, optional
             Those that the model ran with: they say what forces it makes.
+        driven_by : (m, 4) array, optional
+            Inputs that the model ran on: the part that was injected on purpose, where the
+            instruments are to be free of feedback; all of them if left out.
         """
-        left, right = self._edges(block, model_states, flow, coefficients)
+        inputs = block.u if driven_by is None else driven_by
+        left, right = self._edges(block, model_states, inputs, flow, coefficients)
         if scale is not None:
             self._scale(left, scale)
             self._scale(right, scale)
@@ -207,12 +212,13 @@ class StateVariableFilter:
             self._filter.state = np.zeros((2, left.shape[1]))
             self._filter.state[0, : self._y] = left[0, : self._y]
         states = without_negligible(self._filter.apply(left, right))
-        return self._regression(states, block, flow)
+        return self._regression(states, block, flow, injected=driven_by is not None)
 
     def _edges(
         self,
         block: Block,
         model_states: FloatArray,
+        driven_by: FloatArray,
         flow: FlowSignals | None,
         coefficients: FloatArray | None,
     ) -> tuple[FloatArray, FloatArray]:
@@ -237,13 +243,15 @@ class StateVariableFilter:
             f[:, n:] = _turning(block.x, block.force, flow.down, flow.airspeed)
             left, right = edges[:-1].copy(), edges[1:].copy()
             left[:, 5:7] = right[:, 5:7] = block.u[:, _SURFACES]
-            first = self._y + self._f + STATE_COLUMNS.stop
+            first = self._y + self._f + INPUT_COLUMNS.stop
             for side, states in ((left, model_states[:-1]), (right, model_states[1:])):
-                force = _model_force(states, block.u, coefficients)
+                force = _model_force(states, driven_by, coefficients)
                 side[:, first : first + 2] = force
                 side[:, first + 2 :] = _turning(states[:, :3], force, states[:, 5:8], flow.airspeed)
         inputs = slice(self._y + INPUT_COLUMNS.start, self._y + INPUT_COLUMNS.stop)
         left[:, inputs] = right[:, inputs] = block.u
+        inputs = slice(inputs.start + self._f, inputs.stop + self._f)
+        left[:, inputs] = right[:, inputs] = driven_by
         return left, right
 
     def _scale(self, edge: FloatArray, scale: FloatArray) -> None:
@@ -252,27 +260,32 @@ class StateVariableFilter:
         z = edge[:, self._y + self._f :]
         kept = CONSTANT_COLUMN if self._structure.has_flow else len(scale)
         f[:, :kept] *= scale[:kept]
-        z[:, STATE_COLUMNS] *= scale[STATE_COLUMNS]
+        z[:, : INPUT_COLUMNS.stop] *= scale[: INPUT_COLUMNS.stop]
         if self._structure.has_flow:
             edge[:, 5:7] *= scale[INPUT_COLUMNS][_SURFACES]
             f[:, -2:] *= scale[-1]
             z[:, -2:] *= scale[-1]
 
-    def _regression(self, states: FloatArray, block: Block, flow: FlowSignals | None) -> Regression:
+    def _regression(
+        self, states: FloatArray, block: Block, flow: FlowSignals | None, *, injected: bool
+    ) -> Regression:
         """Regression problem from the filters' states: outputs and their derivatives."""
         low, slope = states
         f = low[:, self._y : self._y + self._f]
         z_part = low[:, self._y + self._f :]
-        rates = STATE_COLUMNS.stop
+        known = INPUT_COLUMNS.stop
         if flow is None:
             y, z = slope[:, :3], f.copy()
         else:
             y, surfaces = slope[:, :5], slope[:, 5:7]
             f = np.concatenate((f, surfaces), axis=1)
             z = f.copy()
-            z[:, LAST_COLUMNS] = z_part[:, rates : rates + 2]
-            z[:, -4:-2] = z_part[:, rates + 2 :]
-        z[:, STATE_COLUMNS] = z_part[:, :rates]
+            z[:, LAST_COLUMNS] = z_part[:, known : known + 2]
+            z[:, -4:-2] = z_part[:, known + 2 :]
+            if injected:
+                first = self._y + self._f + INPUT_COLUMNS.start
+                z[:, -2:] = slope[:, [first + j for j in _SURFACES]]
+        z[:, :known] = z_part[:, :known]
         if self._corrects_lever:
             f, y = f.copy(), y.copy()
             offset = y[:, :3] @ self._lever.T
