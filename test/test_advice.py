@@ -16,7 +16,7 @@ from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.prediction import PredictionFit
+from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.offline.advice import (
@@ -43,11 +43,12 @@ AUGMENTED = STRUCTURES["augmented"]
 JUST_ABOVE, JUST_BELOW = 1.01, 0.99
 
 
-def fit(model: Any = 80.0, hold: Any = -20.0, held_force: Any = 75.0) -> PredictionFit:
+def fit(model: Any = 80.0, hold: Any = -20.0, measured_force: Any = 85.0) -> PredictionFit:
     def axes(value: Any) -> Any:
         return np.broadcast_to(np.asarray(value, dtype=float), 3)
 
-    return PredictionFit(axes(model), axes(hold), axes(held_force), 100, 20_000)
+    free, free_hold = (np.tile(axes(value), (len(HORIZONS), 1)) for value in (model, hold))
+    return PredictionFit(free, free_hold, axes(measured_force), 100, 20_000)
 
 
 def good() -> Evidence:
@@ -146,14 +147,14 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     ),
     "fit from forces": (
         "leans_on_force",
-        {"fit": fit(held_force=80.0 - FORCE_POINTS * JUST_BELOW)},
-        {"fit": fit(held_force=[80.0, 80.0, 80.0 - FORCE_POINTS * JUST_ABOVE])},
-        r"in points: 20 of r \(ay\); whoever",
+        {"fit": fit(measured_force=80.0 + FORCE_POINTS * JUST_BELOW)},
+        {"fit": fit(measured_force=[80.0, 80.0, 80.0 + FORCE_POINTS * JUST_ABOVE])},
+        r"in points: 20 of r \(ay\); a controller has no such measurement",
     ),
     "structure without forces": (
         "leans_on_force",
-        {"fit": fit(held_force=np.nan)},
-        {"fit": fit(held_force=0.0)},
+        {"fit": fit(model=0.0, measured_force=np.nan)},
+        {"fit": fit(model=0.0, measured_force=80.0)},
         r"80 of p \(ay\), 80 of q \(az\), 80 of r \(ay\)",
     ),
     "noisy gyro": (
@@ -210,8 +211,8 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     ),
     "holding is as good": (
         "no_better_than_holding",
-        {"fit": fit(model=[80.0, 20.1, 80.0], hold=20.0, held_force=20.1)},
-        {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0, held_force=20.0)},
+        {"fit": fit(model=[80.0, 20.1, 80.0], hold=20.0)},
+        {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0)},
         r"q is predicted no better \(20 %\) than by holding it \(20 %\)",
     ),
     "told apart": (
@@ -250,8 +251,9 @@ def test_the_first_cause_hides_what_follows_from_it() -> None:
 def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
     def at(adapting: bool, reason: str) -> Estimate:
         return Estimate(
-            0, *[np.zeros(3)] * 5, adapting=adapting, usable=True, state="paused", reason=reason
-        )  # type: ignore[misc]
+            0, *[np.zeros(3)] * 5, adapting=adapting, usable=True, usable_rows=(True,) * 3,
+            state="paused", reason=reason,
+        )  # type: ignore[misc] # fmt: skip
 
     estimates = [
         at(True, "why 1"),
@@ -283,7 +285,8 @@ def test_every_coefficient_has_a_meaning() -> None:
     assert set(INPUT_WORDS) == set(INPUTS)
     for name, words in MEANINGS.items():
         row, regressor = name.split("/")
-        if "power" not in words and regressor not in ("ay", "az"):
+        angles = ("ay", "az", "beta", "alpha")
+        if row in AXIS_WORDS and "power" not in words and regressor not in angles:
             assert AXIS_WORDS[row] in words
     assert MEANINGS["pdot/p"] == "roll damping"
     assert MEANINGS["pdot/da"] == "aileron power"

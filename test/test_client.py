@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from uav_ident_ros.client import (
     AttitudeModel,
@@ -22,10 +23,13 @@ from uav_ident_ros.client import (
 )
 from uav_ident_ros.files.coefficients_file import save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
-from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.identification.flow import FlowState
+from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 from uav_ident_ros.messages.types import named_entries
 
 AUGMENTED = STRUCTURES["augmented"]
+FLIGHT = STRUCTURES["flight_dynamics"]
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
 
@@ -59,16 +63,22 @@ def message(
         Estimate(
             t_ns=t_ns, coefficients=matrix({**VALUES, **(values or {})}), sigma=spread,
             predicted_rates=np.zeros(3), prediction_error=np.zeros(3),
-            fit=np.array([90.0, 80.0, 85.0]), adapting=True, usable=usable, state="", reason="",
+            fit=np.array([90.0, 80.0, 85.0]), adapting=True, usable=usable,
+            usable_rows=(True, usable, True), state="", reason="",
         ),
         AUGMENTED,
     )  # fmt: skip
+    return as_message(entries, t_ns)
+
+
+def as_message(entries: Any, t_ns: int = START) -> Any:
+    """Return the message of entries of the identifier's own making, as attributes."""
     stamp = SimpleNamespace(sec=t_ns // SECOND, nanosec=t_ns % SECOND)
     return SimpleNamespace(
         header=SimpleNamespace(stamp=stamp),
         name=list(entries.names),
-        position=entries.positions.tolist(),
-        effort=entries.efforts.tolist(),
+        position=np.asarray(entries.positions).tolist(),
+        effort=np.asarray(entries.efforts).tolist(),
     )
 
 
@@ -88,37 +98,51 @@ def test_a_message_becomes_named_values() -> None:
     np.testing.assert_array_equal(read.values, matrix(VALUES))
     assert read.sigma[AUGMENTED.index("pdot/da")] == 0.5
     assert read.usable
+    assert read.usable_rows == (True, True, True)
+    assert read.flow is None
     assert read.t_ns == START
     assert read.age(START + SECOND // 2) == 0.5
     assert read.fit is not None
     assert read.fit.tolist() == [90.0, 80.0, 85.0]
 
 
+def test_the_verdict_is_read_row_by_row() -> None:
+    read = Coefficients.from_message(message(usable=False))
+    assert not read.usable
+    assert read.usable_rows == (True, False, True)
+
+
+FLOW = FlowState(
+    beta=0.03, alpha=-0.02, beta_sigma=0.003, alpha_sigma=0.002, roll=0.4, pitch=-0.1, airspeed=18.0
+)
+
+
+def estimate_of(structure: Structure, values: FloatArray) -> Estimate:
+    return Estimate(
+        START, values, np.zeros_like(values), np.zeros(3), np.zeros(3), np.zeros(3),
+        True, True, (True, True, True), "", "", FLOW if structure.has_flow else None,
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_every_structure_is_recognised_by_its_names(name: str) -> None:
     structure = STRUCTURES[name]
-    numbered = np.where(structure.mask, np.arange(structure.mask.size).reshape(3, -1), 0.0)
-    estimate = Estimate(
-        START, numbered, np.zeros_like(numbered), np.zeros(3), np.zeros(3), np.zeros(3),
-        True, True, "", "",
-    )  # fmt: skip
-    entries = named_entries(estimate, structure)
-    header = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0))
-    read = Coefficients.from_message(
-        SimpleNamespace(
-            header=header, name=entries.names, position=entries.positions, effort=entries.efforts
-        )
-    )
+    shape = structure.mask.shape
+    numbered = np.where(structure.mask, np.arange(structure.mask.size).reshape(shape), 0.0)
+    entries = named_entries(estimate_of(structure, numbered), structure)
+    read = Coefficients.from_message(as_message(entries))
     assert read.structure is structure
     np.testing.assert_array_equal(read.values, numbered)
+    assert read.flow == (FLOW if structure.has_flow else None)
 
 
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
-        (lambda m: m.position.pop(), "30 names, 29 positions"),
+        (lambda m: m.position.pop(), "33 names, 32 positions"),
         (lambda m: m.name.__setitem__(0, "pdot/beta"), "no known structure"),
         (lambda m: m.name.__setitem__(-1, "verdict"), "no known structure"),
+        (lambda m: [part.pop() for part in (m.name, m.position, m.effort)], "usable/rdot"),
         (lambda m: m.position.__setitem__(3, float("nan")), "not finite"),
         (lambda m: m.effort.__setitem__(3, -1.0), "negative"),
     ],
@@ -185,6 +209,123 @@ def test_linearisation_is_the_derivative() -> None:
         step = h * np.eye(4)[i]
         slope = (model().acceleration(x, u + step) - model().acceleration(x, u - step)) / (2 * h)
         np.testing.assert_allclose(b[:, i], slope, atol=1e-7)
+
+
+# --- the model with angle of attack and sideslip -------------------------------------------------
+
+FLIGHT_VALUES = {
+    **{name: value for name, value in VALUES.items() if not name.endswith(("/ay", "/az"))},
+    "pdot/beta": -14.0, "qdot/alpha": -30.0, "rdot/beta": 5.0, "ay/beta": -12.0, "ay/dr": 4.0,
+    "az/alpha": -90.0, "az/de": -6.0, "betadot/1": 0.02, "alphadot/1": -0.01,
+}  # fmt: skip
+
+
+def flying(**changes: float) -> AttitudeModel:
+    values = np.zeros(FLIGHT.mask.shape)
+    for name, value in {**FLIGHT_VALUES, **changes}.items():
+        values[FLIGHT.index(name)] = value
+    source = CoefficientSource(Fallback.REFUSE)
+    source.take(as_message(named_entries(estimate_of(FLIGHT, values), FLIGHT)))
+    return source.model(START)
+
+
+STATE = np.array([0.3, -0.2, 0.1, 0.05, -0.04])
+CONTROL = np.array([0.05, -0.1, 0.08, 0.2])
+
+
+def rates_of_change(
+    state: FloatArray, u: FloatArray, v: float, values: dict[str, float]
+) -> FloatArray:
+    """The published model as the documentation writes it, from p to alpha, roll and pitch."""
+    p, q, r, beta, alpha, roll, pitch = state
+    of = dict(
+        zip(
+            ("pq", "qr", "pr", "pp", "rr", "p", "q", "r", "de", "dr", "da", "dth", "1"),
+            (p * q, q * r, p * r, p * p, r * r, p, q, r, *u, 1.0),
+            strict=True,
+        )
+    ) | {"beta": beta, "alpha": alpha}
+    row = dict.fromkeys(FLIGHT.row_labels, 0.0)
+    for name, value in values.items():
+        label, regressor = name.split("/")
+        row[label] += value * of[regressor]
+    side, down = (GRAVITY * part(roll) * np.cos(pitch) for part in (np.sin, np.cos))
+    return np.array([
+        row["pdot"], row["qdot"], row["rdot"],
+        -r + (row["ay"] + side) / v + row["betadot"],
+        q + (row["az"] + down) / v + row["alphadot"],
+        p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)),
+        q * np.cos(roll) - r * np.sin(roll),
+    ])  # fmt: skip
+
+
+def test_acceleration_with_flow_angles_is_that_of_the_rows() -> None:
+    expected = rates_of_change(np.array([*STATE, 0.0, 0.0]), CONTROL, 18.0, FLIGHT_VALUES)[:3]
+    np.testing.assert_allclose(flying().acceleration(STATE, CONTROL), expected, atol=1e-12)
+    # left out, the flow angles are those of the message
+    at_message = np.array([*STATE[:3], FLOW.beta, FLOW.alpha])
+    np.testing.assert_array_equal(
+        flying().acceleration(STATE[:3], CONTROL), flying().acceleration(at_message, CONTROL)
+    )
+    many = np.stack([STATE, 2.0 * STATE])
+    np.testing.assert_allclose(
+        flying().acceleration(many, CONTROL)[1], flying().acceleration(many[1], CONTROL)
+    )
+
+
+def test_prediction_with_flow_angles_follows_from_the_message_alone() -> None:
+    start = np.array([*STATE, FLOW.roll, FLOW.pitch])
+    solution = solve_ivp(
+        lambda _, state: rates_of_change(state, CONTROL, FLOW.airspeed, FLIGHT_VALUES),
+        (0.0, 2.0), start, rtol=1e-9, atol=1e-11, method="DOP853",
+    ).y[:, -1]  # fmt: skip
+    np.testing.assert_allclose(flying().predict(STATE, CONTROL, 2.0), solution[:5], atol=1e-6)
+    three = flying().predict(STATE[:3], CONTROL, 0.5)
+    whole = flying().predict(np.array([*STATE[:3], FLOW.beta, FLOW.alpha]), CONTROL, 0.5)
+    np.testing.assert_array_equal(three, whole[:3])
+    many = flying().predict(np.stack([STATE, 0.5 * STATE]), CONTROL, 0.5)
+    np.testing.assert_allclose(many[0], flying().predict(STATE, CONTROL, 0.5), atol=1e-12)
+
+
+def test_linearisation_with_flow_angles_is_the_derivative() -> None:
+    a, b = flying().linearize(STATE, CONTROL)
+    point, h = np.array([*STATE, FLOW.roll, FLOW.pitch]), 1e-6
+
+    def slope(step: FloatArray, input_step: FloatArray) -> FloatArray:
+        up, down = (
+            rates_of_change(point + k * step, CONTROL + k * input_step, 18.0, FLIGHT_VALUES)
+            for k in (1.0, -1.0)
+        )
+        return ((up - down) / (2.0 * h))[:6]
+
+    for i in range(6):
+        np.testing.assert_allclose(a[:, i], slope(h * np.eye(7)[i], np.zeros(4)), atol=1e-6)
+    for i in range(4):
+        np.testing.assert_allclose(b[:, i], slope(np.zeros(7), h * np.eye(4)[i]), atol=1e-6)
+
+
+def test_inversion_with_flow_angles_makes_up_for_their_moments() -> None:
+    wanted = np.array([2.0, -1.0, 0.5])
+    answer = flying().invert(wanted, STATE)
+    np.testing.assert_allclose(flying().acceleration(STATE, answer.u), wanted, atol=1e-9)
+    np.testing.assert_allclose(answer.acceleration, wanted, atol=1e-9)
+
+
+def test_flow_angles_need_the_message_that_came_with_them(tmp_path: Any) -> None:
+    path = tmp_path / "coefficients.yaml"
+    values = flying().values
+    save_coefficients(CoefficientSet("flight_dynamics", values, 0.01 * np.abs(values)), path)
+    from_file = CoefficientSource(Fallback.NOMINAL, Coefficients.from_file(path)).model(START)
+    np.testing.assert_array_equal(
+        from_file.acceleration(STATE, CONTROL), flying().acceleration(STATE, CONTROL)
+    )
+    for asked in (
+        lambda: from_file.acceleration(STATE[:3], CONTROL),
+        lambda: from_file.predict(STATE, CONTROL, 0.1),
+        lambda: from_file.linearize(STATE, CONTROL),
+    ):
+        with pytest.raises(Refusal, match="needs 'flow'"):
+            asked()
 
 
 # --- inversion --------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.settings import ACTUATOR_TYPES, RATE_TYPES, Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages import types as messages
@@ -26,6 +27,7 @@ from uav_ident_ros.messages.types import (
     RatesReading,
     coefficients_layout,
     decode_imu_cdr,
+    dense_coefficients,
     entry_names,
     frame_fault,
     import_type,
@@ -303,29 +305,72 @@ def test_layout_of_the_dense_matrix() -> None:
     rows, columns = coefficients_layout(STRUCTURES["augmented"])
     assert rows == ("pdot,qdot,rdot", 3, 45)
     assert columns == ("pq,qr,pr,pp,rr,p,q,r,de,dr,da,dth,1,ay,az", 15, 15)
+    rows, columns = coefficients_layout(STRUCTURES["flight_dynamics"])
+    assert rows == ("pdot,qdot,rdot,ay,az", 5, 75)
+    assert columns == ("pq,qr,pr,pp,rr,p,q,r,de,dr,da,dth,1,beta,alpha", 15, 15)
 
 
-def test_named_entries() -> None:
-    structure = STRUCTURES["baseline"]
-    values = np.arange(36.0).reshape(3, 12)
-    estimate = Estimate(
+def test_the_dense_matrix_leaves_out_the_kinematics() -> None:
+    structure = STRUCTURES["flight_dynamics"]
+    values = np.arange(105.0).reshape(7, 15)
+    dense = dense_coefficients(estimate_of(values), structure)
+    np.testing.assert_array_equal(np.ravel(dense), np.arange(75.0))
+    plain = np.arange(36.0).reshape(3, 12)
+    np.testing.assert_array_equal(
+        dense_coefficients(estimate_of(plain), STRUCTURES["baseline"]), plain
+    )
+
+
+def estimate_of(values: np.ndarray, flow: FlowState | None = None) -> Estimate:
+    return Estimate(
         t_ns=1,
         coefficients=values,
         sigma=values / 10.0,
         predicted_rates=np.zeros(3),
         prediction_error=np.zeros(3),
         fit=np.array([90.0, 80.0, -5.0]),
-        usable=True,
+        usable=False,
+        usable_rows=(True, False, True),
         adapting=False,
         state="paused",
         reason="",
+        flow=flow,
     )
-    names, positions, efforts = named_entries(estimate, structure)
+
+
+def test_named_entries() -> None:
+    structure = STRUCTURES["baseline"]
+    values = np.arange(36.0).reshape(3, 12)
+    names, positions, efforts = named_entries(estimate_of(values), structure)
     assert names == entry_names(structure)
-    assert names[-4:] == ("fit/p", "fit/q", "fit/r", "verdict/usable")
+    assert names[-7:] == (
+        "fit/p", "fit/q", "fit/r", "verdict/usable",
+        "verdict/usable/pdot", "verdict/usable/qdot", "verdict/usable/rdot",
+    )  # fmt: skip
     entries = dict(zip(names, zip(positions, efforts, strict=True), strict=True))
     assert entries["pdot/da"] == (10.0, 1.0)
     assert entries["qdot/pr"] == (14.0, 1.4)
     assert entries["fit/r"] == (-5.0, 0.0)
-    assert entries["verdict/usable"] == (1.0, 0.0)
-    assert len(names) == 18 + 4
+    assert entries["verdict/usable"] == (0.0, 0.0)
+    rows = [entries[f"verdict/usable/{row}"] for row in ("pdot", "qdot", "rdot")]
+    assert rows == [(1.0, 0.0), (0.0, 0.0), (1.0, 0.0)]
+    assert len(names) == 18 + 7
+
+
+def test_named_entries_with_flow_angles() -> None:
+    structure = STRUCTURES["flight_dynamics"]
+    flow = FlowState(
+        beta=0.1, alpha=0.2, beta_sigma=0.01, alpha_sigma=0.02, roll=0.3, pitch=-0.4, airspeed=18.0
+    )
+    values = np.arange(105.0).reshape(7, 15)
+    names, positions, efforts = named_entries(estimate_of(values, flow), structure)
+    assert names == entry_names(structure)
+    entries = dict(zip(names, zip(positions, efforts, strict=True), strict=True))
+    assert entries["ay/beta"] == (3 * 15 + 13, 5.8)
+    assert entries["alphadot/1"] == (6 * 15 + 12, 10.2)
+    assert entries["state/beta"] == (0.1, 0.01)
+    assert entries["state/alpha"] == (0.2, 0.02)
+    assert entries["state/roll"] == (0.3, 0.0)
+    assert entries["state/pitch"] == (-0.4, 0.0)
+    assert entries["state/airspeed"] == (18.0, 0.0)
+    assert len(names) == 32 + 5 + 7

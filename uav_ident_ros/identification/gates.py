@@ -142,7 +142,7 @@ class Cost(NamedTuple):
 TOO_QUIET, TOO_FAR = "too little excitation", "residual far outside its usual size"
 
 ROW_GATES: Mapping[str, tuple[str, str]] = {
-    "excitation": ("supervision.min_excitation, min_signal", TOO_QUIET),
+    "excitation": ("supervision.min_excitation", TOO_QUIET),
     "residual": ("supervision.max_residual", TOO_FAR),
 }
 """Gates of single rows, kept by the estimator and the supervisor: setting and reason."""
