@@ -625,11 +625,13 @@ class _BlockRun:
 
     def squared_errors(self, x: FloatArray, ends: TimeArray) -> FloatArray:
         """Sum the squared errors up to the nodes `ends` (W, H), from the rates x (W, 3)."""
-        grid, furthest = self._grid, ends.max(axis=1)
+        grid, furthest, before = self._grid, ends.max(axis=1), self._start
         running = np.zeros((3, len(x)))
         sums = np.zeros((ends.shape[1], 3, len(x)))
         for node, state in self._states(x, furthest):
-            counts = grid.compared[node] & (node <= furthest)
+            # at the last node of all a window waits for the others
+            counts = grid.compared[node] & (node <= furthest) & (node > before)
+            before = node
             running += np.where(counts, (np.array(state[:3]) - grid.rates[:, node]) ** 2, 0.0)
             for total, end in zip(sums, ends.T, strict=True):
                 reached = node == end
