@@ -205,6 +205,7 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
             raise SettingsError("model.inertia", f"'model.inertia': {error}") from None
         values[:3, PRODUCT_COLUMNS] = product_coefficients(inertia)
         free[:3, PRODUCT_COLUMNS] = False
+    values = np.minimum(values, slope_bounds(structure))
     for name in settings.fixed_coefficients:
         free[structure.index(name)] = False
     return Start(values, np.where(free, sigma, 0.0), free)
