@@ -339,6 +339,7 @@ def test_the_controller_of_the_readme_inverts_the_model_and_heeds_the_verdict() 
             fit=np.zeros(3),
             adapting=True,
             usable=usable,
+            usable_rows=(usable,) * 3,
             state="learning",
             reason="",
         )

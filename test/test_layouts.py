@@ -18,7 +18,7 @@ from uav_ident_ros.messages.types import entry_names
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 NAMED = "/identifier/coefficients_named"
-STRUCTURE = STRUCTURES["augmented"]
+STRUCTURE = STRUCTURES["flight_dynamics"]
 """Structure that the layouts are made for."""
 
 PARTS = ("position", "effort")

@@ -56,4 +56,6 @@ def test_only_a_truth_that_compares_is_read() -> None:
     assert read_truth(BAGS / "c172p", augmented).values == {}
     for structure in STRUCTURES.values():
         if {"alpha", "beta"} <= set(structure.regressors):
-            assert read_truth(BAGS / "c172p", structure).values["pdot/da"] == 31.2
+            assert read_truth(BAGS / "c172p", structure).values["pdot/da"] == pytest.approx(
+                31.2, abs=0.1
+            )

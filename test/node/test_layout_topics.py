@@ -24,8 +24,8 @@ from uav_ident_ros.player import Player
 
 CONFIG = ROOT / "config"
 
-STRUCTURE = "augmented"
-FLIGHT = "multisine"
+STRUCTURE = "flight_dynamics"
+FLIGHT = "c172p"
 SECONDS = 6.0
 
 

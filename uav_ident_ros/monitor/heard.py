@@ -185,7 +185,7 @@ class Heard:
 
     @property
     def states(self) -> dict[str, float]:
-        """States of the model beside the rates, rad, by their names; empty if it has none."""
+        """States of the model beside the rates, rad and m/s, by name; empty if it has none."""
         entries = self._entries()
         return {k.removeprefix(STATE): v for k, v in entries.items() if k.startswith(STATE)}
 
@@ -209,6 +209,16 @@ class Heard:
     def is_moment(row: str) -> bool:
         """Whether a row is a moment equation, which has a fit."""
         return row in AXIS_OF
+
+    def is_single(self, row: str) -> bool:
+        """Whether a row is no moment equation and has one coefficient: a bias."""
+        names = [name for name in self._names if name.startswith(f"{row}/")]
+        return row not in AXIS_OF and len(names) == 1
+
+    def usable_row(self, row: str) -> bool | None:
+        """Return the verdict on a row; None if the node gives none."""
+        verdict = self._entries().get(f"{USABLE_NAME}/{row}")
+        return None if verdict is None else verdict >= 1.0 and self.fresh
 
     def coefficients(self) -> list[Coefficient]:
         """Every coefficient, in the order of the message."""

@@ -27,8 +27,14 @@ GAP = 1
 CELL_WIDTHS = (5, 7, 5, 4)
 """Characters of name, value, sigma and t-ratio."""
 
+LONGEST_NAME = 10
+"""Characters of `alphadot/1`."""
+
 AXES = 3
 """Columns that should fit side by side."""
+
+AIRSPEED = "airspeed"
+"""The state that is no angle."""
 
 SPARKS = 10
 """Characters of the line of past values, where the terminal is wide enough for it."""
@@ -56,15 +62,19 @@ class Glyphs:
         Trends.
     sparks : str
         Levels of the line of past values, lowest first.
+    usable, unusable : str
+        Verdict on a row.
     """
 
     up: str = "↗"
     down: str = "↘"
     level: str = "→"
     sparks: str = "▁▂▃▄▅▆▇█"
+    usable: str = "✓"
+    unusable: str = "✗"
 
 
-ASCII = Glyphs("/", "\\", "-", "_.-~^")
+ASCII = Glyphs("/", "\\", "-", "_.-~^", "+", "x")
 """For terminals without UTF-8."""
 
 
@@ -73,7 +83,9 @@ def picture(heard: Heard, console: Console) -> RenderableType:
     glyphs = ASCII if console.options.ascii_only else Glyphs()
     sparks = console.width >= AXES * (COLUMN_WIDTH + SPARKS + GAP) - GAP
     width = COLUMN_WIDTH + SPARKS if sparks else COLUMN_WIDTH
-    rows = [_row(heard, row, glyphs, sparks) for row in heard.rows()]
+    rows = [_row(heard, row, glyphs, sparks) for row in heard.rows() if not heard.is_single(row)]
+    if any(map(heard.is_single, heard.rows())):
+        rows.append(_singles(heard))
     return Group(
         *_head(heard),
         "",
@@ -132,7 +144,10 @@ def _verdict(usable: bool) -> Text:
 def _row(heard: Heard, row: str, glyphs: Glyphs, sparks: bool) -> RenderableType:
     """Return a row of the model: its excitation, fit and coefficients."""
     excitation = heard.status.number(f"excitation {row} [0..1]")
-    head = Text(row, "bold")
+    head, usable = Text(row, "bold"), heard.usable_row(row)
+    if usable is not None:
+        verdict = (glyphs.usable, "green") if usable else (glyphs.unusable, "yellow")
+        head.append(f" {verdict[0]}", verdict[1])
     if excitation is not None:
         head.append(f"   excited {excitation:.2f}", "not bold dim")
     table = Table.grid(padding=(0, GAP, 0, 0))
@@ -144,6 +159,19 @@ def _row(heard: Heard, row: str, glyphs: Glyphs, sparks: bool) -> RenderableType
             table.add_row(*_cells(coefficient, glyphs, sparks))
     fit = [_fit(heard, row)] if heard.is_moment(row) else []
     return Group(head, *fit, table)
+
+
+def _singles(heard: Heard) -> Table:
+    """Return the rows that have one coefficient, by its full name, without trend."""
+    table = Table.grid(padding=(0, GAP, 0, 0))
+    for cell, width in enumerate((LONGEST_NAME, *CELL_WIDTHS[1:3])):
+        table.add_column(justify="right" if cell else "left", width=width, no_wrap=True)
+    table.add_row(Text("biases", "bold"))
+    for coefficient in heard.coefficients():
+        if heard.is_single(coefficient.name.partition("/")[0]):
+            value, sigma = _value(coefficient.value), _sigma(coefficient.sigma)
+            table.add_row(coefficient.name, value, sigma)
+    return table
 
 
 def _fit(heard: Heard, row: str) -> Text:
@@ -225,12 +253,19 @@ def _inputs(heard: Heard) -> Iterator[RenderableType]:
             yield Padding(Text(f"dropped: {reasons}", "yellow", no_wrap=True), (0, 0, 0, 10))
 
 
+def _state(name: str, value: float) -> str:
+    """Return a state with its unit: a speed, or an angle."""
+    if name == AIRSPEED:
+        return f"{name} {value:.1f} m/s"
+    return f"{name} {math.degrees(value):+.1f}°"
+
+
 def _foot(heard: Heard) -> Iterator[Text]:
     """Yield the state of the model, the delay, the ticks and what is collinear."""
     status = heard.status
     if heard.states:
-        angles = (f"{name} {math.degrees(value):+.1f}°" for name, value in heard.states.items())
-        yield Text.assemble(f"{'state':<10}", ", ".join(angles), no_wrap=True)
+        shown = ", ".join(_state(name, value) for name, value in heard.states.items())
+        yield Text.assemble(f"{'state':<10}", shown, no_wrap=True)
     delay = status.number("delay [s]")
     if delay is not None:
         confidence = status.values.get("delay confidence", "")
