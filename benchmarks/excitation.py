@@ -2,10 +2,10 @@
 """Excitation in the closed loop, many flights: ``python benchmarks/excitation.py [--seeds N]``.
 
 JSBSim's c172p banks and pitches as in normal flight, under the example controller on fixed nominal
-coefficients, in air from calm to rough. After ten seconds a run of excitation is asked for, at a
-tenth of each surface's range. All in one process, without ROS: the identifier, the run, the
-controller's side of the excitation and its law are those that fly, the messages between them
-arrive at once.
+coefficients, in air from calm to rough; the identifier starts from none. After ten seconds a run
+of excitation is asked for, at a tenth of each surface's range. All in one process, without ROS: the
+identifier, the run, the controller's side of the excitation and its law are those that fly, the
+messages between them arrive at once.
 
 What is measured, for each severity of the turbulence:
 
@@ -32,7 +32,6 @@ import numpy as np
 import uav_ident_ros  # noqa: F401  (first: it limits the threads of NumPy)
 from uav_ident_ros.client import Coefficients, CoefficientSource, Excitation, Fallback
 from uav_ident_ros.control import RateController
-from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.excitation_run import Asked, ExcitationRun
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -58,7 +57,12 @@ START, LONGEST, AFTER = 10.0, 60.0, 2.0
 """When the run is asked for, how long it may last, and how long it is watched afterwards, s."""
 
 LEAD = 0.15
-DOMINANT = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
+AIRSPEED = 53.0
+"""Of the aircraft, m/s."""
+
+DOMINANT = (
+    "pdot/p", "pdot/da", "pdot/beta", "qdot/q", "qdot/de", "qdot/alpha", "rdot/dr", "rdot/beta",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -82,23 +86,22 @@ class Found:
 class Flight:
     """One flight, a sample at a time."""
 
-    def __init__(self, severity: int, seed: int, cold: bool) -> None:
+    def __init__(self, severity: int, seed: int) -> None:
         self.aircraft = LiveAircraft(AIRCRAFT, SENSORS, DELAY, (), seed)
         self.aircraft.faults.apply(Fault("turbulence", value=float(severity)))
         values = load_parameters(CONFIG / f"{AIRCRAFT}.yaml", "identifier")
         values |= {"excitation.lead": LEAD, "excitation.duration": LONGEST}
+        values |= {"structure": "flight_dynamics", "airspeed.reference": AIRSPEED}
         self.settings = Settings.from_values(values)
-        nominal = CONFIG / f"{AIRCRAFT}_coefficients.yaml"
-        start = load_coefficients(nominal, self.settings.structure)
-        self.identifier = OnlineIdentifier(self.settings, None if cold else start)
-        known = Coefficients.from_file(nominal)
+        self.identifier = OnlineIdentifier(self.settings)
+        known = Coefficients.from_file(CONFIG / f"{AIRCRAFT}_coefficients.yaml")
         controller = load_parameters(CONFIG / f"{AIRCRAFT}.yaml", "controller")
         self.trim = np.array(controller["trim"])
         limits = np.array([controller["least"], controller["largest"]]) - self.trim
         source = CoefficientSource(Fallback.NOMINAL, known)
         self.controller = RateController(source, known, limits, DELAY, adaptive=False)
         self.excitation = Excitation(controller["excitation_limit"])
-        self.manoeuvres = Manoeuvres(0.5, 0.1, (2.0, 4.0), 53.0, seed)
+        self.manoeuvres = Manoeuvres(0.5, 0.1, (2.0, 4.0), AIRSPEED, seed)
         self.run = ExcitationRun(self.identifier.structure)
         self.reference: FloatArray = np.zeros(3)
 
@@ -132,10 +135,10 @@ class Flight:
             self.identifier.add_excitation(asked.t_ns, values)
 
 
-def fly(job: tuple[str, int, bool, bool]) -> Found:
-    """Fly once: severity, seed, whether excited, whether from no coefficients."""
-    severity, seed, excited, cold = job
-    flight = Flight(SEVERITIES[severity], seed, cold)
+def fly(job: tuple[str, int, bool]) -> Found:
+    """Fly once: severity, seed, whether excited."""
+    severity, seed, excited = job
+    flight = Flight(SEVERITIES[severity], seed)
     rows: list[FloatArray] = []
     ended: float | None = None
     why = ""
@@ -202,14 +205,13 @@ def main() -> int:
     """Fly and print; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--cold", action="store_true", help="no initial coefficients")
     parser.add_argument("--excited", action="store_true", help="leave out the flights without")
     parser.add_argument("--severity", choices=tuple(SEVERITIES), action="append")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--output", type=Path, default=BUILD / "excitation.json")
     options = parser.parse_args()
     jobs = [
-        (severity, seed, excited, options.cold)
+        (severity, seed, excited)
         for severity in options.severity or SEVERITIES
         for seed in range(options.seeds)
         for excited in ((True,) if options.excited else (False, True))

@@ -22,7 +22,7 @@ WARM_UP, EXCITED = 4.0, 14.0
 
 def flown(seed: int, **limits: float) -> tuple[Flight, ExcitationSettings, FloatArray, FloatArray]:
     """Fly in heavy turbulence; return rates, attitude (k, 5) and what was added (k, 4)."""
-    flight = Flight(SEVERITIES["heavy"], seed, cold=False)
+    flight = Flight(SEVERITIES["heavy"], seed)
     while flight.aircraft.time < WARM_UP:
         flight.step()
     settings = replace(flight.settings.excitation, duration=EXCITED - 4.0, **limits)
