@@ -13,6 +13,7 @@ import numpy as np
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.simulation import jsbsim_flight, light_aircraft
+from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.flight import GRAVITY, CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
@@ -26,22 +27,8 @@ GLITCH_TIME, GLITCH = 75.0, 34.9
 LONG, SHORT = 1.0, 0.8
 """Length of the flights, relative; `SHORT` still holds the failure and the glitch."""
 
-FORCE_TRUTH: Mapping[str, Mapping[str, float]] = {
-    "light_aircraft": {},
-    "c172p": {"ay/beta": -13.0, "ay/dr": 5.53, "az/alpha": -157.0, "az/de": -12.7},
-    "T37": {"ay/beta": -21.8, "ay/dr": 11.3, "az/alpha": -275.0, "az/de": -28.2},
-    "OV10": {"ay/beta": -17.5, "ay/dr": 0.0, "az/alpha": -79.7, "az/de": 0.0},
-}
-"""Force derivatives of the JSBSim aircraft in trim, m/s^2 per rad: by regression of the noise-free
-forces of calm flights with multisines on all four inputs (R^2 above 0.999)."""
-
-AMPLITUDES: Mapping[str, Mapping[str, float]] = {
-    "light_aircraft": {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1},
-    "c172p": {"de": 0.05, "dr": 0.06, "da": 0.05, "dth": 0.1},
-    "T37": {"de": 0.03, "dr": 0.04, "da": 0.04, "dth": 0.1},
-    "OV10": {"de": 0.08, "dr": 0.08, "da": 0.08, "dth": 0.1},
-}
-"""Peak excitation of each aircraft, rad and throttle."""
+PEAKS = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
+"""Peak excitation of the light aircraft, rad and throttle; the others' stand in their files."""
 
 DELAY = 0.02
 """Delay of the actuators, told, s."""
@@ -86,7 +73,7 @@ class Trial:
 
 def truth(flight: Flight, time: float) -> dict[str, float]:
     """Return the derivatives at `time`, s: of the healthy aircraft times what has changed."""
-    out = {**flight.local_truth, **FORCE_TRUTH[flight.name]}
+    out = dict(flight.local_truth)
     for change in flight.changes:
         if change.time <= time:
             for name in out:
@@ -144,7 +131,8 @@ def _fly(
     **light: Any,
 ) -> Measurements:
     """Fly one and measure it; `wind` in m/s rms, of JSBSim aircraft the severity 0 to 7."""
-    peaks = {name: scale * peak for name, peak in AMPLITUDES[aircraft].items()}
+    own = PEAKS if aircraft == "light_aircraft" else airframe(aircraft).excitation
+    peaks = {name: scale * peak for name, peak in own.items()}
     segments = [
         Segment("multisine", start, until - start, peaks, seed=seed) for start, until in excitation
     ]
@@ -182,6 +170,7 @@ def _feedback(seed: int, length: float) -> list[Trial]:
         ("c172p", 30.0, 5, {}),
         ("T37", 30.0, 3, {}),
         ("OV10", 30.0, 3, {}),
+        ("ultra_stick_25e", 20.0, 2, {}),
     )
     return [
         Trial(
@@ -290,6 +279,7 @@ def _clean(seed: int, length: float) -> list[Trial]:
     flights = (
         ("light_aircraft", 0.0, 0.0), ("light_aircraft", 20.0, 0.3), ("light_aircraft", 20.0, 0.8),
         ("c172p", 0.0, 0), ("c172p", 20.0, 3), ("T37", 0.0, 0), ("OV10", 0.0, 0),
+        ("ultra_stick_25e", 0.0, 0), ("ultra_stick_25e", 20.0, 2),
     )  # fmt: skip
     return _excited("clean", seed, length, flights)
 
