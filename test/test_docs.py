@@ -176,6 +176,7 @@ def check_options(page: Path, name: str, words: list[str]) -> None:
         assert words[0] == "--ros-args"
         return
     module = {
+        "fleet": "uav_ident_ros.offline.fleet_command",
         "import_log": "uav_ident_ros.import_logs.cli",
         "monitor": "uav_ident_ros.monitor.cli",
         "replay": "uav_ident_ros.offline",

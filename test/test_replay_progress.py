@@ -41,11 +41,15 @@ def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
     return process.wait(), text.decode()
 
 
-def test_one_bag_shows_how_many_messages_have_passed(tmp_path: Path) -> None:
+def test_one_bag_shows_every_phase_and_the_time_left(tmp_path: Path) -> None:
     status, shown = on_a_terminal([str(BAG), "--output", str(tmp_path)])
     assert status == 0, shown
-    assert "messages" in shown
-    assert "0%" in shown
+    told = re.findall(r"(\w+) +(\d+)%\|.*?\| [\d:]+<[\d:?]+", shown)
+    assert list(dict.fromkeys(phase for phase, _ in told)) == list(progress.SHARES)
+    shares = [int(share) for _, share in told]
+    assert shares == sorted(shares)
+    assert shares[-1] == 95
+    assert len(set(shares)) > 20
 
 
 def test_many_bags_show_one_bar(tmp_path: Path) -> None:
@@ -53,16 +57,31 @@ def test_many_bags_show_one_bar(tmp_path: Path) -> None:
     assert status == 0, shown
     shares = [int(share) for share in re.findall(r"(\d+)%", shown)]
     assert shares == sorted(shares)
-    assert shares[0] == 0
-    assert shares[-1] > 80
-    assert "messages" not in shown
-    assert sorted(os.listdir(tmp_path)) == ["bags_pulses", "bags_pulses_2"]
+    assert (shares[0], shares[-1]) == (0, 100)
+    assert "reading" not in shown
+    folders = sorted(path.name for path in tmp_path.iterdir() if path.is_dir())
+    assert folders == ["bags_pulses", "bags_pulses_2"]
 
 
-def test_without_a_terminal_or_tqdm_there_is_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
-    messages = [1, 2, 3]
+def test_without_a_terminal_a_line_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert progress.bar(total=3) is None  # pytest's error stream is none
-    assert progress.of_messages(messages, 3) is messages
+    now = iter(range(0, 10**6, 10))  # every look at the clock is ten seconds later
+    monkeypatch.setattr(progress.time, "monotonic", lambda: float(next(now)))
+    with progress.Shown() as shown:
+        shown.enter("reading")
+        assert list(shown.messages(range(8), 8)) == list(range(8))  # type: ignore[arg-type]
+        shown.enter("scoring")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
+        "replay: reading, 9 % done, about 290 s left",  # 30 s for 3/32 of the whole
+        "replay: reading, 38 % done, about 100 s left",
+        "replay: reading, 66 % done, about 47 s left",
+    ]
+
+
+def test_without_tqdm_there_is_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setitem(sys.modules, "tqdm", None)
     assert progress.bar(total=3) is None

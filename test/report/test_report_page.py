@@ -166,10 +166,12 @@ def test_fits_are_those_of_the_summary(
     fit = summary["prediction_fit"][windows]
     assert f"{fit['windows']} windows" in found.one("caption").text
     rows = {row[0].text: [exact(cell) for cell in row[1:]] for row in found.rows()}
-    shown = ("identified model, 1 s", "the same with ay, az held", "holding the rates for 1 s")
-    for start, key in zip(shown, ("model", "model_with_ay_az_held", "hold"), strict=True):
-        (values,) = [values for name, values in rows.items() if name.startswith(start)]
-        assert values == list(fit[key].values())
+    for ahead, free in fit["free"].items():
+        assert rows[f"free prediction, {ahead}"] == list(free["model"].values())
+        assert rows[f"holding the rates for {ahead}"] == list(free["hold"].values())
+    assert len(fit["free"]) == 3
+    measured = list(fit["model_with_measured_forces"].values())
+    assert rows["with measured forces, 1 s"] == measured
 
 
 def test_cards_show_the_fit_beside_holding(page: Node, summary: dict[str, Any]) -> None:
@@ -185,7 +187,7 @@ def test_cards_show_the_fit_beside_holding(page: Node, summary: dict[str, Any]) 
 def test_one_tick_ahead_is_better_than_holding(page: Node) -> None:
     rows = {row[0].text: row[1:] for row in table(page, "Last 40 %").rows()}
     model, hold = (
-        rows["identified model, one tick (0.05 s) ahead"],
+        rows["one tick (0.05 s) ahead"],
         rows["holding the rates for one tick"],
     )
     for a, b in zip(model, hold, strict=True):

@@ -12,13 +12,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from uav_ident_ros.bags.reading import BagError
+from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.offline.comparison import ranked, ranking
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
+from uav_ident_ros.offline.flights_table import write_flights
 from uav_ident_ros.offline.job import NO_RESULT, Job, Outcome, replay
+from uav_ident_ros.offline.journal import Journal
 from uav_ident_ros.offline.options import parser, topics
 from uav_ident_ros.offline.overview import overview
 from uav_ident_ros.offline.parallel import replay_all
-from uav_ident_ros.offline.progress import of_messages
+from uav_ident_ros.offline.progress import Shown
 
 DEFAULT_FOLDER = "replay_{}"
 INTERRUPTED = 130
@@ -37,7 +40,7 @@ def main(args: list[str] | None = None) -> int:
         if len(options.bags) > 1 or is_collection(options.bags[0]):
             return _many(options)
         return _one(options)
-    except BagError as error:
+    except (BagError, BagWriteError) as error:
         _tell([str(error)])
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -50,7 +53,15 @@ def main(args: list[str] | None = None) -> int:
 def _job(options: argparse.Namespace, bag: Path, name: str, folder: Path) -> Job:
     files = (options.params_file,) if options.params_file else ()
     return Job(
-        bag, name, folder, files, options.node, topics(options), options.plot, options.report
+        bag,
+        name,
+        folder,
+        files,
+        options.node,
+        topics(options),
+        options.plot,
+        options.report,
+        options.aircraft or bag.resolve().parent.name,
     )
 
 
@@ -59,7 +70,8 @@ def _one(options: argparse.Namespace) -> int:
     (bag,) = options.bags
     name = bag.resolve().stem
     folder = options.output or Path(DEFAULT_FOLDER.format(name))
-    outcome = replay(_job(options, bag, name, folder), of_messages)
+    with Shown() as progress:
+        outcome = replay(_job(options, bag, name, folder), progress)
     _tell(outcome.warnings)
     if outcome.table:
         _print(f"{outcome.table}\n\n{_written(folder)}")
@@ -73,10 +85,15 @@ def _many(options: argparse.Namespace) -> int:
     for bag, name in zip(bags, names_of(bags), strict=True):
         default = Path(DEFAULT_FOLDER.format(name))
         jobs.append(_job(options, bag, name, options.output / name if options.output else default))
-    outcomes = replay_all(jobs, options.jobs)
+    where = options.output or Path()
+    journal = Journal(where, again=options.again)
+    jobs = [journal.informed(job) for job in jobs]
+    done = replay_all(jobs, options.jobs, options.scheduler, journal.take)
+    outcomes = [journal.recalled(outcome) for outcome in done]
+    tables = write_flights(where, outcomes)
     _tell_of_several(outcomes)
-    where = options.output or Path(DEFAULT_FOLDER.format("NAME"))
-    _print(f"{overview(outcomes)}\n\n{_written(where)}")
+    folders = _written(options.output or Path(DEFAULT_FOLDER.format("NAME")))
+    _print(f"{overview(outcomes)}\n\n{folders}; table: {', '.join(map(str, tables))}")
     return max(outcome.status for outcome in outcomes)
 
 
@@ -102,7 +119,7 @@ def _compare(options: argparse.Namespace) -> int:
         replace(base, name=label, folder=folder / label, params_files=(*base.params_files, file))
         for file, label in zip(options.compare, names_of(options.compare), strict=True)
     ]
-    outcomes = replay_all(jobs, options.jobs)
+    outcomes = replay_all(jobs, options.jobs, options.scheduler)
     _tell_of_several(outcomes)
     _print(f"{ranking(name, outcomes)}\n\n{_written(folder)}")
     best = ranked(outcomes)[0]

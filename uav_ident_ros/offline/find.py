@@ -63,7 +63,9 @@ def _below(folder: Path) -> list[Path]:
 
 
 def _holds_anything(folder: Path) -> bool:
-    return any(path.suffix in STORAGE_SUFFIXES for path in folder.rglob("*"))
+    return any(
+        path.suffix in STORAGE_SUFFIXES or path.name == METADATA_FILE for path in folder.rglob("*")
+    )
 
 
 def _is_result(folder: Path) -> bool:

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from uav_ident_ros.bags.reading import Bag, BagError, Message
+from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, load_coefficients
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
@@ -21,6 +21,7 @@ from uav_ident_ros.offline.evidence import measure
 from uav_ident_ros.offline.inputs import STREAMS, choose_inputs
 from uav_ident_ros.offline.notes import notes_on
 from uav_ident_ros.offline.picture import write_picture
+from uav_ident_ros.offline.progress import Progress
 from uav_ident_ros.offline.replayed import Replayed
 from uav_ident_ros.offline.results import write_results
 from uav_ident_ros.offline.run import OfflineRun
@@ -41,9 +42,6 @@ REFUSALS = (
     SettingsError,
 )
 """What bad input raises."""
-
-Progress = Callable[[Iterable[Message], int], Iterable[Message]]
-"""Wraps the messages and their number, to show how far the replay is."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +64,10 @@ class Job:
         Topics to read, by stream as in `STREAMS`; the others are found.
     plot, report : bool
         Whether to draw the picture, and to write the report, too.
+    aircraft : str
+        The aircraft that flew.
+    known : str
+        Identity (`identity_of`) of a result that is there already; empty if there is none.
     """
 
     bag: Path
@@ -76,6 +78,8 @@ class Job:
     topics: Mapping[str, str] = field(default_factory=dict)
     plot: bool = False
     report: bool = False
+    aircraft: str = ""
+    known: str = ""
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,10 @@ class Outcome:
         Results in words and columns; empty if there are none.
     summary : mapping
         Content of summary.json; empty if there is none.
+    identity : str
+        What the result is of (`identity_of`); empty if that is not known.
+    kept : bool
+        Whether nothing was done, since the result is there already.
     """
 
     job: Job
@@ -101,20 +109,30 @@ class Outcome:
     warnings: tuple[str, ...] = ()
     table: str = ""
     summary: Mapping[str, Any] = field(default_factory=dict)
+    identity: str = ""
+    kept: bool = False
 
 
-def replay(job: Job, progress: Progress = lambda messages, _: messages) -> Outcome:
+SILENT = Progress()
+
+
+def replay(job: Job, progress: Progress = SILENT) -> Outcome:
     """Do a job: run the identifier over the bag and write the results.
 
     Bad input is an outcome, too: nothing of `REFUSALS` is raised.
     """
     warnings: list[str] = []
     try:
+        progress.enter("reading")
         run, notes = _run(job, progress, warnings)
+        progress.enter("scoring")
         fits = run.score()
+        progress.enter("measuring")
         evidence = measure(run, fits)
+        progress.enter("writing")
         replayed = Replayed(job.name, run, fits, notes, advise(evidence))
         summary, table = write_results(job.folder, replayed, NODE_NAME)
+        progress.enter("drawing")
         if job.plot:
             write_picture(job.folder / "replay.png", job.bag, replayed)
         if job.report:
@@ -135,7 +153,7 @@ def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun,
             asked = (job.topics.get(stream.name) for stream in STREAMS)
             inputs = choose_inputs(bag, values, *asked)
             run = OfflineRun(inputs, _initial(inputs.settings))
-            run.run(bag, progress)
+            run.run(bag, progress.messages)
             if run.fault:
                 warnings.append(f"fault: {run.fault}")
             warnings += [f"implausible: {found.text}" for found in run.identifier.noted]

@@ -28,6 +28,7 @@ examples:
   replay flight --params-file vehicle.yaml --plot
   replay flight --topic imu/data:=/mavros/imu/data_raw --topic actuators:=/mavros/rc/out
   replay logs/ --params-file vehicle.yaml --output output/logs
+  replay logs/ --output output/logs --scheduler tcp://cluster:8786
   replay flight --params-file vehicle.yaml --compare fast_filter.yaml paper.yaml
 """
 
@@ -57,6 +58,7 @@ def parser() -> argparse.ArgumentParser:
     _add_parameters(result)
     _add_topics(result)
     _add_output(result)
+    _add_fleet(result)
     return result
 
 
@@ -131,12 +133,35 @@ def _add_output(result: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also write report.html: everything on one page, for any browser",
     )
+
+
+def _add_fleet(result: argparse.ArgumentParser) -> None:
+    group = result.add_argument_group("several bags")
     group.add_argument(
         "--jobs",
         type=_positive,
         default=os.cpu_count() or 1,
         metavar="N",
         help="processes at a time for several bags or configurations (default: %(default)s)",
+    )
+    group.add_argument(
+        "--scheduler",
+        default="",
+        metavar="ADDRESS",
+        help="Dask scheduler whose workers do the work, such as tcp://host:8786; they must see the "
+        "same paths",
+    )
+    group.add_argument(
+        "--again",
+        action="store_true",
+        help="replay all bags; without it those are skipped whose result is there already, of the "
+        "same bag with the same settings",
+    )
+    group.add_argument(
+        "--aircraft",
+        default="",
+        metavar="NAME",
+        help="aircraft in the table of flights (default: name of the folder that the bag is in)",
     )
 
 

@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
-from uav_ident_ros.offline.job import NO_RESULT, NOT_USABLE, USABLE, Outcome
+from uav_ident_ros.offline.flights_table import VERDICTS
+from uav_ident_ros.offline.job import NO_RESULT, NOT_USABLE, Outcome
 from uav_ident_ros.offline.summary import AXES
 
-VERDICTS = {USABLE: "usable", NOT_USABLE: "not usable", NO_RESULT: "no result"}
 LOWEST_SHOWN = -1000.0
 """Fit below which the number says nothing more, percent."""
 
@@ -46,7 +46,9 @@ def overview(outcomes: Sequence[Outcome]) -> str:
         lines.append(f"{outcome.job.name:<{width}}{fit_columns(outcome)}  {verdict(outcome)}")
     counts = Counter(outcome.status for outcome in outcomes)
     counted = ", ".join(f"{counts[s]} {word}" for s, word in VERDICTS.items() if counts[s])
-    return "\n".join([*lines, "", f"{len(outcomes)} bags: {counted}"])
+    kept = sum(outcome.kept for outcome in outcomes)
+    before = f"; {kept} of them as replayed before" if kept else ""
+    return "\n".join([*lines, "", f"{len(outcomes)} bags: {counted}{before}"])
 
 
 def verdict(outcome: Outcome) -> str:

@@ -1,29 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several replays at once, each in a process of its own: whatever ends one leaves the others."""
+"""Several replays at once: on this machine's processes, or on a Dask cluster."""
 
 from __future__ import annotations
 
 import multiprocessing
 import signal
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 
-from uav_ident_ros.bags.reading import Message
-from uav_ident_ros.offline.job import NO_RESULT, Job, Outcome, replay
+from uav_ident_ros.bags.reading import BagError
+from uav_ident_ros.offline.identity import identity_of
+from uav_ident_ros.offline.job import NO_RESULT, REFUSALS, Job, Outcome, replay
 from uav_ident_ros.offline.progress import bar
 
-STEPS = 200
-"""A process says so many times how far it is."""
+ATTEMPTS = 3
+"""How often a flight is begun whose worker of the cluster has gone: a bag that ends every worker
+must not end all of them."""
 
-Told = Callable[[float], None]
-"""Hears of progress: the share of one job done since the last call."""
+Done = Callable[[Outcome], None]
+"""Takes an outcome as soon as there is one."""
 
 
-def replay_all(jobs: Sequence[Job], workers: int) -> list[Outcome]:
+def replay_all(
+    jobs: Sequence[Job], workers: int, scheduler: str = "", done: Done = lambda outcome: None
+) -> list[Outcome]:
     """Do jobs in parallel; the outcomes are in the order of the jobs.
 
     Parameters
@@ -31,102 +36,122 @@ def replay_all(jobs: Sequence[Job], workers: int) -> list[Outcome]:
     jobs : sequence of Job
         The jobs; their folders must differ.
     workers : int
-        Processes at a time.
+        Processes at a time on this machine.
+    scheduler : str
+        Address of a Dask scheduler whose workers do the jobs instead; they need the same paths.
+    done : callable
+        Takes each outcome as soon as there is one, in this process.
+
+    Raises
+    ------
+    BagError
+        If the scheduler does not answer, or Dask is missing.
     """
-    shown = bar(total=len(jobs), unit=" replays", bar_format="{l_bar}{bar}| {elapsed}<{remaining}")
-    told: Told = (lambda share: None) if shown is None else shown.update
-    processes = _Processes()
-    # Started by a thread below, it would let Ctrl-C through to the processes of that thread.
-    resource_tracker.ensure_running()
-    pool = ThreadPoolExecutor(max(1, min(workers, len(jobs))), initializer=_leave_interrupts)
+    shown = bar(total=len(jobs), unit=" replays")
+    outcomes: dict[int, Outcome] = {}
+
+    def take(k: int, outcome: Outcome) -> None:
+        outcomes[k] = outcome
+        done(outcome)
+        if shown is not None:
+            shown.update()
+            shown.refresh()
+
     try:
-        return list(pool.map(lambda job: processes.replay(job, told), jobs))
+        if scheduler:
+            with _cluster(scheduler) as executor:
+                for k, outcome in _do(executor, dict(enumerate(jobs))):
+                    take(k, outcome or _lost(jobs[k]))
+        else:
+            _do_here(jobs, workers, take)
+    finally:
+        if shown is not None:
+            shown.close()
+    return [outcomes[k] for k in range(len(jobs))]
+
+
+def _do_here(jobs: Sequence[Job], workers: int, take: Callable[[int, Outcome], None]) -> None:
+    """Do jobs in processes of this machine.
+
+    The end of one process breaks the pool. What it leaves is done one by one, each in a pool of its
+    own: then it is known which flight ends its process, and it ends no other.
+    """
+    left: dict[int, Job] = {}
+    with _pool(max(1, min(workers, len(jobs)))) as executor:
+        for k, outcome in _do(executor, dict(enumerate(jobs))):
+            if outcome is None:
+                left[k] = jobs[k]
+            else:
+                take(k, outcome)
+    for k, job in left.items():
+        with _pool(1) as executor:
+            for _, outcome in _do(executor, {k: job}):
+                take(k, outcome or _lost(job))
+
+
+def _do(executor: Executor, jobs: dict[int, Job]) -> Iterator[tuple[int, Outcome | None]]:
+    """Yield outcomes as they come; None for a job whose process has gone."""
+    # The processes must not hear of Ctrl-C: this one ends them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        futures = {executor.submit(work, job): k for k, job in jobs.items()}
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    for future in as_completed(futures):
+        error = future.exception()
+        if isinstance(error, BrokenProcessPool) or type(error).__name__ == "KilledWorker":
+            yield futures[future], None
+        else:
+            yield futures[future], future.result()
+
+
+def _lost(job: Job) -> Outcome:
+    return Outcome(job, NO_RESULT, (f"bag '{job.bag}': the process that read it was ended",))
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[Executor]:
+    """Open a pool of processes; on the way out by an exception they are ended at once."""
+    # Started by the pool it would let Ctrl-C through.
+    resource_tracker.ensure_running()
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
+    try:
+        yield pool
     except BaseException:
-        processes.stop()
+        for process in multiprocessing.active_children():
+            process.terminate()
         raise
     finally:
         pool.shutdown(cancel_futures=True)
-        if shown is not None:
-            shown.close()
 
 
-def _leave_interrupts() -> None:
-    """Leave Ctrl-C to the main thread, here and in the processes that this thread starts."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-
-
-class _Processes:
-    """Processes under way; each does one job."""
-
-    def __init__(self) -> None:
-        self._context = multiprocessing.get_context("spawn")
-        self._alive: set[BaseProcess] = set()
-        self._stopped = False
-
-    def stop(self) -> None:
-        """End every process and start no more."""
-        self._stopped = True
-        for process in list(self._alive):
-            process.terminate()
-
-    def _is_stopped(self) -> bool:
-        """Whether `stop` has been called, by another thread."""
-        return self._stopped
-
-    def replay(self, job: Job, told: Told) -> Outcome:
-        """Do a job in a process of its own and wait for it."""
-        if self._is_stopped():
-            return Outcome(job, NO_RESULT, ("interrupted",))
-        receiver, sender = self._context.Pipe(duplex=False)
-        process = self._context.Process(target=_work, args=(job, sender), daemon=True)
-        process.start()
-        sender.close()
-        self._alive.add(process)
-        if self._is_stopped():  # meanwhile
-            process.terminate()
-        done = 0.0
-        try:
-            while True:
-                word = receiver.recv()
-                if isinstance(word, Outcome):
-                    return word
-                told(word - done)
-                done = word
-        except EOFError:
-            process.join()
-            return Outcome(job, NO_RESULT, (_how_it_ended(job, process.exitcode),))
-        finally:
-            told(1.0 - done)
-            process.join()
-            self._alive.discard(process)
-
-
-def _how_it_ended(job: Job, exitcode: int | None) -> str:
-    """Say why a process left no outcome."""
-    if exitcode is not None and exitcode < 0:
-        return f"bag '{job.bag}': its process was ended by {signal.Signals(-exitcode).name}"
-    return f"bag '{job.bag}': its process ended with status {exitcode}"
-
-
-def _work(job: Job, sender: Connection) -> None:
-    """Do a job and send how far it is, then its outcome."""
-
-    def progress(messages: Iterable[Message], total: int) -> Iterator[Message]:
-        every = max(1, total // STEPS)
-        for count, message in enumerate(messages):
-            if count % every == 0:
-                sender.send(count / total)
-            yield message
-
+@contextmanager
+def _cluster(scheduler: str) -> Iterator[Executor]:
+    """Connect to a Dask scheduler."""
     try:
-        outcome = replay(job, progress)
+        from distributed import Client
+    except ImportError:
+        raise BagError("--scheduler needs Dask: pip install distributed") from None
+    try:
+        client = Client(scheduler)
+    except (OSError, ValueError) as error:
+        raise BagError(f"no Dask scheduler answers at '{scheduler}': {error}") from None
+    with client, client.get_executor(pure=False, retries=ATTEMPTS) as executor:
+        yield executor
+
+
+def work(job: Job) -> Outcome:
+    """Do a job, unless it was done before with the same bag and settings; never raises."""
+    try:
+        identity = identity_of(job)
+    except REFUSALS:
+        identity = ""  # the replay says what is wrong
+    if identity and identity == job.known:
+        return Outcome(job, NO_RESULT, identity=identity, kept=True)
+    try:
+        return replace(replay(job), identity=identity)
     except Exception:
         # A fault of this program: the rest of the bags can do without this one.
         traceback.print_exc()
-        outcome = Outcome(job, NO_RESULT, (f"bag '{job.bag}': {_last_line()}",))
-    sender.send(outcome)
-    sender.close()
-
-
-def _last_line() -> str:
-    return traceback.format_exc().strip().splitlines()[-1]
+        last = traceback.format_exc().strip().splitlines()[-1]
+        return Outcome(job, NO_RESULT, (f"bag '{job.bag}': {last}",))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uav_ident_ros.files.truth_file import read_truth
+from uav_ident_ros.offline.identity import bag_files
 from uav_ident_ros.report import diagrams, tables
 from uav_ident_ros.report.analysis import spectra
 from uav_ident_ros.report.charts import (
@@ -20,7 +21,7 @@ from uav_ident_ros.report.charts import (
 )
 from uav_ident_ros.report.flight import AXES, Flight
 from uav_ident_ros.report.predictions import predict
-from uav_ident_ros.report.provenance import bag_files, versions
+from uav_ident_ros.report.provenance import versions
 from uav_ident_ros.report.timeline import Chart, Timeline
 
 if TYPE_CHECKING:  # replay imports the report
@@ -103,9 +104,10 @@ def _card(fit: Mapping[str, Any], axis: str) -> dict[str, str]:
 
 
 _FIT_TEXT = (
-    "How well the model predicts the measured rates one second ahead, over the last 40 % of the "
-    "flight: 100 % is perfect, 0 % no better than the mean. The mark on the bar is what simply "
-    "holding the rates would reach."
+    "How well the model predicts the measured rates over the last 40 % of the flight: 100 % is "
+    "perfect, 0 % no better than the mean. The prediction is free: from the start of each window "
+    "nothing measured enters but the inputs. Above, it is that over 1 s; the mark on the bar is "
+    "what simply holding the rates would reach."
 )
 
 _RATES_TEXT = (

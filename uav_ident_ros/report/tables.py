@@ -28,13 +28,6 @@ KNOWN_FROM = 3.0
 WORDY = ("meaning", "topic", "type", "dropped", "unit", "default", "SHA-256")
 """Headings of columns of words."""
 
-FIT_NAMES = {
-    "model": "identified model, 1 s ahead",
-    "model_with_ay_az_held": "the same with ay, az held",
-    "hold": "holding the rates for 1 s",
-}
-"""Fits of the summary in words; another is called by its own name."""
-
 
 @dataclass(frozen=True)
 class Row:
@@ -120,14 +113,20 @@ def fit_tables(summary: Mapping[str, Any], tick: Predictions, end: float) -> Ite
     captions = {"last_40_percent": "Last 40 % of the flight", "after_30_s": "After 30 s"}
     for windows, fit in summary["prediction_fit"].items():
         rows = [
-            Row(FIT_NAMES.get(key, key.replace("_", " ")), _percents(values[a] for a in AXES))
-            for key, values in fit.items()
-            if isinstance(values, Mapping)
-            and (key in ("model", "hold") or any(values[a] is not None for a in AXES))
+            Row(name, _percents(values[axis] for axis in AXES))
+            for ahead, found in fit["free"].items()
+            for name, values in (
+                (f"free prediction, {ahead}", found["model"]),
+                (f"holding the rates for {ahead}", found["hold"]),
+            )
         ]
+        measured = fit["model_with_measured_forces"]
+        if any(value is not None for value in measured.values()):
+            name = "with measured forces, 1 s"
+            rows.append(Row(name, _percents(measured[axis] for axis in AXES)))
         if windows == "last_40_percent":
             model, hold = tick.fit(end)
-            name = f"identified model, one tick ({tick.horizon:g} s) ahead"
+            name = f"one tick ({tick.horizon:g} s) ahead"
             rows.append(Row(name, _percents(model.tolist())))
             rows.append(Row("holding the rates for one tick", _percents(hold.tolist())))
         caption = f"{captions.get(windows, windows)}, {fit['windows']} windows"

@@ -1,0 +1,360 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fleets: the table of flights, and what many flights say together."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.bags.reading import Bag, BagError
+from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.files.coefficients_file import load_coefficients
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.offline import fleet_command, main
+from uav_ident_ros.offline.fleet import (
+    BASELINE,
+    FALSE_NAMES,
+    changes,
+    fleet_of,
+    limit_of,
+    pool,
+    standard,
+)
+from uav_ident_ros.offline.flights_table import FlightRow, read_flights
+from uav_ident_ros.offline.journal import JOURNAL_FILE
+
+ROOT = Path(__file__).parent.parent
+BAGS = ROOT / "bags"
+PARAMETERS = BAGS / "multisine" / "identifier.yaml"
+SECOND_NS = 1_000_000_000
+TYPES = {"/imu/data": "sensor_msgs/msg/Imu", "/actuators": "sensor_msgs/msg/JointState"}
+NAMES = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
+
+
+# --- what many flights say ---------------------------------------------------------------------
+
+
+def synthetic(
+    seed: int, loss: float = 0.0, flights: int = 60, scatter: float = 0.02, sigma: float = 0.02
+) -> list[FlightRow]:
+    """Flights of one aircraft whose rudder loses the share `loss` per flight from the 30th on."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for k in range(1, flights + 1):
+        common = FlightRow(
+            "aircraft", f"flight_{k:02d}", k * SECOND_NS, 300.0, "usable", structure="baseline"
+        )
+        for name in NAMES:
+            true = 10.0 * (1.0 - loss * max(0, k - 29)) if name == "rdot/dr" else 10.0
+            own = 10.0 * sigma * float(rng.uniform(0.7, 1.5))
+            value = true + 10.0 * scatter * rng.standard_normal() + own * rng.standard_normal()
+            rows.append(replace(common, coefficient=name, value=float(value), sigma=own))
+    rng.shuffle(rows)  # type: ignore[arg-type]
+    return rows
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_rudder_that_weakens_is_named_within_eight_flights(seed: int) -> None:
+    (aircraft,) = fleet_of(synthetic(seed, loss=0.02))
+    first = aircraft.findings[0]
+    assert first.coefficient == "rdot/dr"
+    assert first.lasting
+    assert 30 <= int(first.named.removeprefix("flight_")) <= 38
+    assert first.now < first.before
+    assert {finding.coefficient for finding in aircraft.findings} == {"rdot/dr"}
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_fleet_in_which_nothing_changes_has_no_finding(seed: int) -> None:
+    (aircraft,) = fleet_of(synthetic(100 + seed))
+    assert aircraft.findings == ()
+
+
+def test_the_pooled_sigma_covers_the_truth() -> None:
+    inside, ahead = [], []
+    for seed in range(40):
+        (aircraft,) = fleet_of(synthetic(200 + seed, flights=20))
+        for pooled in aircraft.pooled.values():
+            inside.append(abs(pooled.value - 10.0) <= pooled.sigma)
+            # the next flight, truly
+            true = 10.0 + 0.2 * np.random.default_rng([seed, len(inside)]).standard_normal()
+            ahead.append(abs(true - pooled.value) <= pooled.next_sigma)
+    # one sigma holds 68 %; 240 draws know a share to three points
+    assert statistics.fmean(inside) == pytest.approx(0.68, abs=0.09)
+    assert statistics.fmean(ahead) == pytest.approx(0.68, abs=0.09)
+
+
+def test_pooling_is_that_of_the_definition() -> None:
+    values, sigmas = np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.5, 1.0])
+    alike = pool(np.array([1.0, 1.1, 0.9]), sigmas)
+    assert alike.scatter == 0.0
+    assert alike.sigma == pytest.approx(1.0 / math.sqrt(4.0 + 4.0 + 1.0))
+    # DerSimonian and Laird by hand: w = 4, 4, 1; mean 16/9; Q = 8.22; c = 9 - 33/9
+    mean = 16.0 / 9.0
+    q = 4.0 * (1.0 - mean) ** 2 + 4.0 * (2.0 - mean) ** 2 + (4.0 - mean) ** 2
+    tau2 = (q - 2.0) / (9.0 - 33.0 / 9.0)
+    weight = 1.0 / (sigmas**2 + tau2)
+    found = pool(values, sigmas)
+    assert found.scatter == pytest.approx(math.sqrt(tau2))
+    assert found.value == pytest.approx((weight * values).sum() / weight.sum())
+    assert found.sigma == pytest.approx(weight.sum() ** -0.5)
+    assert found.next_sigma == pytest.approx(math.hypot(found.sigma, found.scatter))
+
+
+def test_one_flight_that_stands_out_is_no_change() -> None:
+    rng = np.random.default_rng(5)
+    values, sigmas = 10.0 + 0.2 * rng.standard_normal(40), np.full(40, 0.1)
+    values[25] = 16.0
+    names = [f"f{k}" for k in range(40)]
+    (found,) = changes("pdot/da", names, values, sigmas)
+    assert (found.since, found.named, found.lasting) == ("f25", "f25", False)
+    assert found.text.startswith("pdot/da of f25 stands out: +")
+
+
+def test_a_jump_is_a_change_from_its_first_flight_on() -> None:
+    rng = np.random.default_rng(6)
+    values, sigmas = 10.0 + 0.2 * rng.standard_normal(40), np.full(40, 0.1)
+    values[25:] += 3.0
+    (found,) = changes("pdot/da", [f"f{k}" for k in range(40)], values, sigmas)
+    assert (found.since, found.named, found.lasting) == ("f25", "f26", True)
+    assert found.now == pytest.approx(13.0, abs=0.3)
+
+
+def test_the_limit_is_that_of_the_rate_of_false_alarms() -> None:
+    b = limit_of()
+    between = math.sqrt(2.0 * math.pi) * math.exp(b**2 / 2.0) / (0.735 * b)
+    assert between == pytest.approx(1.0 / FALSE_NAMES)
+    assert limit_of(1e-2) < limit_of(1e-4)
+    # no flight is judged by fewer than the baseline
+    jump = np.array([10.0, *[100.0] * (BASELINE - 1)])
+    assert changes("x", ["f"] * BASELINE, jump, np.ones(BASELINE)) == []
+
+
+def test_student_deviates_are_as_rare_as_normal_ones() -> None:
+    from scipy import stats
+
+    for freedom in (11, 30):
+        for deviation in (1.0, -3.0, 6.0):
+            expected = stats.norm.isf(stats.t.sf(abs(deviation), freedom))
+            assert abs(standard(deviation, freedom)) == pytest.approx(expected, rel=5e-3)
+    assert standard(-3.0, 11) == -standard(3.0, 11)
+
+
+def test_aircraft_and_structures_are_kept_apart() -> None:
+    rows = synthetic(1, flights=14)
+    other = [replace(row, aircraft="b", structure="augmented") for row in synthetic(2, flights=14)]
+    mixed = [replace(row, aircraft="b") for row in synthetic(3, flights=14)]
+    mixed = [replace(row, flight=f"old_{row.flight}") for row in mixed]
+    failed = FlightRow("b", "broken", verdict="no result", reason="no bag")
+    fleet = fleet_of([*rows, *other, *mixed, failed])
+    assert [(a.name, a.structure, len(a.flights)) for a in fleet] == [
+        ("aircraft", "baseline", 14), ("b", "augmented", 14), ("b", "baseline", 14)
+    ]  # fmt: skip
+    assert fleet[1].unusable == (("broken", "no result: no bag"),)
+    (alone,) = fleet_of([failed])
+    assert alone.pooled == {}
+
+
+def test_the_command_writes_page_and_coefficients(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from uav_ident_ros.offline.flights_table import CSV_FILE
+
+    write_csv(tmp_path / CSV_FILE, synthetic(0, loss=0.02))
+    assert fleet_command.main([str(tmp_path)]) == 1
+    said = capsys.readouterr().out
+    assert re.search(r"change: rdot/dr has changed since flight_3\d: \+", said)
+    page = (tmp_path / "fleet.html").read_text()
+    assert "rdot/dr has changed since" in page
+    assert "<h3>rdot/dr</h3>" in page
+    pooled = load_coefficients(tmp_path / "pooled_aircraft.yaml", "baseline")
+    structure = STRUCTURES["baseline"]
+    assert pooled.values[structure.index("pdot/p")] == pytest.approx(10.0, abs=0.2)
+    assert 0.1 < pooled.sigma[structure.index("pdot/p")] < 0.4  # scatter of 0.2 and more
+    assert np.isinf(pooled.sigma[structure.index("pdot/pq")])  # no flight knows it
+
+    write_csv(tmp_path / CSV_FILE, synthetic(0))
+    assert fleet_command.main([str(tmp_path / CSV_FILE), "--output", str(tmp_path / "x")]) == 0
+    assert "change:" not in capsys.readouterr().out
+
+
+def write_csv(path: Path, rows: list[FlightRow]) -> None:
+    import csv
+    from dataclasses import asdict
+
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(asdict(rows[0])))
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+
+
+@pytest.mark.parametrize("content", [None, "", "a,b\n1,2\n", "aircraft\nx\n"])
+def test_what_is_no_table_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None
+) -> None:
+    path = tmp_path / "flights.csv"
+    if content is not None:
+        path.write_text(content)
+    assert fleet_command.main([str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("fleet: ")
+    assert "flights.csv'" in line
+
+
+# --- the table of flights ----------------------------------------------------------------------
+
+
+def excerpt(target: Path, begin: float, seconds: float) -> Path:
+    """A part of a flight of stamped messages."""
+    with Bag(BAGS / "multisine") as bag, BagWriter(target) as writer:
+        for topic, name in TYPES.items():
+            writer.topic(topic, name)
+        first = bag.start_ns + round(begin * SECOND_NS)
+        for topic, log_ns, data in bag.messages(TYPES):
+            if first <= log_ns <= first + seconds * SECOND_NS:
+                writer.write(topic, log_ns, data)
+    return target
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Short flights of two aircraft, and a file that is none."""
+    folder = tmp_path_factory.mktemp("logs")
+    for k in range(3):
+        excerpt(folder / "red" / f"flight{k}", 5.0 * k, 8.0)
+    excerpt(folder / "blue" / "maiden", 0.0, 6.0)
+    (folder / "blue" / "broken.mcap").write_bytes(b"not a bag")
+    return folder
+
+
+def arguments(logs: Path, output: Path, *more: str) -> list[str]:
+    return [str(logs), "--params-file", str(PARAMETERS), "--output", str(output), *more]
+
+
+def contents(output: Path) -> tuple[str, ...]:
+    return tuple(sorted(line for line in (output / "flights.csv").read_text().splitlines()))
+
+
+@pytest.fixture(scope="module")
+def replayed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    output = tmp_path_factory.mktemp("table")
+    assert main(arguments(logs, output, "--jobs", "2")) == 2
+    return output
+
+
+def test_the_table_has_a_row_for_each_flight_and_coefficient(replayed: Path) -> None:
+    rows = read_flights(replayed)
+    assert read_flights(replayed / "flights.parquet") == rows
+    flights = {(row.aircraft, row.flight) for row in rows}
+    assert flights == {
+        ("red", "flight0"), ("red", "flight1"), ("red", "flight2"), ("blue", "maiden"),
+        ("blue", "broken"),
+    }  # fmt: skip
+    (failed,) = [row for row in rows if row.flight == "broken"]
+    assert (failed.verdict, failed.coefficient, failed.value) == ("no result", "", None)
+    assert "is no MCAP file" in failed.reason
+    one = [row for row in rows if row.flight == "flight1"]
+    summary = json.loads((replayed / "flight1" / "summary.json").read_text())
+    assert {row.coefficient: row.value for row in one} == {
+        name: entry["value"] for name, entry in summary["coefficients"].items()
+    }
+    assert one[0].start_ns == summary["first_tick_ns"]
+    assert one[0].fit_q == summary["prediction_fit"]["last_40_percent"]["model"]["q"]
+    assert len({row.bag_hash for row in rows}) == 5
+    assert len({row.settings_hash for row in rows}) == 1
+
+
+def test_what_is_done_is_not_done_again(
+    logs: Path, replayed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "out"
+    shutil.copytree(replayed, output)
+    times = {file: file.stat().st_mtime_ns for file in output.rglob("estimates.mcap")}
+    # a run that was killed: the last line is cut off, a folder has gone
+    journal = output / JOURNAL_FILE
+    journal.write_text(journal.read_text() + '{"name": "fli')
+    shutil.rmtree(output / "flight1")
+    assert main(arguments(logs, output)) == 2
+    assert re.search(
+        r"5 bags: .*1 no result; 4 of them as replayed before", capsys.readouterr().out
+    )
+    for file, before in times.items():
+        assert (file.stat().st_mtime_ns == before) == ("flight1" not in file.parts)
+    assert contents(output) == contents(replayed)
+    # other settings are another replay
+    other = tmp_path / "other.yaml"
+    other.write_text(PARAMETERS.read_text() + "    filter.cutoff: 20.0\n")
+    assert main([*arguments(logs, output), "--params-file", str(other)]) == 2
+    assert "as replayed before" not in capsys.readouterr().out
+
+
+def test_killed_in_the_middle_it_finishes_when_started_again(
+    logs: Path, replayed: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "out"
+    command = [sys.executable, "-m", "uav_ident_ros.offline", *arguments(logs, output)]
+    process = subprocess.Popen([*command, "--jobs", "1"], cwd=ROOT, start_new_session=True)
+    journal = output / JOURNAL_FILE
+    while process.poll() is None and not (journal.exists() and journal.read_text()):
+        time.sleep(0.05)
+    import os
+
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert re.search(r"; [1-5] of them as replayed before", done.stdout), done.stdout
+    assert contents(output) == contents(replayed)
+
+
+def test_a_cluster_gives_the_same_table(logs: Path, replayed: Path, tmp_path: Path) -> None:
+    """One worker of a Dask cluster is killed at work: its flights are done elsewhere."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        process = subprocess.Popen(
+            [
+                sys.executable, "-m", "uav_ident_ros.offline",
+                *arguments(logs, tmp_path, "--scheduler", cluster.scheduler_address),
+            ],
+            cwd=ROOT,
+        )  # fmt: skip
+        with distributed.Client(cluster) as client:
+            busy: dict[str, tuple[str, ...]] = {}
+            while process.poll() is None and not any(busy.values()):
+                busy = client.processing()
+                time.sleep(0.02)
+            address = next((a for a, tasks in busy.items() if tasks), "")
+            worker = next(
+                (w for w in cluster.workers.values() if w.worker_address == address), None
+            )
+            if worker is not None and worker.process is not None:
+                import os
+
+                os.kill(worker.process.pid, signal.SIGKILL)
+        assert process.wait(300.0) == 2
+    assert contents(tmp_path) == contents(replayed)
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments(logs, tmp_path, "--scheduler", "nonsense://x")) == 2
+    assert capsys.readouterr().err.startswith("replay: no Dask scheduler answers at 'nonsense://x'")
+
+
+def test_a_table_that_is_not_there_says_so(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="cannot be read"):
+        read_flights(tmp_path)

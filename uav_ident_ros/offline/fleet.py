@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What many flights of an aircraft say together: pooled coefficients, scatter, what changed.
+
+Each flight's estimate is its true value plus an error of the flight's own sigma; the true values
+scatter from flight to flight with loading, air and speed (random-effects model of DerSimonian and
+Laird 1986). A coefficient that walks away from that is found by the generalised likelihood ratio:
+the mean of the last flights, for every number of them, beside that of all before (Siegmund and
+Venkatraman 1995).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+
+from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
+from uav_ident_ros.offline.flights_table import VERDICTS, FlightRow
+from uav_ident_ros.offline.job import USABLE
+
+FALSE_NAMES = 1e-5
+"""False alarms allowed for each flight and coefficient: one in ten fleets of 60 flights in which
+150 coefficients in all are looked at."""
+
+BASELINE = 12
+"""Flights from which the scatter is known well enough to judge another by it: its own standard
+deviation is then a fifth of it."""
+
+RECENT = 40
+"""Flights that a change is looked for among: after so many a slow one has long been found."""
+
+CLEAR = 3.0
+"""t-ratio that a coefficient has in half of the flights before it is judged at all."""
+
+
+def limit_of(rate: float = FALSE_NAMES) -> float:
+    """Return the deviation, in its standard deviations, for a rate of false alarms per look.
+
+    Siegmund and Venkatraman (1995): the time between false alarms is
+    ``sqrt(2 pi) exp(b^2 / 2) / (b I)`` with ``I``, the integral of ``x nu(x)^2``, 0.735.
+    """
+    low, high = 1.0, 20.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        between = math.sqrt(2.0 * math.pi) * math.exp(0.5 * middle**2) / (0.735 * middle)
+        low, high = (middle, high) if between * rate < 1.0 else (low, middle)
+    return high
+
+
+class Pooled(NamedTuple):
+    """A coefficient of an aircraft.
+
+    Parameters
+    ----------
+    value, sigma : float
+        Mean over the flights and its standard deviation.
+    scatter : float
+        Standard deviation of the true values from flight to flight.
+    flights : int
+        Flights that it is from.
+    """
+
+    value: float
+    sigma: float
+    scatter: float
+    flights: int
+
+    @property
+    def next_sigma(self) -> float:
+        """Standard deviation of what the next flight will show."""
+        return math.hypot(self.sigma, self.scatter)
+
+
+def pool(values: FloatArray, sigmas: FloatArray) -> Pooled:
+    """Pool the estimates of some flights, (k,) each, every sigma positive."""
+    weight = 1.0 / sigmas**2
+    mean = float((weight * values).sum() / weight.sum())
+    excess = float((weight * (values - mean) ** 2).sum()) - (len(values) - 1)
+    scale = float(weight.sum() - (weight**2).sum() / weight.sum())
+    scatter = math.sqrt(max(excess / scale, 0.0)) if scale > 0.0 else 0.0
+    weight = 1.0 / (sigmas**2 + scatter**2)
+    mean = float((weight * values).sum() / weight.sum())
+    return Pooled(mean, float(weight.sum()) ** -0.5, scatter, len(values))
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A coefficient that is not what it was.
+
+    Parameters
+    ----------
+    coefficient : str
+        Its name.
+    since : str
+        Flight from which it went away.
+    named : str
+        Flight at which that was certain.
+    before, now : float
+        Its pooled value before, and that from `since` on.
+    lasting : bool
+        Whether it went on for several flights; one flight alone stands out otherwise.
+    """
+
+    coefficient: str
+    since: str
+    named: str
+    before: float
+    now: float
+    lasting: bool
+
+    @property
+    def text(self) -> str:
+        """The finding in words."""
+        change = f"{self.before:+.4g} to {self.now:+.4g}"
+        if self.before:
+            change += f" ({100.0 * (self.now / self.before - 1.0):+.0f} %)"
+        if self.lasting:
+            return (
+                f"{self.coefficient} has changed since {self.since}: {change}; certain at "
+                f"{self.named}"
+            )
+        return f"{self.coefficient} of {self.since} stands out: {change}"
+
+
+def standard(deviation: float, freedom: int) -> float:
+    """Return the normal deviate as rare as one of Student's t (Wallace 1959)."""
+    size = math.sqrt(freedom * math.log1p(deviation**2 / freedom))
+    return math.copysign(size * (8 * freedom + 1) / (8 * freedom + 3), deviation)
+
+
+def changes(
+    coefficient: str, flights: Sequence[str], values: FloatArray, sigmas: FloatArray
+) -> list[Finding]:
+    """Find where a coefficient left what it was; (k,) each, in the order of the flights."""
+    limit = limit_of()
+    kept: list[int] = []
+    found: list[Finding] = []
+    for k in range(len(values)):
+        kept.append(k)
+        size, begin, usual = max(
+            (
+                _deviation(values, sigmas, kept, j)
+                for j in range(max(BASELINE, len(kept) - RECENT), len(kept))
+            ),
+            key=lambda candidate: candidate[0],
+            default=(0.0, 0, None),
+        )
+        if usual is None or size <= limit:
+            continue
+        recent = kept[begin:]
+        alone = found[-1] if found and not found[-1].lasting else None
+        if len(recent) == 1 and alone is not None and alone.since == flights[k - 1]:
+            found.pop()  # the second in a row: it was the beginning of a change
+            recent = [k - 1, k]
+        now = pool(values[recent], sigmas[recent]).value
+        lasting = len(recent) > 1
+        since = flights[recent[0]]
+        found.append(Finding(coefficient, since, flights[k], usual.value, now, lasting))
+        # one flight alone says nothing of the next; after a change that is what is usual
+        kept = recent if lasting else kept[:-1]
+    return found
+
+
+def _deviation(
+    values: FloatArray, sigmas: FloatArray, kept: Sequence[int], begin: int
+) -> tuple[float, int, Pooled]:
+    """Return how far the flights from `begin` on are off, `begin`, and what was usual before."""
+    before, now = kept[:begin], kept[begin:]
+    usual = pool(values[before], sigmas[before])
+    weight = 1.0 / (sigmas[now] ** 2 + usual.scatter**2)
+    mean = float((weight * values[now]).sum() / weight.sum())
+    spread = math.hypot(usual.sigma, float(weight.sum()) ** -0.5)
+    return abs(standard((mean - usual.value) / spread, len(before) - 1)), begin, usual
+
+
+@dataclass(frozen=True)
+class Aircraft:
+    """An aircraft and its flights.
+
+    Parameters
+    ----------
+    name, structure : str
+        The aircraft, and the structure of its models.
+    flights : tuple of str
+        Flights with a usable model, in the order of their time.
+    values, sigmas : mapping
+        For each coefficient its values and standard deviations in these flights, (k,); NaN where
+        a flight does not know it.
+    pooled : mapping
+        Coefficients pooled since they last changed.
+    findings : tuple of Finding
+        What changed or stands out.
+    unusable : tuple of (str, str)
+        Flights without a usable model, and why.
+    """
+
+    name: str
+    structure: str
+    flights: tuple[str, ...] = ()
+    values: Mapping[str, FloatArray] = field(default_factory=dict)
+    sigmas: Mapping[str, FloatArray] = field(default_factory=dict)
+    pooled: Mapping[str, Pooled] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    unusable: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def main(self) -> list[str]:
+        """Derivatives worth a chart: those that most flights know well; controls first."""
+        clear = [name for name in self.pooled if self._is_clear(name)]
+        return sorted(clear, key=lambda name: name.rpartition("/")[2] not in INPUTS)
+
+    def _is_clear(self, name: str) -> bool:
+        value, sigma = self.values[name], self.sigmas[name]
+        known = np.isfinite(value)
+        return bool(np.median(np.abs(value[known]) / sigma[known]) >= CLEAR)
+
+    def coefficient_set(self) -> CoefficientSet:
+        """Return the pooled coefficients with the sigmas of the next flight.
+
+        The sigma of what no flight knows is infinite: nothing is known of it.
+        """
+        structure = STRUCTURES[self.structure]
+        values = np.zeros(structure.mask.shape)
+        sigma = np.where(structure.mask, np.inf, 0.0)
+        for name, pooled in self.pooled.items():
+            values[structure.index(name)] = pooled.value
+            sigma[structure.index(name)] = pooled.next_sigma
+        return CoefficientSet(self.structure, values, sigma)
+
+
+def fleet_of(rows: Iterable[FlightRow]) -> list[Aircraft]:
+    """Return every aircraft of a table of flights, by name and structure.
+
+    An aircraft whose models have several structures is there once for each.
+    """
+    flights: dict[tuple[str, str], list[FlightRow]] = {}
+    for row in rows:
+        flights.setdefault((row.aircraft, row.flight), []).append(row)
+    names = sorted({aircraft for aircraft, _ in flights})
+    return [found for name in names for found in _aircraft(name, flights)]
+
+
+def _aircraft(name: str, flights: Mapping[tuple[str, str], Sequence[FlightRow]]) -> list[Aircraft]:
+    own = [rows for (aircraft, _), rows in flights.items() if aircraft == name]
+    own.sort(key=lambda rows: (rows[0].start_ns, rows[0].flight))
+    usable = [rows for rows in own if rows[0].verdict == VERDICTS[USABLE]]
+    unusable = tuple(
+        (rows[0].flight, f"{rows[0].verdict}: {rows[0].reason}".rstrip(": "))
+        for rows in own
+        if rows[0].verdict != VERDICTS[USABLE]
+    )
+    by_structure = sorted(usable, key=lambda rows: rows[0].structure)
+    found = [
+        _judged(name, structure, list(group), unusable)
+        for structure, group in groupby(by_structure, key=lambda rows: rows[0].structure)
+    ]
+    return found or [Aircraft(name, "", unusable=unusable)]
+
+
+def _judged(
+    name: str,
+    structure: str,
+    flights: list[Sequence[FlightRow]],
+    unusable: tuple[tuple[str, str], ...],
+) -> Aircraft:
+    names = tuple(rows[0].flight for rows in flights)
+    values: dict[str, FloatArray] = {}
+    sigmas: dict[str, FloatArray] = {}
+    for k, rows in enumerate(flights):
+        for row in rows:
+            if row.value is None or not row.sigma:
+                continue  # fixed, or unknown
+            for kept, number in ((values, row.value), (sigmas, row.sigma)):
+                kept.setdefault(row.coefficient, np.full(len(flights), np.nan))[k] = number
+    pooled: dict[str, Pooled] = {}
+    findings: list[Finding] = []
+    for coefficient, value in values.items():
+        known = np.flatnonzero(np.isfinite(value))
+        sigma = sigmas[coefficient]
+        t_ratio = np.median(np.abs(value[known]) / sigma[known])
+        given = [names[k] for k in known]
+        new = changes(coefficient, given, value[known], sigma[known]) if t_ratio >= CLEAR else []
+        findings += new
+        lasting = [given.index(f.since) for f in new if f.lasting]
+        single = {f.since for f in new if not f.lasting}
+        chosen = [
+            k
+            for j, k in enumerate(known)
+            if j >= max(lasting, default=0) and names[k] not in single
+        ]
+        pooled[coefficient] = pool(value[chosen], sigma[chosen])
+    return Aircraft(name, structure, names, values, sigmas, pooled, tuple(findings), unusable)

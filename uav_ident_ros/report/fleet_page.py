@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`fleet.html`: the flights of every aircraft on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_ident_ros.offline.drawing import PictureError
+from uav_ident_ros.offline.fleet import Aircraft, Pooled
+from uav_ident_ros.report.page import render, write_page
+
+MOST_CHARTS = 24
+"""Charts of an aircraft: its control derivatives first."""
+
+
+def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
+    """Write the page.
+
+    Raises
+    ------
+    BagWriteError
+        If the file cannot be written.
+    PictureError
+        If Bokeh or Jinja2 is missing.
+    """
+    try:
+        from uav_ident_ros.report import sections as parts
+    except ImportError as error:
+        raise PictureError(
+            f"the page needs bokeh and jinja2 (pip install bokeh jinja2): {error}"
+        ) from None
+    sections = [_section(parts.Section, k, aircraft) for k, aircraft in enumerate(fleet)]
+    findings = [f"{a.name}: {finding.text}" for a in fleet for finding in a.findings]
+    flights = sum(len(a.flights) for a in fleet)
+    others = sum(len({flight for flight, _ in a.unusable}) for a in fleet)
+    text = "no coefficient has changed"
+    if findings:
+        text = f"{len(findings)} changes in {sum(bool(a.findings) for a in fleet)} aircraft"
+    page = render(
+        "page.html",
+        sections,
+        name="Fleet",
+        facts=[f"{len(fleet)} aircraft", f"{flights} usable flights", f"{others} others"],
+        verdict={"words": text, "usable": not findings, "doubt": "", "state": ""},
+        advice=findings,
+        notes=[],
+    )
+    write_page(path, page)
+
+
+def _section(section: Any, k: int, aircraft: Aircraft) -> Any:
+    """Return tables and charts of an aircraft."""
+    from uav_ident_ros.report.tables import Row, Table, number, words
+
+    pooled = [
+        Row(name, [*(number(v, ".4g") for v in p[:3]), number(p.next_sigma, ".2g"), str(p.flights)])
+        for name, p in aircraft.pooled.items()
+    ]
+    head = ("name", "value", "sigma", "scatter", "sigma of the next flight", "flights")
+    tables = [Table(f"Pooled, SI, structure {aircraft.structure}", head, pooled)] if pooled else []
+    others = [Row(flight, [words(why)]) for flight, why in aircraft.unusable]
+    if others:
+        folded = f"{len(others)} flights without a usable model"
+        tables.append(Table("Not usable", ("flight", "reason"), others, folded=folded))
+    text = (
+        f"{len(aircraft.flights)} usable flights. The band is what the next flight will show with "
+        "a probability of 68 %: scatter from flight to flight, and what is not known of the mean. "
+        "Orange flights are where a coefficient changed, or stands out."
+    )
+    charts = [*_charts(k, aircraft)]
+    return section(f"aircraft-{k}", aircraft.name or "no name", [text], tables, charts)
+
+
+def _charts(k: int, aircraft: Aircraft) -> Iterator[Any]:
+    from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Span
+
+    from uav_ident_ros.report.style import COLORS
+    from uav_ident_ros.report.timeline import Chart, plain_figure, value_range
+
+    for name in aircraft.main[:MOST_CHARTS]:
+        value, sigma = aircraft.values[name], aircraft.sigmas[name]
+        pooled: Pooled = aircraft.pooled[name]
+        marked = {f.since for f in aircraft.findings if f.coefficient == name}
+        marked |= {f.named for f in aircraft.findings if f.coefficient == name}
+        colors = [COLORS["ahead" if f in marked else "tick"] for f in aircraft.flights]
+        source = ColumnDataSource(
+            {
+                "flight": list(aircraft.flights),
+                "number": np.arange(1, len(value) + 1),
+                "value": value,
+                "sigma": sigma,
+                "low": value - sigma,
+                "high": value + sigma,
+                "color": colors,
+            }
+        )
+        chart = plain_figure(180, "", y_range=value_range(value - sigma, value + sigma))
+        chart.min_border_left = 0
+        chart.xaxis.axis_label = "flight"
+        low, high = pooled.value - pooled.next_sigma, pooled.value + pooled.next_sigma
+        chart.add_layout(BoxAnnotation(bottom=low, top=high, fill_alpha=0.2))
+        chart.add_layout(Span(dimension="width", location=pooled.value, line_dash="dashed"))
+        chart.segment("number", "low", "number", "high", source=source, color="color")
+        drawn = chart.scatter("number", "value", source=source, color="color", size=6)
+        tips = [("", "@flight"), (name, "@value{0.0000}"), ("sigma", "@sigma{0.0000}")]
+        chart.add_tools(HoverTool(renderers=[drawn], tooltips=tips, visible=False))
+        spoken = f"{name} in every usable flight of {aircraft.name}, with its sigma."
+        yield Chart(f"fleet-{k}-{name.replace('/', '-')}", name, chart, spoken, small=True)
