@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import secrets
 import struct
 import sys
 import tempfile
@@ -29,13 +28,13 @@ from typing import Any
 import numpy as np
 
 import uav_ident_ros  # noqa: F401  (first: it limits the threads of NumPy)
+from uav_ident_ros.domain import own_domain
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, own_domain, tracking_error
+from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, tracking_error
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build" / "closed_loop"
 IMAGES = ROOT / "docs" / "images"
-HIGHEST_DOMAIN = 101
 
 FAULT_TIME = 60.0
 DURATION = 100.0
@@ -71,10 +70,9 @@ def fly(loop: Loop, during: Callable[[ClosedLoop], None] | None = None) -> tuple
     program uses too, is flown again.
     """
     for _ in range(ATTEMPTS):
-        domain = 1 + secrets.randbelow(HIGHEST_DOMAIN)
         with (
             tempfile.TemporaryDirectory() as folder,
-            own_domain(domain),
+            own_domain(),
             ClosedLoop(loop, Path(folder)) as running,
         ):
             if during is not None:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import os
 import random
-import secrets
 import subprocess
 import sys
 import tempfile
@@ -32,13 +31,13 @@ import numpy as np
 from hostile import SECOND_NS, Hostile, stamped
 
 from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.domain import own_domain
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, declarations
 from uav_ident_ros.messages.types import import_type
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "multisine"
-HIGHEST_DOMAIN = 101
 
 RATES, ACTUATORS, AIRSPEED, ARMED = "/imu/data", "/actuators", "/airspeed", "/armed"
 TYPES = {
@@ -594,12 +593,10 @@ def main() -> int:
     parser.add_argument("--messages", type=int, default=100_000, help="hostile, for every input")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    os.environ["ROS_DOMAIN_ID"] = str(1 + secrets.randbelow(HIGHEST_DOMAIN))
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     failed = False
     for sim_time in (False, True):
         begin = time.monotonic()
-        with tempfile.TemporaryDirectory() as folder:
+        with own_domain(), tempfile.TemporaryDirectory() as folder:
             os.environ["ROS_LOG_DIR"] = folder
             outcome = Campaign(options.seed, options.messages, sim_time, Path(folder)).run()
         clock = "simulated time" if sim_time else "system time"

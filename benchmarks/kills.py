@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import os
 import random
-import secrets
 import subprocess
 import sys
 import tempfile
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "multisine"
 TOPICS = ("/imu/data", "/actuators")
-HIGHEST_DOMAIN = 101
 
 LONGEST_LIFE = 1.5
 """The node is killed within so many seconds from its first file, s."""
@@ -199,14 +197,14 @@ def _check_start(
 
 def main() -> int:
     """Run the campaign and print what came of it; the exit status is 1 if there is a problem."""
+    from uav_ident_ros.domain import own_domain
+
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    os.environ["ROS_DOMAIN_ID"] = str(1 + secrets.randbelow(HIGHEST_DOMAIN))
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     begin = time.monotonic()
-    with tempfile.TemporaryDirectory() as folder:
+    with own_domain(), tempfile.TemporaryDirectory() as folder:
         os.environ["ROS_LOG_DIR"] = folder
         feeder = Feeder()
         try:

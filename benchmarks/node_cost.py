@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
-import secrets
 import signal
 import struct
 import subprocess
@@ -49,7 +48,6 @@ STAMP_OFFSET = 4
 """Of a message that begins with a header, serialized: after the encapsulation header."""
 
 TICKS_PER_SECOND = os.sysconf("SC_CLK_TCK")
-HIGHEST_DOMAIN = 101
 
 
 @dataclass(frozen=True)
@@ -259,6 +257,8 @@ def row(cost: Cost) -> str:
 
 def main() -> int:
     """Measure and print."""
+    from uav_ident_ros.domain import own_domain
+
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rates", type=float, nargs="+", default=[200.0, 500.0, 1000.0])
     parser.add_argument(
@@ -267,9 +267,7 @@ def main() -> int:
     parser.add_argument("--parameter", action="append", default=[], metavar="NAME:=VALUE")
     parser.add_argument("--hour", action="store_true", help="memory over an hour of flight")
     options = parser.parse_args()
-    os.environ["ROS_DOMAIN_ID"] = str(1 + secrets.randbelow(HIGHEST_DOMAIN))
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    with tempfile.TemporaryDirectory() as logs:
+    with own_domain(), tempfile.TemporaryDirectory() as logs:
         os.environ["ROS_LOG_DIR"] = os.environ["ROS_HOME"] = logs
         if options.hour:
             for minute, memory in memory_over_an_hour(Path(logs)):

@@ -7,6 +7,7 @@ import ast
 import configparser
 import importlib
 import importlib.metadata
+import os
 import re
 import runpy
 import shutil
@@ -22,6 +23,7 @@ import setuptools
 import yaml
 
 from uav_ident_ros.client import Coefficients
+from uav_ident_ros.domain import own_domain
 from uav_ident_ros.node.saving import FINISH_WITHIN
 from uav_ident_ros.node.startup import USAGE_ERROR
 from uav_ident_ros.simulation import closed_loop
@@ -539,3 +541,12 @@ def test_launch_checks_before_it_starts(path: Path):
     assert max(check, watch) < min(processes)
     watched = {word.strip("*") for word in re.findall(r"\*?[a-z]+", entries[watch].split("(")[1])}
     assert {entries[i].strip("*") for i in processes} - {"end"} <= watched
+
+
+def test_programs_side_by_side_get_domains_of_their_own() -> None:
+    before = os.environ["ROS_DOMAIN_ID"]
+    with own_domain() as first, own_domain() as second:
+        assert first != second
+        assert before not in (str(first), str(second))  # which this process holds
+        assert os.environ["ROS_DOMAIN_ID"] == str(second)
+    assert os.environ["ROS_DOMAIN_ID"] == before

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import secrets
 import signal
 import subprocess
 import sys
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from uav_ident_ros.bags.reading import Bag, BagError, Message
+from uav_ident_ros.domain import own_domain
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.types import ACTUATORS, MessageTypeError, import_type
@@ -42,9 +42,6 @@ INTERRUPTED = 130
 DEFAULT_BAG = Path(__file__).parents[1] / "bags" / "multisine"
 DEFAULT_SPEED = 2.0
 """The 75 s of the default flight then take well under a minute."""
-
-HIGHEST_DOMAIN = 101
-"""Highest ROS domain whose ports are free of the system's ephemeral ones."""
 
 BLOCK_EVERY = 5.0
 """Seconds between two blocks of text where there is no terminal."""
@@ -282,13 +279,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the demonstration; the return value is the exit status."""
     options = parser().parse_args(arguments)
     signal.signal(signal.SIGTERM, _interrupt)
-    domain = options.domain
-    if domain is None:
-        domain = 1 + secrets.randbelow(HIGHEST_DOMAIN)
-    os.environ["ROS_DOMAIN_ID"] = str(domain)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     try:
-        with tempfile.TemporaryDirectory() as logs:
+        with own_domain(options.domain), tempfile.TemporaryDirectory() as logs:
             os.environ["ROS_LOG_DIR"] = logs
             return run_demo(options)
     except REFUSALS as error:
