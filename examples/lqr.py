@@ -1,56 +1,93 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gains of a rate controller, u = -K x, from coefficients that `replay` or the node saved.
+"""An optimal rate regulator on `model.linearize`, designed anew when the coefficients move.
 
-The linear part of the model, xdot = A x + B u with x = p q r and u = de dr da, goes into the
-Riccati equation. What the weights mean: a rate of 1 rad/s costs as much as `--input` rad.
+``python3 examples/lqr.py --ros-args -p nominal_file:=coefficients.yaml``
 """
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 import numpy as np
-import yaml
-from scipy.linalg import solve_continuous_are
+import rclpy
+from geometry_msgs.msg import Vector3Stamped
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Imu, JointState
 
-ROWS, STATES, INPUTS = ("pdot", "qdot", "rdot"), "pqr", ("de", "dr", "da")
+from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback, Refusal, subscribe
 
-
-def matrices(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return A (3, 3) and B (3, 3) of a coefficients file; what is not in it is 0."""
-    known = yaml.safe_load(path.read_text(encoding="utf-8"))["coefficients"]
-
-    def block(columns: str | tuple[str, ...]) -> np.ndarray:
-        return np.array(
-            [[known.get(f"{row}/{c}", {"value": 0.0})["value"] for c in columns] for row in ROWS]
-        )
-
-    return block(STATES), block(INPUTS)
+FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
+SURFACES = [0, 1, 2]  # de dr da
+LARGEST = np.array([0.4, 0.25, 0.25])  # of de dr da from trim, rad
+STATE_WEIGHT = np.diag([1.0, 1.0, 1.0]) / 0.1**2  # an error of 0.1 rad/s is worth ...
+INPUT_WEIGHT = np.diag(1.0 / (0.3 * LARGEST) ** 2)  # ... a third of the travel
+STEP = 0.02  # s
 
 
-def gains(a: np.ndarray, b: np.ndarray, largest_input: float) -> np.ndarray:
-    """Return K (3, 3) for a cost of x^T x + u^T u / largest_input^2."""
-    weight = np.eye(3) / largest_input**2
-    cost = solve_continuous_are(a, b, np.eye(3), weight)
-    return np.linalg.solve(weight, b.T @ cost)
+def lqr_gain(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Return K of ``u = -K x`` that minimises the integral of ``x'Qx + u'Ru``, sampled.
+
+    The Riccati equation of the model sampled every `STEP`, by iteration from Q.
+    """
+    n, m = b.shape
+    generator = np.zeros((n + m, n + m))
+    generator[:n, :n], generator[:n, n:] = a, b
+    term = transition = np.eye(n + m)
+    for k in range(1, 20):  # the exponential's series
+        term = term @ generator * (STEP / k)
+        transition = transition + term
+    f, g = transition[:n, :n], transition[:n, n:]
+    p = q * STEP
+    for _ in range(2000):
+        k = np.linalg.solve(r * STEP + g.T @ p @ g, g.T @ p @ f)
+        following = q * STEP + f.T @ p @ (f - g @ k)
+        if np.abs(following - p).max() < 1e-10 * np.abs(p).max():
+            break
+        p = following
+    return k
 
 
-def main() -> None:
-    """Print the gains and the poles of the closed loop."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("coefficients", type=Path)
-    parser.add_argument("--input", type=float, default=0.2, help="rad (0.2)")
-    options = parser.parse_args()
-    a, b = matrices(options.coefficients)
-    k = gains(a, b, options.input)
-    print(f"{'':<4}" + "".join(f"{state:>9}" for state in STATES))
-    for name, line in zip(INPUTS, k, strict=True):
-        print(f"{name:<4}" + "".join(f"{value:>9.4f}" for value in line))
-    for label, matrix in (("open", a), ("closed", a - b @ k)):
-        poles = ", ".join(f"{pole:.2f}" for pole in np.sort_complex(np.linalg.eigvals(matrix)))
-        print(f"poles, {label}: {poles}")
+class Lqr(Node):
+    """Rates in, surfaces out."""
+
+    def __init__(self) -> None:
+        super().__init__("lqr")
+        nominal = Coefficients.from_file(self.declare_parameter("nominal_file", "").value)
+        self.source = CoefficientSource(Fallback.LAST_GOOD, nominal)
+        subscribe(self, self.source)
+        self.gain, self.designed_ns = np.zeros((3, 3)), -1
+        self.reference = np.zeros(3)
+        self.publisher = self.create_publisher(JointState, "command", 10)
+        self.create_subscription(Vector3Stamped, "rate_reference", self.on_reference, 10)
+        self.create_subscription(Imu, "imu/data", self.on_imu, qos_profile_sensor_data)
+
+    def on_reference(self, message: Vector3Stamped) -> None:
+        """Take a reference."""
+        self.reference = np.array([message.vector.x, message.vector.y, message.vector.z])
+
+    def design(self, t_ns: int) -> None:
+        """Design a gain on the newest coefficients, once a second."""
+        if self.designed_ns >= 0 and t_ns - self.designed_ns < 10**9:
+            return
+        try:
+            a, b = self.source.model(t_ns).linearize(np.zeros(3), np.zeros(4))
+        except Refusal as refusal:  # a set from a file does not say where the aircraft flies
+            self.get_logger().warning(f"waiting: {refusal}", throttle_duration_sec=5.0)
+            return
+        # the rates alone: flow angles are slower, and what they do is left to the loop around
+        self.gain = lqr_gain(a[:3, :3], b[:3, SURFACES], STATE_WEIGHT, INPUT_WEIGHT)
+        self.designed_ns = t_ns
+
+    def on_imu(self, message: Imu) -> None:
+        """Answer a sample."""
+        t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        w = message.angular_velocity
+        x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
+        self.design(t_ns)
+        u = np.clip(-self.gain @ (x - self.reference), -LARGEST, LARGEST)
+        names = ["elevator", "rudder", "aileron"]
+        self.publisher.publish(JointState(header=message.header, name=names, position=u.tolist()))
 
 
 if __name__ == "__main__":
-    main()
+    rclpy.init()
+    rclpy.spin(Lqr())

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.client import Coefficients, CoefficientSource
+from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource
 from uav_ident_ros.control.allocation import authority
 from uav_ident_ros.control.effectiveness import Effectiveness
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, ROWS, BoolArray, FloatArray
@@ -51,7 +51,7 @@ class Effect:
     reasons: tuple[str, ...]
 
 
-def control_derivatives(coefficients: Coefficients) -> tuple[FloatArray, BoolArray]:
+def control_derivatives(coefficients: Coefficients | AttitudeModel) -> tuple[FloatArray, BoolArray]:
     """Return B and which of its entries are known, shapes (3, 4)."""
     rows = slice(0, len(ROWS))
     return coefficients.values[rows, INPUT_COLUMNS], coefficients.known[rows, INPUT_COLUMNS]

@@ -52,13 +52,19 @@ class InversionLaw:
         acting: FloatArray,
     ) -> FloatArray:
         """Return de, dr, da, dth; parameters as of `IncrementalLaw.update`, and the model."""
-        known = model.acceleration(x, acting)
+        known = without_flow(model, x, acting)
         # a new model explains more or less of what goes on: no bump in the sum of both
-        self._disturbance = self._disturbance + self._model.acceleration(x, acting) - known
+        self._disturbance = self._disturbance + without_flow(self._model, x, acting) - known
         self._model = model
         error, w = x - self._xhat, self.gains.bandwidth * OBSERVER
         self._xhat = self._xhat + dt * (known + self._disturbance + 2.0 * w * error)
         self._disturbance = self._disturbance + dt * w**2 * error
         wanted = self._reference.wanted(dt, x, reference) - self._disturbance
-        by_itself = model.acceleration(x, np.zeros(4))
+        by_itself = without_flow(model, x, np.zeros(4))
         return allocate(effect, wanted - by_itself, self.limits, self.scale)
+
+
+def without_flow(model: AttitudeModel, x: FloatArray, u: FloatArray) -> FloatArray:
+    """Angular acceleration, shape (3,), at flow angles of zero: theirs is left to the observer."""
+    state = np.append(x, (0.0, 0.0)) if model.structure.has_flow else x
+    return model.acceleration(state, u)

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Moves nothing: warns where an input does less than the coefficients say, or the opposite.
+
+``python3 examples/effectiveness_monitor.py --ros-args -p trim:="[0.07, 0.0, 0.0, 0.7]"``
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Imu, JointState
+
+from uav_ident_ros.client import CoefficientSource, Fallback, Refusal, subscribe
+from uav_ident_ros.control import Effectiveness
+from uav_ident_ros.control.choice import control_derivatives
+
+FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
+AXES = ("roll", "pitch", "yaw")
+WEAK = 0.6  # of the effect believed
+SIGMAS = 3.0
+PERIOD = 2.0  # between warnings, s
+
+
+class EffectivenessMonitor(Node):
+    """Listens to gyro, actuators and coefficients."""
+
+    def __init__(self) -> None:
+        super().__init__("effectiveness_monitor")
+        self.trim = np.array(self.declare_parameter("trim", [0.0, 0.0, 0.0, 0.0]).value)
+        self.source = CoefficientSource(Fallback.LAST_GOOD)
+        self.measured = Effectiveness()
+        self.acting, self.last_ns = np.zeros(4), 0
+        subscribe(self, self.source)
+        self.create_subscription(JointState, "actuators", self.on_actuators, 10)
+        self.create_subscription(Imu, "imu/data", self.on_imu, qos_profile_sensor_data)
+
+    def on_actuators(self, message: JointState) -> None:
+        """Take elevator, rudder, aileron and throttle."""
+        self.acting = np.array(message.position) - self.trim
+
+    def on_imu(self, message: Imu) -> None:
+        """Take a sample."""
+        t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns
+        try:
+            effect = control_derivatives(self.source.model(t_ns))[0]
+        except Refusal:
+            return  # nothing is known yet
+        if not 0.0 < dt < 0.1:
+            self.measured.restart()
+            return
+        w = message.angular_velocity
+        x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
+        self.measured.update(x, effect, self.acting, dt)
+        for line in warnings(self.measured):
+            self.get_logger().warning(line, throttle_duration_sec=PERIOD)
+
+
+def warnings(measured: Effectiveness) -> list[str]:
+    """Return what is to be said of the axes."""
+    lines = []
+    for i, axis in enumerate(AXES):
+        factor, sigma = measured.factor[i], measured.sigma[i]
+        if measured.reversed[i]:
+            lines.append(f"{axis}: the inputs act the other way")
+        elif factor + SIGMAS * sigma < WEAK:
+            lines.append(f"{axis}: the inputs do {factor:.2f} +- {sigma:.2f} of what is believed")
+    return lines
+
+
+if __name__ == "__main__":
+    rclpy.init()
+    rclpy.spin(EffectivenessMonitor())

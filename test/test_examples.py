@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The examples run, each on a linear aircraft: no DDS traffic, the nodes' own callbacks."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="the examples are ROS nodes")
+
+import rclpy
+from geometry_msgs.msg import Vector3, Vector3Stamped
+from plants import DT_NS, START, STRUCTURE, coefficients
+from sensor_msgs.msg import Imu, JointState
+
+from uav_ident_ros.files.coefficients_file import save_coefficients
+from uav_ident_ros.identification.estimate import CoefficientSet
+
+FOLDER = Path(__file__).parents[1] / "examples"
+REFERENCE = np.array([0.2, 0.05, 0.03])
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"example_{name}", FOLDER / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def ros(tmp_path: Path) -> Iterator[None]:
+    healthy, path = coefficients(), tmp_path / "nominal.yaml"
+    save_coefficients(CoefficientSet(STRUCTURE.name, healthy.values, healthy.sigma), path)
+    rclpy.init(args=["--ros-args", "-p", f"nominal_file:={path}"])
+    yield
+    rclpy.shutdown()
+
+
+class Sent:
+    """Takes the commands in the publisher's place."""
+
+    def publish(self, message: JointState) -> None:
+        self.u = np.append(message.position, 0.0)
+
+
+def sample(t_ns: int, x: np.ndarray) -> Imu:
+    message = Imu()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(t_ns, 10**9)
+    w = message.angular_velocity
+    w.x, w.y, w.z = float(x[0]), -float(x[1]), -float(x[2])  # FLU
+    return message
+
+
+def flown(node: Any, seconds: float = 4.0) -> np.ndarray:
+    """Rates at the end of a flight that is asked for `REFERENCE`."""
+    node.publisher = sent = Sent()
+    p, q, r = REFERENCE.tolist()
+    node.on_reference(Vector3Stamped(vector=Vector3(x=p, y=q, z=r)))
+    x, underway, plant = np.zeros(3), [np.zeros(4)] * 2, coefficients().values
+    for k in range(round(seconds * 1e9 / DT_NS)):
+        node.on_imu(sample(START + k * DT_NS, x))
+        underway.append(sent.u)
+        u = underway.pop(0)
+        for _ in range(10):
+            x = x + DT_NS * 1e-10 * (plant @ STRUCTURE.regressor(x, u))
+    return x
+
+
+@pytest.mark.parametrize(
+    ("name", "node", "error"),
+    [("indi", "Indi", 0.01), ("inversion", "Inversion", 0.01), ("lqr", "Lqr", 0.1)],
+)
+def test_each_controller_follows_a_reference(ros: None, name: str, node: str, error: float) -> None:
+    """A regulator has no integral action: it comes near."""
+    flying = getattr(load(name), node)()
+    np.testing.assert_allclose(flown(flying), REFERENCE, atol=error)
+    flying.destroy_node()
+
+
+def test_the_gain_is_the_riccati_equations() -> None:
+    linalg = pytest.importorskip("scipy.linalg")
+    lqr = load("lqr")
+    a = np.array([[-6.4, 0.0, 1.4], [0.0, -5.5, 0.0], [-0.3, 0.0, -0.5]])
+    b = np.array([[0.0, 3.0, 29.5], [-26.0, 0.0, 0.0], [0.0, -4.3, -0.2]])
+    q, r = lqr.STATE_WEIGHT, lqr.INPUT_WEIGHT
+    gain = lqr.lqr_gain(a, b, q, r)
+    both = linalg.expm(np.block([[a, b], [np.zeros((3, 6))]]) * lqr.STEP)
+    f, g = both[:3, :3], both[:3, 3:]
+    p = linalg.solve_discrete_are(f, g, q * lqr.STEP, r * lqr.STEP)
+    expected = np.linalg.solve(r * lqr.STEP + g.T @ p @ g, g.T @ p @ f)
+    np.testing.assert_allclose(gain, expected, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize(("effect", "words"), [(1.0, []), (0.2, ["roll: the inputs do 0."])])
+def test_the_monitor_warns_of_a_weak_aileron_alone(
+    ros: None, effect: float, words: list[str]
+) -> None:
+    module = load("effectiveness_monitor")
+    node = module.EffectivenessMonitor()
+    plant, x = coefficients(np.array([1.0, 1.0, effect, 1.0])).values, np.zeros(3)
+    rng = np.random.default_rng(0)
+    for k in range(800):
+        t_ns, t = START + k * DT_NS, 0.01 * k
+        node.source.add(coefficients(1.0, t_ns))
+        u = [0.02 * np.sin(3.0 * t), 0.03 * np.sin(2.0 * t), 0.02 * np.sin(4.0 * t), 0.0]
+        node.on_actuators(JointState(position=u))
+        node.on_imu(sample(t_ns, x + 0.002 * rng.standard_normal(3)))
+        for _ in range(10):
+            x = x + DT_NS * 1e-10 * (plant @ STRUCTURE.regressor(x, np.array(u)))
+    said = module.warnings(node.measured)
+    assert [line[: len(word)] for line, word in zip(said, words, strict=True)] == words
+    node.destroy_node()
