@@ -88,8 +88,6 @@ FEWEST_SAMPLES = 40
 SURE = 3.0
 """Sigmas from which the sign of a coefficient is known."""
 
-DEGREE = math.pi / 180.0
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -323,7 +321,7 @@ class Plausibility:
         if times[-1] - times[0] < WINDOW - LOOK_TIME or speed < LARGEST_MEAN_RATE:
             return None
         left = _gravity_left(times, rates, force)
-        if left > GRAVITY_LEFT or _gravity_left(times, rates * DEGREE, force) < GRAVITY_LEFT:
+        if left > GRAVITY_LEFT or _gravity_left(times, np.deg2rad(rates), force) < GRAVITY_LEFT:
             return None
         return Finding(
             "gyro units",
