@@ -74,6 +74,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"controller_example = {PACKAGE}.controller_example:main",
+            f"demo = {PACKAGE}.demo:main",
             f"fleet = {PACKAGE}.offline.fleet_command:main",
             f"identifier = {PACKAGE}.node.__main__:main",
             f"import_log = {PACKAGE}.import_logs.cli:main",

@@ -159,6 +159,19 @@ def loaded_with(module: str) -> set[Path]:
 RUNTIME_FILES = sorted((ROOT / PACKAGE).rglob("*.py")) + sorted((ROOT / "launch").glob("*.py"))
 
 
+def test_shared_files_are_found_where_it_is_installed(tmp_path: Path):
+    """The demo and the closed loop run from an installation too."""
+    installed = tmp_path / "lib" / "python3.12" / "site-packages" / PACKAGE / "share.py"
+    installed.parent.mkdir(parents=True)
+    shutil.copy(ROOT / PACKAGE / "share.py", installed)
+    find = runpy.run_path(str(installed))["shared"]
+    with pytest.raises(FileNotFoundError, match="'bags/multisine' is not installed"):
+        find("bags/multisine")
+    bag = tmp_path / "share" / PACKAGE / "bags" / "multisine"
+    bag.mkdir(parents=True)
+    assert find("bags/multisine") == bag
+
+
 def test_versions_agree():
     version = setup_arguments()["version"]
 

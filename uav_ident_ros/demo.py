@@ -32,6 +32,7 @@ from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.job import NO_RESULT
 from uav_ident_ros.offline.run import Inputs, choose_inputs
 from uav_ident_ros.player import Player, PlayerError
+from uav_ident_ros.share import shared
 
 NODE_NAME = "/identifier"
 
@@ -39,7 +40,7 @@ USAGE_ERROR = 2
 FAILED = 1
 INTERRUPTED = 130
 
-DEFAULT_BAG = Path(__file__).parents[1] / "bags" / "multisine"
+DEFAULT_BAG = shared("bags/multisine")
 DEFAULT_SPEED = 2.0
 """The 75 s of the default flight then take well under a minute."""
 

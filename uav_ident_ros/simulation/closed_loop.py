@@ -25,12 +25,13 @@ import numpy as np
 
 from uav_ident_ros.control import Law
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.share import shared
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
 
-ROOT = Path(__file__).resolve().parents[2]
-CONFIG = ROOT / "config" / "closed_loop"
+CONFIG = shared("config/closed_loop")
+ROOT = CONFIG.parents[1]
 PREPARED = ROOT / "build" / "aircraft"
 """Where aircraft that were identified for the loop are kept."""
 
