@@ -15,11 +15,13 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from uav_ident_ros.bags.reading import MCAP_MAGIC, Bag, BagError
 from uav_ident_ros.bags.writing import BagWriter, message_class
+from uav_ident_ros.messages.types import decode_imu_cdr
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 FOREIGN = "px4_msgs/msg/ActuatorServos"
@@ -94,6 +96,65 @@ def test_foreign_type_is_read_by_its_definition_in_the_bag(tmp_path: Path) -> No
     assert np.array_equal(read.control, control)
 
 
+def write_ros1(path: Path, compression: Any = None) -> dict[str, list[float]]:
+    """Write a bag of ROS 1: an Imu, and a message that ROS 2's interfaces lack."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    name, text = "mavros_msgs/msg/ServoOutputRaw", "Header header\nuint8 port\nuint16[] channels\n"
+    header = "\n".join(
+        ["=" * 80, "MSG: std_msgs/Header", "uint32 seq", "time stamp", "string frame_id"]
+    )
+    store.register(get_types_from_msg(f"{text}{header}\n", name))
+    make = store.types
+    written: dict[str, list[float]] = {"/imu": [], "/servos": []}
+    opened = Ros1Writer(path)
+    if compression is not None:
+        opened.set_compression(compression)
+    with opened as writer:
+        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+        servos = writer.add_connection("/servos", name, typestore=store)
+        for k in range(1, 400):
+            stamp = make["builtin_interfaces/msg/Time"](sec=100, nanosec=k * 2_000_000)
+            header = make["std_msgs/msg/Header"](seq=k, stamp=stamp, frame_id="base_link")
+            vector, zero = make["geometry_msgs/msg/Vector3"], np.zeros(9)
+            turn = make["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+            rates, force = vector(0.1 * k, 0.0, -0.1 * k), vector(0.0, 0.0, 9.8)
+            message = make["sensor_msgs/msg/Imu"](header, turn, zero, rates, zero, force, zero)
+            writer.write(imu, k, store.serialize_ros1(message, imu.msgtype))
+            written["/imu"].append(0.1 * k)
+            pulses = np.array([1500 + k, 1500 - k], dtype=np.uint16)
+            message = make[name](header, 0, pulses)
+            writer.write(servos, k, store.serialize_ros1(message, name))
+            written["/servos"].append(1500.0 + k)
+    return written
+
+
+@pytest.mark.parametrize("compression", [None, *Ros1Writer.CompressionFormat], ids=str)
+def test_a_bag_of_ros_1(compression: Any, tmp_path: Path) -> None:
+    written = write_ros1(tmp_path / "old.bag", compression)
+    with Bag(tmp_path / "old.bag") as bag:
+        assert bag.types == {
+            "/imu": "sensor_msgs/msg/Imu",
+            "/servos": "mavros_msgs/msg/ServoOutputRaw",
+        }
+        decode = {topic: bag.decoder(topic) for topic in bag.types}
+        read = [(m.topic, m.log_ns, decode[m.topic](m.data), m.data) for m in bag.messages(decode)]
+    assert [m.angular_velocity.x for t, _, m, _ in read if t == "/imu"] == written["/imu"]
+    assert [m.channels[0] for t, _, m, _ in read if t == "/servos"] == written["/servos"]
+    imu = next(data for topic, log_ns, _, data in read if topic == "/imu" and log_ns == 7)
+    reading = decode_imu_cdr(imu)  # as the identifier reads it
+    assert reading is not None
+    assert (reading.stamp_ns, reading.frame_id) == (100_014_000_000, "base_link")
+
+
+def test_a_damaged_bag_of_ros_1(tmp_path: Path) -> None:
+    write_ros1(tmp_path / "old.bag")
+    content = (tmp_path / "old.bag").read_bytes()
+    for name, damaged in (("cut", content[: len(content) // 2]), ("empty", b""), ("no", b"no bag")):
+        (tmp_path / f"{name}.bag").write_bytes(damaged)
+        with pytest.raises(BagError, match=f"'.*{name}.bag' cannot be read"):
+            Bag(tmp_path / f"{name}.bag")
+
+
 def write_database(path: Path) -> Path:
     """Write an SQLite bag of many messages; return its file."""
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -159,8 +220,8 @@ def test_missing_and_foreign_files(tmp_path: Path) -> None:
     (tmp_path / "nothing.mcap").write_bytes(b"")
     for name, words in (
         ("nowhere", "'.*nowhere' does not exist"),
-        ("empty", r"has neither metadata\.yaml nor an \.mcap or \.db3 file"),
-        ("notes.txt", "is no bag: an .mcap file or a rosbag2 folder is needed"),
+        ("empty", r"has neither metadata\.yaml nor an \.mcap or \.db3 or \.bag file"),
+        ("notes.txt", "is no bag: an .mcap file, a rosbag2 folder or a .bag of ROS 1"),
         ("text.mcap", "'text.mcap' is no MCAP file"),
         ("nothing.mcap", "'nothing.mcap' is empty"),
     ):

@@ -413,6 +413,8 @@ def test_a_table_without_a_map(tmp_path: Path, capsys, out) -> None:
         (TABLE.replace("1.00,0.1", "1e300,0.1"), "line 102: the time is '1e300': a stamp holds"),
         (TABLE.replace("1.00,0.1", "inf,0.1"), "line 102: the time is 'inf'"),
         (TABLE.replace("1.00,0.1", "nan,0.1"), "line 102: the time is 'nan', which is no number"),
+        (TABLE[:11] + "".join(reversed(TABLE[11:].splitlines(True))), "goes on in 0 rows and back"),
+        (re.sub(r"(?m)^[0-9.]+", "3.0", TABLE), "goes on in 0 rows and back in 0: sort the rows"),
         ("t,p,q,r,de\n", "no complete row"),
         ("t,p,q,r,de\n1.0,,,,0.5\n", "has no rates: columns p, q, r are empty"),
         ("t,p,q,r,de\n1.0,1,2,3,\n", "has no actuators: columns de are empty"),
@@ -423,6 +425,17 @@ def test_tables_that_cannot_be_used(tmp_path: Path, capsys, out, text: str, reas
     said = refusal([*table(tmp_path, text), *out], capsys)
     assert "flight.csv'" in said
     assert reason in said
+
+
+def test_counts_of_a_raw_sensor(tmp_path: Path, capsys, out) -> None:
+    units = COLUMNS.replace("unit: rad/s}", "unit: deg/s, counts: 16.4}")
+    units += "specific_force: {columns: [q, r, p], unit: g, counts: 2048}\n"
+    run([*table(tmp_path, columns=units), *out], capsys)
+    found = contents(tmp_path / "bag")
+    np.testing.assert_allclose(found.rates[0], np.radians([0.1, 0.2, 0.3]) / 16.4, rtol=1e-12)
+    np.testing.assert_allclose(
+        found.force[0], 9.80665 * np.array([0.2, 0.3, 0.1]) / 2048, rtol=1e-12
+    )
 
 
 def test_a_table_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out) -> None:
@@ -437,6 +450,7 @@ def test_a_table_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out
         (("time:", "tyme:"), "no entry 'tyme': did you mean 'time'?"),
         (("unit: rad/s", "unit: rpm"), "'rates.unit' is 'rpm': allowed are rad/s, deg/s"),
         ((", unit: rad/s", ""), "'rates.unit' is missing"),
+        (("rad/s}", "deg/s, counts: 0}"), "'rates.counts' is 0: how many counts make up one unit"),
         (("axes: frd\n", ""), "'axes' is missing: allowed are frd, flu"),
         (("[p, q, r]", "[p, q]"), "three columns x, y, z are needed"),
         (("de: 1.0", "de: up"), "'channels.elevator.de' is 'up': a finite number is needed"),

@@ -78,6 +78,7 @@ def same_inputs(folder: Path, trim: dict[str, float]) -> dict:
     values = parameters(folder)
     values["actuators.trim"] = [trim[name] for name in values["actuators.channels"]]
     values["actuators.estimate_delay"] = False
+    values["structure"] = "augmented"  # the plant has no aerodynamic forces
     return values
 
 
@@ -254,7 +255,8 @@ def test_table(tmp_path: Path, measured: Measurements, capsys) -> None:
     assert_same_rates(measured, imported, np.float64)
     np.testing.assert_array_equal(imported.actuator_t_ns, measured.actuator_t_ns)
     np.testing.assert_array_equal(imported.actuators, measured.actuators)
-    values = parameters(tmp_path / "table") | {"actuators.estimate_delay": False}
+    trim = {"elevator": 0.0, "rudder": 0.0, "aileron": 0.0, "throttle": 0.5}
+    values = same_inputs(tmp_path / "table", trim)
     found = replayed(tmp_path / "table", values)
     expected = original(measured, tmp_path / "original")
     np.testing.assert_array_equal(found.values, expected.values)
@@ -318,6 +320,11 @@ def test_the_whole_way_from_a_log_to_a_verdict(tmp_path: Path, capsys) -> None:
         ("actuator_servos", 0): commands(
             recorded.actuator_t_ns, padded(values[:, :3], 8), "control"
         ),
+        # the trim flight's speed, by GPS: there is no airspeed in it
+        ("vehicle_gps_position", 0): {
+            "timestamp": stamps(recorded.actuator_t_ns[::5]),
+            "vel_m_s": np.full(len(recorded.actuator_t_ns[::5]), 53.3, np.float32),
+        },
     }
     log = write_ulog(tmp_path / "c172p.ulg", topics, FIXED_WING)
     run([str(log), "--output", str(tmp_path / "bag")], capsys)

@@ -7,10 +7,13 @@ for it are replaced, in one place, by ones that stop.
 
 from __future__ import annotations
 
+from bz2 import BZ2Decompressor
 from collections.abc import Callable, Collection
+from functools import partial
 from types import SimpleNamespace
 from typing import IO, Any
 
+from rosbags.rosbag1 import reader as rosbag1
 from rosbags.rosbag2 import reader, storage_mcap
 
 LARGEST_PART = 64 * 2**20
@@ -43,7 +46,7 @@ def decompressed(data: bytes, compression: str) -> bytes:
     data : bytes
         The chunk's data.
     compression : str
-        ``lz4``, ``zstd`` or nothing.
+        ``bz2``, ``lz4``, ``zstd`` or nothing.
 
     Raises
     ------
@@ -55,6 +58,7 @@ def decompressed(data: bytes, compression: str) -> bytes:
     if not compression:
         return data
     makers: dict[str, Callable[[], Any]] = {
+        "bz2": BZ2Decompressor,
         "lz4": LZ4FrameDecompressor,
         "zstd": storage_mcap.zstd.ZstdDecompressor,
     }
@@ -118,6 +122,8 @@ def guard_rosbags() -> None:
         "lz4": lambda data, _: decompressed(data, "lz4"),
         "zstd": lambda data, _: decompressed(data, "zstd"),
     }
+    for name in ("bz2", "lz4"):
+        rosbag1.decompressors[name] = partial(decompressed, compression=name)
     reader.zstd = SimpleNamespace(
         open=_Bounded, decompress=lambda data: decompressed(data, "zstd")
     )

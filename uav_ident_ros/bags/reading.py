@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read bags: MCAP files and rosbag2 folders, messages in log-time order."""
+"""Read bags: MCAP files, rosbag2 folders and bags of ROS 1, messages in log-time order."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from uav_ident_ros.bags.limits import LARGEST_DEFINITION, guard_rosbags, listed
+from uav_ident_ros.bags.ros1 import SUFFIX, Ros1Reader
 from uav_ident_ros.bags.salvage import SalvageError, SalvageReader
 
 guard_rosbags()
 
+AnyReader = Reader | SalvageReader | Ros1Reader
+
 METADATA_FILE = "metadata.yaml"
-STORAGE_SUFFIXES = (".mcap", ".db3")
+STORAGE_SUFFIXES = (".mcap", ".db3", SUFFIX)
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 """First bytes of every MCAP file."""
 
@@ -53,7 +56,7 @@ class Bag:
     Parameters
     ----------
     path : Path or str
-        An MCAP file, or a rosbag2 folder; its metadata file may be missing.
+        An MCAP file, or a rosbag2 folder, whose metadata file may be missing; or a bag of ROS 1.
 
     Attributes
     ----------
@@ -82,7 +85,7 @@ class Bag:
         self.path = Path(path)
         self._stack = ExitStack()
         self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._readers: list[Reader | SalvageReader] = []
+        self._readers: list[AnyReader] = []
         self.damage: list[str] = []
         try:
             for reader in _opened(self.path, self.damage):
@@ -185,7 +188,7 @@ class Bag:
             yield from self._saved(reader, topics, count, reason)
 
     def _saved(
-        self, reader: Reader | SalvageReader, topics: Collection[str], count: int, reason: str
+        self, reader: AnyReader, topics: Collection[str], count: int, reason: str
     ) -> Iterator[Message]:
         """Yield what else can be saved where reading has failed after `count` messages."""
         files = _files_of(reader)
@@ -269,7 +272,7 @@ class Bag:
         )
 
 
-def _opened(path: Path, damage: list[str]) -> list[Reader | SalvageReader]:
+def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
     """Open a bag, or what is left of it; say in `damage` what is wrong with it."""
     if not path.exists():
         raise BagError(f"bag '{path}' does not exist")
@@ -277,7 +280,10 @@ def _opened(path: Path, damage: list[str]) -> list[Reader | SalvageReader]:
         path = path.parent
     if path.is_file():
         if path.suffix not in STORAGE_SUFFIXES:
-            raise BagError(f"bag '{path}' is no bag: an .mcap file or a rosbag2 folder is needed")
+            raise BagError(
+                f"bag '{path}' is no bag: an .mcap file, a rosbag2 folder or a .bag of ROS 1 is "
+                "needed"
+            )
         return [_open_file(path, path, damage)]
     if not path.is_dir():
         raise BagError(f"bag '{path}' is neither a file on a disk nor a folder")
@@ -291,14 +297,16 @@ def _opened(path: Path, damage: list[str]) -> list[Reader | SalvageReader]:
     return _open_files(path, reason, damage)
 
 
-def _open(storage: Path) -> Reader:
+def _open(storage: Path) -> Reader | Ros1Reader:
     """Open a file, or a folder with metadata."""
+    if storage.suffix == SUFFIX and storage.is_file():
+        return Ros1Reader(storage)
     reader = Reader(storage)
     reader.open()
     return reader
 
 
-def _open_files(folder: Path, reason: str, damage: list[str]) -> list[Reader | SalvageReader]:
+def _open_files(folder: Path, reason: str, damage: list[str]) -> list[AnyReader]:
     """Open the files of a folder whose metadata are missing or wrong."""
     files = sorted(file for file in folder.iterdir() if file.suffix in STORAGE_SUFFIXES)
     if not files:
@@ -306,7 +314,7 @@ def _open_files(folder: Path, reason: str, damage: list[str]) -> list[Reader | S
             suffixes = " or ".join(STORAGE_SUFFIXES)
             raise BagError(f"bag '{folder}' has neither {METADATA_FILE} nor an {suffixes} file")
         raise BagError(f"bag '{folder}' cannot be read: {reason}")
-    readers: list[Reader | SalvageReader] = []
+    readers: list[AnyReader] = []
     found: list[str] = []
     for file in files:
         try:
@@ -324,7 +332,7 @@ def _open_files(folder: Path, reason: str, damage: list[str]) -> list[Reader | S
     return sorted(readers, key=lambda reader: reader.start_time)
 
 
-def _open_file(file: Path, bag: Path, damage: list[str]) -> Reader | SalvageReader:
+def _open_file(file: Path, bag: Path, damage: list[str]) -> AnyReader:
     """Open one file of a bag, or what is left of it."""
     try:
         return _open(file)
@@ -343,9 +351,9 @@ def _open_file(file: Path, bag: Path, damage: list[str]) -> Reader | SalvageRead
     raise BagError(f"bag '{bag}' cannot be read: {reason}")
 
 
-def _files_of(reader: Reader | SalvageReader) -> list[Path]:
+def _files_of(reader: AnyReader) -> list[Path]:
     """Return the MCAP files that a reader reads; none if it reads others."""
-    if isinstance(reader, SalvageReader):
+    if not isinstance(reader, Reader):
         return []
     storages = getattr(reader.storage, "storages", [reader.storage])
     paths = [Path(str(storage.path)) for storage in storages]

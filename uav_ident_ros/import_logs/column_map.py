@@ -130,20 +130,22 @@ class _Reader:
         known = ("time", "axes", "rates", "specific_force", "airspeed", "channels", "lever_arm")
         self._refuse_unknown(self._content, (*known, "delimiter"), "")
         time = self._entry("time", ("column", "unit"))
-        rates = self._entry("rates", ("columns", "unit"))
-        force = self._entry("specific_force", ("columns", "unit"), optional=True)
+        rates = self._entry("rates", ("columns", "unit", "counts"))
+        force = self._entry("specific_force", ("columns", "unit", "counts"), optional=True)
         airspeed = self._entry("airspeed", ("column", "unit"), optional=True)
         return ColumnMap(
             time=self._text(time, "time", "column"),
             time_ns=TIME_UNITS[self._choice(time, "time.unit", "s", tuple(TIME_UNITS))],
             rates=self._vector(rates, "rates"),
-            rates_factor=RATE_UNITS[self._choice(rates, "rates.unit", None, tuple(RATE_UNITS))],
+            rates_factor=RATE_UNITS[self._choice(rates, "rates.unit", None, tuple(RATE_UNITS))]
+            / self._counts(rates, "rates"),
             axes=self._choice(self._content, "axes", None, AXES),
             channels=self._channels(),
             force=self._vector(force, "specific_force") if force else (),
             force_factor=FORCE_UNITS[
                 self._choice(force, "specific_force.unit", "m/s^2", tuple(FORCE_UNITS))
-            ],
+            ]
+            / self._counts(force, "specific_force"),
             airspeed=self._text(airspeed, "airspeed", "column") if airspeed else "",
             airspeed_factor=SPEED_UNITS[
                 self._choice(airspeed, "airspeed.unit", "m/s", tuple(SPEED_UNITS))
@@ -199,6 +201,13 @@ class _Reader:
         if not isinstance(columns, list) or len(columns) != AXES_OF_A_VECTOR:
             raise self._fail(f"'{name}.columns' is {columns!r}: three columns x, y, z are needed")
         return tuple(str(column) for column in columns)
+
+    def _counts(self, entry: Mapping[str, Any], name: str) -> float:
+        """Return how many counts of a raw sensor make up one unit."""
+        counts = self._number(entry.get("counts", 1.0), f"{name}.counts")
+        if not counts:
+            raise self._fail(f"'{name}.counts' is 0: how many counts make up one unit?")
+        return counts
 
     def _number(self, value: Any, name: str) -> float:
         if (

@@ -51,6 +51,7 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
     """
     findings = Findings()
     t_ns, table = _read_table(path, columns, findings)
+    _refuse_disorder(path, t_ns)
     part = {name: table[:, i] for i, name in enumerate(columns.columns[1:])}
 
     def stream(names: tuple[str, ...]) -> FloatArray:
@@ -87,6 +88,23 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
         airspeed,
         columns.lever_arm,
     )
+
+
+def _refuse_disorder(path: Path, t_ns: TimeArray) -> None:
+    """Refuse a table whose time does not go on.
+
+    Raises
+    ------
+    ImportLogError
+        If more rows step back than go on, or none goes on.
+    """
+    steps = np.diff(t_ns)
+    back, ahead = int((steps < 0).sum()), int((steps > 0).sum())
+    if len(t_ns) > 1 and back >= ahead:
+        raise ImportLogError(
+            f"table '{path}': the time goes on in {ahead} rows and back in {back}: sort the rows "
+            "by their time"
+        )
 
 
 def _require(rows: BoolArray, path: Path, what: str, names: tuple[str, ...]) -> None:
