@@ -64,6 +64,7 @@ def test_rotors_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:
     assert bag.names == values["actuators.channels"] == ["motor_1", "motor_2", "motor_3", "motor_4"]
     np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
     np.testing.assert_allclose(values["actuators.trim"], np.median(bag.actuators, axis=0))
+    assert values["structure"] == "augmented"  # no wings: no angle of attack
     assert "4 rotors" in said
     assert "da (right wing down) = -0.5 motor_1 +0.5 motor_2 +0.5 motor_3 -0.5 motor_4" in said
 
@@ -253,13 +254,14 @@ def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(tmp_path: Path, capsy
         "SENS_BOARD_Y_OFF": -1.0, "SENS_BOARD_Z_OFF": 0.5, "CAL_GYRO2_ID": 4711,
         "CAL_GYRO2_XOFF": 0.01, "CAL_GYRO2_YOFF": -0.02, "CAL_GYRO2_ZOFF": 0.03,
     }  # fmt: skip
-    bag, _, said = imported(tmp_path, capsys, topics, values, "--rates-instance", "1")
+    bag, found, said = imported(tmp_path, capsys, topics, values, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, RATES, atol=1e-6)
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)  # when sampled, not when published
     assert "SENS_BOARD_ROT 18, roll 90 deg yaw 90 deg, fine offsets 1.50 -1.00 0.50" in said
     assert "CAL_GYRO2_XOFF" in said
     assert "instances [0, 1] of sensor_gyro" in said
     assert "ay and az are zero" in said
+    assert found["structure"] == "throttle_coupled"
 
 
 def test_filtered_rates_are_the_last_resort_and_said_to_be_filtered(tmp_path: Path, capsys) -> None:
@@ -347,7 +349,7 @@ def test_an_airspeed_that_is_no_use_is_left_out(tmp_path: Path, capsys, part: sl
     slow = part == slice(None)
     t_ns = COMMAND_NS[part] + (0 if slow else 10**10)
     speed = np.full(len(t_ns), 1.0 if slow else 15.0, dtype=np.float32)
-    ground = np.full(len(COMMAND_NS), 12.5, dtype=np.float32)
+    ground = np.full(len(COMMAND_NS), 0.5 if slow else 12.5, dtype=np.float32)
     topics = (
         combined()
         | TORQUES
@@ -360,6 +362,9 @@ def test_an_airspeed_that_is_no_use_is_left_out(tmp_path: Path, capsys, part: sl
     assert "airspeed.type" not in values
     assert ("airspeed.reference" not in values) if slow else values["airspeed.reference"] == 12.5
     assert "the airspeed is not used" in said
+    assert ("no speed of flight is in the log: set airspeed.reference" in said) == slow
+    assert ("airspeed.reference is the median speed over ground" in said) != slow
+    assert "structure" not in values
 
 
 def test_attitude_and_arming_come_along(tmp_path: Path, capsys) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader
@@ -20,7 +20,7 @@ from uav_ident_ros.bags.salvage import SalvageError, SalvageReader
 
 guard_rosbags()
 
-AnyReader = Reader | SalvageReader | Ros1Reader
+AnyReader: TypeAlias = Reader | SalvageReader | Ros1Reader
 
 METADATA_FILE = "metadata.yaml"
 STORAGE_SUFFIXES = (".mcap", ".db3", SUFFIX)

@@ -110,6 +110,7 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
         flown,
         armed,
         _attitude(log, findings),
+        _firmware(title) == "Copter" or actuators.source == "RATE",
         _ground_speed(log, flown or []),
         that_explain(log.parameters, EXPLAINING),
     )

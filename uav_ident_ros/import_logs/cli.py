@@ -235,9 +235,16 @@ def _say_speed(log: FlightLog, airspeed: float, used: bool, slowest: float) -> N
             if airspeed
             else "the airspeed is not used: it was not measured for most of the flight"
         )
-    if not airspeed and log.ground_speed >= slowest:
+    if airspeed >= slowest or log.hovers:
+        return
+    if log.ground_speed >= slowest:
         log.findings.assumed.append(
             f"airspeed.reference is the median speed over ground, {log.ground_speed:.3g} m/s"
+        )
+    else:
+        log.findings.lost.append(
+            "no speed of flight is in the log: set airspeed.reference to the usual airspeed, which "
+            "the forces on wings go with"
         )
 
 

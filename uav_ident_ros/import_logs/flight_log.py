@@ -219,6 +219,8 @@ class FlightLog:
         Start and end of every stretch in which it was armed, ns; None if the log does not say.
     attitude : Attitude, optional
         The attitude.
+    hovers : bool
+        Whether it is a multirotor, or a VTOL by the commands of its hover.
     ground_speed : float
         Median speed over ground in flight, m/s; 0 if it is not known.
     parameters : dict
@@ -235,6 +237,7 @@ class FlightLog:
     flown: list[tuple[int, int]] | None = None
     armed: list[tuple[int, int]] | None = None
     attitude: Attitude | None = None
+    hovers: bool = False
     ground_speed: float = 0.0
     parameters: Mapping[str, float] = field(default_factory=dict)
 

@@ -34,7 +34,7 @@ from uav_ident_ros.import_logs.flight_log import (
 )
 from uav_ident_ros.import_logs.knowledge import table
 from uav_ident_ros.import_logs.orientation import board_to_body, describe_rotation
-from uav_ident_ros.import_logs.px4_actuators import read_actuators
+from uav_ident_ros.import_logs.px4_actuators import hovers, read_actuators
 from uav_ident_ros.import_logs.px4_log import Px4Log, Topic
 from uav_ident_ros.import_logs.stamps import Stretches, interpolate, intervals
 
@@ -99,6 +99,7 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
         flown,
         armed,
         _attitude(log, findings),
+        hovers(log, choice.actuators_instance),
         _ground_speed(log, flown or []),
         that_explain(log.parameters, EXPLAINING),
     )

@@ -94,6 +94,15 @@ def _choose(
     return choose(streams, flight, findings, "SDLOG_PROFILE: 'high rate'", BEFORE_MIXER)
 
 
+def hovers(log: Px4Log, instance: int) -> bool:
+    """Whether the commands are those of a multirotor: of one, or of a VTOL's hover."""
+    airframe, kind = log.parameters.get("CA_AIRFRAME"), log.parameters.get("MAV_TYPE")
+    hybrid = airframe in KNOWN["hybrid_airframes"] or kind in KNOWN["hybrid_types"]
+    if airframe is not None or hybrid:
+        return airframe == MULTIROTOR or (hybrid and instance == 0)
+    return kind in KNOWN["multirotor_types"]
+
+
 def _say_hybrid(hover: str, forward: str, instance: int, findings: Findings) -> None:
     findings.assumed.append(
         f"a VTOL: {hover} are the commands of hover, {forward} those of forward flight "

@@ -27,6 +27,10 @@ ACTUATORS_TOPIC, ACTUATORS_TYPE = "/actuators", "sensor_msgs/msg/JointState"
 AIRSPEED_TOPIC, AIRSPEED_TYPE = "/airspeed", "geometry_msgs/msg/TwistStamped"
 ARMED_TOPIC, ARMED_TYPE = "/armed", "std_msgs/msg/Bool"
 
+WITHOUT_FORCES, WITHOUT_WINGS = "throttle_coupled", "augmented"
+"""Structure if there is no accelerometer, and that of a multirotor: no angle of attack tells its
+forces. The others have the default."""
+
 ARMED_STEP_NS = 1_000_000_000
 """Time between two messages that say the same of whether it is armed, ns: the type has no stamp."""
 
@@ -238,6 +242,10 @@ def fitting_parameters(log: FlightLog, trim: str, use_airspeed: bool) -> dict[st
         "actuators.trim": trim_values(log, trim),
         "actuators.estimate_delay": True,
     }
+    if log.rates.force is None:
+        values["structure"] = WITHOUT_FORCES
+    elif log.hovers:
+        values["structure"] = WITHOUT_WINGS
     if trim == "learn":
         values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
     for i, name in enumerate(INPUTS):
