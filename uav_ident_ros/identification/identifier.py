@@ -174,13 +174,11 @@ class OnlineIdentifier:
         self._response = IdentifiedModel(self.structure, self._arm)
         self._since_injected = ANSWER_TIME
         self._flow: FlowObserver | None = None
-        self._accelerometer = True
+        self._has_accelerometer: bool | None = None
         if self.structure.has_flow:
             self._flow = FlowObserver(
                 self.structure, self.settings.filter.cutoff, self.settings.airspeed.reference
             )
-            self._accelerometer = False
-            self._estimator.start = without_flow(self._start, self.structure)
         self.running_fit = RunningFit(self.structure, self._model)
         self._saved: FloatArray | None = None
         self._supervisor.reset()
@@ -680,6 +678,7 @@ class OnlineIdentifier:
         """Learn from the blocks that this tick completes; return whether there were any."""
         fed = moved = False
         for block in self._sampler.blocks():
+            self._look_for_accelerometer(block)
             coefficients = self._coefficients()
             flow = self._follow_flow(block, coefficients)
             saved = None if self._saved is None else self._saved * self._speed.scale
@@ -694,13 +693,22 @@ class OnlineIdentifier:
             self._use_delay(self._delay.delay)
         return fed
 
+    def _look_for_accelerometer(self, block: Block) -> None:
+        """Leave out the flow angles while nothing tells of them."""
+        if self._flow is None or self._has_accelerometer:
+            return
+        before, self._has_accelerometer = self._has_accelerometer, _changes(block.specific_force)
+        if before is None and not self._has_accelerometer:
+            self._estimator.start = without_flow(self._start, self.structure)
+        elif before is False and self._has_accelerometer:
+            # What was learned without flow angles took their moments for something else.
+            self._estimator = make_estimator(self.settings, self._start)
+            self._learned_time = 0.0
+
     def _follow_flow(self, block: Block, coefficients: FloatArray) -> FlowSignals | None:
         """Follow attitude and flow angles; None for a structure without them."""
         if self._flow is None:
             return None
-        if not self._accelerometer and _changes(block.specific_force):
-            self._accelerometer = True
-            self._estimator.start = self._start
         speed = self._speed.newest if self._speed.enabled else None
         return self._flow.follow(block, coefficients, speed)
 

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Attitude, sideslip and angle of attack from the Imu: against flights that know them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
+
+from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.flow import LEAST_SPEED_SHARE, FlowObserver, FlowState
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.prior import first_values, slope_bounds
+from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
+from uav_ident_ros.simulation import light_aircraft
+from uav_ident_ros.simulation.disturbance import ColouredNoise
+from uav_ident_ros.simulation.flight import Flight
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.light_aircraft import TRUTH, LightFlight
+from uav_ident_ros.simulation.noise import Sensors, measure
+
+FLIGHT = STRUCTURES["flight_dynamics"]
+SPEED, CUTOFF = 20.0, 15.0
+MOMENTS = np.s_[:3, FLIGHT.column("beta") :]
+
+
+def blocks(
+    x: FloatArray, force: FloatArray, u: FloatArray, h: float, cells: int = 10
+) -> Iterator[Block]:
+    """Cut signals at the edges (N + 1), inputs of the cells (N), into blocks."""
+    t_ns = np.rint(np.arange(len(x)) * h * 1e9).astype(np.int64)
+    for k in range(0, len(u) - cells + 1, cells):
+        edges = slice(k, k + cells + 1)
+        own = slice(k, k + cells)
+        yield Block(t_ns[edges], h, x[edges], u[own], None, force[edges], k == 0)
+
+
+def observed(
+    observer: FlowObserver,
+    x: FloatArray,
+    force: FloatArray,
+    u: FloatArray,
+    h: float,
+    values: FloatArray | None = None,
+    airspeed: float | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Flow angles (N, 2) and roll and pitch (N, 2) at the end of each cell."""
+    angles, attitude = [], []
+    values = first_values(FLIGHT) if values is None else values
+    for block in blocks(x, force, u, h):
+        signals = observer.follow(block, values, airspeed)
+        angles.append(signals.angles[1:])
+        down = signals.down[1:]
+        np.testing.assert_allclose(np.linalg.norm(down, axis=1), 1.0, atol=1e-4)
+        attitude.append(np.stack([np.arctan2(down[:, 1], down[:, 2]), -np.arcsin(down[:, 0])], 1))
+    return np.concatenate(angles), np.concatenate(attitude)
+
+
+# --- attitude ----------------------------------------------------------------------------------
+
+
+def turn(bank: float, seconds: float, h: float, roll_in: float = 2.0) -> tuple[FloatArray, ...]:
+    """Roll, rates and specific force of a coordinated turn at a constant height, rolled into."""
+    t = np.arange(round(seconds / h) + 1) * h
+    s = np.clip(t / roll_in, 0.0, 1.0)
+    roll = bank * (3.0 * s**2 - 2.0 * s**3)
+    heading_rate = GRAVITY * np.tan(roll) / SPEED
+    x = np.stack(
+        [np.gradient(roll, h), heading_rate * np.sin(roll), heading_rate * np.cos(roll)], axis=1
+    )
+    force = np.zeros((len(t), 3))
+    force[:, 2] = -GRAVITY / np.cos(roll)
+    return roll, x, force
+
+
+def observer() -> FlowObserver:
+    return FlowObserver(FLIGHT, CUTOFF, SPEED)
+
+
+@pytest.mark.parametrize("bank", [0.3, -0.8])
+@pytest.mark.parametrize("h", [0.002, 0.01, 0.02])
+def test_the_attitude_of_a_coordinated_turn_does_not_level_out(bank: float, h: float) -> None:
+    """The accelerometer alone says level from the first second of the turn to the last."""
+    roll, x, force = turn(bank, 60.0, h)
+    _, attitude = observed(observer(), x, force, np.zeros((len(x) - 1, 4)), h)
+    error = attitude - np.stack([roll[1:], 0.0 * roll[1:]], axis=1)[: len(attitude)]
+    assert np.abs(error).max() < math.radians(1.0)
+
+
+def test_a_gyro_that_drifts_is_found_out() -> None:
+    _, x, force = turn(0.0, 120.0, 0.01)
+    drift = np.array([0.02, -0.015, 0.0])
+    _, attitude = observed(observer(), x + drift, force, np.zeros((len(x) - 1, 4)), 0.01)
+    assert np.abs(attitude[len(attitude) // 2 :]).max() < math.radians(0.5)
+    assert np.abs(attitude).max() > math.radians(1.0)
+
+
+def test_it_starts_at_the_attitude_that_the_first_samples_tell() -> None:
+    roll, pitch = 0.5, -0.3
+    level = math.cos(pitch)
+    down = np.array([-math.sin(pitch), math.sin(roll) * level, math.cos(roll) * level])
+    force = np.tile(-GRAVITY * down, (11, 1))
+    own = observer()
+    _, attitude = observed(own, np.zeros((11, 3)), force, np.zeros((10, 4)), 0.01)
+    np.testing.assert_allclose(attitude[-1], [roll, pitch], atol=1e-6)
+    state = own.state(first_values(FLIGHT), np.zeros(FLIGHT.mask.shape))
+    assert (state.roll, state.pitch) == pytest.approx((roll, pitch), abs=1e-6)
+    np.testing.assert_allclose(state.down, down, atol=1e-6)
+
+
+def test_a_fall_tells_nothing_of_where_down_is() -> None:
+    """Without a force of about gravity the gyro alone turns the attitude."""
+    roll, x, force = turn(0.6, 5.0, 0.01)
+    after = np.zeros((200, 3))
+    own = observer()
+    u = np.zeros((len(x) + 199, 4))
+    _, attitude = observed(own, np.concatenate([x, after]), np.concatenate([force, after]), u, 0.01)
+    assert attitude[-1, 0] == pytest.approx(roll[-1], abs=math.radians(1.0))
+
+
+# --- flow angles --------------------------------------------------------------------------------
+
+
+def true_values(flight: Flight) -> FloatArray:
+    values = np.zeros(FLIGHT.mask.shape)
+    for name, value in flight.local_truth.items():
+        if name in FLIGHT.names:
+            values[FLIGHT.index(name)] = value
+    return values
+
+
+def flow_of(flight: Flight, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Observed flow angles beta, alpha and the true ones, both from their own mean, rad."""
+    u = (flight.extra["surfaces"] - flight.trim)[:-1]
+    assert flight.airspeed is not None
+    own = FlowObserver(FLIGHT, CUTOFF, float(flight.airspeed.mean()))
+    found, _ = observed(own, flight.rates, flight.specific_force, u, 1.0 / flight.rate, values)
+    true = np.stack([flight.extra["beta"], flight.extra["alpha"]], axis=1)[1 : len(found) + 1]
+    settled = slice(round(2.0 * flight.rate), None)
+    return tuple(part[settled] - part[settled].mean(axis=0) for part in (found, true))
+
+
+def test_the_flow_angles_of_a_light_jsbsim_aircraft_are_its_own() -> None:
+    """The part that moves: where alpha is zero is a convention, and where ay and az vanish here.
+
+    The forces that rates make by themselves are in no row: they are the rest.
+    """
+    pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
+    from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
+
+    segment = Segment("multisine", amplitudes=dict.fromkeys(("de", "dr", "da"), 0.05), seed=1)
+    flight = fly(AircraftFlight("c172p", (segment,), 30.0, rate=200.0))
+    found, true = flow_of(flight, true_values(flight))
+    assert (true.std(axis=0) > math.radians(0.3)).all()
+    assert ((found - true).std(axis=0) < 0.2 * true.std(axis=0)).all()
+
+
+def test_the_flow_angles_of_the_light_aircraft_are_its_own() -> None:
+    """Its speed varies a little, and the lift with it."""
+    segment = Segment("multisine", amplitudes=dict.fromkeys(("de", "dr", "da"), 0.05), seed=1)
+    flight = light_aircraft.fly(LightFlight((segment,), 30.0))
+    values = true_values(flight)
+    found, true = flow_of(flight, values)
+    assert ((found - true).std(axis=0) < 0.2 * true.std(axis=0)).all()
+
+
+def test_without_motion_the_angles_are_those_of_the_force() -> None:
+    """Lift is weight: alpha where az is -g, and the surfaces' own part taken off."""
+    values = first_values(FLIGHT)
+    values[FLIGHT.index("az/de")] = -10.0
+    u = np.zeros((200, 4))
+    u[:, INPUTS.index("de")] = 0.1
+    force = np.tile([0.0, 0.0, -GRAVITY], (201, 1))
+    angles, _ = observed(observer(), np.zeros((201, 3)), force, u, 0.01, values)
+    told = (-GRAVITY - values[FLIGHT.index("az/de")] * 0.1) / values[FLIGHT.index("az/alpha")]
+    np.testing.assert_allclose(angles[-1], [0.0, told], atol=1e-9)
+
+
+def test_the_state_has_the_uncertainty_of_the_slopes() -> None:
+    own = observer()
+    own.angles = [0.1, -0.2]
+    values, sigma = first_values(FLIGHT), np.zeros(FLIGHT.mask.shape)
+    sigma[FLIGHT.index("ay/beta")] = 0.1 * abs(values[FLIGHT.index("ay/beta")])
+    sigma[FLIGHT.index("az/alpha")] = 0.5 * abs(values[FLIGHT.index("az/alpha")])
+    state = own.state(values, sigma)
+    assert isinstance(state, FlowState)
+    assert (state.beta, state.alpha) == (0.1, -0.2)
+    assert state.beta_sigma == pytest.approx(0.01)
+    assert state.alpha_sigma == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("airspeed", "used"),
+    [
+        (None, SPEED),
+        (0.9 * LEAST_SPEED_SHARE * SPEED, SPEED),
+        (1.1 * LEAST_SPEED_SHARE * SPEED, 1.1 * LEAST_SPEED_SHARE * SPEED),
+        (2.0 * SPEED, 2.0 * SPEED),
+    ],
+)
+def test_the_airspeed_is_the_one_measured_unless_it_hardly_flies(
+    airspeed: float | None, used: float
+) -> None:
+    own = observer()
+    force = np.tile([0.0, 0.0, -GRAVITY], (11, 1))
+    observed(own, np.zeros((11, 3)), force, np.zeros((10, 4)), 0.01, airspeed=airspeed)
+    assert own.state(first_values(FLIGHT), np.zeros(FLIGHT.mask.shape)).airspeed == used
+
+
+# --- an aircraft without an accelerometer -------------------------------------------------------
+
+
+def without_accelerometer(stream: list[Message]) -> list[Message]:
+    return [
+        message._replace(values=(*message.values[:3], 0.0, 0.0, 0.0))
+        if message.stream == "rates"
+        else message
+        for message in stream
+    ]
+
+
+@pytest.mark.parametrize("estimator", ["least_squares", "instrumental_variable"])
+def test_without_an_accelerometer_the_moments_are_those_without_flow(estimator: str) -> None:
+    m = measure(plant_flight(20.0, gusts=ColouredNoise(0.3, 0.3)), Sensors(gyro_noise=0.02), seed=1)
+    stream = without_accelerometer(messages(m))
+    flying = OnlineIdentifier(settings(m, structure="flight_dynamics", estimator=estimator))
+    fixed = ("pdot/ay", "qdot/az", "rdot/ay")
+    plain = OnlineIdentifier(
+        settings(m, structure="augmented", estimator=estimator, fixed_coefficients=fixed)
+    )
+    last, expected = run(flying, stream)[-1], run(plain, stream)[-1]
+    np.testing.assert_allclose(last.coefficients[:3], expected.coefficients, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(last.sigma[:3], expected.sigma, rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(last.predicted_rates, expected.predicted_rates, atol=1e-6)
+    assert not last.coefficients[MOMENTS].any()
+    assert not last.sigma[MOMENTS].any()
+    np.testing.assert_array_equal(last.coefficients[3:], first_values(FLIGHT)[3:])
+
+
+def test_a_warm_start_is_published_whole_before_the_first_sample_is_used() -> None:
+    """Not without its flow angles until there is word of an accelerometer."""
+    values = np.where(FLIGHT.mask, -5.0, 0.0)
+    saved = CoefficientSet("flight_dynamics", values, 0.1 * np.abs(values))
+    identifier = OnlineIdentifier(Settings())
+    identifier.resume(saved)
+    identifier.add_rates(10**9, (0.0, 0.0, 0.0), (0.0, 0.0, GRAVITY))
+    first = identifier.update(2 * 10**9)
+    assert first is not None
+    assert first.state == "waiting"
+    expected = np.where(FLIGHT.mask, np.minimum(values, slope_bounds(FLIGHT)), 0.0)
+    np.testing.assert_array_equal(first.coefficients, expected)
+    assert (first.sigma[FLIGHT.mask] > 0.0).all()
+
+
+def test_an_accelerometer_that_comes_late_is_learned_from() -> None:
+    flight = light_aircraft.fly(
+        LightFlight((Segment("multisine", amplitudes=AMPLITUDES, seed=1),), 60.0)
+    )
+    m = measure(flight, Sensors(gyro_noise=0.005, accelerometer_noise=0.05), seed=1)
+    stream = messages(m)
+    late = int(m.imu_t_ns[0]) + 15 * 10**9
+    mixed = [
+        changed if message.t_ns < late else message
+        for message, changed in zip(stream, without_accelerometer(stream), strict=True)
+    ]
+    identifier = OnlineIdentifier(settings(m))
+    estimates = run(identifier, mixed)
+    before = next(e for e in estimates if e.t_ns > late - 10**9)
+    assert not before.coefficients[MOMENTS].any()
+    for name in ("az/alpha", "qdot/alpha"):
+        found = estimates[-1].coefficients[FLIGHT.index(name)]
+        assert found == pytest.approx(TRUTH[name], rel=0.15)
