@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a surface does, confirmed by the flight or contradicted by it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification.confirmation import Confirmation
+from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS
+
+DT = 0.05
+MAX_AGE = 60.0
+BELIEVED = np.zeros((3, 4))
+"""Control derivatives, rad/s^2 per rad: aileron, elevator and rudder."""
+BELIEVED[0, INPUTS.index("da")] = 40.0
+BELIEVED[1, INPUTS.index("de")] = -25.0
+BELIEVED[2, INPUTS.index("dr")] = -9.0
+ROLL, PITCH, YAW = range(3)
+
+
+class Flown:
+    """Ticks of surfaces that move, in gusts that are slow and large."""
+
+    def __init__(self, seed: int = 1) -> None:
+        self.confirmed = Confirmation()
+        self.max_age = MAX_AGE
+        self._rng = np.random.default_rng(seed)
+        self._gust = np.zeros(3)
+        self._u = np.zeros(4)
+        self.restarted = True
+
+    def fly(self, seconds: float, effect: float = 1.0, moved: float = 1.0, row: int = ROLL) -> None:
+        """Fly with the main surface of a row worth `effect` of what is believed of it."""
+        actual = BELIEVED.copy()
+        actual[row] *= effect
+        for _ in range(round(seconds / DT)):
+            self._gust = 0.9 * self._gust + 0.5 * self._rng.normal(size=3)
+            self._u = 0.8 * self._u + 0.03 * moved * self._rng.normal(size=4)
+            residual = self._gust + (actual - BELIEVED) @ self._u
+            f = np.zeros((1, 15))
+            f[0, INPUT_COLUMNS] = self._u
+            sample = Regression(np.zeros((1, 3)), f, f, DT, self.restarted)
+            self.restarted = False
+            self.confirmed.add(sample, residual, BELIEVED, self.max_age)
+
+    def doubts(self) -> list[str]:
+        return [self.confirmed.doubt(row) for row in range(3)]
+
+
+def test_nothing_is_confirmed_before_anything_has_moved() -> None:
+    assert Flown().doubts() == [
+        "pdot/da is unconfirmed: da has hardly moved of late",
+        "qdot/de is unconfirmed: de has hardly moved of late",
+        "rdot/dr is unconfirmed: dr has hardly moved of late",
+    ]
+
+
+def test_surfaces_that_do_as_believed_are_confirmed() -> None:
+    flight = Flown()
+    flight.fly(20.0)
+    assert flight.doubts() == ["", "", ""]
+
+
+@pytest.mark.parametrize("effect", [-1.0, 0.0], ids=["reversed", "lost"])
+@pytest.mark.parametrize("row", [ROLL, PITCH, YAW])
+def test_a_surface_that_fails_speaks_against_itself(row: int, effect: float) -> None:
+    """Soon, however long it had worked; and the others stay what they are."""
+    flight = Flown()
+    flight.fly(300.0)
+    flight.fly(10.0, effect, row=row)
+    surface = ("da", "de", "dr")[row]
+    axis = ("pdot", "qdot", "rdot")[row]
+    doubts = flight.doubts()
+    assert doubts.pop(row) == f"{axis} does not follow {surface} as {axis}/{surface} says"
+    assert doubts == ["", ""]
+
+
+@pytest.mark.parametrize(("effect", "doubted"), [(0.3, True), (0.7, False), (1.3, False)])
+def test_half_of_what_is_believed_is_the_border(effect: float, doubted: bool) -> None:
+    """Below it the flight speaks for nothing, above it for what is believed."""
+    flight = Flown()
+    flight.fly(60.0)
+    flight.fly(30.0, effect)
+    doubts = flight.doubts()
+    assert ("does not follow" in doubts[ROLL]) == doubted
+    assert doubted or doubts == ["", "", ""]
+
+
+def test_what_does_not_move_fades_in_its_time() -> None:
+    flight = Flown()
+    flight.fly(60.0)
+    flight.fly(0.4 * MAX_AGE, moved=0.0)
+    assert flight.doubts() == ["", "", ""]
+    flight.fly(0.8 * MAX_AGE, moved=0.0)
+    assert all("unconfirmed" in doubt for doubt in flight.doubts())
+    flight.fly(20.0)
+    assert flight.doubts() == ["", "", ""]
+
+
+def test_without_an_age_nothing_fades() -> None:
+    flight = Flown()
+    flight.max_age = 0.0
+    flight.fly(60.0)
+    flight.fly(10.0 * MAX_AGE, moved=0.0)
+    assert flight.doubts() == ["", "", ""]
+
+
+def test_a_row_that_is_learned_anew_is_forgotten_alone() -> None:
+    flight = Flown()
+    flight.fly(60.0)
+    flight.confirmed.forget(PITCH)
+    doubts = flight.doubts()
+    assert doubts[PITCH].startswith("qdot/de is unconfirmed")
+    assert [doubts[ROLL], doubts[YAW]] == ["", ""]
+
+
+def test_a_gap_does_not_undo_what_was_confirmed() -> None:
+    flight = Flown()
+    flight.fly(60.0)
+    flight.restarted = True
+    flight.fly(1.0)
+    assert flight.doubts() == ["", "", ""]
+
+
+def test_a_flight_without_noise_is_judged_too() -> None:
+    confirmed = Confirmation()
+    for k in range(200):
+        f = np.zeros((1, 15))
+        f[0, INPUT_COLUMNS] = 0.05 * np.sin(0.3 * k * np.arange(1.0, 5.0))
+        sample = Regression(np.zeros((1, 3)), f, f, DT)
+        confirmed.add(sample, np.zeros(3), BELIEVED, MAX_AGE)
+    assert [confirmed.doubt(row) for row in range(3)] == ["", "", ""]

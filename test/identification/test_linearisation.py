@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The linear model and its modes, against an aircraft of known derivatives."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification.linearisation import Condition, Mode, linearise, modes
+from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.simulation.light_aircraft import SPEED, TRUTH
+
+FLIGHT = STRUCTURES["flight_dynamics"]
+LEVEL = Condition(SPEED)
+
+
+def aircraft(**changes: float) -> FloatArray:
+    """Coefficients of the light aircraft, some of them changed, as ``qdot_alpha``."""
+    values = np.zeros(FLIGHT.mask.shape)
+    for name, value in {
+        **TRUTH,
+        **{name.replace("_", "/"): value for name, value in changes.items()},
+    }.items():
+        values[FLIGHT.index(name)] = value
+    return values
+
+
+def found(values: FloatArray, share: float = 0.0) -> dict[str, Mode]:
+    sigma = share * np.abs(values)
+    return {mode.name: mode for mode in modes(FLIGHT, values, sigma, LEVEL)}
+
+
+def test_the_modes_are_the_eigenvalues_of_the_equations_by_hand() -> None:
+    c = TRUTH
+    longitudinal = np.array([[c["qdot/q"], c["qdot/alpha"]], [1.0, c["az/alpha"] / SPEED]])
+    lateral = np.array([
+        [c["pdot/p"], c["pdot/r"], c["pdot/beta"], 0.0],
+        [c["rdot/p"], c["rdot/r"], c["rdot/beta"], 0.0],
+        [0.0, -1.0, c["ay/beta"] / SPEED, GRAVITY / SPEED],
+        [1.0, 0.0, 0.0, 0.0],
+    ])  # fmt: skip
+    own = found(aircraft())
+    assert list(own) == ["short period", "roll", "dutch roll", "spiral"]
+    (period,) = (v for v in np.linalg.eigvals(longitudinal) if v.imag > 0.0)
+    eigenvalues = np.linalg.eigvals(lateral)
+    (dutch,) = (v for v in eigenvalues if v.imag > 1e-9)
+    roll, spiral = sorted(v.real for v in eigenvalues if abs(v.imag) <= 1e-9)
+    for name, value in (("short period", period), ("dutch roll", dutch)):
+        assert own[name].eigenvalue == pytest.approx(complex(value))
+        assert own[name].frequency == pytest.approx(abs(value))
+        assert own[name].damping == pytest.approx(-value.real / abs(value))
+        assert math.isnan(own[name].time_constant)
+    for name, value in (("roll", roll), ("spiral", spiral)):
+        assert own[name].eigenvalue.real == pytest.approx(value)
+        assert own[name].time_constant == pytest.approx(-1.0 / value)
+        assert math.isnan(own[name].frequency)
+    assert all(mode.stable == (mode.eigenvalue.real < 0.0) for mode in own.values())
+
+
+def test_an_unstable_spiral_has_a_negative_time_constant() -> None:
+    spiral = found(aircraft(pdot_beta=-2.0, pdot_r=6.0))["spiral"]
+    assert not spiral.stable
+    assert spiral.time_constant < 0.0
+
+
+def test_an_aircraft_without_pitch_stiffness_has_no_short_period() -> None:
+    own = modes(FLIGHT, aircraft(qdot_alpha=5.0), np.zeros(FLIGHT.mask.shape), LEVEL)
+    assert [mode.name for mode in own][:2] == ["longitudinal", "longitudinal"]
+    assert own[0].eigenvalue.real < own[1].eigenvalue.real
+
+
+def test_two_oscillations_are_called_lateral() -> None:
+    """A roll and spiral that have coupled into a lateral phugoid."""
+    own = modes(FLIGHT, aircraft(pdot_p=-0.5, pdot_r=0.0), np.zeros(FLIGHT.mask.shape), LEVEL)
+    names = [mode.name for mode in own if mode.name != "short period"]
+    assert names == ["lateral"] * len(names)
+    assert len(names) == 2
+
+
+def sampled(mode: Mode) -> tuple[float, ...]:
+    value = mode.eigenvalue
+    return (value.real, value.imag, mode.frequency, mode.damping, mode.time_constant)
+
+
+def test_the_standard_deviations_are_those_of_a_monte_carlo() -> None:
+    share, rng, values = 0.02, np.random.default_rng(1), aircraft()
+    own = found(values, share)
+    draws: dict[str, list[Any]] = {name: [] for name in own}
+    for _ in range(1500):
+        for name, mode in found(values * (1.0 + share * rng.normal(size=values.shape))).items():
+            draws[name].append(sampled(mode))
+    for name, mode in own.items():
+        assert len(draws[name]) == 1500
+        spread = np.std(draws[name], axis=0)
+        told = (
+            *mode.eigenvalue_sigma, mode.frequency_sigma, mode.damping_sigma,
+            mode.time_constant_sigma,
+        )  # fmt: skip
+        np.testing.assert_allclose(told, spread, rtol=0.1, atol=1e-12)
+
+
+def test_what_is_known_exactly_has_no_standard_deviation() -> None:
+    for mode in found(aircraft()).values():
+        assert mode.eigenvalue_sigma == (0.0, 0.0)
+
+
+def test_in_a_turn_the_rate_products_count() -> None:
+    values = aircraft()
+    for name, value in (("pdot/qr", -0.7), ("qdot/pr", 0.85), ("rdot/pq", -0.25)):
+        values[FLIGHT.index(name)] = value
+    rates = (0.1, 0.3, -0.2)
+    a, _ = linearise(FLIGHT, values, Condition(SPEED, rates))
+    still, _ = linearise(FLIGHT, values, LEVEL)
+    p, q, r = rates
+    expected = [[0.0, -0.7 * r, -0.7 * q], [0.85 * r, 0.0, 0.85 * p], [-0.25 * q, -0.25 * p, 0.0]]
+    np.testing.assert_allclose((a - still)[:3, :3], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["baseline", "augmented"])
+def test_without_flow_angles_there_are_three_states_and_no_modes(name: str) -> None:
+    structure = STRUCTURES[name]
+    values = np.zeros(structure.mask.shape)
+    values[structure.index("pdot/p")] = -4.0
+    values[structure.index("pdot/da")] = 20.0
+    a, b = linearise(structure, values, LEVEL)
+    assert a.shape == (3, 3)
+    assert (a[0, 0], b[0, 2]) == (-4.0, 20.0)
+    assert modes(structure, values, np.zeros_like(values), LEVEL) == []
+
+
+def test_a_pair_is_told_once() -> None:
+    eigenvalues = [mode.eigenvalue for mode in found(aircraft()).values()]
+    assert all(value.imag >= 0.0 for value in eigenvalues)
+    assert len({cmath.polar(value) for value in eigenvalues}) == 4
