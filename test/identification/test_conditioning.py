@@ -195,10 +195,10 @@ def held(identifier: OnlineIdentifier) -> int:
 @pytest.mark.parametrize("feed", ["both", "rates", "actuators", "stopped rates"])
 @pytest.mark.parametrize("method", ["state_variable", "backward_difference"])
 def test_memory_stays_bounded(feed: str, method: str) -> None:
-    estimator = "least_squares" if method == "state_variable" else "gradient"
-    identifier = OnlineIdentifier(
-        Settings.from_values({"filter.method": method, "estimator": estimator})
-    )
+    own = {"filter.method": method, "estimator": "least_squares"}
+    if method == "backward_difference":
+        own |= {"estimator": "gradient", "structure": "augmented"}
+    identifier = OnlineIdentifier(Settings.from_values(own))
     sizes = []
     for k in range(60 * 200):
         t = S + k * 5 * MS

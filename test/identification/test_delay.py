@@ -94,6 +94,7 @@ def test_the_papers_differences_cannot_show_a_delay() -> None:
                 "actuators.estimate_delay": True,
                 "filter.method": "backward_difference",
                 "estimator": "gradient",
+                "structure": "baseline",
             }
         )
     assert caught.value.name == "actuators.estimate_delay"
@@ -162,7 +163,7 @@ def test_the_bank_is_the_batch_solution() -> None:
     cells, h = 2000, 0.005
     rng = np.random.default_rng(1)
     x, u = rng.normal(size=(cells + 1, 3)).cumsum(axis=0) * 0.05, rng.normal(size=(cells, 4))
-    force = rng.normal(size=(cells + 1, 2))
+    force = rng.normal(size=(cells + 1, 3))
     bank = DelayBank(h, np.zeros(3))
     for k in range(0, cells, 10):
         block = Block(

@@ -10,7 +10,7 @@ import itertools
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from datetime import UTC
 from typing import Any
 
@@ -67,6 +67,8 @@ any_stamp = st.one_of(
 
 def changed(values: dict[str, object]) -> Settings:
     """Settings with what is given, as far as it goes together."""
+    if (values["structure"], values["estimator"]) == ("flight_dynamics", "gradient"):
+        values = values | {"estimator": "least_squares"}
     try:
         return Settings.from_values(values)
     except SettingsError:
@@ -284,6 +286,11 @@ def check(estimate: Estimate, settings: Settings) -> None:
     assert estimate.state in [state.value for state in State]
     structure = STRUCTURES[settings.structure]
     assert not estimate.coefficients[~structure.mask].any()
+    assert (estimate.flow is not None) == structure.has_flow
+    if estimate.flow is not None:
+        assert np.isfinite(astuple(estimate.flow)).all()
+        assert abs(np.linalg.norm(estimate.flow.down) - 1.0) < 1e-9
+        assert estimate.flow.airspeed > 0.0
 
 
 # An Imu at 4 Hz leaves two delays to choose from: no minimum among them.
@@ -295,7 +302,13 @@ BEYOND_64_BITS = [Set(2**64 * 1000), SLOW_IMU[1], Set(2**63 - S), SLOW_IMU[1]]
 # Signals whose squares have no number any more.
 DENORMAL = [Fly(3.0, 50.0, 1e-160, 0.02, 1)]
 DENORMAL_IN_THE_PAPER = [Fly(3.0, 50.0, 0.0, 0.02, 2)]
-PAPER = Settings.from_values({"estimator": "gradient", "filter.method": "backward_difference"})
+PAPER = Settings.from_values(
+    {
+        "estimator": "gradient",
+        "filter.method": "backward_difference",
+        "structure": "throttle_coupled",
+    }
+)
 
 
 @FEWER
@@ -538,7 +551,7 @@ def value_of(setting: Setting, channels: int, structure: str) -> st.SearchStrate
     if setting.name == "gradient.gains":
         lengths = (0, n, n * n)
     if setting.name == "initial_coefficients":
-        lengths = (0, 3 * n)
+        lengths = (0, len(STRUCTURES[structure].dense_rows) * n)
     if setting.name == "fixed_coefficients":
         known = st.sampled_from(STRUCTURES[structure].names)
         return st.lists(known, unique=True).map(tuple)

@@ -46,6 +46,7 @@ def estimate(identifier: OnlineIdentifier, *, usable: bool) -> Estimate:
         fit=np.zeros(3),
         adapting=True,
         usable=usable,
+        usable_rows=(usable,) * 3,
         state="learning",
         reason="",
     )
@@ -56,7 +57,8 @@ class Vehicle:
 
     def __init__(self, path: Path, **settings: object) -> None:
         given = {name.replace("__", "."): value for name, value in settings.items()}
-        self.identifier = OnlineIdentifier(Settings.from_values({"state_file": str(path), **given}))
+        own = {"state_file": str(path), "structure": STRUCTURE.name, **given}
+        self.identifier = OnlineIdentifier(Settings.from_values(own))
         log = rclpy.logging.get_logger("test_memory")
         self.memory = Memory(self.identifier, NODE, log)
 
