@@ -11,11 +11,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from uav_ident_ros.identification.model import LARGEST_RATE
+from uav_ident_ros.identification.linearisation import Condition, linearise
+from uav_ident_ros.identification.model import GRAVITY, LARGEST_RATE
 from uav_ident_ros.identification.prediction import (
+    HORIZONS,
     LARGEST_STEP_NS,
     SELECTIONS,
+    Flown,
+    FlowStates,
     InputSignal,
+    Published,
     WindowErrors,
     fit,
     predict_ahead,
@@ -28,6 +33,8 @@ Array = NDArray[np.float64]
 START_NS = 1_700_000_000_000_000_000
 TIGHT = {"rtol": 1e-9, "atol": 1e-11, "method": "DOP853"}
 BASELINE, AUGMENTED = STRUCTURES["baseline"], STRUCTURES["augmented"]
+FLIGHT = STRUCTURES["flight_dynamics"]
+AIRSPEED = 18.0
 EVERYTHING = {"all": lambda t, first, last: np.ones(len(t), dtype=bool)}
 
 
@@ -46,6 +53,14 @@ def true_coefficients(structure: Structure) -> Array:
             "rdot/ay": -0.5, "pdot/dth": 0.2, "rdot/dth": -0.1,
         }.items():  # fmt: skip
             a[structure.index(name)] = value
+    if structure is FLIGHT:
+        for name, value in {
+            "pdot/1": 0.02, "qdot/1": 3.6, "rdot/1": 0.01, "pdot/beta": -12.0,
+            "qdot/alpha": -30.0, "rdot/beta": 14.0, "pdot/dth": 0.2, "rdot/dth": -0.1,
+            "ay/beta": -12.0, "ay/dr": 3.0, "az/alpha": -80.0, "az/de": -6.0,
+            "betadot/1": 0.02, "alphadot/1": -0.03,
+        }.items():  # fmt: skip
+            a[structure.index(name)] = value
     return a
 
 
@@ -62,25 +77,49 @@ class Record:
     structure: Structure
     lever_arm: Array | None = None
 
-    def score(self) -> dict[str, Array]:
-        return {k: v.model for k, v in score(*self.arguments(), **self.options()).items()}
+    flow: FlowStates | None = None
 
-    def arguments(self) -> tuple:
-        return (
-            self.t_ns, self.rates, self.inputs, self.force, self.ticks_ns, self.coefficients,
-            self.structure,
-        )  # fmt: skip
+    @property
+    def flown(self) -> Flown:
+        return Flown(self.t_ns, self.rates, self.inputs, self.force, self.lever_arm)
 
-    def options(self) -> dict:
-        return {"lever_arm": self.lever_arm}
+    @property
+    def published(self) -> Published:
+        return Published(self.ticks_ns, self.coefficients, self.structure, self.flow)
+
+    def at_ticks(self, which) -> Record:
+        """What was published at some of the ticks alone."""
+        flow = None if self.flow is None else self.flow.chosen(which)
+        return replace(
+            self,
+            ticks_ns=self.ticks_ns[which],
+            coefficients=self.coefficients[which],
+            flow=flow,
+        )
 
     def everything(self):
-        return score(*self.arguments(), **self.options(), selections=EVERYTHING)["all"]
+        return score(self.flown, self.published, EVERYTHING)["all"]
 
 
 def force_of(t: Array) -> Array:
     """Some smooth ay, az at the centre of gravity."""
     return np.stack([np.sin(2.1 * t) + 0.3, 9.8 + 1.5 * np.cos(1.7 * t)], axis=-1)
+
+
+def motion(structure: Structure, a: Array, state: Array, u: Array, force: Array) -> Array:
+    """Rates of change of p, q, r; with flow angles of beta, alpha, roll and pitch too."""
+    if structure is not FLIGHT:
+        return a @ structure.regressor(state, u, force)
+    p, q, r, beta, alpha, roll, pitch = state
+    rows = a @ structure.regressor(state[:3], u, np.array([beta, alpha]))
+    side, down = (GRAVITY * part(roll) * np.cos(pitch) for part in (np.sin, np.cos))
+    return np.array([
+        *rows[:3],
+        -r + (rows[3] + side) / AIRSPEED + rows[5],
+        q + (rows[4] + down) / AIRSPEED + rows[6],
+        p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)),
+        q * np.cos(roll) - r * np.sin(roll),
+    ])  # fmt: skip
 
 
 def fly(
@@ -109,31 +148,36 @@ def fly(
             return u[np.searchsorted(tu, at - delay + 1e-12, side="right") - 1]
         return np.array([np.interp(at - delay, tu, column) for column in u.T])
 
+    start = np.array([0.1, -0.05, 0.02])
+    if structure is FLIGHT:
+        start = np.concatenate([start, [0.03, 0.12, 0.1, 0.02]])
+    width = len(start)
+
     def derivative(at: float, state: Array) -> Array:
-        x, servo = state[:3], state[3:]
+        x, servo = state[:width], state[width:]
         command = commanded(at)
         actual = servo if time_constant else command
-        xdot = a @ structure.regressor(x, actual, force_of(np.array(at)))
-        xdot = xdot if at >= 0.0 else np.zeros(3)  # before the start only the servos move
+        xdot = motion(structure, a, x, actual, force_of(np.array(at)))
+        xdot = xdot if at >= 0.0 else np.zeros(width)  # before the start only the servos move
         lag = (command - servo) / time_constant if time_constant else np.zeros(4)
         return np.concatenate([xdot, lag])
 
     corners = np.unique(np.concatenate([t, tu + delay]))
     corners = corners[(corners >= tu[0] + delay) & (corners <= t[-1])]
-    state = np.concatenate([[0.1, -0.05, 0.02], u[0]])
+    state = np.concatenate([start, u[0]])
     states = [state]
     for begin, end in pairwise(corners):
         # piecewise, so that no corner of the input lies within a step
         inner = (begin + 1e-9, end - 1e-9) if interpolation == "hold" else (begin, end)
         state = solve_ivp(derivative, inner, state, **TIGHT).y[:, -1]
         states.append(state)
-    at_samples = np.isin(corners, t)
-    x = np.array(states)[at_samples, :3]
-    force = force_of(t)
+    at_samples = np.array(states)[np.isin(corners, t)]
+    x, flow, servo = at_samples[:, :3], at_samples[:, 3:width], at_samples[:, width:]
+    actual = servo if time_constant else np.array([commanded(v) for v in t])
+    regressors = structure.regressor(x, actual, flow[:, :2] if structure is FLIGHT else force_of(t))
+    force = regressors @ a[3:5].T if structure is FLIGHT else force_of(t)
     if lever_arm is not None:
-        servo = np.array(states)[at_samples, 3:]
-        actual = servo if time_constant else np.array([commanded(v) for v in t])
-        wdot = structure.regressor(x, actual, force) @ a.T
+        wdot = regressors @ a[:3].T
         swing = np.cross(wdot, lever_arm) + np.cross(x, np.cross(x, lever_arm))
         force = force + swing[:, 1:]
     first_tick = -(-int(t_ns[0]) // 50_000_000)
@@ -143,7 +187,20 @@ def fly(
         delay, time_constant, interpolation,
     )  # fmt: skip
     coefficients = np.broadcast_to(a, (len(ticks_ns), *a.shape))
-    return Record(t_ns, x, signal, force, ticks_ns, coefficients, structure, lever_arm)
+    return Record(
+        t_ns, x, signal, force, ticks_ns, coefficients, structure, lever_arm,
+        flow_states_at(ticks_ns, t_ns, flow) if structure is FLIGHT else None,
+    )  # fmt: skip
+
+
+def flow_states_at(ticks_ns: NDArray[np.int64], t_ns: NDArray[np.int64], flow: Array) -> FlowStates:
+    """Flow angles and attitude at the ticks, from beta, alpha, roll and pitch at the samples."""
+    beta, alpha, roll, pitch = (
+        np.interp(ticks_ns - START_NS, t_ns - START_NS, part) for part in flow.T
+    )
+    down = (-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch))
+    speed = np.full(len(ticks_ns), AIRSPEED)
+    return FlowStates(np.stack([beta, alpha], axis=1), np.stack(down, axis=1), speed)
 
 
 CASES = {
@@ -154,8 +211,11 @@ CASES = {
     "delay and lag": {"delay": 0.033, "time_constant": 0.06},
     "held inputs": {"interpolation": "hold", "delay": 0.021},
     "held and lagged inputs": {"interpolation": "hold", "time_constant": 0.05},
-    "augmented": {"structure": AUGMENTED, "rate": 200.0},
-}
+    "flight dynamics": {"structure": FLIGHT, "rate": 200.0},
+    "flight dynamics, delay and lag": {
+        "structure": FLIGHT, "rate": 200.0, "delay": 0.033, "time_constant": 0.06,
+    },
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -166,25 +226,39 @@ def test_true_coefficients_predict_everything(case: str) -> None:
     # Where a straight line between samples has to stand for the initial rates or the specific
     # force, the measurement itself is not quite the truth.
     exact = record.structure is BASELINE and not case.startswith(("irregular", "slow"))
-    assert (result.model > (99.995 if exact else 99.0)).all()
-    assert (result.model <= 100.0).all()
+    assert (result.free[:2] > (99.995 if exact else 99.0)).all()
+    assert (result.free[:2] <= 100.0).all()
     assert (result.hold < 60.0).all()
+    np.testing.assert_array_equal(
+        (result.model, result.hold), (result.free[0], result.free_hold[0])
+    )
 
 
-def test_lever_arm_is_accounted_for() -> None:
+def test_the_forces_of_the_augmented_structure_are_held() -> None:
+    """They are its regressors: nothing says what they become. Measured, they leave no error."""
+    result = fly(AUGMENTED, duration=4.0, rate=200.0).everything()
+    assert (result.measured_force > 99.0).all()
+    assert (result.measured_force <= 100.0).all()
+    assert (result.model < 95.0).all()
+
+
+@pytest.mark.parametrize("structure", [AUGMENTED, FLIGHT])
+def test_lever_arm_is_accounted_for(structure: Structure) -> None:
     arm = np.array([0.3, -0.05, 0.1])
-    record = fly(AUGMENTED, duration=4.0, rate=200.0, lever_arm=arm)
-    assert (record.everything().model > 99.8).all()
-    assert (replace(record, lever_arm=None).everything().model < 95.0).any()
+    record = fly(structure, duration=4.0, rate=200.0, lever_arm=arm)
+    assert (record.everything().measured_force > 99.8).all()
+    assert (replace(record, lever_arm=None).everything().measured_force < 95.0).any()
 
 
-def inside(record: Record, tick: int) -> NDArray[np.bool_]:
+def inside(record: Record, tick: int, horizon: float = 1.0) -> NDArray[np.bool_]:
     """Flags of the gyro samples in a window."""
     start = record.ticks_ns[tick]
-    return (record.t_ns > start) & (record.t_ns <= start + 1_000_000_000)
+    return (record.t_ns > start) & (record.t_ns <= start + round(horizon * 1e9))
 
 
-def predicted(record: Record, tick: int, held_force: bool = False) -> tuple[Array, Array]:
+def predicted(
+    record: Record, tick: int, *, free: bool, horizon: float = 1.0
+) -> tuple[Array, Array]:
     """Prediction and measurement at the gyro samples of a window, by SciPy.
 
     Integrated from corner to corner of the piecewise linear signals: a step across a corner has
@@ -192,25 +266,37 @@ def predicted(record: Record, tick: int, held_force: bool = False) -> tuple[Arra
     """
     t = (record.t_ns - START_NS) * 1e-9
     t0 = (record.ticks_ns[tick] - START_NS) * 1e-9
-    window = inside(record, tick)
+    window = inside(record, tick, horizon)
     tu = (record.inputs.t_ns - START_NS) * 1e-9
+    structure, a = record.structure, record.coefficients[tick]
 
     def force_at(at: float) -> Array:
         return np.array([np.interp(at, t, column) for column in record.force.T])
 
-    def derivative(at: float, x: Array) -> Array:
+    def derivative(at: float, state: Array) -> Array:
         u = np.array([np.interp(at, tu, column) for column in record.inputs.u.T])
-        f = record.structure.regressor(x, u, force_at(t0 if held_force else at))
-        return record.coefficients[tick] @ f
+        if free:
+            return motion(structure, a, state, u, force_at(t0))
+        last = force_at(at)
+        if structure is FLIGHT:  # the flow angles at which the rows give the measured forces
+            dr, de = u[1], u[0]
+            ay, az = last
+            y, z = (dict(zip(structure.regressors, a[i], strict=True)) for i in (3, 4))
+            last = np.array([(ay - y["dr"] * dr) / y["beta"], (az - z["de"] * de) / z["alpha"]])
+        return a[:3] @ structure.regressor(state, u, last)
 
     state = np.array([np.interp(t0, t, column) for column in record.rates.T])
+    if free and record.flow is not None:
+        down = record.flow.down[tick]
+        attitude = [np.arctan2(down[1], down[2]), -np.arcsin(down[0])]
+        state = np.concatenate([state, record.flow.angles[tick], attitude])
     last = t[window][-1]
     corners = np.unique(np.concatenate([[t0, last], t, tu]))
     at_samples = []
     for begin, end in pairwise(corners[(corners >= t0) & (corners <= last)]):
-        state = solve_ivp(derivative, (begin, end), state, rtol=1e-8, atol=1e-10).y[:, -1]
+        state = solve_ivp(derivative, (begin, end), state, rtol=1e-10, atol=1e-12).y[:, -1]
         if end in t:
-            at_samples.append(state)
+            at_samples.append(state[:3])
     return np.array(at_samples), record.rates[window]
 
 
@@ -221,9 +307,11 @@ def runge_kutta_error(record: Record, tick: int) -> float:
     forgets within 1 / (s h) steps.
     """
     structure, a = record.structure, record.coefficients[tick]
-    damping = a[:, [structure.regressors.index(rate) for rate in "pqr"]]
-    modes = np.abs(np.linalg.eigvals(damping))
-    return float((modes.max() * LARGEST_STEP_NS * 1e-9) ** 4 / 120.0 * np.abs(record.rates).max())
+    fastest = np.abs(np.linalg.eigvals(linearise(structure, a, Condition(AIRSPEED))[0])).max()
+    amplitude = np.abs(record.rates).max()
+    if record.flow is not None:
+        amplitude = max(amplitude, fastest * np.abs(record.flow.angles).max())
+    return float((fastest * LARGEST_STEP_NS * 1e-9) ** 4 / 120.0 * amplitude)
 
 
 def percent(model: list[Array], measured: list[Array]) -> Array:
@@ -233,12 +321,16 @@ def percent(model: list[Array], measured: list[Array]) -> Array:
     return 100.0 * (1.0 - distance / np.linalg.norm(x - x.mean(axis=0), axis=0))
 
 
-@pytest.mark.parametrize("horizon_ns", [1_000_000_000, 50_000_000])
-def test_predictions_ahead_are_where_an_integration_ends(horizon_ns: int) -> None:
-    record = fly(AUGMENTED, duration=3.0)
+@pytest.mark.parametrize("structure", [AUGMENTED, FLIGHT])
+@pytest.mark.parametrize("horizon", [1.0, 0.05])
+def test_predictions_ahead_are_where_an_integration_ends(
+    structure: Structure, horizon: float
+) -> None:
+    record = fly(structure, duration=3.0)
     factors = np.random.default_rng(3).uniform(0.5, 1.5, (len(record.ticks_ns), 1, 1))
     record = replace(record, coefficients=record.coefficients * factors)
-    t_ns, ahead = predict_ahead(*record.arguments(), horizon_ns=horizon_ns)
+    t_ns, ahead = predict_ahead(record.flown, record.published, horizon)
+    horizon_ns = round(horizon * 1e9)
     count = int((record.ticks_ns + horizon_ns <= record.t_ns[-1]).sum())
     np.testing.assert_array_equal(t_ns, record.ticks_ns[:count] + horizon_ns)
     for tick in (0, count // 2, count - 1):
@@ -250,39 +342,86 @@ def test_predictions_ahead_are_where_an_integration_ends(horizon_ns: int) -> Non
                 force=record.force[: len(shorter.t_ns)],
             ),
             tick,
+            free=True,
         )
         allowed = runge_kutta_error(record, tick)
         assert allowed < 1e-6
         np.testing.assert_allclose(ahead[tick], model[-1], rtol=0.0, atol=allowed)
 
 
-def test_fit_equals_the_formula_with_wrong_and_changing_coefficients() -> None:
-    record = fly(AUGMENTED, duration=3.0, jitter=0.3)
+def with_errors(record: Record) -> Record:
+    """The record with noise, and with other wrong coefficients at every fourth tick."""
     rng = np.random.default_rng(3)
     noisy = record.rates + 0.02 * rng.normal(size=record.rates.shape)
-    factors = rng.uniform(0.5, 1.5, (len(record.ticks_ns), 1, 1))
-    record = replace(
-        record,
-        rates=noisy,
-        ticks_ns=record.ticks_ns[::4],
-        coefficients=(record.coefficients * factors)[::4],
+    factors = rng.uniform(0.7, 1.4, (len(record.ticks_ns), 1, 1))
+    return replace(record, rates=noisy, coefficients=record.coefficients * factors).at_ticks(
+        np.arange(len(record.ticks_ns)) % 4 == 0
     )
+
+
+@pytest.mark.parametrize("structure", [AUGMENTED, FLIGHT])
+def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(structure: Structure) -> None:
+    record = with_errors(fly(structure, duration=3.0, jitter=0.3))
     result = record.everything()
     windows = range(result.windows)
-    runs = [predicted(record, k) for k in windows]
-    held = [predicted(record, k, held_force=True) for k in windows]
+    runs = [predicted(record, k, free=True) for k in windows]
+    forced = [predicted(record, k, free=False) for k in windows]
     measured = [m for _, m in runs]
-    t = (record.t_ns - START_NS) * 1e-9
-    at = (record.ticks_ns[: len(measured)] - START_NS) * 1e-9
-    x0 = np.stack([np.interp(at, t, column) for column in record.rates.T], axis=1)
-    hold = [np.tile(x, (len(m), 1)) for x, m in zip(x0, measured, strict=True)]
     assert result.samples == sum(map(len, measured))
     np.testing.assert_allclose(result.model, percent([p for p, _ in runs], measured), atol=2e-4)
     np.testing.assert_allclose(
-        result.held_force, percent([p for p, _ in held], measured), atol=2e-4
+        result.measured_force, percent([p for p, _ in forced], measured), atol=2e-4
     )
-    np.testing.assert_allclose(result.hold, percent(hold, measured), atol=1e-8)
-    assert not np.allclose(result.held_force, result.model, atol=1.0)
+    np.testing.assert_allclose(result.hold, percent(holding(record, measured), measured), atol=1e-8)
+    assert not np.allclose(result.measured_force, result.model, atol=1.0)
+
+
+def holding(record: Record, measured: list[Array]) -> list[Array]:
+    """The rate at the start of each of the first windows, for each of its samples."""
+    t = (record.t_ns - START_NS) * 1e-9
+    at = (record.ticks_ns[: len(measured)] - START_NS) * 1e-9
+    x0 = np.stack([np.interp(at, t, column) for column in record.rates.T], axis=1)
+    return [np.tile(x, (len(m), 1)) for x, m in zip(x0, measured, strict=True)]
+
+
+def test_longer_horizons_are_scored_where_the_flight_covers_them() -> None:
+    """Three seconds over the windows that have three, five over those that have five."""
+    record = with_errors(fly(FLIGHT, duration=5.6, rate=50.0))
+    result = record.everything()
+    for i, horizon in enumerate(HORIZONS):
+        ends = record.ticks_ns + round(horizon * 1e9)
+        covered = np.flatnonzero(ends <= record.t_ns[-1])
+        runs = [predicted(record, int(k), free=True, horizon=horizon) for k in covered]
+        measured = [m for _, m in runs]
+        np.testing.assert_allclose(
+            result.free[i], percent([p for p, _ in runs], measured), atol=2e-3
+        )
+        np.testing.assert_allclose(
+            result.free_hold[i], percent(holding(record, measured), measured), atol=1e-8
+        )
+    assert len(covered) == 3
+
+
+def test_a_horizon_that_no_window_covers_has_no_score() -> None:
+    result = fly(FLIGHT, duration=4.0).everything()
+    assert np.isfinite(result.free[:2]).all()
+    assert np.isnan(result.free[2]).all()
+    assert np.isnan(result.free_hold[2]).all()
+
+
+def test_a_free_prediction_sees_nothing_measured_after_its_start() -> None:
+    """But the inputs: rates and forces from then on may be anything."""
+    record = fly(FLIGHT, duration=2.0)
+    rng = np.random.default_rng(5)
+    later = record.t_ns > record.ticks_ns[10]
+    other = replace(
+        record,
+        rates=np.where(later[:, None], rng.normal(size=record.rates.shape), record.rates),
+        force=np.where(later[:, None], 50.0, record.force),
+    )
+    (_, ahead), (_, again) = (predict_ahead(r.flown, r.published) for r in (record, other))
+    np.testing.assert_array_equal(ahead[: 10 + 1], again[: 10 + 1])
+    assert not np.allclose(ahead[12:], again[12:])
 
 
 def test_windows_of_the_record_and_their_counts() -> None:
@@ -291,15 +430,15 @@ def test_windows_of_the_record_and_their_counts() -> None:
     ticks = START_NS + 50_000_000 * np.arange(1, 1201)
     inputs = InputSignal(t_ns, np.zeros((6001, 4)))
     coefficients = np.zeros((1200, 3, BASELINE.size))
-    result = score(t_ns, rates, inputs, None, ticks, coefficients, BASELINE)
+    result = score(Flown(t_ns, rates, inputs), Published(ticks, coefficients, BASELINE))
     assert list(result) == list(SELECTIONS) == ["last_40_percent", "after_30_s"]
     # starts from 36 s, and from 30 s, to 59 s, both included
     assert result["last_40_percent"].windows == 23 * 20 + 1
     assert result["after_30_s"].windows == 29 * 20 + 1
     assert result["after_30_s"].samples == (29 * 20 + 1) * 100
     # a model without coefficients holds the initial rate
-    np.testing.assert_allclose(result["after_30_s"].model, result["after_30_s"].hold)
-    assert np.isnan(result["after_30_s"].held_force).all()
+    np.testing.assert_allclose(result["after_30_s"].free, result["after_30_s"].free_hold)
+    assert np.isnan(result["after_30_s"].measured_force).all()
 
 
 def test_divergent_prediction_is_clipped() -> None:
@@ -326,42 +465,38 @@ def test_no_window_spans_a_gap_or_needs_unknown_inputs() -> None:
     cut = replace(
         record, t_ns=record.t_ns[keep], rates=record.rates[keep], force=record.force[keep]
     )
-    errors = window_errors(*cut.arguments())
+    errors = window_errors(cut.flown, cut.published)
     starts = (errors.t_ns - START_NS) * 1e-9
     assert not ((starts > 1.995) & (starts < 3.505)).any()
-    assert (errors.count >= 99).all()
+    assert (errors.count[:, 0] >= 99).all()
+    beyond = (errors.count == 0) == (
+        starts[:, None] + HORIZONS > np.where(starts < 3.0, 2.995, 7.985)[:, None]
+    )
+    assert beyond.all()
     known = replace(record.inputs, t_ns=record.inputs.t_ns[50:90], u=record.inputs.u[50:90])
-    starts = (window_errors(*replace(record, inputs=known).arguments()).t_ns - START_NS) * 1e-9
+    errors = window_errors(replace(record, inputs=known).flown, record.published)
+    starts = (errors.t_ns - START_NS) * 1e-9
     first, last = ((known.t_ns[i] - START_NS) * 1e-9 for i in (0, -1))
     assert starts[0] == pytest.approx(first)
     assert starts[-1] == pytest.approx(last + 0.5 - 1.0)  # held for the timeout after the last
 
 
 def test_stretches_can_be_joined() -> None:
-    record = fly(duration=6.0)
-    whole = window_errors(*record.arguments())
+    record = fly(FLIGHT, duration=6.0)
+    whole = window_errors(record.flown, record.published)
     half = record.ticks_ns < START_NS + 3_000_000_000
-    parts = [
-        window_errors(
-            *replace(
-                record, ticks_ns=record.ticks_ns[k], coefficients=record.coefficients[k]
-            ).arguments()
-        )
-        for k in (half, ~half)
-    ]
+    parts = [window_errors(record.flown, record.at_ticks(k).published) for k in (half, ~half)]
     joined = WindowErrors.join(parts)
     everything = np.ones(len(whole.t_ns), dtype=bool)
-    np.testing.assert_allclose(
-        fit(joined, everything).model, fit(whole, everything).model, atol=1e-6
-    )
+    np.testing.assert_allclose(fit(joined, everything).free, fit(whole, everything).free, atol=1e-6)
 
 
 def test_too_short_a_flight_has_no_score() -> None:
     record = fly(duration=0.9)
     result = record.everything()
     assert result.windows == result.samples == 0
-    assert np.isnan(result.model).all()
-    assert np.isnan(result.hold).all()
+    assert np.isnan(result.free).all()
+    assert np.isnan(result.free_hold).all()
 
 
 def test_without_inputs_there_is_no_window() -> None:
@@ -378,8 +513,12 @@ def test_wrong_arguments_are_named() -> None:
         ({"rates": record.rates[1:]}, "differ in number"),
         ({"structure": AUGMENTED}, r"shape .* is needed for the ticks and structure 'augmented'"),
     ):
+        wrong = replace(record, **change)
         with pytest.raises(ValueError, match=words):
-            window_errors(*replace(record, **change).arguments())
+            window_errors(wrong.flown, wrong.published)
+    blind = replace(fly(FLIGHT, duration=2.0), flow=None)
+    with pytest.raises(ValueError, match="needs the flow states"):
+        window_errors(blind.flown, blind.published)
 
 
 def test_lagged_input_is_the_solution_of_its_equation() -> None:
