@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 import setuptools
 
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.client import Refusal
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.files.parameter_table import TABLES, MarkerError, full_tables, main, renew
@@ -28,6 +29,7 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.settings import Settings, declarations
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.types import named_entries
+from uav_ident_ros.offline.run import choose_inputs
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
@@ -168,6 +170,24 @@ def test_every_command_exists_and_knows_its_options(page: Path) -> None:
             assert words[3] in executables
         elif words[:3] == ["ros2", "launch", "uav_ident_ros"]:
             check_launch_arguments(ROOT / "launch" / words[3], words[4:])
+
+
+def test_replay_commands_fit_the_bags_that_they_name() -> None:
+    """Each parameter file with its bag: one that does not fit would end with status 2."""
+    tried = 0
+    for line in (line for page in (README, *DOCS) for line in command_lines(text_of(page))):
+        words = line.split()
+        if words[:1] != [".venv/bin/replay"] or not (ROOT / words[1] / "metadata.yaml").is_file():
+            continue
+        base = words[words.index("--params-file") + 1]
+        compared = words[words.index("--compare") + 1 :] if "--compare" in words else []
+        for file in compared or [base]:
+            parameters = load_parameters(ROOT / base, "/identifier")
+            parameters |= load_parameters(ROOT / file, "/identifier")
+            with Bag(ROOT / words[1]) as bag:
+                assert choose_inputs(bag, parameters).actuators_topic == "/actuators"
+            tried += 1
+    assert tried >= 4
 
 
 def check_options(page: Path, name: str, words: list[str]) -> None:

@@ -149,7 +149,7 @@ def handled(pid: int, number: signal.Signals) -> bool:
     return caught is not None and bool(int(caught[1], 16) >> (number - 1) & 1)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signal_ends_it_cleanly(start_node: StartNode, number: int) -> None:
     node = start_node()
     assert wait_for(lambda: "no message on '/imu/data' yet" in node.log), node.log
