@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from imported import contents, parameters, refusal, replayed, run
+from pyulog.ulog2csv import convert_ulog2csv
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
 from uav_ident_ros.bags.reading import Bag
@@ -365,6 +366,32 @@ def test_an_airspeed_that_is_no_use_is_left_out(tmp_path: Path, capsys, part: sl
     assert ("no speed of flight is in the log: set airspeed.reference" in said) == slow
     assert ("airspeed.reference is the median speed over ground" in said) != slow
     assert "structure" not in values
+
+
+def test_the_tables_of_ulog2csv(tmp_path: Path, capsys) -> None:
+    """By pyulog's own converter: what comes in is what the log itself gives."""
+    motors = commands(COMMAND_NS, padded(0.5 + 0.1 * noise(4), 12), "control", delay_us=30)
+    topics = combined() | {("actuator_motors", 0): motors}
+    whole, values, _ = imported(tmp_path, capsys, topics, QUAD_X)
+    folder = tmp_path / "tables"
+    folder.mkdir()
+    convert_ulog2csv(str(tmp_path / "flight.ulg"), None, str(folder), ",", None, None)
+    lines = "".join(f"{name},{value}\n" for name, value in QUAD_X.items())
+    (folder / "flight_params.csv").write_text(lines)
+    said = run([str(folder), "--output", str(tmp_path / "again")], capsys)
+    again = contents(tmp_path / "again")
+    np.testing.assert_array_equal(again.imu_t_ns, whole.imu_t_ns)
+    np.testing.assert_array_equal(again.actuator_t_ns, whole.actuator_t_ns)
+    np.testing.assert_allclose(again.rates, whole.rates, rtol=1e-6)
+    np.testing.assert_allclose(again.actuators, whole.actuators, rtol=1e-6)
+    assert parameters(tmp_path / "again")["actuators.mixing.de"] == values["actuators.mixing.de"]
+    assert "PX4, by ulog2csv" in said
+    (folder / "flight_params.csv").unlink()
+    line = refusal([str(folder), "--output", str(tmp_path / "third")], capsys)
+    assert "no parameter (CA_ROTOR*, CA_SV_CS*) says" in line
+    (folder / "other_sensor_combined_0.csv").write_text("timestamp\n1\n")
+    line = refusal([str(folder), "--output", str(tmp_path / "third")], capsys)
+    assert "has the tables of several logs, flight, other" in line
 
 
 def test_attitude_and_arming_come_along(tmp_path: Path, capsys) -> None:

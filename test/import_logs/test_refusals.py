@@ -21,7 +21,7 @@ from ulog_writing import commands, sensor_combined, write_ulog
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.import_logs.cli import DAMAGED
 from uav_ident_ros.import_logs.dataflash import HEADER, DataflashLog
-from uav_ident_ros.import_logs.px4_log import MAGIC, SYNC, Px4Log
+from uav_ident_ros.import_logs.px4_log import MAGIC, SYNC, read_ulog
 
 IMU_NS = 5_000_000 * np.arange(1, 2001)
 VALUES = np.random.default_rng(1).normal(size=(len(IMU_NS), 3))
@@ -52,7 +52,9 @@ def test_no_file(tmp_path: Path, capsys, out) -> None:
 
 
 def test_a_folder(tmp_path: Path, capsys, out) -> None:
-    assert "Is a directory" in refusal([str(tmp_path), *out], capsys)
+    assert "has no table of ulog2csv, as LOG_sensor_combined_0.csv" in refusal(
+        [str(tmp_path), *out], capsys
+    )
 
 
 @pytest.mark.parametrize("name", ["flight.ulg", "flight.bin", "flight.csv"])
@@ -182,7 +184,7 @@ def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
         written.write(struct.pack("<HB", len(content), ord(kind)) + content)
     path = tmp_path / "nested.ulg"
     path.write_bytes(written.getvalue())
-    ours, theirs = Px4Log(path), ULog(str(path))
+    ours, theirs = read_ulog(path), ULog(str(path))
     assert (ours.damage, ours.remarks) == ([], [])
     (topic,) = theirs.data_list
     assert (topic.name, topic.multi_id) == ("nested", 2)

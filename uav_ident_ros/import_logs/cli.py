@@ -55,7 +55,8 @@ def parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     add = result.add_argument
-    add("log", type=Path, metavar="LOG", help="log file; its first bytes tell what it is")
+    add("log", type=Path, metavar="LOG",
+        help="log file, whose first bytes tell what it is, or a folder of ulog2csv")  # fmt: skip
     add("--output", type=Path, metavar="DIR", help="folder of the new bag (default: LOG's name)")
     add("--columns", type=Path, metavar="FILE", help="column map of a table")
     add("--rates-topic", metavar="NAME",
@@ -157,7 +158,7 @@ def read_log(options: argparse.Namespace) -> FlightLog:
         If it is of no known kind or cannot be used.
     """
     path: Path = options.log
-    start = _first_bytes(path)
+    start = px4_log.MAGIC if path.is_dir() else _first_bytes(path)
     choice = Choice(
         options.rates_topic,
         options.actuators_topic,

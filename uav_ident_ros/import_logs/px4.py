@@ -34,8 +34,9 @@ from uav_ident_ros.import_logs.flight_log import (
 )
 from uav_ident_ros.import_logs.knowledge import table
 from uav_ident_ros.import_logs.orientation import board_to_body, describe_rotation
-from uav_ident_ros.import_logs.px4_actuators import hovers, read_actuators
-from uav_ident_ros.import_logs.px4_log import Px4Log, Topic
+from uav_ident_ros.import_logs.px4_actuators import COMMANDS, hovers, read_actuators
+from uav_ident_ros.import_logs.px4_folder import read_folder
+from uav_ident_ros.import_logs.px4_log import Px4Log, Topic, read_ulog
 from uav_ident_ros.import_logs.stamps import Stretches, interpolate, intervals
 
 ARMED = 2
@@ -46,6 +47,18 @@ ROVER = 3
 
 RELATIVE_STAMP_INVALID = 0x7FFFFFFF
 """sensor_combined: there is no accelerometer sample."""
+
+OTHER_TOPICS = (
+    "vehicle_acceleration",
+    "vehicle_attitude",
+    "vehicle_status",
+    "vehicle_land_detected",
+    "vehicle_gps_position",
+    "sensor_gps",
+    "airspeed_validated",
+    "airspeed",
+)
+"""Topics that are read beside rates and commands."""
 
 MOST_GYROS = 4
 QUATERNION = 4
@@ -63,7 +76,7 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     Parameters
     ----------
     path : Path
-        ULog file.
+        ULog file, or a folder that ulog2csv has written.
     choice : Choice
         What to take in place of the best.
 
@@ -72,7 +85,10 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     ImportLogError
         If the file cannot be read, or has no rates or no actuators.
     """
-    log = Px4Log(path)
+    if path.is_dir():
+        log = read_folder(path, (*RATES_READERS, *COMMANDS, *OTHER_TOPICS))
+    else:
+        log = read_ulog(path)
     findings = Findings(lost=list(log.remarks), damage=list(log.damage))
     _refuse_others(log)
     armed = _armed(log)

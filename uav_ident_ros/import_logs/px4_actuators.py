@@ -379,3 +379,6 @@ READERS: dict[str, Callable[[Px4Log, Findings, int], Actuators]] = {
 }
 """Readers by topic, nearest to the actuators first; the pulse widths, whose meaning is the least
 certain, last."""
+
+COMMANDS = (*READERS, "vehicle_thrust_setpoint")
+"""Topics of commands."""

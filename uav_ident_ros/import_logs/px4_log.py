@@ -21,8 +21,8 @@ import numpy as np
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column, ImportLogError
-from uav_ident_ros.import_logs.resync import Gap, loss_in_words, walk
-from uav_ident_ros.import_logs.stamps import plausible, rate
+from uav_ident_ros.import_logs.resync import loss_in_words, walk
+from uav_ident_ros.import_logs.stamps import BoolArray, plausible, rate
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 """First bytes of every ULog file."""
@@ -124,125 +124,134 @@ class _Subscription:
         return {name: table[name] for name in self.dtype.names or ()}
 
 
+@dataclass
 class Px4Log:
     """A PX4 log in memory.
 
     Parameters
     ----------
     path : Path
-        ULog file.
-
-    Attributes
-    ----------
+        Where it is from.
+    topics : dict
+        Arrays by field name, of each topic and instance that has messages.
     parameters : dict
         Parameters at the start of the log, by name.
+    parameter_changes : list of tuple
+        Time (us), name and value of every parameter that was set while logging.
+    facts : dict
+        What the log says of the firmware and the board.
+    dropouts : list of float
+        Lengths of the stretches in which the logger itself lost messages, s.
     damage : list of str
         What could not be read, and how much it is.
     remarks : list of str
         What else there is to say about the file.
-    start_ns, end_ns : int
-        Stamp of the start of the log, and the newest one, ns.
-    dropouts : list of float
-        Lengths of the stretches in which the logger itself lost messages, s.
-
-    Raises
-    ------
-    ImportLogError
-        If the file cannot be read.
+    start_ns : int, optional
+        Stamp of the start of the log, ns; None if it is not known.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.damage: list[str] = []
-        self.remarks: list[str] = []
-        self._topics: dict[tuple[str, int], dict[str, Column]] = {}
-        try:
-            with (
-                path.open("rb") as file,
-                mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
-            ):
-                if len(data) < FILE_HEADER:
-                    raise ImportLogError(f"log '{path}' is no readable ULog file: it is cut off")
-                self.start_ns = int.from_bytes(data[8:16], "little") * NS_PER_US
-                found = _Walker(data, path)
-                gaps = walk(found, FILE_HEADER, len(data))
-                for subscription in found.topics.values():
-                    self._take(subscription, data)
-                self._say_gaps(found, gaps, len(data))
-        except OSError as error:
-            raise ImportLogError(f"log '{path}' cannot be read: {error.strerror}") from None
-        self.parameters, self._changes, self.dropouts = (
-            found.parameters,
-            found.changes,
-            found.dropouts,
-        )
-        self._facts = found.facts
-        stamps = [columns["timestamp"] for columns in self._topics.values()]
-        self.end_ns = int(max((t_us.max() for t_us in stamps), default=0)) * NS_PER_US
+    path: Path
+    topics: dict[tuple[str, int], dict[str, Column]] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
+    parameter_changes: list[tuple[int, str, float]] = field(default_factory=list)
+    facts: dict[str, int | float | str] = field(default_factory=dict)
+    dropouts: list[float] = field(default_factory=list)
+    damage: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    start_ns: int | None = None
 
-    def _take(self, subscription: _Subscription, data: mmap.mmap) -> None:
-        """Keep the messages of a topic whose stamp a clock gave."""
-        if "timestamp" not in (subscription.dtype.names or ()) or not subscription.places:
-            return
-        columns = subscription.columns(data)
+    @property
+    def end_ns(self) -> int:
+        """Newest stamp, ns."""
+        stamps = [columns["timestamp"] for columns in self.topics.values()]
+        return int(max((t_us.max() for t_us in stamps), default=0)) * NS_PER_US
+
+    def add(self, name: str, instance: int, columns: dict[str, Column]) -> BoolArray:
+        """Add a topic; return which messages are kept: those with a stamp that a clock gave."""
         good = plausible(columns["timestamp"].astype(np.int64) * NS_PER_US)
         if not good.all():
             self.damage.append(
-                f"{int((~good).sum())} of {len(good)} messages {subscription.name} have a stamp "
-                "that no clock gave, and were left out"
+                f"{int((~good).sum())} of {len(good)} messages {name} have a stamp that no clock "
+                "gave, and were left out"
             )
             columns = {name: values[good] for name, values in columns.items()}
-            subscription.places = [subscription.places[i] for i in np.flatnonzero(good)]
         if good.any():
-            self._topics[subscription.name, subscription.instance] = columns
-
-    def _say_gaps(self, found: _Walker, gaps: list[Gap], size: int) -> None:
-        """Say how much could not be read."""
-        if gaps and gaps[-1][1] == size and found.may_begin(gaps[-1][0]):
-            gaps.pop()
-            self.remarks.append("the file is cut off at its end: what is there was read")
-        if gaps:
-            stamped = [
-                (place, int(t_us) * NS_PER_US)
-                for topic in found.topics.values()
-                if (columns := self._topics.get((topic.name, topic.instance))) is not None
-                for place, t_us in zip(topic.places, columns["timestamp"].tolist(), strict=True)
-            ]
-            self.damage.insert(0, loss_in_words(gaps, size, sorted(stamped)))
+            self.topics[name, instance] = columns
+        return good
 
     def topic(self, name: str, instance: int = 0) -> Topic | None:
         """Return a topic if the log has messages of it."""
-        data = self._topics.get((name, instance))
+        data = self.topics.get((name, instance))
         if data is None:
             return None
         return Topic(f"{name}[{instance}]" if instance else name, data)
 
     def instances(self, name: str) -> list[int]:
         """Instances of a topic that have messages."""
-        return sorted(i for n, i in self._topics if n == name)
+        return sorted(i for n, i in self.topics if n == name)
 
     def contents(self) -> str:
         """List the topics in one line."""
-        return ", ".join(sorted({name for name, _ in self._topics})) or "no topics at all"
+        return ", ".join(sorted({name for name, _ in self.topics})) or "no topics at all"
 
     def changes(self, prefixes: tuple[str, ...]) -> Iterator[tuple[float, str, float]]:
         """Yield time (s), name and value of the parameters that were changed while logging."""
-        for t_us, name, value in self._changes:
+        for t_us, name, value in self.parameter_changes:
             if name.startswith(prefixes) and self.parameters.get(name) != value:
                 yield t_us * 1e-6, name, value
 
     @property
     def title(self) -> str:
         """Which board and firmware wrote it."""
-        words = [str(self._facts.get("sys_name", "PX4"))]
-        release = self._facts.get("ver_sw_release")
+        words = [str(self.facts.get("sys_name", "PX4"))]
+        release = self.facts.get("ver_sw_release")
         if isinstance(release, int) and release:
             words.append("v" + ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8)))
-        elif "ver_sw" in self._facts:
-            words.append(f"firmware {str(self._facts['ver_sw'])[:10]}")
-        if "ver_hw" in self._facts:
-            words.append(f"on {self._facts['ver_hw']}")
+        elif "ver_sw" in self.facts:
+            words.append(f"firmware {str(self.facts['ver_sw'])[:10]}")
+        if "ver_hw" in self.facts:
+            words.append(f"on {self.facts['ver_hw']}")
         return " ".join(words)
+
+
+def read_ulog(path: Path) -> Px4Log:
+    """Read a ULog file.
+
+    Raises
+    ------
+    ImportLogError
+        If the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            if len(data) < FILE_HEADER:
+                raise ImportLogError(f"log '{path}' is no readable ULog file: it is cut off")
+            found = _Walker(data, path)
+            gaps = walk(found, FILE_HEADER, len(data))
+            log = Px4Log(
+                path,
+                parameters=found.parameters,
+                parameter_changes=found.changes,
+                facts=found.facts,
+                dropouts=found.dropouts,
+                start_ns=int.from_bytes(data[8:16], "little") * NS_PER_US,
+            )
+            stamped: list[tuple[int, int]] = []
+            for topic in found.topics.values():
+                if "timestamp" in (topic.dtype.names or ()) and topic.places:
+                    columns = topic.columns(data)
+                    good = log.add(topic.name, topic.instance, columns)
+                    t_ns = columns["timestamp"][good].astype(np.int64) * NS_PER_US
+                    places = np.array(topic.places)[good]
+                    stamped += zip(places.tolist(), t_ns.tolist(), strict=True)
+            if gaps and gaps[-1][1] == len(data) and found.may_begin(gaps[-1][0]):
+                gaps.pop()
+                log.remarks.append("the file is cut off at its end: what is there was read")
+            if gaps:
+                log.damage.insert(0, loss_in_words(gaps, len(data), sorted(stamped)))
+    except OSError as error:
+        raise ImportLogError(f"log '{path}' cannot be read: {error.strerror}") from None
+    return log
 
 
 _FORMAT = re.compile(rb"[\w/]+:[\w/ ;\[\]]*")
