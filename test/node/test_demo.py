@@ -32,10 +32,11 @@ def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_pa
     shutil.copy(flight.parameter_file, bag)
     run = demo(str(bag), "--speed", "4", "--output", str(tmp_path))
     assert run.returncode == 0, run.stderr
-    lines = run.stdout.splitlines()
-    (fit,) = [line.split() for line in lines if line.startswith("identified model")]
-    (hold,) = [line.split() for line in lines if line.startswith("holding the rates")]
-    assert all(float(f) > 50.0 > float(h) for f, h in zip(fit[-3:], hold[-3:], strict=True))
+    fits = re.findall(
+        r"^identified model, 1 s(.*)\n +holding the rates(.*)$", run.stdout, re.MULTILINE
+    )
+    model, hold = ([float(value) for value in line.split()] for line in fits[0])
+    assert all(m > 50.0 > h for m, h in zip(model, hold, strict=True))
     folder = tmp_path / "demo_short"
     assert (folder / "replay.png").read_bytes().startswith(PNG)
     assert (folder / "report.html").is_file()
