@@ -163,7 +163,7 @@ def recorded(name: str) -> Case:
             message = decode[topic](data)
             if topic == RATES_TOPIC:
                 reading = read(message)
-                imu.append((reading[0], log_ns, reading[1], reading[2]))
+                imu.append((reading[0], log_ns, reading[1], reading[2] or (0.0, 0.0, 0.0)))
             else:
                 actuators.append((log_ns, list(message.data)))
     stamps = np.array([row[0] for row in imu], dtype=np.int64)
@@ -174,7 +174,7 @@ def recorded(name: str) -> Case:
         seed=None,
         parameters={
             "actuators.channels": (0, 1, 2, 3),
-            "actuators.delay": RECORDED_DELAY[name],
+            "actuators.delay": RECORDED_DELAY.get(name, 0.0),
         },
         imu_t_ns=stamps,
         imu_arrival_ns=np.array([row[1] for row in imu], dtype=np.int64),

@@ -14,6 +14,7 @@ import json
 import os
 import re
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
@@ -28,9 +29,15 @@ import numpy as np
 import verdict_flights
 from verdict_flights import GLITCH_TIME, Trial
 
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
+from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.recording import PARAMETER_FILE, write_bag
 
 MAIN = ("pdot/da", "qdot/de", "rdot/dr")
 """The control derivatives judged, one a row."""
@@ -66,6 +73,9 @@ class Outcome:
         Share of the whole flight in which some row is usable.
     wrong, wrong_sign : float
         Share of the whole flight with a usable row that is wrong; that has the wrong sign.
+    losing : float
+        Share of the whole flight with a usable row whose fit, as shown beside it, is below that
+        of holding the rate.
     lost : float
         Time without the verdict in the seconds after the glitch, less those before, s.
     within : (one, two) tuple of float
@@ -88,6 +98,7 @@ class Outcome:
     ever: float
     wrong: float
     wrong_sign: float
+    losing: float
     lost: float
     within: tuple[float, float]
     counted: int
@@ -134,22 +145,28 @@ def judge(value: FloatArray, spread: FloatArray, truth: FloatArray) -> tuple[Any
 
 def run(trial: Trial, structure_name: str) -> Outcome:
     """Fly one trial, identify it as the node would, and judge what came out."""
-    measured = trial.fly()
-    case = cases.measured(measured, trial.name, trial.seed)
+    flown = trial.fly()
+    recorded = isinstance(flown, cases.Case)
+    case = flown if recorded else cases.measured(flown, trial.name, trial.seed)
     named = {"structure": structure_name} if structure_name else {}
     settings = case.settings({**named, **trial.settings})
     structure = STRUCTURES[settings.structure]
     initial = None
     if trial.warm:
-        initial = verdict_flights.warm_start(
-            structure, verdict_flights.truth(measured.flight, -1.0)
-        )
-    time, values, sigma, usable, reasons = _identify(case, settings, initial)
-    true = [verdict_flights.truth(measured.flight, t) for t in time]
+        initial = verdict_flights.warm_start(structure, verdict_flights.truth(flown.flight, -1.0))
+    if trial.replayed:
+        time, values, sigma, usable, losing, reasons = _replay(flown, named, initial)
+    else:
+        time, values, sigma, usable, losing, reasons = _identify(case, settings, initial)
+    true = [] if recorded else [verdict_flights.truth(flown.flight, t) for t in time]
     wrong = np.zeros(len(time), dtype=bool)
     wrong_sign = wrong.copy()
     last = {}
     for row, name in enumerate(MAIN):
+        if recorded:
+            i, j = structure.index(name)
+            last[name] = (float(values[-1, i, j]), float(sigma[-1, i, j]), float("nan"))
+            continue
         value, spread = whole(structure, true[0], name, values, sigma)
         truth = np.array([at[name] for at in true])
         far, sign = judge(value, spread, truth)
@@ -168,6 +185,7 @@ def run(trial: Trial, structure_name: str) -> Outcome:
         ever=float(usable.any(axis=1).mean()),
         wrong=float(wrong.mean()),
         wrong_sign=float(wrong_sign.mean()),
+        losing=float(np.any(usable & losing, axis=1).mean()),
         lost=_lost(time, every),
         within=within,
         counted=counted,
@@ -180,10 +198,10 @@ def run(trial: Trial, structure_name: str) -> Outcome:
 
 def _identify(
     case: cases.Case, settings: Settings, initial: Any
-) -> tuple[FloatArray, FloatArray, FloatArray, Any, list[str]]:
-    """Time of the ticks (K,), coefficients and sigma (K, rows, n), usable (K, 3), reasons."""
+) -> tuple[FloatArray, FloatArray, FloatArray, Any, Any, list[str]]:
+    """Time of the ticks, coefficients, sigma, usable and worse than holding (K, 3), reasons."""
     identifier = OnlineIdentifier(settings, initial)
-    estimates = []
+    estimates, losing = [], []
     for _, is_rates, t, v in cases.messages(case):
         if not is_rates:
             identifier.add_actuators(t, v)
@@ -193,16 +211,34 @@ def _identify(
             estimate = identifier.update(due)
             assert estimate is not None
             estimates.append(estimate)
-    rows = [getattr(e, "usable_rows", None) for e in estimates]
-    usable = [
-        np.full(3, e.usable) if r is None else np.asarray(r, dtype=bool)[:3]
-        for e, r in zip(estimates, rows, strict=True)
-    ]
+            losing.append(estimate.fit < identifier.running_fit.hold)
+    return _as_arrays(estimates, int(case.imu_t_ns[0]), np.array(losing))
+
+
+def _replay(
+    measured: Measurements, values: Mapping[str, Any], initial: Any
+) -> tuple[FloatArray, FloatArray, FloatArray, Any, Any, list[str]]:
+    """Return the same as `_identify`, of the flight as a bag, read back as `replay` reads it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bag"
+        write_bag(measured, path)
+        known = load_parameters(path / PARAMETER_FILE, "identifier")
+        with Bag(path) as bag:
+            offline = OfflineRun(choose_inputs(bag, {**known, **values}), initial)
+            offline.run(bag, lambda messages, _: messages)
+    unknown = np.zeros((len(offline.estimates), 3), dtype=bool)
+    return _as_arrays(offline.estimates, int(measured.imu_t_ns[0]), unknown)
+
+
+def _as_arrays(
+    estimates: Sequence[Estimate], start_ns: int, losing: Any
+) -> tuple[FloatArray, FloatArray, FloatArray, Any, Any, list[str]]:
     return (
-        np.array([(e.t_ns - case.imu_t_ns[0]) * 1e-9 for e in estimates]),
+        np.array([(e.t_ns - start_ns) * 1e-9 for e in estimates]),
         np.array([e.coefficients for e in estimates]),
         np.array([e.sigma for e in estimates]),
-        np.array(usable),
+        np.array([e.usable_rows for e in estimates], dtype=bool),
+        losing,
         [e.reason for e in estimates],
     )
 
@@ -216,8 +252,8 @@ def _coverage(
 ) -> tuple[tuple[float, float], int]:
     """Share of the errors within one and two sigma, once a second, where something is known."""
     chosen = np.flatnonzero(time >= START)[::20]
-    ratios = []
-    for name in true[0]:
+    ratios = [np.zeros(0)]
+    for name in true[0] if true else ():
         if name not in structure.names or name.startswith(("ay", "az")):
             continue
         value, spread = whole(structure, true[0], name, values[chosen], sigma[chosen])
@@ -251,8 +287,8 @@ def _named(trial: Trial, time: FloatArray, reasons: Sequence[str]) -> float:
 def report(outcomes: Sequence[Outcome]) -> str:
     """Return the table of the classes and the totals."""
     lines = [
-        f"{'class':14} {'flights':>7} {'usable':>7} {'wrong':>7} {'wrong sign':>10} "
-        f"{'1 sigma':>8} {'2 sigma':>8}   (usable after {START:g} s; wrong: share of usable time)"
+        f"{'class':14} {'flights':>7} {'usable':>7} {'wrong':>7} {'wrong sign':>10} {'losing':>7} "
+        f"{'1 sigma':>8} {'2 sigma':>8}   (usable after {START:g} s; others: share of usable time)"
     ]
     for kind in dict.fromkeys(o.kind for o in outcomes):
         own = [o for o in outcomes if o.kind == kind]
@@ -283,13 +319,14 @@ def _line(label: str, outcomes: Sequence[Outcome]) -> str:
     ever = float(np.sum(time * [o.ever for o in outcomes]))
     wrong = float(np.sum(time * [o.wrong for o in outcomes]))
     sign = float(np.sum(time * [o.wrong_sign for o in outcomes]))
+    losing = float(np.sum(time * [o.losing for o in outcomes]))
     counted = np.array([o.counted for o in outcomes])
     within = np.array([np.nan_to_num(o.within) for o in outcomes])
     coverage = counted @ within / counted.sum() if counted.any() else np.full(2, np.nan)
     per_usable = 1.0 / ever if ever > 0.0 else 0.0
     return (
         f"{label:14} {len(outcomes):7} {np.mean([o.usable for o in outcomes]):7.1%} "
-        f"{wrong * per_usable:7.1%} {sign * per_usable:10.1%} "
+        f"{wrong * per_usable:7.1%} {sign * per_usable:10.1%} {losing * per_usable:7.1%} "
         f"{coverage[0]:8.0%} {coverage[1]:8.0%}"
     )
 
@@ -302,7 +339,8 @@ def details(outcome: Outcome) -> str:
     )
     return (
         f"{outcome.kind:14} {outcome.name} [{outcome.seed}]: usable {outcome.usable:.0%}, wrong "
-        f"{outcome.wrong:.0%}, sign {outcome.wrong_sign:.0%} of the flight; {last}; "
+        f"{outcome.wrong:.0%}, sign {outcome.wrong_sign:.0%}, losing {outcome.losing:.0%} of the "
+        f"flight; {last}; "
         f"{outcome.reason or '-'}"
     )
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+import cases
 import numpy as np
 
 from uav_ident_ros.identification.estimate import CoefficientSet
@@ -50,13 +51,16 @@ class Trial:
     seed : int
         Seed of wind and noise.
     fly : callable
-        Returns the measurements; called where the trial is run.
+        Returns the measurements, or a recorded flight, of which no truth is known; called where
+        the trial is run.
     settings : mapping
         Settings that differ from those that fit the topics.
     warm : bool
         Start from the true coefficients of the healthy aircraft.
     feedback : bool
         No excitation: coverage is counted apart.
+    replayed : bool
+        The flight becomes a bag first, and is read back as `replay` does.
     names : str
         What the identifier has to say, as a regular expression; of mistakes only.
     """
@@ -64,10 +68,11 @@ class Trial:
     kind: str
     name: str
     seed: int
-    fly: Callable[[], Measurements]
+    fly: Callable[[], Measurements | cases.Case]
     settings: Mapping[str, Any] = field(default_factory=dict)
     warm: bool = False
     feedback: bool = False
+    replayed: bool = False
     names: str = ""
 
 
@@ -179,6 +184,7 @@ def _feedback(seed: int, length: float) -> list[Trial]:
             seed,
             partial(_fly, aircraft, seed, bank=bank, wind=wind, duration=length * 150.0, **more),
             feedback=True,
+            replayed=aircraft == "c172p",
         )
         for aircraft, bank, wind, more in flights
     ]
@@ -269,6 +275,7 @@ def _excited(kind: str, seed: int, length: float, flights: Sequence[tuple[str, f
                 _fly, aircraft, seed, excitation=((2.0, 1e3),), bank=bank, wind=wind,
                 duration=length * 110.0, **more,
             ),
+            replayed=aircraft == "OV10",
         )
         for aircraft, bank, wind in flights
     ]  # fmt: skip
@@ -390,6 +397,24 @@ def _mistakes(seed: int, length: float) -> list[Trial]:
     ]  # fmt: skip
 
 
+RECORDED = ("thor75_auto", "thor75_flight", "proto_flt09", "skywalker_manual")
+
+
+def _recorded(seed: int, length: float) -> list[Trial]:
+    """Real flights, as far as they are at hand: each once."""
+    names = [name for name in RECORDED if seed == 1 and cases.is_recorded(name)]
+    return [
+        Trial(
+            "recorded",
+            name,
+            seed,
+            partial(cases.recorded, name),
+            {"actuators.estimate_delay": True},
+        )
+        for name in names
+    ]
+
+
 CLASSES: dict[str, Callable[[int, float], list[Trial]]] = {
     "feedback": _feedback,
     "old_knowledge": _old_knowledge,
@@ -399,6 +424,7 @@ CLASSES: dict[str, Callable[[int, float], list[Trial]]] = {
     "clean": _clean,
     "closed_loop": _closed_loop,
     "mistakes": _mistakes,
+    "recorded": _recorded,
 }
 """Flights of each class: from seed and relative length."""
 
