@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from node_process import StartNode
-from recordings import NODE, MakePlayer, Recording, recording
+from rclpy.serialization import serialize_message
+from recordings import NODE, MakePlayer, Recording, published, recording, replayed
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
@@ -151,3 +154,27 @@ def test_a_probe_says_what_the_inputs_do(
     assert values["excite: effect of da"].startswith("pdot/da = ")
     assert float(values["excite: effect of da"].split()[2]) > 0.0
     assert float(values["excite: effect of de"].split()[2]) < 0.0
+
+
+def test_a_replay_of_the_flight_reads_what_the_node_asked_for(
+    flight: Recording, player: Player, tmp_path: Path
+) -> None:
+    """The node is told of its own excitation; from a bag it comes as messages, to the bit."""
+    heard = listen(player)
+    player.play_in_step(part(flight, 0.0, 2.0))
+    live = published(player.outputs)
+    assert excite(player, True).success
+    player.play_in_step(part(flight, 2.0, 8.0))
+    live |= published(player.outputs)
+    topic = f"{NODE}/excitation"
+    # each left the node with its tick, at the earliest: `input_wait` after it
+    words = [
+        Message(topic, stamp_ns(m.header.stamp) - 100 * MS, serialize_message(m)) for m in heard
+    ]
+    assert len(words) > 100 and positions(heard).any()
+    both = sorted([*flight.messages, *words], key=lambda message: message.log_ns)
+    types = {**flight.types, topic: "sensor_msgs/msg/JointState"}
+    offline = replayed(replace(flight, messages=both, types=types), tmp_path)
+    common = sorted(offline.keys() & live.keys())
+    assert len(common) > 140
+    assert {t: offline[t] for t in common} == {t: live[t] for t in common}

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator
 
 from builtin_interfaces.msg import Time
@@ -20,9 +21,9 @@ from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import NS_PER_S
 from uav_ident_ros.node.outputs import RELIABLE
 
-STALE_NS = 500_000_000
-"""Time by the node's clock without a tick after which a run is aborted, ns: ten at 20 Hz, and more
-than a simulation's /clock gets ahead of its Imu."""
+STALE = 0.5
+"""Time without a tick after which a run is aborted, s: ten at 20 Hz. By the node's clock and by one
+that never jumps: a simulation's /clock gets ahead of its Imu on a busy machine, or stands still."""
 
 SAMPLES_PER_CYCLE = 4.0
 """Ticks in a cycle of the highest frequency that give its shape."""
@@ -53,7 +54,7 @@ class Excite:
         self._publisher = node.create_publisher(JointState, "~/excitation", RELIABLE)
         self._run = ExcitationRun(identifier.structure)
         self._own = True
-        self._ticked_ns = 0  # by the node's clock
+        self._ticked = (0, 0.0)  # when, by the node's clock, ns, and by the steady one, s
         self._estimate: Estimate | None = None
 
     def on_request(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -71,7 +72,7 @@ class Excite:
 
     def _start(self) -> str:
         estimate = self._estimate
-        if estimate is None or self._now_ns() - self._ticked_ns > STALE_NS:
+        if estimate is None or self._stale():
             return "there are no ticks: rates or actuators do not arrive"
         settings, rate = self._identifier.settings.excitation, self._identifier.settings.update_rate
         needed = max(LOWEST_RATE, SAMPLES_PER_CYCLE * settings.band[1])
@@ -85,7 +86,7 @@ class Excite:
 
     def tick(self, estimate: Estimate) -> None:
         """Publish what is asked for after a tick."""
-        self._ticked_ns, self._estimate = self._now_ns(), estimate
+        self._ticked, self._estimate = (self._now_ns(), time.monotonic()), estimate
         before = self._run.active
         asked = self._run.step(self._identifier.flying(), estimate)
         if asked is not None:
@@ -95,17 +96,17 @@ class Excite:
 
     def watch(self) -> None:
         """Abort where ticks fail to come; to be called at the rate of the ticks."""
-        if self._run.active and self._now_ns() - self._ticked_ns > STALE_NS:
+        if self._run.active and self._stale():
             self.abort("aborted: no ticks any more: rates or actuators do not arrive")
 
     def abort(self, why: str) -> None:
-        """Publish zero at once, and let that be the end of the run."""
-        before = self._run.active
-        asked = self._run.abort(self._identifier.newest_ns or self._ticked_ns, why)
-        if before or self._publisher.get_subscription_count():
-            self._publish(asked)
-        if before:
-            self._say_end()
+        """Publish zero at once, and let that be the end of the run; without one, do nothing."""
+        if not self._run.active:
+            return
+        t_ns = self._identifier.newest_ns
+        assert t_ns is not None  # a run has begun at a tick
+        self._publish(self._run.abort(t_ns, why))
+        self._say_end()
 
     def values(self) -> Iterator[tuple[str, str]]:
         """Yield what is worth showing, each with its label."""
@@ -125,6 +126,10 @@ class Excite:
 
     def _say_end(self) -> None:
         self._log.info(f"excitation: {self._run.why}")
+
+    def _stale(self) -> bool:
+        clock_ns, steady = self._ticked
+        return self._now_ns() - clock_ns > STALE * NS_PER_S and time.monotonic() - steady > STALE
 
     def _now_ns(self) -> int:
         return int(self._clock.now().nanoseconds)

@@ -64,6 +64,9 @@ NUDGE_AFTER = 0.02
 """Wall-clock seconds without coefficients after which /clock goes on a step by itself: the
 identifier's timer may have fired just before the samples that it needed arrived."""
 
+STUCK_AFTER = 1.0
+"""Wall-clock seconds without coefficients after which it may get ahead by another period."""
+
 CLOCK_AHEAD_NS = 100_000_000
 """How far /clock may get ahead of the Imu that way, ns: two periods of that timer."""
 
@@ -351,18 +354,20 @@ class PlantNode(Node):
             self._wait_for_coefficients(wanted)
 
     def _wait_for_coefficients(self, wanted_ns: int) -> None:
-        end = time.monotonic() + PATIENCE
+        begun = time.monotonic()
         while self._coefficients_ns < wanted_ns and self._going():
-            if time.monotonic() > end:
+            waited = time.monotonic() - begun
+            if waited > PATIENCE:
                 self._identifier_silent = True
                 self.get_logger().warning(
                     f"no coefficients any more at {self._aircraft.time:.2f} s: going on without"
                 )
                 return
             if not self._wait(lambda: self._coefficients_ns >= wanted_ns, NUDGE_AFTER):
-                self._advance_clock(
-                    min(self._clock_ns + self._period_ns, self._now_ns + CLOCK_AHEAD_NS)
-                )
+                # once more, if it fired at the furthest time before it had looked at the samples
+                furthest_ns = CLOCK_AHEAD_NS + int(waited / STUCK_AFTER) * TICK_NS
+                next_ns = self._clock_ns + self._period_ns
+                self._advance_clock(min(next_ns, self._now_ns + furthest_ns))
 
 
 def _imu_message(t_ns: int, sample: Sample) -> Imu:
