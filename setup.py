@@ -50,6 +50,7 @@ setup(
     # here would break every machine that has them from apt.
     install_requires=["setuptools", "numpy"],
     extras_require={
+        "blackbox": ["orangebox", "pyyaml", "rosbags"],
         "import_log": ["pyyaml", "rosbags"],
         "jsbsim": ["jsbsim"],
         "monitor": ["rich"],

@@ -52,6 +52,7 @@ OPTIONAL = {
     "distributed",
     "jsbsim",
     "lz4",
+    "orangebox",
     "padasip",
     "pyarrow",
     "pymavlink",

@@ -12,7 +12,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from uav_ident_ros.import_logs import dataflash, px4_log
+from uav_ident_ros.import_logs import blackbox, dataflash, px4_log
 from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
 from uav_ident_ros.import_logs.flight_log import TRIMS, Choice, FlightLog, ImportLogError
 from uav_ident_ros.import_logs.stamps import describe, doubts
@@ -23,10 +23,11 @@ DAMAGED, USAGE_ERROR = 1, 2
 WIDTH = 100
 
 _DESCRIPTION = """\
-Turn a PX4 log (.ulg), an ArduPilot dataflash log (.bin) or a table (.csv with a column map) into
-an MCAP bag with /imu/data, /actuators (named channels) and, if there is one, /airspeed, and write
-identifier.yaml beside it, the parameters that fit. What was read from the log and what was assumed
-is said in words, on the screen and in that file."""
+Turn a PX4 log (.ulg), an ArduPilot dataflash log (.bin), a blackbox log of Betaflight (.bbl) or a
+table (.csv with a column map) into an MCAP bag with /imu/data, /actuators (named channels) and,
+if the log has them, /airspeed and /armed, and write identifier.yaml beside it, the parameters that
+fit. What was read from the log and what was assumed is said in words, on the screen and in that
+file."""
 
 _EPILOG = f"""\
 examples:
@@ -173,6 +174,8 @@ def read_log(options: argparse.Namespace) -> FlightLog:
         from uav_ident_ros.import_logs.ardupilot import read_ardupilot
 
         return read_ardupilot(path, choice)
+    if start.startswith(blackbox.MAGIC):
+        return blackbox.read_blackbox(path, choice)
     if options.columns is not None:
         from uav_ident_ros.import_logs.csv_table import read_csv
 

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blackbox logs of Betaflight and its kin (`.bbl`, `.bfl`), read by orangebox: multirotors."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.flight_log import (
+    NS_PER_US,
+    Actuators,
+    Channel,
+    Choice,
+    Findings,
+    FlightLog,
+    ImportLogError,
+    Rates,
+)
+from uav_ident_ros.import_logs.knowledge import effects_of_arms, table
+
+MAGIC = b"H Product:Blackbox flight data recorder"
+"""First bytes of every blackbox log."""
+
+GRAVITY = 9.80665
+
+GYROS = ("gyroUnfilt", "gyroADC")
+"""Fields of the rates, the preferred first: as sampled, and behind the filters."""
+
+
+def read_blackbox(path: Path, choice: Choice) -> FlightLog:
+    """Read the longest log of a file.
+
+    Parameters
+    ----------
+    path : Path
+        Blackbox file.
+    choice : Choice
+        What to take in place of the best: there is no choice.
+
+    Raises
+    ------
+    ImportLogError
+        If orangebox is missing, or the file cannot be read, or lacks rates or known motors.
+    """
+    if choice != Choice():
+        raise ImportLogError(f"log '{path}': a blackbox has one set of rates and one of motors")
+    findings = Findings()
+    headers, fields, values = _read(path, findings)
+    t_ns = values[:, fields.index("time")].astype(np.int64) * NS_PER_US
+    name = next((gyro for gyro in GYROS if f"{gyro}[2]" in fields), None)
+    if name is None:
+        raise ImportLogError(f"log '{path}' has no rates (gyroADC); it has {', '.join(fields)}")
+    scale = _as_float(headers.get("gyro_scale", 0x3F800000)) * math.pi / 180.0
+    rates = _vector(fields, values, name, 3) * scale
+    force = None
+    if "accSmooth[2]" in fields:
+        force = _vector(fields, values, "accSmooth", 3) * GRAVITY / float(headers["acc_1G"])
+    else:
+        findings.lost.append("there is no accelerometer (accSmooth): ay and az are zero")
+    findings.read.append(f"rates: {name}, in body axes forward-left-up")
+    if name == GYROS[1]:
+        cutoff = headers.get("gyro_lowpass_hz", headers.get("gyro_lpf1_static_hz"))
+        findings.lost.append(
+            "gyroADC is behind the filters"
+            + (f" (low-pass at {cutoff} Hz)" if cutoff else "")
+            + ": it comes late, which counts as a further delay of the inputs. Betaflight 4.5 logs "
+            "gyroUnfilt, too"
+        )
+    actuators = _motors(path, headers, fields, values, t_ns, findings)
+    findings.assumed.append("all of the log counts as flight: a blackbox begins when it is armed")
+    title = str(headers.get("Firmware revision", headers.get("Firmware type", "blackbox")))
+    return FlightLog(
+        path, title, Rates(name, t_ns, rates, force, "flu"), actuators, findings, hovers=True
+    )
+
+
+def _read(path: Path, findings: Findings) -> tuple[dict[str, Any], list[str], FloatArray]:
+    """Return headers, names of the fields and the frames, as rows, of the longest log."""
+    try:
+        from orangebox import Parser  # type: ignore[import-untyped]
+    except ImportError:
+        raise ImportLogError(
+            f"log '{path}': orangebox is not installed, which reads blackbox logs: "
+            "pip install 'uav_ident_ros[blackbox]' or pip install orangebox"
+        ) from None
+    parser = Parser.load(str(path), allow_invalid_header=True)
+    starts = [*parser.reader.log_pointers, path.stat().st_size]
+    longest = int(np.argmax(np.diff(starts))) + 1
+    parser.set_log_index(longest)
+    if len(starts) > 2:
+        findings.read.append(f"log {longest} of {len(starts) - 1} in this file, the longest")
+    fields = parser.field_names
+    frames: list[tuple[float, ...]] = []
+    try:
+        for frame in parser.frames():
+            frames.append(frame.data)
+    except Exception as error:  # damaged bytes make a parser fail in many ways
+        reader = parser.reader
+        if reader.tell() >= len(reader):
+            findings.lost.append("the file is cut off at its end: what is there was read")
+        else:
+            findings.damage.append(
+                f"the file is damaged: orangebox stopped at byte {reader.tell()} of {len(reader)} "
+                f"({' '.join(str(error).split())}); what stands before was read"
+            )
+    if not frames or "time" not in fields:
+        raise ImportLogError(f"log '{path}' has no frames that can be read")
+    used = [i for i, name in enumerate(fields) if name.startswith(("time", "gyro", "acc", "motor"))]
+    rows = np.array([[frame[i] for i in used] for frame in frames], dtype=float)
+    return parser.headers, [fields[i] for i in used], rows
+
+
+def _as_float(number: int | float | str) -> float:
+    """Return the float whose bits a header gives in hexadecimal digits."""
+    bits = int(number, 16) if isinstance(number, str) else int(number)
+    return float(np.array([bits], dtype=np.uint32).view(np.float32)[0])
+
+
+def _vector(fields: list[str], values: FloatArray, name: str, size: int) -> FloatArray:
+    return values[:, [fields.index(f"{name}[{i}]") for i in range(size)]]
+
+
+def _motors(
+    path: Path,
+    headers: dict[str, Any],
+    fields: list[str],
+    values: FloatArray,
+    t_ns: TimeArray,
+    findings: Findings,
+) -> Actuators:
+    """Motors of a quadrotor in X, in Betaflight's order."""
+    count = sum(name.startswith("motor[") for name in fields)
+    arms = table("betaflight")["quad_x"]
+    if count != len(arms):
+        raise ImportLogError(
+            f"log '{path}' has {count} motors: only quadrotors are known, whose mixer is quad x"
+        )
+    if headers.get("yaw_motors_reversed"):
+        other = {"cw": "ccw", "ccw": "cw"}
+        arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
+    low, high = headers.get(
+        "motorOutput", [headers.get("minthrottle", 1000), headers.get("maxthrottle", 2000)]
+    )
+    findings.read.append(f"motor commands from {low} to {high} (motorOutput)")
+    findings.assumed.append(
+        "a quadrotor in X with Betaflight's motor order (rear right, front right, rear left, front "
+        "left), propellers turning inwards at the front"
+        + (", reversed (yaw_motors_reversed)" if headers.get("yaw_motors_reversed") else "")
+    )
+    channels = tuple(
+        Channel(f"motor_{i + 1}", effect, "motor of quad x", 1.0 / (high - low), low, "counts")
+        for i, effect in enumerate(effects_of_arms(arms))
+    )
+    return Actuators("motor", t_ns, _vector(fields, values, "motor", count), channels)
