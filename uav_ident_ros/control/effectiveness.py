@@ -35,9 +35,9 @@ LEAST_TIME = 0.7
 """Weight from which on there is an answer, s: five samples that count, for two unknowns."""
 
 SURE = 22.0
-"""Log-likelihood ratio from which on an effect is reversed. Gusts of severity 5 of 7 reach 9, the
-jerk of a surface that loses half of its effect at once reaches 16; a reversed aileron passes it in
-a tenth of a second."""
+"""Log-likelihood ratio from which on an effect is reversed. On the c172p, severe gusts that begin
+at once (6 of 7) reach 8, an aileron that loses half of its effect 7; a reversed one passes it in a
+tenth of a second."""
 
 UNKNOWN = 1e3
 """Standard deviation of g where nothing was measured."""
@@ -124,7 +124,9 @@ class Effectiveness:
         share = min(1.0, dt / NOISE_MEMORY)
         self._noise = self._noise + share * (np.minimum(believed, turned) - self._noise)
         if self._weight > LEAST_TIME:
-            ratio = (believed - turned) / np.maximum(2.0 * self._noise, 1e-12)
+            # what is larger than either says, as the jerk of a surface that breaks, tells neither
+            heard = np.clip(rest, -2.0 * np.abs(made), 2.0 * np.abs(made))
+            ratio = -2.0 * heard * made / np.maximum(self._noise, 1e-12)
             self._doubt = np.maximum(0.0, self._doubt + ratio * dt * BANDWIDTH / 2.0)
 
     def _solve(self) -> None:
