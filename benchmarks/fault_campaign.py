@@ -174,13 +174,10 @@ def fly(prepared: Prepared, name: str, factor: float, fault: str, seed: int) -> 
 
 
 def noticed(outcome: Outcome, when: float, axis: int) -> float | None:
-    """Time from the fault until the loop knows of it, s: turned, released or refused."""
+    """Time from the fault until a coefficient of the axis is released, or its sign turned, s."""
     row = ("pdot", "qdot", "rdot")[axis]
     times = [t for t, name in outcome.changes if t > when and name.startswith(row)]
     times += [t for t, sources in outcome.sources if t > when and sources[axis] == "measured"]
-    before = [rows[axis] for t, rows in outcome.usable if t <= when]
-    if before and before[-1]:
-        times += [t for t, rows in outcome.usable if t > when and not rows[axis]]
     return min(times) - when if times else None
 
 
