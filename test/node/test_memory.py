@@ -24,7 +24,9 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.node import saving
 from uav_ident_ros.node.memory import Memory, in_words, state_path
+from uav_ident_ros.node.saving import Saver
 
 STRUCTURE = STRUCTURES["augmented"]
 NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
@@ -50,6 +52,12 @@ def estimate(identifier: OnlineIdentifier, *, usable: bool) -> Estimate:
         state="learning",
         reason="",
     )
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for the disk: on a busy machine a file takes longer than the node would."""
+    monkeypatch.setattr(saving, "ANSWER_WITHIN", 30.0)
 
 
 class Vehicle:
@@ -247,6 +255,20 @@ def test_spans_are_said_in_words() -> None:
     spans = (1.2, 90.0, 130.0, 7300.0, 200_000.0)
     words = ["1 s", "90 s", "2 min", "2 h", "2 days"]
     assert [in_words(timedelta(seconds=s)) for s in spans] == words
+
+
+def test_a_second_writer_of_the_file_is_noticed(tmp_path: Path) -> None:
+    """Two nodes that were given the same 'state_file'."""
+    path = tmp_path / "state.yaml"
+    mine, other = Saver(path), Saver(path)
+    notes = Notes(saved=NOW, usable=True, delay=0.0, learned_with={})
+    for value in (1.0, 2.0):
+        assert mine.finish(coefficients(value), notes)[0]
+        assert not mine.shared, "what it wrote itself is no surprise"
+    assert other.finish(coefficients(3.0), notes)[0]
+    assert other.shared
+    assert mine.finish(coefficients(4.0), notes)[0]
+    assert mine.shared
 
 
 # --- through the node --------------------------------------------------------------------------

@@ -33,12 +33,16 @@ class Saver:
         What was written last.
     set_aside : bool
         Whether the file that is there is none of ours, and is kept under another name.
+    shared : bool
+        Whether somebody else wrote the file since this saver looked at it or wrote it.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.written: CoefficientSet | None = None
         self.set_aside = False
+        self.shared = False
+        self._seen = self._state()
         self._thread: threading.Thread | None = None
         self._problem = ""
 
@@ -89,9 +93,19 @@ class Saver:
             if self.set_aside and self.path.is_file():
                 self.path.replace(self.path.with_name(self.path.name + ASIDE))
             self.set_aside = False
+            self.shared = self.shared or self._state() not in (None, self._seen)
             save_coefficients(coefficients, self.path, notes)
+            self._seen = self._state()
             self.written = coefficients
         except CoefficientsFileError as error:
             self._problem = str(error)
         except OSError as error:
             self._problem = f"cannot write '{self.path}': {error.strerror}"
+
+    def _state(self) -> tuple[int, int] | None:
+        """Return what tells one version of the file from another; None if there is none."""
+        try:
+            status = self.path.stat()
+        except OSError:
+            return None
+        return status.st_ino, status.st_mtime_ns
