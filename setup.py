@@ -50,7 +50,7 @@ setup(
     # here would break every machine that has them from apt.
     install_requires=["setuptools", "numpy"],
     extras_require={
-        "blackbox": ["orangebox", "pyyaml", "rosbags"],
+        "blackbox": ["orangebox<0.5", "pyyaml", "rosbags"],
         "import_log": ["pyyaml", "rosbags"],
         "jsbsim": ["jsbsim"],
         "monitor": ["rich"],

@@ -86,7 +86,7 @@ def _read(path: Path, findings: Findings) -> tuple[dict[str, Any], list[str], Fl
     except ImportError:
         raise ImportLogError(
             f"log '{path}': orangebox is not installed, which reads blackbox logs: "
-            "pip install 'uav_ident_ros[blackbox]' or pip install orangebox"
+            "pip install 'uav_ident_ros[blackbox]' or pip install 'orangebox<0.5'"
         ) from None
     parser = Parser.load(str(path), allow_invalid_header=True)
     starts = [*parser.reader.log_pointers, path.stat().st_size]
