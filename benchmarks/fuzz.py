@@ -29,6 +29,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "test" / "import_logs"))
 
+from blackbox_writing import blackbox  # noqa: E402
 from dataflash_writing import DataflashWriter  # noqa: E402
 from mcap.writer import CompressionType  # noqa: E402
 from mcap.writer import Writer as McapWriter  # noqa: E402
@@ -76,6 +77,8 @@ def write_whole(folder: Path) -> dict[str, Path]:
     text = "t,p,q,r,de\n" + "".join(f"{t:.3f},{p},{q},{r},{de}\n" for t, (p, q, r), de in rows)
     files["csv"] = folder / "whole.csv"
     files["csv"].write_text(text)
+    files["bbl"] = folder / "whole.bbl"
+    files["bbl"].write_bytes(blackbox())
     for compression in CompressionType:
         name = f"mcap {compression.name.lower()}"
         files[name] = _mcap(folder / f"{name}.mcap", compression)

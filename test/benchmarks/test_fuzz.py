@@ -9,7 +9,7 @@ import fuzz
 import numpy as np
 import pytest
 
-COUNTS = {"ulg": 20, "bin": 20, "csv": 20, "mcap none": 8, "mcap lz4": 8, "mcap zstd": 8}
+COUNTS = {"ulg": 20, "bin": 20, "csv": 20, "bbl": 8, "mcap none": 8, "mcap lz4": 8, "mcap zstd": 8}
 """Files of each kind; `benchmarks/fuzz.py` takes thousands."""
 
 

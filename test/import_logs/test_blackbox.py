@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blackbox logs of a quadrotor, encoded as Betaflight does: intra frames of variable bytes."""
+"""Blackbox logs of quadrotors, and those that cannot be used."""
 
 from __future__ import annotations
 
@@ -8,60 +8,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from blackbox_writing import ACC, COUNT, FIELDS, GYRO, MOTORS, T_US, blackbox
 from imported import contents, parameters, refusal, run
-
-COUNT = 600
-T_US = 1_000_000 + 2000 * np.arange(COUNT)
-CHANCE = np.random.default_rng(4)
-GYRO = CHANCE.integers(-300, 300, (COUNT, 3))
-ACC = CHANCE.integers(-500, 500, (COUNT, 3)) + np.array([0, 0, 2048])
-MOTORS = CHANCE.integers(300, 1500, (COUNT, 4))
-FIELDS = [
-    "loopIteration",
-    "time",
-    *(f"gyroADC[{i}]" for i in range(3)),
-    *(f"accSmooth[{i}]" for i in range(3)),
-    *(f"motor[{i}]" for i in range(4)),
-]
-SIGNED = [0, 0, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0]
-
-
-def variable(value: int, signed: int) -> bytes:
-    """Seven bits a byte, the least first; signed ones zigzag."""
-    number = (value << 1) ^ (value >> 31) if signed else value
-    number &= 0xFFFFFFFF
-    result = bytearray()
-    while number > 127:
-        result.append(number & 127 | 128)
-        number >>= 7
-    return bytes([*result, number])
-
-
-def blackbox(count: int = COUNT, fields: list[str] = FIELDS, **others: object) -> bytes:
-    """One log: headers and frames."""
-    kept = [FIELDS.index(name) for name in fields]
-    signed = [SIGNED[i] for i in kept]
-    headers = {
-        "Product": "Blackbox flight data recorder by Nicholas Sherlock",
-        "Data version": 2,
-        "I interval": 1,
-        "P interval": "1/1",
-        "Firmware type": "Cleanflight",
-        "Firmware revision": "Betaflight 4.4.2 (23d066d08) STM32F405",
-        "Field I name": ",".join(fields),
-        "Field I signed": ",".join(map(str, signed)),
-        "Field I predictor": ",".join("0" for _ in fields),
-        "Field I encoding": ",".join(str(1 - sign) for sign in signed),
-        "gyro_scale": "0x3f800000",
-        "acc_1G": 2048,
-        "motorOutput": "48,2047",
-        "gyro_lowpass_hz": 150,
-    } | others
-    content = "".join(f"H {name}:{value}\n" for name, value in headers.items()).encode()
-    rows = np.column_stack([np.arange(COUNT), T_US, GYRO, ACC, MOTORS])[:count, kept]
-    for row in rows.tolist():
-        content += b"I" + b"".join(variable(v, s) for v, s in zip(row, signed, strict=True))
-    return content + b"E\xffEnd of log\x00"
 
 
 def test_a_quadrotor_of_betaflight(tmp_path: Path, capsys) -> None:
@@ -93,6 +41,16 @@ def test_reversed_propellers(tmp_path: Path, capsys) -> None:
     run([str(tmp_path / "log.bbl"), "--output", str(tmp_path / "bag")], capsys)
     values = parameters(tmp_path / "bag")
     np.testing.assert_allclose(values["actuators.mixing.dr"], [-0.5, 0.5, 0.5, -0.5])
+
+
+def test_a_firmware_with_an_odd_name(tmp_path: Path, capsys) -> None:
+    """It stands in a comment of the parameter file, which must be YAML."""
+    odd = "Beta\x01flight\x07" + "x" * 900
+    (tmp_path / "log.bbl").write_bytes(blackbox(**{"Firmware revision": odd}))
+    said = run([str(tmp_path / "log.bbl"), "--output", str(tmp_path / "bag")], capsys)
+    assert "log.bbl: Beta?flight?xxx" in said
+    assert "x" * 130 not in said
+    assert parameters(tmp_path / "bag")["imu.convention"] == "flu"
 
 
 def test_a_log_that_is_cut_off(tmp_path: Path, capsys) -> None:

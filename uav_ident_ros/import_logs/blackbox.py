@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from pathlib import Path
 from typing import Any
@@ -88,6 +89,7 @@ def _read(path: Path, findings: Findings) -> tuple[dict[str, Any], list[str], Fl
             f"log '{path}': orangebox is not installed, which reads blackbox logs: "
             "pip install 'uav_ident_ros[blackbox]' or pip install 'orangebox<0.5'"
         ) from None
+    logging.getLogger("orangebox").addHandler(logging.NullHandler())  # it is wordy on stderr
     parser = Parser.load(str(path), allow_invalid_header=True)
     starts = [*parser.reader.log_pointers, path.stat().st_size]
     longest = int(np.argmax(np.diff(starts))) + 1
@@ -110,9 +112,26 @@ def _read(path: Path, findings: Findings) -> tuple[dict[str, Any], list[str], Fl
             )
     if not frames or "time" not in fields:
         raise ImportLogError(f"log '{path}' has no frames that can be read")
+    _say_missing(fields, frames, findings)
     used = [i for i, name in enumerate(fields) if name.startswith(("time", "gyro", "acc", "motor"))]
     rows = np.array([[frame[i] for i in used] for frame in frames], dtype=float)
     return parser.headers, [fields[i] for i in used], rows
+
+
+def _say_missing(fields: list[str], frames: list[tuple[float, ...]], findings: Findings) -> None:
+    """Say how many frames the logger or the reader has left out."""
+    if "loopIteration" not in fields or len(frames) < 2:
+        return
+    place = fields.index("loopIteration")
+    steps = np.diff([float(frame[place]) for frame in frames])
+    usual = max(float(np.median(steps)), 1.0)
+    gaps = steps[steps > 1.5 * usual]
+    if len(gaps):
+        missing = round(float((gaps / usual - 1.0).sum()))
+        findings.lost.append(
+            f"{missing} of {missing + len(frames)} frames are missing or damaged, in "
+            f"{len(gaps)} places"
+        )
 
 
 def _as_float(number: int | float | str) -> float:
@@ -144,8 +163,11 @@ def _motors(
         other = {"cw": "ccw", "ccw": "cw"}
         arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
     low, high = headers.get(
-        "motorOutput", [headers.get("minthrottle", 1000), headers.get("maxthrottle", 2000)]
+        "motorOutput",
+        [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000],
     )
+    if not high > low:
+        raise ImportLogError(f"log '{path}': motorOutput is {low}, {high}: no range")
     findings.read.append(f"motor commands from {low} to {high} (motorOutput)")
     findings.assumed.append(
         "a quadrotor in X with Betaflight's motor order (rear right, front right, rear left, front "

@@ -7,6 +7,7 @@ import argparse
 import sys
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -14,7 +15,14 @@ import numpy as np
 
 from uav_ident_ros.import_logs import blackbox, dataflash, px4_log
 from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
-from uav_ident_ros.import_logs.flight_log import TRIMS, Choice, FlightLog, ImportLogError
+from uav_ident_ros.import_logs.flight_log import (
+    LONGEST_TITLE,
+    TRIMS,
+    Choice,
+    FlightLog,
+    ImportLogError,
+    printable,
+)
 from uav_ident_ros.import_logs.stamps import describe, doubts
 
 DAMAGED, USAGE_ERROR = 1, 2
@@ -89,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         log = import_log(options)
     except (ImportLogError, BagWriteError) as error:
-        print(f"import_log: {error}", file=sys.stderr)
+        print(f"import_log: {printable(str(error))}", file=sys.stderr)
         return USAGE_ERROR
     return DAMAGED if log.findings.damage else 0
 
@@ -140,7 +148,8 @@ def import_log(options: argparse.Namespace) -> FlightLog:
 def _guarded(options: argparse.Namespace) -> FlightLog:
     """Read the log; whatever its bytes do to a reader becomes one line."""
     try:
-        return read_log(options).with_plausible_stamps()
+        log = read_log(options).with_plausible_stamps()
+        return replace(log, title=printable(log.title, LONGEST_TITLE))
     except ImportLogError:
         raise
     except Exception as error:  # what damaged bytes mean is not to be foreseen

@@ -25,6 +25,11 @@ NO_EFFECT: Effect = (0.0, 0.0, 0.0, 0.0)
 
 NS_PER_US = 1_000
 
+LONGEST_LINE = 2000
+"""Characters of the longest message: damaged or hostile files have names of any length."""
+
+LONGEST_TITLE = 120
+
 TRIMS = ("flight", "neutral", "learn")
 """Where the trim comes from: the median in flight, the channels' rest positions, or the identifier
 itself, from the first steady stretch."""
@@ -320,3 +325,9 @@ def unique_names(names: list[str]) -> list[str]:
         seen[name] = seen.get(name, 0) + 1
         result.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
     return result
+
+
+def printable(text: str, longest: int = LONGEST_LINE) -> str:
+    """Return what a file says of itself as one line that can be printed, and not too long a one."""
+    line = "".join(character if character.isprintable() else "?" for character in text)
+    return line if len(line) <= longest else f"{line[:longest]}..."

@@ -18,7 +18,7 @@ from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.import_logs.flight_log import Channel, Findings, FlightLog
+from uav_ident_ros.import_logs.flight_log import Channel, Findings, FlightLog, printable
 from uav_ident_ros.import_logs.orientation import at_times
 from uav_ident_ros.import_logs.stamps import coverage
 
@@ -326,7 +326,7 @@ def findings_by_title(findings: Findings) -> list[tuple[str, list[str]]]:
 
 def _comment(text: str, first: str = "", other: str = "") -> list[str]:
     return textwrap.wrap(
-        text,
+        printable(text, len(text)),
         COMMENT_WIDTH,
         initial_indent=f"# {first}",
         subsequent_indent=f"# {other}",
