@@ -197,7 +197,10 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
                 f"an initial coefficient is beyond {LARGEST_COEFFICIENT:g}: none in SI units is",
             )
         values = np.where(structure.mask, initial.values, 0.0)
-        sigma = np.where(initial.sigma > 0.0, np.minimum(initial.sigma, sigma), sigma)
+        # Trim, balance and the biases of the sensors differ from flight to flight: the constants
+        # of another flight are a place to start from, no more.
+        told = (initial.sigma > 0.0) & ~structure.constants
+        sigma = np.where(told, np.minimum(initial.sigma, sigma), sigma)
     if settings.model.inertia:
         try:
             inertia = Inertia(*settings.model.inertia)

@@ -117,6 +117,8 @@ class Regression:
         Time that each sample stands for, s.
     restarted : bool
         Whether the first sample does not continue those before.
+    injected : bool
+        Whether the instruments are driven by what was injected on purpose alone.
     """
 
     y: FloatArray
@@ -124,6 +126,7 @@ class Regression:
     z: FloatArray
     dt: float
     restarted: bool = False
+    injected: bool = False
 
     @property
     def time(self) -> float:
@@ -134,7 +137,7 @@ class Regression:
         """Return the one sample that stands for all: their mean."""
         m = len(self.y)
         y, f, z = (np.add.reduce(part, keepdims=True) / m for part in (self.y, self.f, self.z))
-        return Regression(y, f, z, self.time, self.restarted)
+        return Regression(y, f, z, self.time, self.restarted, self.injected)
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
         """Return ``e = y - A f`` of coefficients of shape (rows, c); shape (m, rows)."""
@@ -293,7 +296,7 @@ class StateVariableFilter:
             if flow is not None:
                 f[:, -4:-2] -= offset / flow.airspeed
                 y[:, 3:] -= self._jerk(low, slope, block) @ self._lever.T
-        return Regression(y, f, z, block.h, block.restarted)
+        return Regression(y, f, z, block.h, block.restarted, injected)
 
     def _jerk(self, low: FloatArray, slope: FloatArray, block: Block) -> FloatArray:
         """Second derivative of the filtered rates, shape (m, 3), by the filter's own equation."""

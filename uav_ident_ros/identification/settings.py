@@ -661,7 +661,7 @@ class SupervisionSettings:
     """When a controller may act on the coefficients."""
 
     min_fit: float = _setting(
-        25.0,
+        -20.0,
         "%",
         "Running fit of free 1-second predictions that every axis needs; it must also beat "
         "holding the rate. "
@@ -671,7 +671,7 @@ class SupervisionSettings:
         read_only=False,
     )
     min_t_ratio: float = _setting(
-        3.0,
+        4.0,
         "",
         "Value over sigma that the main control derivative of every row needs. Raise it "
         "for a controller that needs sure values.",

@@ -136,6 +136,14 @@ class Structure:
         return mask
 
     @cached_property
+    def constants(self) -> BoolArray:
+        """Coefficients of the constant, shape (R, n)."""
+        constants = np.zeros_like(self.mask)
+        if CONSTANT in self.regressors:
+            constants[:, self.column(CONSTANT)] = self.mask[:, self.column(CONSTANT)]
+        return constants
+
+    @cached_property
     def free(self) -> tuple[tuple[int, int], ...]:
         """(row, column) of every coefficient of the structure, row-major."""
         return tuple((int(i), int(j)) for i, j in np.argwhere(self.mask))

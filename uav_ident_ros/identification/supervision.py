@@ -262,7 +262,8 @@ class Supervisor:
         if self.closed:
             return State.PAUSED, self.closed
         if not self.learning.any():
-            return State.PAUSED, " and ".join(sorted(set(self.pauses().values())))
+            reasons = [*sorted(set(self.pauses().values())), verdict.reason]
+            return State.PAUSED, "; ".join(filter(None, reasons))
         if verdict.usable:
             return State.CONVERGED, ""
         return State.LEARNING, verdict.reason

@@ -21,6 +21,8 @@ from uav_ident_ros.identification.estimators.change import (
 )
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import Information, Solution, Sums
+from uav_ident_ros.identification.feedback import Feedback
+from uav_ident_ros.identification.model_error import ModelError
 from uav_ident_ros.identification.noise import NoiseModel, Whitener
 from uav_ident_ros.identification.prior import Start, slope_bounds
 from uav_ident_ros.identification.regression import Regression, layout
@@ -28,6 +30,8 @@ from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
+    MAIN_INPUTS,
+    ROWS,
     STRUCTURES,
     BoolArray,
     FloatArray,
@@ -243,6 +247,12 @@ class RecursiveRegression:
         self._structure = STRUCTURES[settings.structure]
         self._layout = layout(self._structure)
         self._bounds = slope_bounds(self._structure)
+        names = [f"{row}/{MAIN_INPUTS[row]}" for row in ROWS]
+        rows, columns = zip(*map(self._structure.index, names), strict=True)
+        self._main = (list(rows), list(columns))
+        self._injected = False
+        self._error = ModelError()
+        self._feedback = Feedback(forces=self._structure.size > CONSTANT_COLUMN + 1)
         used = self._layout.used[:3]
         self._moment_rows = np.nonzero(used)[0]
         self._moment_columns = self._layout.index[:3][used]
@@ -322,7 +332,11 @@ class RecursiveRegression:
         sample = Sample(mean.y[0], residual, f, z, data.time)
         seen = self._gate.update(mean, residual[None, :3], self.coefficients[:3])
         self.learning = self._gate.learning & (weight > 0.0)
+        self._injected = mean.injected
         weight = weight * seen
+        self._error.add(mean, residual[:3], self.inputs, weight)
+        if not mean.injected:
+            self._feedback.add(mean, residual[:3], weight)
         dt = data.time * self._row_weights(weight)
         self._reference.add(sample, dt)
         self._whitened.add(sample, dt, restarted=mean.restarted)
@@ -345,6 +359,11 @@ class RecursiveRegression:
             solution = self._least_squares.solve(self.coefficients)
             sigma = np.hypot(solution.sigma, solution.values - reference.values)
         sigma = self._whitened.widened(sigma, solution.values, self.coefficients)
+        if self._reference.warming_up or not self._injected:
+            moments = np.s_[: len(ROWS), INPUT_COLUMNS]
+            sigma[moments] = np.hypot(sigma[moments], self._feedback.bound)
+        main = self._main
+        sigma[main] = np.hypot(sigma[main], self._error.share * solution.values[main])
         sigma = np.where(self._start.free, sigma, self._start.sigma)
         return replace(solution, sigma=sigma)
 
@@ -432,6 +451,7 @@ class RecursiveRegression:
             z = sample.f if plain else sample.z
             sums.add(sample.f, z, sample.y, alone * sample.dt)
         self._set_row(row, sums)
+        self._error.forget(row)
 
     def _continue_trial(self, row: int, sample: Sample, dt: FloatArray) -> None:
         """Compare the old with the new coefficients on samples that neither has seen."""
