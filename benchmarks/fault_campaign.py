@@ -223,6 +223,8 @@ def lines(flights: Sequence[dict[str, Any]]) -> Iterator[str]:
         for fault in dict.fromkeys(f["fault"] for f in own):
             for name in CONTROLLERS:
                 some = [f for f in own if f["fault"] == fault and f["controller"] == name]
+                if not some:
+                    continue
                 yield "| " + " | ".join([fault, name, *cells(some, healthy)]) + " |"
 
 
