@@ -265,7 +265,7 @@ def play(flight: Flight, speed: float, log: Path) -> bool:
                 view.show(heard)
                 shown = time.monotonic()
 
-        player.play(flight.messages, speed=speed, on_time=show)
+        player.play(flight.messages, speed=speed, on_time=show, in_step=True)
         listener.spin(1.0)
         view.show(heard)
         return heard.tick is not None

@@ -255,6 +255,7 @@ class Player:
         *,
         speed: float = 1.0,
         on_time: Callable[[int], None] | None = None,
+        in_step: bool = False,
     ) -> float:
         """Play at `speed` times real time, in log-time order.
 
@@ -266,6 +267,9 @@ class Player:
             1 for real time.
         on_time : callable, optional
             Called with the log time (ns) about every 10 ms of it.
+        in_step : bool
+            Whether to wait for the node where it does not keep up, so that a busy machine plays
+            slower and loses nothing.
 
         Returns
         -------
@@ -280,6 +284,8 @@ class Player:
             ahead = (t_ns - start_ns) / SECOND_NS / speed - (time.monotonic() - start)
             if ahead > 0.0:
                 self.spin_for(ahead)
+            if in_step:
+                self._keep_in_step(t_ns, start_ns, PATIENCE)
             late.append(time.monotonic() - start - (t_ns - start_ns) / SECOND_NS / speed)
             if on_time is not None:
                 on_time(t_ns)
@@ -299,14 +305,15 @@ class Player:
         start_ns = messages[0].log_ns
         self.outputs.clear()
 
-        def hold(t_ns: int) -> None:
-            self._executor.spin_once(timeout_sec=0.0)
-            wanted = t_ns - ANSWER_WITHIN_NS
-            if wanted >= start_ns + START_UP_NS:
-                self._wait_for_answer(wanted, start_ns, timeout)
-
-        self._play(messages, hold)
+        self._play(messages, lambda t_ns: self._keep_in_step(t_ns, start_ns, timeout))
         self._flush()
+
+    def _keep_in_step(self, t_ns: int, start_ns: int, timeout: float) -> None:
+        """Listen, and before `t_ns` is played wait for the output of a moment ago."""
+        self._executor.spin_once(timeout_sec=0.0)
+        wanted = t_ns - ANSWER_WITHIN_NS
+        if wanted >= start_ns + START_UP_NS:
+            self._wait_for_answer(wanted, start_ns, timeout)
 
     def _flush(self) -> None:
         """Let the node's timer fire once more, and its last outputs arrive."""
