@@ -83,7 +83,7 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
 def _read(path: Path, findings: Findings) -> tuple[dict[str, Any], list[str], FloatArray]:
     """Return headers, names of the fields and the frames, as rows, of the longest log."""
     try:
-        from orangebox import Parser  # type: ignore[import-untyped]
+        from orangebox import Parser
     except ImportError:
         raise ImportLogError(
             f"log '{path}': orangebox is not installed, which reads blackbox logs: "
