@@ -16,7 +16,9 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from uav_ident_ros.bags.reading import Message
+from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
 from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.node.excite import slowest_ticks
 from uav_ident_ros.player import Player, stamp_ns
 
 MS = 1_000_000
@@ -178,3 +180,18 @@ def test_a_replay_of_the_flight_reads_what_the_node_asked_for(
     common = sorted(offline.keys() & live.keys())
     assert len(common) > 140
     assert {t: offline[t] for t in common} == {t: live[t] for t in common}
+
+
+def test_ticks_too_slow_for_the_signal_are_refused(
+    start_node: StartNode, make_player: MakePlayer
+) -> None:
+    assert slowest_ticks(3.0) == 12.0  # four in a cycle
+    assert slowest_ticks(1.0) == 2.0 / EXCITATION_TIMEOUT  # one may be lost
+    flight = recording("multisine", 2.0)
+    parameters = {**PARAMETERS, "update_rate": "10.0"}
+    start_node(parameter_file=flight.parameter_file, parameters=parameters, sim_time=True)
+    player = make_player(flight)
+    player.wait_for_node()
+    player.play_in_step(flight.messages)
+    answer = excite(player, True)
+    assert not answer.success and answer.message.endswith("need 12 Hz")

@@ -32,6 +32,11 @@ LOWEST_RATE = 2.0 / EXCITATION_TIMEOUT
 """Rate of ticks, Hz, below which one lost message would end what is added."""
 
 
+def slowest_ticks(highest: float) -> float:
+    """Return the rate of ticks, Hz, that signals up to a frequency, Hz, need."""
+    return max(LOWEST_RATE, SAMPLES_PER_CYCLE * highest)
+
+
 class Excite:
     """Starts and ends runs of excitation, and publishes what they ask for.
 
@@ -75,7 +80,7 @@ class Excite:
         if estimate is None or self._stale():
             return "there are no ticks: rates or actuators do not arrive"
         settings, rate = self._identifier.settings.excitation, self._identifier.settings.update_rate
-        needed = max(LOWEST_RATE, SAMPLES_PER_CYCLE * settings.band[1])
+        needed = slowest_ticks(settings.band[1])
         if rate < needed:
             return (
                 f"'update_rate' is {rate:g} Hz: signals up to {settings.band[1]:g} Hz "
