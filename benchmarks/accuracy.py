@@ -76,7 +76,7 @@ class Cell:
         The flight.
     structure, method : str
         Labels.
-    model, truth, hold, held_force : tuple of 3 floats
+    model, truth, hold, measured_force : tuple of 3 floats
         Fits of p, q, r, percent; NaN where there is none.
     coefficient_error : float
         Largest relative error of the dominant coefficients at the end, percent.
@@ -91,7 +91,7 @@ class Cell:
     model: tuple[float, ...]
     truth: tuple[float, ...]
     hold: tuple[float, ...]
-    held_force: tuple[float, ...]
+    measured_force: tuple[float, ...]
     coefficient_error: float
     seconds: float
 

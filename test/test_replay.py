@@ -77,13 +77,13 @@ def replayed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def fed_by_hand(name: str) -> list[Estimate]:
+def fed_by_hand(name: str, bag: Path | None = None) -> list[Estimate]:
     """Estimates of the core over a bag, by the tick rule, with another bag reader."""
     values = load_parameters(BAGS / name / "identifier.yaml", "identifier")
     settings = Settings.from_values(values)
     identifier = OnlineIdentifier(settings)
     estimates = []
-    with AnyReader([BAGS / name]) as reader:
+    with AnyReader([bag or BAGS / name]) as reader:
         for connection, log_ns, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
             stamp_ns = log_ns
@@ -130,7 +130,8 @@ def test_estimates_are_those_of_the_core_to_the_bit(replayed: Path) -> None:
         named = found["coefficients_named"][k][1]
         assert named.position[:26].tobytes() == estimate.coefficients[structure.mask].tobytes()
         assert named.effort[:26].tobytes() == estimate.sigma[structure.mask].tobytes()
-        assert named.position[-1] == float(estimate.usable)
+        usable = (estimate.usable, *estimate.usable_rows)
+        assert named.position[-4:].tolist() == [float(flag) for flag in usable]
         predicted = found["predicted_rates"][k][1]
         vector = predicted.vector
         assert [vector.x, vector.y, vector.z] == estimate.predicted_rates.tolist()
@@ -139,6 +140,39 @@ def test_estimates_are_those_of_the_core_to_the_bit(replayed: Path) -> None:
     assert named.name == list(entry_names(structure))
     assert [d.label for d in dense.layout.dim] == ["pdot,qdot,rdot", ",".join(structure.regressors)]
     assert predicted.header.frame_id == summary(replayed)["frame_id"]
+
+
+def test_states_and_forces_of_the_default_structure_are_those_of_the_core(tmp_path: Path) -> None:
+    """Angle of attack, sideslip and attitude too, and two more rows in the matrix."""
+    bag, output = excerpt("c172p", tmp_path / "bag", 6.0), tmp_path / "out"
+    main([str(bag), *parameters("c172p"), "--output", str(output)])
+    estimates = fed_by_hand("c172p", bag)
+    structure, types = STRUCTURES["flight_dynamics"], jazzy_types()
+    found: dict[str, list[Any]] = {}
+    with Bag(output / "estimates") as written:
+        for topic, _, data in written.messages(written.types):
+            message = types.deserialize_cdr(data, written.types[topic])
+            found.setdefault(topic.removeprefix("/identifier/"), []).append(message)
+    assert len(found["coefficients"]) == len(estimates) > 100
+    triples = zip(estimates, found["coefficients"], found["coefficients_named"], strict=True)
+    for estimate, dense, named in triples:
+        assert dense.data.tobytes() == estimate.coefficients[:5].tobytes()
+        values = dict(zip(named.name, named.position.tolist(), strict=True))
+        sigma = dict(zip(named.name, named.effort.tolist(), strict=True))
+        for name, index in zip(structure.names, structure.free, strict=True):
+            assert (values[name], sigma[name]) == (
+                estimate.coefficients[index], estimate.sigma[index],
+            )  # fmt: skip
+        flow = estimate.flow
+        assert flow is not None
+        for name in ("alpha", "beta", "roll", "pitch", "airspeed"):
+            assert values[f"state/{name}"] == getattr(flow, name)
+        assert sigma["state/alpha"] == flow.alpha_sigma
+        assert sigma["state/beta"] == flow.beta_sigma
+    assert [d.label for d in dense.layout.dim] == [
+        "pdot,qdot,rdot,ay,az", ",".join(structure.regressors),
+    ]  # fmt: skip
+    assert values["state/airspeed"] == 53.3
 
 
 def test_quality_of_service_in_the_bag(replayed: Path) -> None:

@@ -119,7 +119,7 @@ def test_the_benchmark_scores_a_recorded_flight_as_replay_does() -> None:
     replayed = run.score()[cases.LAST_PART]
     assert set(SELECTIONS) >= {cases.LAST_PART}
     np.testing.assert_allclose(fits.model, replayed.model, rtol=1e-9)
-    np.testing.assert_allclose(fits.held_force, replayed.held_force, rtol=1e-9)
+    np.testing.assert_allclose(fits.measured_force, replayed.held_force, rtol=1e-9)
 
 
 def test_coverage_counts_what_lies_within_sigma() -> None:
@@ -139,7 +139,7 @@ def cell(flight: str, method: str, fit: float, hold: float = 0.0) -> dict[str, A
     return {
         "flight": flight, "seed": 1, "structure": "+ ay, az", "method": method,
         "model": (fit,) * 3, "truth": (float("nan"),) * 3, "hold": (hold,) * 3,
-        "held_force": (float("nan"),) * 3, "coefficient_error": float("nan"), "seconds": 1.0,
+        "measured_force": (float("nan"),) * 3, "coefficient_error": float("nan"), "seconds": 1.0,
     }  # fmt: skip
 
 

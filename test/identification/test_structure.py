@@ -11,7 +11,12 @@ from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 
 @pytest.mark.parametrize(
     ("name", "regressors", "coefficients"),
-    [("baseline", 12, 18), ("throttle_coupled", 12, 20), ("augmented", 15, 26)],
+    [
+        ("baseline", 12, 18),
+        ("throttle_coupled", 12, 20),
+        ("augmented", 15, 26),
+        ("flight_dynamics", 15, 32),
+    ],
 )
 def test_sizes(name: str, regressors: int, coefficients: int) -> None:
     structure = STRUCTURES[name]
@@ -44,10 +49,31 @@ def test_regressor_by_name() -> None:
         assert value == expected
 
 
+def test_flow_angles_have_rows_for_their_forces_and_kinematics() -> None:
+    structure = STRUCTURES["flight_dynamics"]
+    assert structure.row_labels == ("pdot", "qdot", "rdot", "ay", "az", "betadot", "alphadot")
+    assert structure.dense_rows == ("pdot", "qdot", "rdot", "ay", "az")
+    assert structure.regressors[-3:] == ("1", "beta", "alpha")
+    assert (structure.has_flow, structure.has_forces) == (True, False)
+    moments, forces = structure.names[:26], structure.names[26:]
+    assert {name for name in moments if name.endswith(("/beta", "/alpha"))} == {
+        "pdot/beta", "qdot/alpha", "rdot/beta",
+    }  # fmt: skip
+    assert forces == ("ay/dr", "ay/beta", "az/de", "az/alpha", "betadot/1", "alphadot/1")
+    f = structure.regressor(np.zeros(3), np.zeros(4), np.array([0.1, -0.2]))
+    assert f[structure.column("beta")] == 0.1
+    assert f[structure.column("alpha")] == -0.2
+    for name in ("baseline", "throttle_coupled", "augmented"):
+        other = STRUCTURES[name]
+        assert other.row_labels == other.dense_rows == ("pdot", "qdot", "rdot")
+        assert not other.has_flow
+
+
 def test_names_point_to_their_entries() -> None:
+    for structure in STRUCTURES.values():
+        for name, place in zip(structure.names, structure.free, strict=True):
+            assert structure.index(name) == place
     structure = STRUCTURES["augmented"]
-    for name, place in zip(structure.names, structure.free, strict=True):
-        assert structure.index(name) == place
     assert structure.index("pdot/da") == (0, 10)
     assert structure.index("qdot/1") == (1, 12)
     with pytest.raises(ValueError, match="no coefficient 'pdot/de'"):

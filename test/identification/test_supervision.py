@@ -66,7 +66,7 @@ def test_a_late_input_is_not_usable() -> None:
     late = measured(40.0, delay=0.25)
     _, estimates = flown(late, actuators__delay=0.0)
     assert not estimates[-1].usable
-    assert "1-second fit" in estimates[-1].reason
+    assert "1-second prediction fit" in estimates[-1].reason
 
 
 def test_an_unexcited_axis_is_not_usable() -> None:
@@ -80,7 +80,7 @@ def test_an_unexcited_axis_is_not_usable() -> None:
     assert not estimates[-1].usable
 
 
-def test_quiet_flight_pauses_and_grows_stale() -> None:
+def test_quiet_flight_teaches_next_to_nothing_and_grows_stale() -> None:
     quiet = measured(
         60.0,
         segments=(Segment("multisine", duration=30.0, amplitudes=AMPLITUDES, seed=1),),
@@ -92,7 +92,9 @@ def test_quiet_flight_pauses_and_grows_stale() -> None:
     at_pause = next(k for k, time in enumerate(t) if time > 36.0)
     assert estimates[at_pause].state == "paused"
     assert estimates[at_pause].reason == "too little excitation"
-    np.testing.assert_array_equal(estimates[at_pause].coefficients, estimates[-1].coefficients)
+    # What little it counts moves the last digits alone.
+    moved = np.abs(estimates[-1].coefficients - estimates[at_pause].coefficients)
+    assert (moved <= 0.05 * estimates[at_pause].sigma).all()
     assert not estimates[-1].usable
 
 
