@@ -74,10 +74,13 @@ class Trial:
         The information as it would be without the reset.
     old : (k,) array
         The row's coefficients before the reset.
+    beside : list of Sums
+        The information of the estimates that run beside, before the reset.
     """
 
     before: Sums
     old: FloatArray
+    beside: list[Sums]
     old_error: float = 0.0
     new_error: float = 0.0
     time: float = 0.0
@@ -422,6 +425,12 @@ class RecursiveRegression:
         else:
             self._least_squares.sums.set_row(row, sums)
 
+    def _beside(self) -> list[InstrumentalVariable]:
+        """Estimates whose distance sigma covers: they must follow a change too."""
+        if self._least_squares is None:
+            return [self._whitened.estimate]
+        return [self._whitened.estimate, self._reference]
+
     def _release(self, row: int, j: int) -> None:
         """Forget what input `j` did in one row, back to before the change, and learn it anew.
 
@@ -431,7 +440,8 @@ class RecursiveRegression:
         """
         found, information = self._detector.found, self.information
         sums = self._sums().copy()
-        self._trials[row] = Trial(sums.copy(), self._solution.linear[row].copy())
+        beside = [other.sums.copy() for other in self._beside()]
+        self._trials[row] = Trial(sums.copy(), self._solution.linear[row].copy(), beside)
         known = self._snapshots[0][1] if self._snapshots else self._solution
         mean, covariance = known.linear[row].copy(), known.covariance[row].copy()
         columns = self._layout.index[row].tolist()
@@ -442,8 +452,13 @@ class RecursiveRegression:
         if CONSTANT_COLUMN in columns:
             constant = columns.index(CONSTANT_COLUMN)
             covariance[constant, constant] += self._start.sigma[row, CONSTANT_COLUMN] ** 2
-        unit = float(information.unit[row])
-        sums.set_known(row, mean, covariance, information.free[row], unit)
+        free = information.free[row]
+        sums.set_known(row, mean, covariance, free, float(information.unit[row]))
+        for other in self._beside():
+            known_there = other.sums.copy()
+            unit = float(other.information.unit[row])
+            known_there.set_known(row, mean, covariance, free, unit)
+            other.set_row(row, known_there)
         alone = np.zeros(self._layout.rows)
         alone[row] = 1.0
         for sample in self._recent:
@@ -466,3 +481,5 @@ class RecursiveRegression:
             del self._trials[row]
             if trial.new_error > TRIAL_RATIO * trial.old_error:
                 self._set_row(row, trial.before)
+                for other, sums in zip(self._beside(), trial.beside, strict=True):
+                    other.set_row(row, sums)
