@@ -119,7 +119,7 @@ def test_the_benchmark_scores_a_recorded_flight_as_replay_does() -> None:
     replayed = run.score()[cases.LAST_PART]
     assert set(SELECTIONS) >= {cases.LAST_PART}
     np.testing.assert_allclose(fits.model, replayed.model, rtol=1e-9)
-    np.testing.assert_allclose(fits.measured_force, replayed.held_force, rtol=1e-9)
+    np.testing.assert_allclose(fits.measured_force, replayed.measured_force, rtol=1e-9)
 
 
 def test_coverage_counts_what_lies_within_sigma() -> None:
