@@ -24,7 +24,7 @@ from uav_ident_ros.identification.estimators.information import Information, Sol
 from uav_ident_ros.identification.feedback import Feedback
 from uav_ident_ros.identification.model_error import ModelError
 from uav_ident_ros.identification.noise import NoiseModel, Whitener
-from uav_ident_ros.identification.prior import Start, slope_bounds
+from uav_ident_ros.identification.prior import Start, slope_bounds, weak_sigma
 from uav_ident_ros.identification.regression import Regression, layout
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
 from uav_ident_ros.identification.structure import (
@@ -459,6 +459,7 @@ class RecursiveRegression:
             unit = float(other.information.unit[row])
             known_there.set_known(row, mean, covariance, free, unit)
             other.set_row(row, known_there)
+        self._forget_prior(row, INPUT_COLUMNS.start + j)
         alone = np.zeros(self._layout.rows)
         alone[row] = 1.0
         for sample in self._recent:
@@ -467,6 +468,12 @@ class RecursiveRegression:
             sums.add(sample.f, z, sample.y, alone * sample.dt)
         self._set_row(row, sums)
         self._error.forget(row)
+
+    def _forget_prior(self, row: int, column: int) -> None:
+        """Let nothing from before the flight hold a coefficient where it was."""
+        sigma = self._start.sigma.copy()
+        sigma[row, column] = weak_sigma(self._structure)[row, column]
+        self.start = replace(self._start, sigma=sigma)
 
     def _continue_trial(self, row: int, sample: Sample, dt: FloatArray) -> None:
         """Compare the old with the new coefficients on samples that neither has seen."""
