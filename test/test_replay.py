@@ -30,8 +30,8 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.types import entry_names
 from uav_ident_ros.offline import main
 from uav_ident_ros.offline.estimates_bag import write_estimates
-from uav_ident_ros.offline.job import NOT_USABLE
 from uav_ident_ros.offline.run import OfflineRun, Refusals, choose_inputs
+from uav_ident_ros.offline.status import NOT_USABLE
 
 ROOT = Path(__file__).parent.parent
 BAGS = ROOT / "bags"

@@ -20,7 +20,7 @@ from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.salvage import SalvageReader
 from uav_ident_ros.bags.writing import BagWriter, header, jazzy_types, message_class
 from uav_ident_ros.offline import main
-from uav_ident_ros.offline.job import NO_RESULT, NOT_USABLE, USABLE
+from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
 
 ROOT = Path(__file__).parent.parent
 BAGS = ROOT / "bags"

@@ -29,8 +29,8 @@ from uav_ident_ros.messages.types import ACTUATORS, MessageTypeError, import_typ
 from uav_ident_ros.monitor.listener import Listener
 from uav_ident_ros.monitor.views import make_view
 from uav_ident_ros.offline import main as replay
-from uav_ident_ros.offline.job import NO_RESULT
 from uav_ident_ros.offline.run import Inputs, choose_inputs
+from uav_ident_ros.offline.status import NO_RESULT
 from uav_ident_ros.player import Player, PlayerError
 from uav_ident_ros.share import shared
 

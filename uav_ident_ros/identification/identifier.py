@@ -302,6 +302,15 @@ class OnlineIdentifier:
             for i, group in self._estimator.information.collinear()
         ]
 
+    def correlations(self) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
+        """How the estimates of each moment row depend on one another.
+
+        Its regressors, m names, and the correlation of their coefficients, shape (m, m).
+        """
+        labels = self.structure.regressors
+        pairs = zip(ROWS, self._estimator.information.correlations(), strict=True)
+        return {row: (tuple(labels[j] for j in columns), m) for row, (columns, m) in pairs}
+
     def flying(self) -> Flying:
         """Return what is known of the flight, as of the last tick."""
         roll, pitch = (None, None) if self._flow is None else self._flow.attitude

@@ -8,6 +8,10 @@ import sys
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; the return value is the exit status, see `replay --help`."""
+    from uav_ident_ros.offline.options import parser
+
+    command_line = parser()
+    options = command_line.parse_args(args)  # help needs none of what follows
     try:
         from uav_ident_ros.offline import command
     except ModuleNotFoundError as error:
@@ -19,7 +23,7 @@ def main(args: list[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    return command.main(args)
+    return command.run(command_line, options)
 
 
 __all__ = ["main"]

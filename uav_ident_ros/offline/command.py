@@ -16,22 +16,21 @@ from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.offline.comparison import ranked, ranking
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.flights_table import write_flights
-from uav_ident_ros.offline.job import NO_RESULT, Job, Outcome, replay
+from uav_ident_ros.offline.job import Job, Outcome, replay
 from uav_ident_ros.offline.journal import Journal
-from uav_ident_ros.offline.options import parser, topics
+from uav_ident_ros.offline.options import topics
 from uav_ident_ros.offline.overview import overview
 from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.progress import Shown
+from uav_ident_ros.offline.status import NO_RESULT
 
 DEFAULT_FOLDER = "replay_{}"
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the command; the return value is the exit status, see `replay --help`."""
-    command_line = parser()
-    options = command_line.parse_args(args)
+def run(command_line: argparse.ArgumentParser, options: argparse.Namespace) -> int:
+    """Run the command with its options; return the exit status, see `replay --help`."""
     try:
         if options.compare:
             if len(options.bags) > 1 or is_collection(options.bags[0]):

@@ -126,7 +126,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Measure a replay that has at least one estimate."""
     part = max(run.stretches(), key=lambda stretch: len(stretch.ticks))
     result = run.result()
-    bank, shares, correlations = _from_blocks(run, part)
+    bank, shares = _from_blocks(run, part)
     return Evidence(
         settings=run.inputs.settings,
         structure=run.structure,
@@ -145,7 +145,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         delay_in_use=run.identifier.delay,
         force_share=shares,
         collinear=tuple(run.identifier.collinear()),
-        correlations=correlations,
+        correlations=run.identifier.correlations(),
         lost=lost_to(run.estimates),
         gate_settings={
             _NUMBER.sub("…", cost.reason): cost.setting
@@ -185,21 +185,19 @@ def _rate(t_ns: TimeArray) -> float:
     return 1.0 / (float(np.median(np.diff(t_ns))) * NS) if len(t_ns) > 1 else 0.0
 
 
-def _from_blocks(
-    run: OfflineRun, part: Stretch
-) -> tuple[DelayBank | None, dict[str, float], dict[str, tuple[tuple[str, ...], FloatArray]]]:
-    """Compare the delays, find what forces would explain, and which coefficients correlate."""
+def _from_blocks(run: OfflineRun, part: Stretch) -> tuple[DelayBank | None, dict[str, float]]:
+    """Compare the delays, and find what the forces that are no regressors would explain."""
     settings = run.inputs.settings
     arm = np.array(settings.imu.lever_arm)
     bank: DelayBank | None = None
-    moments = _Moments(settings.filter.cutoff, arm)
+    moments = _Moments(settings.filter.cutoff, arm) if run.structure.size < FULL.size else None
     for block in _pieces(run.blocks(part), DELAY_BLOCK_TIME):
         if bank is None:
             bank = DelayBank(block.h, arm)
         bank.add(block)
-        moments.add(block)
-    shares = moments.force_share(run.structure) if run.structure.size < FULL.size else {}
-    return bank, shares, moments.correlations(run.structure)
+        if moments is not None:
+            moments.add(block)
+    return bank, {} if moments is None else moments.force_share(run.structure)
 
 
 def _pieces(blocks: Iterator[Block], seconds: float) -> Iterator[Block]:
@@ -244,28 +242,6 @@ class _Moments:
             with_force = self._residual(i, [*present, FULL.regressors.index(force)])
             shares[row] = 1.0 - with_force / left if left > 0.0 else 0.0
         return shares
-
-    def correlations(self, structure: Structure) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
-        """Return how the least-squares estimates of each row depend on one another.
-
-        Rows with regressors that were not summed are left out.
-        """
-        found = {}
-        for row, labels in zip(ROWS, structure.rows, strict=False):
-            if not labels or not set(labels) <= set(FULL.regressors):
-                continue
-            columns = [FULL.regressors.index(label) for label in labels]
-            information = self._sum[np.ix_(columns, columns)]
-            scale = np.sqrt(np.diag(information))
-            moved = scale > 0.0
-            if not moved.any():
-                continue
-            scaled = information[np.ix_(moved, moved)] / np.outer(scale[moved], scale[moved])
-            covariance = np.linalg.pinv(scaled)
-            sigma = np.sqrt(np.diag(covariance))
-            names = tuple(label for label, m in zip(labels, moved, strict=True) if m)
-            found[row] = (names, covariance / np.outer(sigma, sigma))
-        return found
 
     def _residual(self, row: int, columns: list[int]) -> float:
         """Residual sum of squares of a row's acceleration on some columns."""

@@ -21,7 +21,7 @@ import numpy as np
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
 from uav_ident_ros.offline.flights_table import VERDICTS, FlightRow
-from uav_ident_ros.offline.job import USABLE
+from uav_ident_ros.offline.status import USABLE
 
 FALSE_NAMES = 1e-5
 """False alarms allowed for each flight and coefficient: one in ten fleets of 60 flights in which

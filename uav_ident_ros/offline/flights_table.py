@@ -15,7 +15,8 @@ from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
-from uav_ident_ros.offline.job import NO_RESULT, NOT_USABLE, USABLE, Outcome
+from uav_ident_ros.offline.job import Outcome
+from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
 
 CSV_FILE = "flights.csv"
 PARQUET_FILE = "flights.parquet"

@@ -18,19 +18,16 @@ from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.offline.advice import advise
 from uav_ident_ros.offline.drawing import PictureError
 from uav_ident_ros.offline.evidence import measure
-from uav_ident_ros.offline.inputs import STREAMS, choose_inputs
+from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.notes import notes_on
 from uav_ident_ros.offline.picture import write_picture
 from uav_ident_ros.offline.progress import Progress
 from uav_ident_ros.offline.replayed import Replayed
 from uav_ident_ros.offline.results import write_results
 from uav_ident_ros.offline.run import OfflineRun
+from uav_ident_ros.offline.status import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
+from uav_ident_ros.offline.streams import STREAMS
 from uav_ident_ros.report.page import write_report
-
-NODE_NAME = "/identifier"
-
-USABLE, NOT_USABLE, NO_RESULT = 0, 1, 2
-"""Exit status: what scripts are told."""
 
 REFUSALS = (
     BagError,

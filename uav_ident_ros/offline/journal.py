@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from uav_ident_ros.bags.writing import BagWriteError
-from uav_ident_ros.offline.job import NO_RESULT, Job, Outcome
+from uav_ident_ros.offline.job import Job, Outcome
+from uav_ident_ros.offline.status import NO_RESULT
 
 JOURNAL_FILE = "replayed.jsonl"
 

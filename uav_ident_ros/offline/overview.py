@@ -8,7 +8,8 @@ from collections.abc import Iterable, Sequence
 
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.flights_table import VERDICTS
-from uav_ident_ros.offline.job import NO_RESULT, NOT_USABLE, Outcome
+from uav_ident_ros.offline.job import Outcome
+from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE
 from uav_ident_ros.offline.summary import AXES
 
 LOWEST_SHOWN = -1000.0

@@ -15,8 +15,9 @@ from multiprocessing import resource_tracker
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.offline.identity import identity_of
-from uav_ident_ros.offline.job import NO_RESULT, REFUSALS, Job, Outcome, replay
+from uav_ident_ros.offline.job import REFUSALS, Job, Outcome, replay
 from uav_ident_ros.offline.progress import bar
+from uav_ident_ros.offline.status import NO_RESULT
 
 ATTEMPTS = 3
 """How often a flight is begun whose worker of the cluster has gone: a bag that ends every worker

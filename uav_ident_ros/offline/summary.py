@@ -7,8 +7,9 @@ import math
 from typing import Any
 
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
-from uav_ident_ros.offline.inputs import STREAMS, Inputs
+from uav_ident_ros.offline.inputs import Inputs
 from uav_ident_ros.offline.replayed import Replayed
+from uav_ident_ros.offline.streams import STREAMS
 
 SUMMARY_VERSION = 2
 AXES = ("p", "q", "r")

@@ -419,6 +419,20 @@ class Information:
                     groups.append((i, tuple(int(j) for j in self._j[i, shares])))
         return groups
 
+    def correlations(self) -> list[tuple[tuple[int, ...], FloatArray]]:
+        """Return how the estimates of each moment row depend on one another.
+
+        Its free columns (m,), and the correlation of their estimates (m, m), 1 on the diagonal.
+        """
+        found = []
+        for i, inverse in enumerate(np.linalg.inv(self._correlation())):
+            places = np.flatnonzero(self.free[i])
+            covariance = inverse[np.ix_(places, places)]
+            scale = 1.0 / np.sqrt(np.abs(np.diag(covariance)))
+            columns = tuple(int(j) for j in self._j[i, places])
+            found.append((columns, covariance * np.outer(scale, scale)))
+        return found
+
 
 def _flow_places(
     structure: Structure, layout: Layout
