@@ -30,11 +30,13 @@ LARGEST_FILE = 3_000_000
 """Bytes: small enough for an e-mail."""
 
 SECTIONS = [
-    "fit", "learning", "rates", "coefficients", "inputs", "delay", "messages", "settings", "origin",
+    "fit", "learning", "rates", "coefficients", "modes", "inputs", "delay", "messages", "settings",
+    "origin",
 ]  # fmt: skip
 CHARTS = [
     "states", "rates-p", "residual-p", "rates-q", "residual-q", "rates-r", "residual-r",
-    "whiteness", "input-de", "input-dr", "input-da", "input-dth", "force-ay", "force-az",
+    "whiteness", "mode-plane", "input-de", "input-dr", "input-da", "input-dth", "force-ay",
+    "force-az",
     "state-alpha", "state-beta", "state-roll", "state-pitch", "spectra-inputs", "spectra-rates",
     "coverage-da-dr", "coverage-de-dth", "coverage-p-r", "coverage-q-p", "delay-curve",
 ]  # fmt: skip

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from bokeh.models import BoxAnnotation, FixedTicker, HoverTool, LinearColorMapper, Span
 from bokeh.palettes import Blues256
 
+from uav_ident_ros.identification.linearisation import Mode
 from uav_ident_ros.identification.prediction import LAST_PART
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.report.analysis import (
@@ -139,6 +140,39 @@ def coverage_charts(flight: Flight) -> Iterator[Chart]:
         )
         spoken = f"How often {x} and {y} had which values."
         yield Chart(f"coverage-{x}-{y}", f"{y} over {x}", chart, spoken, small=True)
+
+
+def mode_chart(found: Sequence[Mode]) -> Chart:
+    """Return the modes in the upper half of the complex plane, with ellipses of one sigma."""
+    real = np.array([mode.eigenvalue.real for mode in found])
+    imaginary = np.array([mode.eigenvalue.imag for mode in found])
+    sigma = np.array([mode.eigenvalue_sigma for mode in found])
+    room = 2.0 * np.where(np.isfinite(sigma), sigma, 0.0)
+    chart = plain_figure(
+        260,
+        "imaginary part [rad/s]",
+        x_range=value_range(real - room[:, 0], real + room[:, 0], np.zeros(1)),
+        y_range=value_range(imaginary + room[:, 1], np.zeros(1)),
+    )
+    chart.xaxis.axis_label = "real part [1/s]"
+    source = columns(
+        {"re": real, "im": imaginary, "width": 2.0 * sigma[:, 0], "height": 2.0 * sigma[:, 1]}
+    )
+    source.data["name"] = [mode.name for mode in found]
+    chart.add_layout(BoxAnnotation(left=0.0, fill_color=COLORS["fault"], fill_alpha=0.08))
+    size = {"width": "width", "height": "height"}
+    chart.ellipse("re", "im", **size, source=source, color=COLORS["tick"], fill_alpha=0.25)
+    drawn = chart.scatter("re", "im", source=source, size=8, marker="x", color=COLORS["tick"])
+    tips = [("", "@name"), ("real", "@re{0.000}"), ("imaginary", "@im{0.000}")]
+    chart.add_tools(HoverTool(renderers=[drawn], tooltips=tips, visible=False))
+    return Chart(
+        "mode-plane",
+        "Modes in the complex plane",
+        chart,
+        "Eigenvalues of the identified model: " + ", ".join(mode.name for mode in found) + ".",
+        "Each cross is an eigenvalue, its ellipse one standard deviation. What is right of zero, "
+        "in the shaded half, grows.",
+    )
 
 
 def _span(values: FloatArray) -> tuple[float, float]:

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from uav_ident_ros.files.truth_file import read_truth
+from uav_ident_ros.identification.linearisation import Condition, modes
 from uav_ident_ros.offline.identity import bag_files
 from uav_ident_ros.report import diagrams, tables
 from uav_ident_ros.report.analysis import spectra
@@ -76,6 +79,7 @@ def sections(
     known = [*tables.coefficient_correlations(evidence)]
     table = tables.coefficients_table(summary, truth)
     yield Section("coefficients", "Coefficients", [text], [table, *known], coefficients)
+    yield from _modes_section(flight)
     found = spectra(flight)
     charts = [*signal_charts(flight, line)]
     charts += [*diagrams.spectrum_charts(flight, found)] if found is not None else []
@@ -126,6 +130,27 @@ _INPUTS_TEXT = (
     "cut-off of the estimator's filter. An input that is strongly correlated with another, or with "
     "a rate that an autopilot feeds back, teaches little. The model is known where the clouds of "
     "the coverage are, and nowhere else."
+)
+
+
+def _modes_section(flight: Flight) -> Iterator[Section]:
+    """Yield the modes of the last model; nothing for a structure without flow angles."""
+    last = flight.estimates[-1]
+    if last.flow is None or not last.flow.airspeed > 0.0:
+        return
+    condition = Condition(last.flow.airspeed, roll=last.flow.roll, pitch=last.flow.pitch)
+    try:
+        found = modes(flight.structure, last.coefficients, last.sigma, condition)
+    except np.linalg.LinAlgError:
+        return  # a model of so short a flight that it is none
+    if found:
+        charts = [diagrams.mode_chart(found)]
+        yield Section("modes", "Modes", [_MODES_TEXT], [tables.modes_table(found)], charts)
+
+
+_MODES_TEXT = (
+    "The identified model, linearised at the airspeed and the attitude of the last tick, without "
+    "rates. The coefficients count as independent in the standard deviations."
 )
 
 

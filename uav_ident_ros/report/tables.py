@@ -12,6 +12,7 @@ from markupsafe import Markup, escape
 
 from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.files.truth_file import Truth
+from uav_ident_ros.identification.linearisation import Mode
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.report.analysis import SIGNALS, Spectra, correlations, signals
@@ -179,6 +180,26 @@ def coefficient_correlations(evidence: Evidence) -> Iterator[Table]:
             if i
         ]
         yield Table(f"Correlation of the coefficients of {row}", ("", *names[:-1]), rows, "short")
+
+
+def modes_table(found: Sequence[Mode]) -> Table:
+    """Frequency and damping, or time constant, of every mode with its standard deviation."""
+    rows = []
+    for mode in found:
+        pairs = (
+            (mode.frequency, mode.frequency_sigma),
+            (mode.damping, mode.damping_sigma),
+            (mode.time_constant, mode.time_constant_sigma),
+        )
+        cells = [
+            Markup("{} ± {}").format(number(value, ".3g"), number(sigma, ".2g"))
+            if math.isfinite(value)
+            else "–"
+            for value, sigma in pairs
+        ]
+        rows.append(Row(mode.name, cells))
+    head = ("mode", "frequency [rad/s]", "damping ratio", "time constant [s]")
+    return Table("Modes at the condition of the last tick", head, rows, "short")
 
 
 def messages_table(summary: Mapping[str, Any]) -> Table:
