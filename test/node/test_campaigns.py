@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The campaigns of benchmarks/kills.py and benchmarks/faults.py, in short."""
+"""The campaigns of benchmarks/kills.py, signals.py and faults.py, in short."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 
 import faults
 import kills
+import signals
 from hostile import Hostile, example, leaves
 
 MESSAGES = 300
@@ -35,6 +36,16 @@ def test_a_node_killed_while_it_saves_leaves_a_whole_file_and_the_next_goes_on()
     assert first.startswith("2 kills")
     assert int(first.split()[2]) > 2, "files written"
     assert verdict == kills.GOOD
+
+
+def test_a_node_ended_by_signals_has_saved_what_it_learned() -> None:
+    command = [sys.executable, str(ROOT / "benchmarks" / "signals.py"), "--runs", "2"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    first, verdict = done.stdout.splitlines()
+    assert first.startswith("2 nodes ended; ")
+    learned, left = int(first.split()[3]), int(first.split()[6])
+    assert 1 <= learned <= left
+    assert verdict == signals.GOOD
 
 
 @pytest.mark.parametrize("sim_time", [False, True], ids=["system-time", "simulated-time"])
