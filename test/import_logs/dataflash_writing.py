@@ -25,6 +25,7 @@ FORMATS: dict[str, tuple[str, str]] = {
     "ARSP": ("QBffcffBBfB", "TimeUS,I,Airspeed,DiffPress,Temp,RawPress,Offset,U,H,Hp,Pri"),
     "CTUN": ("Qccccffffffi", "TimeUS,NavRoll,Roll,NavPitch,Pitch,ThO,RdO,ThD,As,SAs,E2T,GU"),
     "ARM": ("QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method"),
+    "GPS": ("Qf", "TimeUS,Spd"),
     "ATT": ("QccccCC", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw"),
     "DSF": ("QIHIIII", "TimeUS,Dp,Blk,Bytes,FMn,FMx,FAv"),
 }

@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,7 @@ def assert_same_coefficients(
     np.testing.assert_allclose(found.sigma[free], expected.sigma[free], rtol=sigma_tolerance)
 
 
+TO_FRD = np.array([1.0, -1.0, -1.0])
 TRIM_MOTOR = {"motor_1": 0.5, "elevator": 0.0, "rudder": 0.0, "aileron": 0.0}
 
 
@@ -304,15 +306,19 @@ def test_tables_of_other_units(tmp_path: Path, measured: Measurements, capsys) -
     assert values["actuators.mixing.de"] == [1.0]
 
 
-def test_the_whole_way_from_a_log_to_a_verdict(tmp_path: Path, capsys) -> None:
-    """The example flight of a JSBSim aircraft as a PX4 log, by the two commands a user types."""
-    example = Path(__file__).resolve().parents[2] / "bags" / "c172p"
-    recorded = contents(example)
-    to_frd = np.array([1.0, -1.0, -1.0])
+EXAMPLE = Path(__file__).resolve().parents[2] / "bags" / "c172p"
+SPEED = 53.3
+"""Of the example flight, m/s: by GPS, as there is no airspeed in it."""
+
+
+def px4_example(folder: Path) -> Path:
+    """The example flight of a JSBSim aircraft as a PX4 log."""
+    recorded = contents(EXAMPLE)
     values = recorded.actuators * PLAIN_SIGNS
+    seldom = recorded.actuator_t_ns[::5]
     topics = {
         ("sensor_combined", 0): sensor_combined(
-            recorded.imu_t_ns, recorded.rates * to_frd, recorded.force * to_frd
+            recorded.imu_t_ns, recorded.rates * TO_FRD, recorded.force * TO_FRD
         ),
         ("actuator_motors", 0): commands(
             recorded.actuator_t_ns, padded(values[:, 3:], 12), "control"
@@ -320,24 +326,56 @@ def test_the_whole_way_from_a_log_to_a_verdict(tmp_path: Path, capsys) -> None:
         ("actuator_servos", 0): commands(
             recorded.actuator_t_ns, padded(values[:, :3], 8), "control"
         ),
-        # the trim flight's speed, by GPS: there is no airspeed in it
         ("vehicle_gps_position", 0): {
-            "timestamp": stamps(recorded.actuator_t_ns[::5]),
-            "vel_m_s": np.full(len(recorded.actuator_t_ns[::5]), 53.3, np.float32),
+            "timestamp": stamps(seldom),
+            "vel_m_s": np.full(len(seldom), SPEED, np.float32),
         },
     }
-    log = write_ulog(tmp_path / "c172p.ulg", topics, FIXED_WING)
-    run([str(log), "--output", str(tmp_path / "bag")], capsys)
-    summaries = {}
-    for name, bag in (("imported", tmp_path / "bag"), ("recorded", example)):
-        output = tmp_path / name
-        arguments = [str(bag), "--params-file", str(bag / "identifier.yaml")]
-        assert replay([*arguments, "--output", str(output)]) == 0
-        summaries[name] = json.loads((output / "summary.json").read_text())
-    imported, original_summary = summaries["imported"], summaries["recorded"]
-    assert imported["usable"] and original_summary["usable"]
+    return write_ulog(folder / "c172p.ulg", topics, FIXED_WING)
+
+
+def ardupilot_example(folder: Path) -> Path:
+    """The same as an ArduPilot log: 500 us of a servo are 0.5 rad."""
+    recorded = contents(EXAMPLE)
+    values = recorded.actuators * PLAIN_SIGNS * [1.0, -1.0, 1.0, 1.0]  # the rudder is reversed
+    pulses = np.rint([1500, 1500, 1500, 1000] + 1000.0 * values).astype(int)
+    imu = np.hstack([recorded.rates * TO_FRD, recorded.force * TO_FRD])
+    rows = [
+        (int(t) // 1000, "IMU", (0, *row))
+        for t, row in zip(recorded.imu_t_ns, imu.tolist(), strict=True)
+    ]
+    for t, row in zip(recorded.actuator_t_ns, pulses.tolist(), strict=True):
+        rows.append((int(t) // 1000, "RCOU", tuple(row)))
+        rows.append((int(t) // 1000, "GPS", (SPEED,)))
+    writer = DataflashWriter(folder)
+    writer.add_parameters(PLANE)
+    writer.add("MSG", 0, b"ArduPlane V4.5.7 (0358a9c2)")
+    writer.add_rows(rows)
+    return writer.write(folder / "c172p.bin")
+
+
+def summary_of(bag: Path, output: Path) -> dict:
+    arguments = [str(bag), "--params-file", str(bag / "identifier.yaml")]
+    assert replay([*arguments, "--output", str(output)]) == 0
+    return dict(json.loads((output / "summary.json").read_text()))
+
+
+@pytest.fixture(scope="module")
+def recorded_summary(tmp_path_factory: pytest.TempPathFactory) -> dict:
+    return summary_of(EXAMPLE, tmp_path_factory.mktemp("recorded") / "out")
+
+
+@pytest.mark.parametrize(("write", "unit"), [(px4_example, 1.0), (ardupilot_example, 0.5)])
+def test_the_whole_way_from_a_log_to_a_verdict(
+    tmp_path: Path, capsys, recorded_summary: dict, write: Callable[[Path], Path], unit: float
+) -> None:
+    """By the two commands a user types, without an option."""
+    run([str(write(tmp_path)), "--output", str(tmp_path / "bag")], capsys)
+    imported = summary_of(tmp_path / "bag", tmp_path / "imported")
+    assert imported["usable"] and recorded_summary["usable"]
     assert imported["inputs"]["rates"]["dropped"] == {}
     assert abs(imported["delay"]) < 0.005  # the simulation has none, and the log asks to find it
     for coefficient in ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr"):
-        found, expected = (s["coefficients"][coefficient] for s in (imported, original_summary))
-        assert abs(found["value"] - expected["value"]) < expected["sigma"]
+        found, expected = (s["coefficients"][coefficient] for s in (imported, recorded_summary))
+        scale = unit if "/d" in coefficient else 1.0
+        assert abs(found["value"] / scale - expected["value"]) < expected["sigma"]

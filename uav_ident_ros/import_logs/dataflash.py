@@ -147,6 +147,10 @@ class _Walker:
                 return at
         return self._size
 
+    def resembles(self, at: int) -> bool:
+        first, second, number = self._data[at : at + HEADER_SIZE].ljust(HEADER_SIZE, b"\0")
+        return (first == HEADER[0]) + (second == HEADER[1]) + (self._sizes[number] > 0) >= 2
+
     def take(self, at: int) -> None:
         self._last = number = self._data[at + 2]
         self.places[number].append(at)

@@ -337,6 +337,12 @@ class _Walker:
                 return at
         return self._size
 
+    def resembles(self, at: int) -> bool:
+        if at + MESSAGE_HEADER > self._size:
+            return False
+        size, kind = self._header(at)
+        return kind in self._known or size + MESSAGE_HEADER in self.lengths
+
     def _has_key(self, at: int, size: int) -> bool:
         """Whether a type, a name and a value of that type begin here."""
         count = self._data[at] if size > 0 else 0

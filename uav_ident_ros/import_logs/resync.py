@@ -24,6 +24,9 @@ class Format(Protocol):
     def next_certain(self, start: int) -> int:
         """Return the next place where a message begins for certain; else the end of the file."""
 
+    def resembles(self, at: int) -> bool:
+        """Return whether what stands here is the begin of a message but for a byte or so."""
+
     def take(self, at: int) -> None:
         """Take the message that begins here."""
 
@@ -47,8 +50,9 @@ def walk(log: Format, start: int, end: int) -> list[Gap]:
         taken = last < at
         following = log.next_certain(last + 1 if taken else at + 1)
         # What has led to no message was none itself, if it reaches into the one that follows, or
-        # if with it the gap is as long as a message, and without it not: its type is damaged.
-        misread = following - last in log.lengths and following - at not in log.lengths
+        # if with it the gap is as long as a message, and no damaged one begins behind it: then its
+        # type is what is damaged.
+        misread = following - last in log.lengths and not log.resembles(at)
         if taken and (following < at or misread):
             log.take_back()
             at = last
