@@ -12,6 +12,11 @@ PREFERENCE = 1e-3
 shares of what full travel gives: it decides only between inputs that do the same."""
 
 
+UNMET, GIVES_WAY = 0.05, 0.03
+"""Share of its worth by which an axis may fall short before it gives way to the others, and the
+weight that it keeps then: its square is a thousandth."""
+
+
 def allocate(
     effect: FloatArray,
     wanted: FloatArray,
@@ -26,7 +31,7 @@ def allocate(
     answer: an input without any effect stays where it is preferred, and one at its limit leaves
     the rest to the others. An axis is worth what it could do in full health, its `scale`. So an
     axis that has lost its surface cannot draw on another's: what little the rudder rolls is not
-    worth the yaw that it costs.
+    worth the yaw that it costs. What cannot be had all the same gives way to what can.
 
     Parameters
     ----------
@@ -47,7 +52,13 @@ def allocate(
     # in shares of travel from the preferred inputs: u = near + travel * s
     rows = np.vstack([effect * travel / scale[:, None], PREFERENCE * np.eye(len(low))])
     target = np.append((wanted - effect @ near) / scale, np.zeros(len(low)))
-    share = bounded_least_squares(rows, target, (low - near) / travel, (high - near) / travel)
+    bounds = (low - near) / travel, (high - near) / travel
+    share = bounded_least_squares(rows, target, *bounds)
+    short = np.abs(target - rows @ share)[: len(scale)]
+    unmet = short > max(UNMET, 0.5 * short.max())  # not the axes that it drew on
+    if unmet.any() and not unmet.all():
+        weight = np.append(np.where(unmet, GIVES_WAY, 1.0), np.ones(len(low)))
+        share = bounded_least_squares(weight[:, None] * rows, weight * target, *bounds)
     return np.clip(near + travel * share, low, high)
 
 
