@@ -86,6 +86,7 @@ def one_of_three(value: float, otherwise: float) -> Any:
 
 E = good()
 SURE = E.delay
+MIN_T_RATIO = E.settings.supervision.min_t_ratio
 CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     # advice, what just misses it, what just gives it, what it says
     "on the ground": (
@@ -111,9 +112,9 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     ),
     "rudder known too little": (
         "weak_excitation",
-        {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / 3.03)},
-        {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / 2.97)},
-        r"not enough rudder excitation: rdot/dr is known to 3\.0 sigma only \(3 needed\)",
+        {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / (MIN_T_RATIO * JUST_ABOVE))},
+        {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / (MIN_T_RATIO * JUST_BELOW))},
+        r"not enough rudder excitation: rdot/dr is known to 4\.0 sigma only \(4 needed\)",
     ),
     "rudder still": (
         "weak_excitation",

@@ -16,6 +16,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from uav_ident_ros.identification.settings import SupervisionSettings
 from uav_ident_ros.monitor.heard import Coefficient, Heard
 
 COLUMN_WIDTH = 26
@@ -42,7 +43,7 @@ SPARKS = 10
 SHOWN_RATIO = 999.0
 """Largest t-ratio that is written out."""
 
-WELL_KNOWN = 3.0
+WELL_KNOWN = SupervisionSettings().min_t_ratio
 """t-ratio from which a coefficient counts as known: the default of `supervision.min_t_ratio`."""
 
 STATE_STYLES = {"learning": "cyan", "converged": "green", "fault": "bold red"}
