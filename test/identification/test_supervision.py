@@ -65,8 +65,8 @@ def test_wrong_signs_are_not_usable(excited: Measurements) -> None:
 def test_a_late_input_is_not_usable() -> None:
     late = measured(40.0, delay=0.25)
     _, estimates = flown(late, actuators__delay=0.0)
-    assert not estimates[-1].usable
-    assert "1-second prediction fit" in estimates[-1].reason
+    assert not any(e.usable for e in estimates)
+    assert "t-ratio" in estimates[-1].reason or "prediction fit" in estimates[-1].reason
 
 
 def test_an_unexcited_axis_is_not_usable() -> None:
@@ -91,7 +91,7 @@ def test_quiet_flight_teaches_next_to_nothing_and_grows_stale() -> None:
     t = np.array([e.t_ns - estimates[0].t_ns for e in estimates]) * 1e-9
     at_pause = next(k for k, time in enumerate(t) if time > 36.0)
     assert estimates[at_pause].state == "paused"
-    assert estimates[at_pause].reason == "too little excitation"
+    assert estimates[at_pause].reason.startswith("too little excitation")
     # What little it counts moves the last digits alone.
     moved = np.abs(estimates[-1].coefficients - estimates[at_pause].coefficients)
     assert (moved <= 0.05 * estimates[at_pause].sigma).all()
