@@ -45,8 +45,13 @@ RECORDED = flights.ROOT.parent / "shared" / "bags"
 RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
 """Topics of the recorded flights."""
 
-RECORDED_DELAY = {"thor75_auto": 0.08}
-"""Transport delay of the recorded flights, s."""
+RECORDED_DELAY = {
+    "thor75_auto": 0.08,
+    "thor75_flight": 0.08,
+    "proto_flt09": 0.0,
+    "skywalker_manual": 0.0,
+}
+"""Transport delay of the recorded flights, s; 0 where it is not known."""
 
 LAST_PART = "last_40_percent"
 

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Free predictions over 1, 3 and 5 s: ``python benchmarks/free_prediction.py [FLIGHT ...]``.
+
+One online pass over each flight with defaults, p / q / r over the last 40 %, against the measured
+rates; beside it holding the rate, the model with the forces measured inside the window, and
+`augmented` with the forces measured. Recorded flights get their delay, and an airspeed of 17 m/s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from multiprocessing import get_context
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # ten-by-ten matrices; before NumPy loads
+
+import cases
+
+from uav_ident_ros.identification.structure import FloatArray
+
+RECORDED = ("thor75_flight", "thor75_auto", "proto_flt09", "skywalker_manual")
+SIMULATED = tuple(
+    f"{aircraft}_{kind}"
+    for aircraft in ("c172p", "t37", "ov10")
+    for kind in ("calm", "banked", "turbulent", "unexcited")
+)
+RECORDED_SPEED = 17.0
+"""Usual airspeed of the recorded aircraft, m/s."""
+
+
+def row(flight: str) -> str:
+    """One row of the table."""
+    case = cases.load(flight)
+    speed = {"airspeed.reference": RECORDED_SPEED} if flight in RECORDED else {}
+    free = cases.score(case, cases.identify(case, {"structure": "flight_dynamics", **speed}))
+    augmented = cases.score(case, cases.identify(case, {"structure": "augmented"}))
+    columns = (
+        *free.free, free.hold, free.measured_force, augmented.measured_force
+    )  # fmt: skip
+    return f"| {flight} | " + " | ".join(map(triple, columns)) + " |"
+
+
+def triple(fit: FloatArray) -> str:
+    """Fits of p, q, r."""
+    return " / ".join(f"{value:.0f}" for value in fit)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("flights", nargs="*", metavar="FLIGHT")
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args(arguments)
+    known = [name for name in RECORDED if cases.is_recorded(name)]
+    flights = options.flights or [*known, *SIMULATED]
+    print("| flight | 1 s | 3 s | 5 s | holding, 1 s | forces measured | augmented, measured |")
+    print("|---|---|---|---|---|---|---|")
+    with get_context("spawn").Pool(options.workers) as pool:
+        for line in pool.imap(row, flights):
+            print(line, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
