@@ -19,8 +19,13 @@ from geometry_msgs.msg import Vector3, Vector3Stamped
 from plants import DT_NS, START, STRUCTURE, coefficients
 from sensor_msgs.msg import Imu, JointState
 
+from uav_ident_ros.client import AttitudeModel, Coefficients
 from uav_ident_ros.files.coefficients_file import save_coefficients
-from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.flow import FlowState
+from uav_ident_ros.identification.prior import first_values
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.messages.types import named_entries
 
 FOLDER = Path(__file__).parents[1] / "examples"
 REFERENCE = np.array([0.2, 0.05, 0.03])
@@ -117,3 +122,27 @@ def test_the_monitor_warns_of_a_weak_aileron_alone(
     said = module.warnings(node.measured)
     assert [line[: len(word)] for line, word in zip(said, words, strict=True)] == words
     node.destroy_node()
+
+
+def test_the_prediction_from_a_message_is_that_of_the_client() -> None:
+    flight = STRUCTURES["flight_dynamics"]
+    rng = np.random.default_rng(3)
+    a = first_values(flight) + flight.mask * rng.normal(0.0, 2.0, flight.mask.shape)
+    flow = FlowState(0.05, 0.08, 0.0, 0.0, roll=0.4, pitch=-0.2, airspeed=23.0)
+    estimate = Estimate(
+        t_ns=START, coefficients=a, sigma=0.01 * np.abs(a), predicted_rates=np.zeros(3),
+        prediction_error=np.zeros(3), fit=np.full(3, 80.0), adapting=True, usable=True,
+        usable_rows=(True, True, True), state="converged", reason="", flow=flow,
+    )  # fmt: skip
+    entries = named_entries(estimate, flight)
+    message = JointState(
+        name=list(entries.names),
+        position=entries.positions.tolist(),
+        effort=entries.efforts.tolist(),
+    )
+    rates, u = [0.3, -0.1, 0.2], [0.05, -0.03, 0.1, 0.2]
+    read = Coefficients.from_message(message)
+    model = AttitudeModel(read.structure, read.values, read.structure.mask, read.flow)
+    x = np.array([*rates, flow.beta, flow.alpha])
+    found = load("predict_from_message").predict(message, rates, u, 1.0)
+    np.testing.assert_allclose(found, model.predict(x, np.array(u), 1.0), rtol=1e-12, atol=1e-12)
