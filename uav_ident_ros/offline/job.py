@@ -136,7 +136,7 @@ def replay(job: Job, progress: Progress = SILENT) -> Outcome:
             write_report(job.folder / "report.html", job.bag, run, summary, evidence)
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (*warnings, str(error)))
-    status = USABLE if run.estimates[-1].usable else NOT_USABLE
+    status = NOT_USABLE if replayed.doubt else USABLE
     return Outcome(job, status, tuple(warnings), table, summary)
 
 

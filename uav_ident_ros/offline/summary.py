@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from typing import Any
 
+from uav_ident_ros.identification.linearisation import Mode
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
+from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.offline.inputs import Inputs
 from uav_ident_ros.offline.replayed import Replayed
 from uav_ident_ros.offline.streams import STREAMS
@@ -40,7 +43,8 @@ def summarise(replayed: Replayed) -> dict[str, Any]:
         "state": last.state,
         "reason": last.reason,
         "fault": run.fault,
-        "usable": last.usable,
+        "usable": not replayed.doubt,
+        "usable_rows": dict(zip(ROWS, last.usable_rows, strict=True)),
         "gates": {name: cost._asdict() for name, cost in run.identifier.gate_costs().items()},
         "implausible": [found.text for found in run.identifier.noted],
         "delay": run.identifier.delay,
@@ -53,6 +57,7 @@ def summarise(replayed: Replayed) -> dict[str, Any]:
             }
             for coefficient, index in zip(run.structure.names, run.structure.free, strict=True)
         },
+        "modes": [_json_mode(mode) for mode in replayed.modes()],
         "notes": list(replayed.notes),
         "advice": [advice._asdict() for advice in replayed.advice],
         "prediction_fit": {windows: _json_fit(fit) for windows, fit in replayed.fits.items()},
@@ -92,6 +97,16 @@ def _json_fit(fit: PredictionFit) -> dict[str, Any]:
             for horizon, model, hold in zip(HORIZONS, fit.free, fit.free_hold, strict=True)
         },
     }
+
+
+def _json_mode(mode: Mode) -> dict[str, Any]:
+    numbers = {
+        field.name: _json(getattr(mode, field.name))
+        for field in fields(mode)
+        if isinstance(getattr(mode, field.name), float)
+    }
+    eigenvalue = [_json(mode.eigenvalue.real), _json(mode.eigenvalue.imag)]
+    return {"name": mode.name, "eigenvalue": eigenvalue, **numbers}
 
 
 def _json_setting(value: Any) -> Any:

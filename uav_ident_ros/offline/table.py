@@ -11,6 +11,7 @@ import numpy as np
 
 from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
+from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.offline.replayed import Replayed
 from uav_ident_ros.offline.summary import AXES, streams
 
@@ -29,9 +30,10 @@ def write_table(replayed: Replayed) -> str:
         _heading(replayed),
         _coefficients(replayed),
         *(_fit_lines(_TITLES[windows], fit) for windows, fit in replayed.fits.items()),
+        _modes(replayed),
         _verdict(replayed),
     ]
-    return "\n\n".join("\n".join(lines) for lines in parts)
+    return "\n\n".join(filter(None, ("\n".join(lines) for lines in parts)))
 
 
 def _heading(replayed: Replayed) -> Iterator[str]:
@@ -93,13 +95,30 @@ def _fit_lines(title: str, fit: PredictionFit) -> Iterator[str]:
             yield f"{row:<26}" + "".join(f"{value:>9.1f}" for value in values)
 
 
+def _modes(replayed: Replayed) -> Iterator[str]:
+    """Yield the modes of the model, a line each."""
+    found = replayed.modes()
+    if found:
+        yield "modes of the model, level"
+    for mode in found:
+        stable = "" if mode.stable else ", unstable"
+        if math.isfinite(mode.frequency):
+            yield (
+                f"{mode.name:<14}{mode.frequency:>8.3g} +- {mode.frequency_sigma:.2g} rad/s, "
+                f"damping ratio {mode.damping:.2g} +- {mode.damping_sigma:.2g}{stable}"
+            )
+        else:
+            yield (
+                f"{mode.name:<14}{mode.time_constant:>8.3g} +- {mode.time_constant_sigma:.2g} s, "
+                f"aperiodic{stable}"
+            )
+
+
 def _verdict(replayed: Replayed) -> Iterator[str]:
     """Yield whether the model is usable, what the bag is like, and what to do."""
-    last = replayed.run.estimates[-1]
-    if last.usable:
-        yield "verdict: usable"
-    else:
-        yield f"verdict: not usable{f': {last.reason}' if last.reason else ''}"
+    rows = zip(ROWS, replayed.run.estimates[-1].usable_rows, strict=True)
+    each = ", ".join(f"{row} {'usable' if usable else 'not'}" for row, usable in rows)
+    yield f"verdict: not usable ({each}): {replayed.doubt}" if replayed.doubt else "verdict: usable"
     for word, texts in (
         ("note", replayed.notes),
         ("advice", [advice.text for advice in replayed.advice]),
