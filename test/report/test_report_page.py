@@ -103,7 +103,7 @@ def test_the_page_says_what_it_is_to_whoever_cannot_see_it(page: Node) -> None:
 def test_coefficients_are_those_of_the_summary(page: Node, summary: dict[str, Any]) -> None:
     rows = table(page, "Coefficients, SI").rows()
     assert [row[0].text for row in rows] == list(summary["coefficients"])
-    for name, value, sigma, ratio, meaning in rows:
+    for name, value, _true, sigma, ratio, meaning in rows:
         entry = summary["coefficients"][name.text]
         assert exact(value) == entry["value"]
         assert exact(sigma) == entry["sigma"]
