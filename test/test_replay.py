@@ -471,7 +471,9 @@ def test_only_a_bag_is_replaced(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not REAL_FLIGHT.exists(), reason="recorded flights are not here")
 def test_real_flight_start_to_end(tmp_path: Path) -> None:
-    assert main([str(REAL_FLIGHT), "--output", str(tmp_path)]) == 0
+    # An autopilot flew it, and nobody moved the surfaces on purpose: what they do is not sure.
+    assert main([str(REAL_FLIGHT), "--output", str(tmp_path)]) == NOT_USABLE
+    assert "t-ratio" in (tmp_path / "table.txt").read_text()
     content = summary(tmp_path)
     assert content["ticks"] > 5900
     assert all(c["value"] is not None for c in content["coefficients"].values())

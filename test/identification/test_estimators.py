@@ -20,12 +20,12 @@ from flying import (
     worst,
 )
 
-from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.rigid_body import product_coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.flight import CoefficientChange
+from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.plant import Autopilot
@@ -251,8 +251,8 @@ def test_inputs_that_move_together_are_named() -> None:
     assert (free.excitation() <= 1.0).all()
 
 
-def test_what_is_not_excited_is_not_forgotten() -> None:
-    """Rudder and throttle move for half a minute; then, for four forgetting times, they rest."""
+def at_rest_and_last(forgetting_time: float) -> tuple[OnlineIdentifier, Flight, Estimate, Estimate]:
+    """Rudder and throttle move for half a minute; then they rest, while the others go on."""
     still = {name: peak for name, peak in AMPLITUDES.items() if name in ("de", "da")}
     flight = plant_flight(
         110.0,
@@ -262,13 +262,34 @@ def test_what_is_not_excited_is_not_forgotten() -> None:
         ),
         gusts=ColouredNoise(0.3, 0.3),
     )
-    assert flight.coefficients is not None
     measurements = measure(flight, Sensors(gyro_noise=0.02), seed=1)
-    identifier = OnlineIdentifier(settings(measurements, structure=STRUCTURE, forgetting_time=20.0))
+    identifier = OnlineIdentifier(
+        settings(measurements, structure=STRUCTURE, forgetting_time=forgetting_time)
+    )
     estimates = run(identifier, messages(measurements))
     at_rest = next(e for e in estimates if e.t_ns - estimates[0].t_ns > 33e9)
-    last = estimates[-1]
-    for name in ("pdot/dr", "rdot/dr", "pdot/dth"):
+    return identifier, flight, at_rest, estimates[-1]
+
+
+RESTING = ("pdot/dr", "rdot/dr", "pdot/dth")
+
+
+def test_without_forgetting_what_rests_is_kept() -> None:
+    identifier, _, at_rest, last = at_rest_and_last(0.0)
+    for name in RESTING:
         place = identifier.structure.index(name)
         assert abs(last.coefficients[place] - at_rest.coefficients[place]) < at_rest.sigma[place]
         assert last.sigma[place] < 2.0 * at_rest.sigma[place]
+
+
+def test_what_rests_is_forgotten_with_its_row_and_sigma_says_so() -> None:
+    """For four forgetting times; what goes on moving stays as well known."""
+    identifier, flight, at_rest, last = at_rest_and_last(20.0)
+    for name in RESTING:
+        place = identifier.structure.index(name)
+        assert last.sigma[place] > 0.9 * at_rest.sigma[place]
+        assert abs(last.coefficients[place] - flight.coefficients_at(0.0)[place]) < (
+            2.0 * last.sigma[place]
+        )
+    assert not last.usable_rows[2]
+    assert worst(errors(last.coefficients, STRUCTURE, flight, ("pdot/da", "qdot/de"))) < 0.05
