@@ -8,7 +8,7 @@ import padasip
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, FloatArray
 
 RLS_FORGETTING = 0.998
 """Per update; at 20 Hz a time constant of 25 s, the usual choice."""
@@ -45,7 +45,18 @@ class RegressionRecorder:
         self.y: list[FloatArray] = []
         self.f: list[FloatArray] = []
 
-    def update(self, data: Regression, residual: FloatArray, weight: FloatArray) -> None:
+    @property
+    def inputs(self) -> FloatArray:
+        """Control derivatives: none are known."""
+        return self.coefficients[:, INPUT_COLUMNS]
+
+    def residual(self, sample: Regression) -> FloatArray:
+        """Return what no coefficients leave of a sample: all of it."""
+        return np.asarray(sample.residual(self.coefficients)[0])
+
+    def update(
+        self, data: Regression, sample: Regression, residual: FloatArray, weight: FloatArray
+    ) -> None:
         """Keep the last sample."""
         self.y.append(data.y[-1].copy())
         self.f.append(data.f[-1].copy())
