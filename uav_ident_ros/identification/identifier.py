@@ -758,7 +758,7 @@ class OnlineIdentifier:
         if self._injected(block):
             driven_by = block.excitation
             states = self._response.respond(coefficients, block, flow, leak)
-        scale = self._speed.scale if self._speed.enabled else None
+        scale = self._speed.scale[0] if self._speed.enabled else None
         regression = self._filter.apply(block, states, scale, flow, coefficients, driven_by)
         learns = self._speed.known and not self._supervisor.closed
         if learns:

@@ -197,7 +197,8 @@ class StateVariableFilter:
         model_states : (m + 1, 3 or 8) array
             State of the identified model at the edges.
         scale : (n,) array, optional
-            Factor of each of the structure's regressors at the airspeed flown; one if left out.
+            Factor of each of the structure's regressors in the moment rows at the airspeed flown;
+            one if left out.
         flow : FlowSignals, optional
             Flow angles and attitude; for a structure that has them.
         coefficients : (R, n) array, optional
@@ -261,7 +262,7 @@ class StateVariableFilter:
         """Take regressors to the reference airspeed; forces stand for angles as they are."""
         f = edge[:, self._y : self._y + self._f]
         z = edge[:, self._y + self._f :]
-        kept = CONSTANT_COLUMN if self._structure.has_flow else len(scale)
+        kept = CONSTANT_COLUMN + 1 if self._structure.has_flow else len(scale)
         f[:, :kept] *= scale[:kept]
         z[:, : INPUT_COLUMNS.stop] *= scale[: INPUT_COLUMNS.stop]
         if self._structure.has_flow:

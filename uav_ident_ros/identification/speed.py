@@ -2,7 +2,8 @@
 """Speed scaling: coefficients that hold across flight speeds.
 
 At constant lift coefficients a damping derivative grows with the airspeed V and a control
-derivative with V^2 (dynamic pressure times the angle that the rate makes, or the deflection).
+derivative with V^2 (dynamic pressure times the angle that the rate makes, or the deflection), and
+so does a constant moment: it is what an input does that is away from its trim.
 The estimator sees regressors scaled by V / V_ref and its square, so that it identifies the
 coefficients at the reference speed; what is published is valid at the speed flown.
 """
@@ -17,6 +18,7 @@ from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     LAST_COLUMNS,
     RATE_COLUMNS,
+    ROWS,
     FloatArray,
     Structure,
 )
@@ -42,8 +44,8 @@ class SpeedScaling:
         True airspeed, m/s.
     known : bool
         Whether the scale is that of the airspeed flown.
-    scale : (n,) array
-        Factor of each regressor's coefficient; one until there is an airspeed.
+    scale : (R, n) array
+        Factor of each coefficient; one until there is an airspeed.
     newest : float or None
         Airspeed flown, m/s; None until there is one.
     """
@@ -52,11 +54,12 @@ class SpeedScaling:
         self.enabled = settings.type != ""
         self.airspeed = SampleBuffer(1)
         self._reference = settings.reference
-        self._power: FloatArray = np.zeros(structure.size)
-        self._power[RATE_COLUMNS] = 1.0
-        self._power[INPUT_COLUMNS] = 2.0
+        self._power: FloatArray = np.zeros(structure.mask.shape)
+        self._power[:, RATE_COLUMNS] = 1.0
+        self._power[:, INPUT_COLUMNS] = 2.0
+        self._power[: len(ROWS)][structure.constants[: len(ROWS)]] = 2.0
         if structure.has_flow:
-            self._power[LAST_COLUMNS] = 2.0
+            self._power[:, LAST_COLUMNS] = 2.0
         self.known = not self.enabled
         self.scale: FloatArray = np.ones_like(self._power)
         self.newest: float | None = None
