@@ -472,9 +472,19 @@ class Campaign:
         from rclpy.parameter import Parameter
         from std_srvs.srv import SetBool
 
+        from uav_ident_ros.files.parameter_file import load_parameters
+        from uav_ident_ros.node.parameters import PARAMETER_TYPES
+
+        own = load_parameters(BAG / "identifier.yaml", "identifier")
         changeable = [s for s in declarations() if not s.read_only]
         request = SetParametersAtomically.Request(
-            parameters=[Parameter(s.name, value=s.default).to_parameter_msg() for s in changeable]
+            parameters=[
+                # the type as well: an empty array does not tell it
+                Parameter(
+                    s.name, PARAMETER_TYPES[s.type], own.get(s.name, s.default)
+                ).to_parameter_msg()
+                for s in changeable
+            ]
         )
         service = "/identifier/set_parameters_atomically"
         answer = self._once(SetParametersAtomically, service, request)

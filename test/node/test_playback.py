@@ -73,7 +73,8 @@ def test_dense_coefficients_are_those_published_by_name(
         for name, value in zip(named.name, named.position, strict=True)
         if name.startswith(tuple(rows))
     }
-    assert named.name[-4:] == ["fit/p", "fit/q", "fit/r", "verdict/usable"]
+    verdicts = [f"verdict/usable{row}" for row in ("", "/pdot", "/qdot", "/rdot")]
+    assert named.name[-7:] == ["fit/p", "fit/q", "fit/r", *verdicts]
 
 
 def test_unstamped_actuators_at_real_time_fit_within_a_point(

@@ -29,7 +29,7 @@ from uav_ident_ros.identification.settings import (
     unknown_setting,
 )
 
-_TYPES = {
+PARAMETER_TYPES = {
     "bool": Parameter.Type.BOOL,
     "int": Parameter.Type.INTEGER,
     "float": Parameter.Type.DOUBLE,
@@ -133,7 +133,7 @@ def _declare_one(node: Node, setting: Setting, value: Any) -> None:
     plain = value
     if isinstance(value, tuple):
         plain = list(value)
-    parameter_type = _TYPES.get(setting.type)
+    parameter_type = PARAMETER_TYPES.get(setting.type)
     final = descriptor(setting)
     if parameter_type is None:
         node.declare_parameter(setting.name, plain, final, ignore_override=True)
@@ -155,10 +155,10 @@ def descriptor(setting: Setting) -> ParameterDescriptor:
         description=_described(setting),
         additional_constraints=_constraints(setting),
         read_only=setting.read_only,
-        dynamic_typing=setting.type not in _TYPES,
+        dynamic_typing=setting.type not in PARAMETER_TYPES,
     )
-    if setting.type in _TYPES:
-        result.type = _TYPES[setting.type].value
+    if setting.type in PARAMETER_TYPES:
+        result.type = PARAMETER_TYPES[setting.type].value
     if setting.type == "float" and setting.bounded:
         result.floating_point_range = [
             FloatingPointRange(from_value=setting.low, to_value=setting.high, step=0.0)
