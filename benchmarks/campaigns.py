@@ -398,9 +398,9 @@ def _update_times(case: cases.Case, estimator: str) -> tuple[FloatArray, FloatAr
     identifier = OnlineIdentifier(case.settings({"estimator": estimator}))
     update, times, own = identifier._estimator.update, [], []
 
-    def timed(data: Regression, residual: FloatArray, weight: FloatArray) -> None:
+    def timed(data: Regression, mean: Regression, residual: FloatArray, weight: FloatArray) -> None:
         began = time.thread_time()
-        update(data, residual, weight)
+        update(data, mean, residual, weight)
         own.append(time.thread_time() - began)
 
     setattr(identifier._estimator, "update", timed)  # noqa: B010  (a method, to the type checker)
