@@ -201,6 +201,23 @@ def with_measured_force(coefficients: FloatArray, structure: Structure) -> Float
     return np.asarray(moments)
 
 
+def off_centre(coefficients: FloatArray, lever: FloatArray) -> FloatArray:
+    """Coefficients for specific forces as measured by an offset accelerometer, (..., 3, n).
+
+    With ``f = f_cg + L xdot`` the model ``xdot = A f_cg(...)`` is
+    ``xdot = (I + A_f L)^-1 A f``, where A_f are the columns of ay and az.
+
+    Parameters
+    ----------
+    coefficients : (..., 3, n) array
+        A, with ay and az as its last regressors.
+    lever : (2, 3) array
+        L, m: see `lever_arm_matrix`.
+    """
+    forces = coefficients[..., LAST_COLUMNS]
+    return np.asarray(np.linalg.solve(np.eye(3) + forces @ lever, coefficients))
+
+
 @dataclass(frozen=True)
 class FlowSignals:
     """What the model with flow angles is run beside, at the edges of a block.
@@ -250,15 +267,8 @@ class IdentifiedModel:
         self.resets = 0
 
     def effective(self, coefficients: FloatArray) -> FloatArray:
-        """Coefficients for specific forces as measured by an offset accelerometer.
-
-        With ``f = f_cg + L xdot`` the model ``xdot = A f_cg(...)`` is
-        ``xdot = (I + A_f L)^-1 A f``, where A_f are the columns of ay and az.
-        """
-        if not self._offset:
-            return coefficients
-        force_columns = coefficients[:, LAST_COLUMNS]
-        return np.asarray(np.linalg.solve(np.eye(3) + force_columns @ self._lever, coefficients))
+        """Coefficients for specific forces as measured by the accelerometer where it is."""
+        return off_centre(coefficients, self._lever) if self._offset else coefficients
 
     def measured(self, block: Block, flow: FlowSignals | None) -> FloatArray:
         """Return the measured state at the edges of a block, shape (m + 1, 3 or 8)."""

@@ -29,6 +29,7 @@ from uav_ident_ros.identification.model import (
     bounded,
     flight_derivative,
     integrate,
+    off_centre,
     rates_derivative,
     with_measured_force,
 )
@@ -614,7 +615,9 @@ class _BlockRun:
         self._flow = published.flow if free else None
         self._holds_force = free and structure.has_forces
         if self._flow is None:
-            a = _effective(with_measured_force(a, structure), structure, flown.arm)
+            a = with_measured_force(a, structure)
+            if flown.arm.any() and (structure.has_forces or structure.has_flow):
+                a = off_centre(a, lever_arm_matrix(flown.arm))
             self._columns = list(range(*EXOGENOUS_COLUMNS.indices(structure.size)))
         else:
             self._columns = DRIVE_COLUMNS
@@ -689,11 +692,3 @@ class _BlockRun:
             still = np.zeros(len(node))
             drive += [1.0 / self._flow.airspeed, still, still, still]
         return drive
-
-
-def _effective(coefficients: FloatArray, structure: Structure, arm: FloatArray) -> FloatArray:
-    """Coefficients for forces measured off the centre of gravity: (I + A_f L)^-1 A."""
-    if not arm.any() or not (structure.has_forces or structure.has_flow):
-        return coefficients
-    forces = coefficients[:, :, LAST_COLUMNS]
-    return np.linalg.solve(np.eye(3) + forces @ lever_arm_matrix(arm), coefficients)
