@@ -11,7 +11,7 @@ import dataclasses
 import difflib
 import math
 import typing
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -89,7 +89,7 @@ class Setting:
         """
         if isinstance(value, (list, tuple)) or hasattr(value, "tolist"):
             value = tuple(value)  # type: ignore[arg-type]
-        problem = _TYPE_CHECKS[self.type](value)
+        problem = _problem(self.type, value)
         if problem:
             raise SettingsError(self.name, f"'{self.name}' is {value!r}: {problem}")
         for entry in value if isinstance(value, tuple) else (value,):
@@ -125,62 +125,52 @@ class Setting:
         return f"{low} to {high}{unit}"
 
 
-def _is_float(value: object) -> bool:
-    return isinstance(value, float) and math.isfinite(value)
+def _is(kind: type, value: object) -> bool:
+    """Whether a value is of a type: True is no whole number, and a float must be finite."""
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+        return False
+    return not isinstance(value, float) or math.isfinite(value)
 
 
-def _expect_bool(value: object) -> str:
-    return "" if isinstance(value, bool) else "write true or false"
+def _are(kind: type, value: object) -> bool:
+    return isinstance(value, tuple) and all(_is(kind, entry) for entry in value)
 
 
-def _expect_int(value: object) -> str:
-    ok = isinstance(value, int) and not isinstance(value, bool)
-    return "" if ok else "write a whole number, without a decimal point"
+def _are_channels(value: object) -> bool:
+    """Whether a value is names, or indices from 0 on."""
+    indices = _are(int, value) and min(typing.cast(tuple[int, ...], value), default=-1) >= 0
+    return bool(value) and (_are(str, value) or indices)
 
 
-def _expect_float(value: object) -> str:
-    if _is_float(value):
+def _problem(kind: str, value: object) -> str:
+    """Say what to write for a value that is not of a type; empty if it is."""
+    ok = {
+        "bool": _is(bool, value),
+        "int": _is(int, value),
+        "float": _is(float, value),
+        "str": _is(str, value),
+        "float[]": _are(float, value),
+        "str[]": _are(str, value),
+        "int[]|str[]": _are_channels(value),
+    }
+    if ok[kind]:
         return ""
-    if isinstance(value, int) and not isinstance(value, bool):
+    if kind == "float" and isinstance(value, int) and not isinstance(value, bool):
         return f"that is an integer: write {float(value)}"
-    return "write a finite number with a decimal point, like 0.5"
+    return _WANTED[kind]
 
 
-def _expect_str(value: object) -> str:
-    return "" if isinstance(value, str) else "write a word, in quotes if it looks like a number"
-
-
-def _expect_floats(value: object) -> str:
-    if isinstance(value, tuple) and all(_is_float(v) for v in value):
-        return ""
-    return "write a list of finite numbers, each with a decimal point, like [1.0, 0.5]"
-
-
-def _expect_strings(value: object) -> str:
-    ok = isinstance(value, tuple) and all(isinstance(v, str) for v in value)
-    return "" if ok else "write a list of words"
-
-
-def _expect_channels(value: object) -> str:
-    if isinstance(value, tuple) and value:
-        if all(isinstance(v, str) for v in value):
-            return ""
-        if all(isinstance(v, int) and not isinstance(v, bool) and v >= 0 for v in value):
-            return ""
-    return "write a list of indices from 0, or a list of names"
-
-
-_TYPE_CHECKS: dict[str, Callable[[object], str]] = {
-    "bool": _expect_bool,
-    "int": _expect_int,
-    "float": _expect_float,
-    "str": _expect_str,
-    "float[]": _expect_floats,
-    "str[]": _expect_strings,
-    "int[]|str[]": _expect_channels,
+_WANTED = {
+    "bool": "write true or false",
+    "int": "write a whole number, without a decimal point",
+    "float": "write a finite number with a decimal point, like 0.5",
+    "str": "write a word, in quotes if it looks like a number",
+    "float[]": "write a list of finite numbers, each with a decimal point, like [1.0, 0.5]",
+    "str[]": "write a list of words",
+    "int[]|str[]": "write a list of indices from 0, or a list of names",
 }
 
-_PYTHON_TYPES: dict[object, str] = {
+_TYPES: dict[object, str] = {
     bool: "bool",
     int: "int",
     float: "float",
@@ -193,23 +183,22 @@ _PYTHON_TYPES: dict[object, str] = {
 
 def _setting(
     default: Any,
-    unit: str,
-    description: str,
+    unit: str = "",
+    within: tuple[float, float] = (-math.inf, math.inf),
     *,
-    low: float = -math.inf,
-    high: float = math.inf,
+    text: str,
     choices: Sequence[str] = (),
     read_only: bool = True,
     restarts: bool = False,
 ) -> Any:
-    """Declare one setting as a dataclass field."""
+    """Declare one setting as a dataclass field; see `Setting`."""
     return dataclasses.field(
         default=default,
         metadata={
             "unit": unit,
-            "description": description,
-            "low": low,
-            "high": high,
+            "description": text,
+            "low": within[0],
+            "high": within[1],
             "choices": tuple(choices),
             "read_only": read_only and not restarts,
             "restarts": restarts,
@@ -255,181 +244,99 @@ ARMED_TYPES = (
     "px4_msgs/msg/ActuatorArmed",
 )
 
+ESTIMATORS = ("gradient", "least_squares", "instrumental_variable")
+
 NO_FILE = "none"
 """Value of ``state_file`` that switches it off."""
+
+
+# fmt: off
+# One table: default, unit, range; what it is and when to change it.
 
 
 @dataclass(frozen=True)
 class ImuSettings:
     """What the rates are measured in."""
 
-    type: str = _setting(
-        "sensor_msgs/msg/Imu",
-        "",
-        "Message type of the rates topic. Set it to what the topic carries.",
-        choices=RATE_TYPES,
-    )
-    convention: str = _setting(
-        "flu",
-        "",
-        "Axes of the rates: 'flu' (forward-left-up, REP-103) or 'frd' (forward-right-down). "
-        "A frame_id ending in _frd or _ned contradicts 'flu' and is a fault. PX4's own topics"
-        " are 'frd', MAVROS and most drivers 'flu'.",
-        choices=("flu", "frd"),
-    )
-    rpy: tuple[float, ...] = _setting(
-        (0.0, 0.0, 0.0),
-        "rad",
-        "Roll, pitch, yaw of the sensor in the body, after the convention is applied (FRD). "
-        "Set it if the sensor is not mounted along the body's axes.",
-        low=-math.pi,
-        high=math.pi,
-    )
+    type: str = _setting("sensor_msgs/msg/Imu", choices=RATE_TYPES, text=
+        "Message type of the rates topic. Set it to what the topic carries.")
+    convention: str = _setting("flu", choices=("flu", "frd"), text=
+        "Axes of the rates: 'flu' (forward-left-up, REP-103) or 'frd' (forward-right-down). A "
+        "frame_id ending in _frd or _ned contradicts 'flu' and is a fault. PX4's own topics are "
+        "'frd', MAVROS and most drivers 'flu'.")
+    rpy: tuple[float, ...] = _setting((0.0, 0.0, 0.0), "rad", (-math.pi, math.pi), text=
+        "Roll, pitch, yaw of the sensor in the body, after the convention is applied (FRD). Set "
+        "it if the sensor is not mounted along the body's axes.")
     lever_arm: tuple[float, ...] = _setting(
-        (0.0, 0.0, 0.0),
-        "m",
+        (0.0, 0.0, 0.0), "m", (-100.0, 100.0), restarts=True, text=
         "Position of the sensor from the centre of gravity, FRD. With it the rotation's own "
         "accelerations are removed from ay and az. Set it if the sensor is more than some "
-        "centimetres away.",
-        low=-100.0,
-        high=100.0,
-        restarts=True,
-    )
+        "centimetres away.")
 
 
 @dataclass(frozen=True)
 class MixingSettings:
     """Rows of the mixing matrix M in u = M (raw - trim)."""
 
-    de: tuple[float, ...] = _setting(
-        (1.0, 0.0, 0.0, 0.0),
-        "",
-        "Elevator from the channels: one weight per channel. Change it for elevons and V-tails.",
-    )
-    dr: tuple[float, ...] = _setting(
-        (0.0, 1.0, 0.0, 0.0),
-        "",
-        "Rudder from the channels: one weight per channel. Change it for V-tails.",
-    )
-    da: tuple[float, ...] = _setting(
-        (0.0, 0.0, 1.0, 0.0),
-        "",
-        "Aileron from the channels: one weight per channel. Change it for elevons and flaperons.",
-    )
-    dth: tuple[float, ...] = _setting(
-        (0.0, 0.0, 0.0, 1.0),
-        "",
-        "Throttle from the channels: one weight per channel. Several motors share it.",
-    )
+    de: tuple[float, ...] = _setting((1.0, 0.0, 0.0, 0.0), text=
+        "Elevator from the channels: one weight per channel. Change it for elevons and V-tails.")
+    dr: tuple[float, ...] = _setting((0.0, 1.0, 0.0, 0.0), text=
+        "Rudder from the channels: one weight per channel. Change it for V-tails.")
+    da: tuple[float, ...] = _setting((0.0, 0.0, 1.0, 0.0), text=
+        "Aileron from the channels: one weight per channel. Change it for elevons and flaperons.")
+    dth: tuple[float, ...] = _setting((0.0, 0.0, 0.0, 1.0), text=
+        "Throttle from the channels: one weight per channel. Several motors share it.")
 
 
 @dataclass(frozen=True)
 class ActuatorSettings:
     """What the actuator channels mean and when they act."""
 
-    type: str = _setting(
-        "std_msgs/msg/Float64MultiArray",
-        "",
-        "Message type of the actuator topic. Set it to what the topic carries.",
-        choices=ACTUATOR_TYPES,
-    )
-    field: str = _setting(
-        "",
-        "",
-        "Array field of the message that holds the channels; empty for the type's usual one. "
-        "Set it for a message with several arrays.",
-    )
-    channels: tuple[int, ...] | tuple[str, ...] = _setting(
-        (0, 1, 2, 3),
-        "",
-        "Indices (from 0) or, where the message names them, names of the N channels in use. "
-        "Set them to the aircraft's surfaces and throttle.",
-    )
+    type: str = _setting("std_msgs/msg/Float64MultiArray", choices=ACTUATOR_TYPES, text=
+        "Message type of the actuator topic. Set it to what the topic carries.")
+    field: str = _setting("", text=
+        "Array field of the message that holds the channels; empty for the type's usual one. Set "
+        "it for a message with several arrays.")
+    channels: tuple[int, ...] | tuple[str, ...] = _setting((0, 1, 2, 3), text=
+        "Indices (from 0) or, where the message names them, names of the N channels in use. Set "
+        "them to the aircraft's surfaces and throttle.")
     mixing: MixingSettings = dataclasses.field(default_factory=MixingSettings)
-    scale: tuple[float, ...] = _setting(
-        (),
-        "",
-        "Factor of each channel before the mixing, N values; negative reverses. Empty: ones. "
-        "Set it to bring raw values to radians or fractions.",
-    )
-    thrust_curve: tuple[float, ...] = _setting(
-        (),
-        "",
-        "Share of the square in each channel's thrust, N values, of scaled commands from 0 to 1: f "
-        "of thrust = f s^2 + (1 - f) s. Empty: zeros. 1.0 where a command is a motor's speed, 0.0 "
-        "for a surface, and where the autopilot sends thrust, as PX4 with THR_MDL_FAC does.",
-        low=0.0,
-        high=1.0,
-    )
-    trim: tuple[float, ...] = _setting(
-        (),
-        "",
-        "Raw value of each channel in trimmed flight, N values. Empty: zeros. Set it to what "
-        "the autopilot's trimmed flight shows.",
-        restarts=True,
-    )
-    learn_trim_time: float = _setting(
-        0.0,
-        "s",
-        "Learn the trim from the first steady stretch of flight of this length instead; "
-        "0 uses 'actuators.trim'. Use it where the trim is not known and the flight begins steady.",
-        low=0.0,
-        high=60.0,
-    )
-    delay: float = _setting(
-        0.0,
-        "s",
-        "Transport delay from the channel's stamp to the surface. An unmodelled 50 ms costs "
-        "more than any choice of estimator. Set it if it is known from a bench test or from "
-        "replay.",
-        low=0.0,
-        high=MAX_DELAY,
-        restarts=True,
-    )
-    estimate_delay: bool = _setting(
-        False,
-        "",
-        "Estimate the delay in flight, starting from 'actuators.delay'. Switch it on if the "
-        "delay is not known.",
-    )
-    time_constant: float = _setting(
-        0.0,
-        "s",
-        "First-order lag of the servos; 0 for none. Set it where the channels are commands, "
-        "not positions.",
-        low=0.0,
-        high=2.0,
-        restarts=True,
-    )
-    interpolation: str = _setting(
-        "hold",
-        "",
-        "Between two samples the input is held ('hold', as a servo does) or joined by a "
-        "straight line ('linear', for logged surface positions).",
-        choices=("hold", "linear"),
-    )
-    lower_limit: tuple[float, ...] = _setting(
-        (),
-        "",
-        "Raw value of each channel at its lower limit, N values: learning pauses there, where "
-        "the surface need not follow. Empty: no limits. Set it, so that wild values are not "
-        "learned from.",
-    )
-    upper_limit: tuple[float, ...] = _setting(
-        (),
-        "",
-        "Raw value of each channel at its upper limit, N values. Empty: no limits. Set it, so"
-        " that wild values are not learned from.",
-    )
-    timeout: float = _setting(
-        0.5,
-        "s",
+    scale: tuple[float, ...] = _setting((), text=
+        "Factor of each channel before the mixing, N values; negative reverses. Empty: ones. Set "
+        "it to bring raw values to radians or fractions.")
+    thrust_curve: tuple[float, ...] = _setting((), "", (0.0, 1.0), text=
+        "Share of the square in each channel's thrust, N values, of scaled commands from 0 to 1: "
+        "f of thrust = f s^2 + (1 - f) s. Empty: zeros. 1.0 where a command is a motor's speed, "
+        "0.0 for a surface, and where the autopilot sends thrust, as PX4 with THR_MDL_FAC does.")
+    trim: tuple[float, ...] = _setting((), restarts=True, text=
+        "Raw value of each channel in trimmed flight, N values. Empty: zeros. Set it to what the "
+        "autopilot's trimmed flight shows.")
+    learn_trim_time: float = _setting(0.0, "s", (0.0, 60.0), text=
+        "Learn the trim from the first steady stretch of flight of this length instead; 0 uses "
+        "'actuators.trim'. Use it where the trim is not known and the flight begins steady.")
+    delay: float = _setting(0.0, "s", (0.0, MAX_DELAY), restarts=True, text=
+        "Transport delay from the channel's stamp to the surface. An unmodelled 50 ms costs more "
+        "than any choice of estimator. Set it if it is known from a bench test or from replay.")
+    estimate_delay: bool = _setting(False, text=
+        "Estimate the delay in flight, starting from 'actuators.delay'. Switch it on if the delay "
+        "is not known.")
+    time_constant: float = _setting(0.0, "s", (0.0, 2.0), restarts=True, text=
+        "First-order lag of the servos; 0 for none. Set it where the channels are commands, not "
+        "positions.")
+    interpolation: str = _setting("hold", choices=("hold", "linear"), text=
+        "Between two samples the input is held ('hold', as a servo does) or joined by a straight "
+        "line ('linear', for logged surface positions).")
+    lower_limit: tuple[float, ...] = _setting((), text=
+        "Raw value of each channel at its lower limit, N values: learning pauses there, where the "
+        "surface need not follow. Empty: no limits. Set it, so that wild values are not learned "
+        "from.")
+    upper_limit: tuple[float, ...] = _setting((), text=
+        "Raw value of each channel at its upper limit, N values. Empty: no limits. Set it, so "
+        "that wild values are not learned from.")
+    timeout: float = _setting(0.5, "s", (0.01, 60.0), text=
         "Age at which the last channel values no longer count; adaptation waits for new ones. "
         "Values that come at a steady rate are missed sooner, after five intervals or 0.1 s. "
-        "Raise it for publishers that send only what changes.",
-        low=0.01,
-        high=60.0,
-    )
+        "Raise it for publishers that send only what changes.")
 
 
 @dataclass(frozen=True)
@@ -437,115 +344,67 @@ class FilterSettings:
     """The state-variable filter of the regressors."""
 
     method: str = _setting(
-        "state_variable",
-        "",
-        "How the derivative is obtained: 'state_variable' (the same low-pass on both sides of "
-        "the equation, at the gyro's rate) or 'backward_difference' of the rates at the "
-        "ticks, which is the paper's and good for nothing else. Leave it.",
-        choices=("state_variable", "backward_difference"),
-    )
-    cutoff: float = _setting(
-        15.0,
-        "rad/s",
-        "Cut-off of the low-pass: above the fastest mode of interest, below the gyro's "
-        "noise and the structure's vibrations. 10 to 20 suits most small aircraft. Raise it "
-        "for small, agile aircraft.",
-        low=1.0,
-        high=200.0,
-        restarts=True,
-    )
-    max_gap: float = _setting(
-        0.2,
-        "s",
-        "A gap in the rates longer than this restarts the filters. Raise it for a lossy link.",
-        low=0.01,
-        high=1.0,
-    )
+        "state_variable", choices=("state_variable", "backward_difference"), text=
+        "How the derivative is obtained: 'state_variable' (the same low-pass on both sides of the "
+        "equation, at the gyro's rate) or 'backward_difference' of the rates at the ticks, which "
+        "is the paper's and good for nothing else. Leave it.")
+    cutoff: float = _setting(15.0, "rad/s", (1.0, 200.0), restarts=True, text=
+        "Cut-off of the low-pass: above the fastest mode of interest, below the gyro's noise and "
+        "the structure's vibrations. 10 to 20 suits most small aircraft. Raise it for small, "
+        "agile aircraft.")
+    max_gap: float = _setting(0.2, "s", (0.01, 1.0), text=
+        "A gap in the rates longer than this restarts the filters. Raise it for a lossy link.")
 
 
 @dataclass(frozen=True)
 class ModelSettings:
     """The identified model that runs beside the aircraft."""
 
-    leak_time: float = _setting(
-        5.0,
-        "s",
-        "Time constant with which the model's state is pulled towards the measured rates; "
-        "0 for never, as in the paper. Lower it if the predicted rates drift in long flights.",
-        low=0.0,
-        high=1000.0,
-        read_only=False,
-    )
-    inertia: tuple[float, ...] = _setting(
-        (),
-        "kg m^2",
-        "Known inertias Ix, Iy, Iz, Ixz, which fix the rate-product coefficients. Empty: "
-        "estimate them. Set them if they are measured: fewer coefficients to learn.",
-    )
+    leak_time: float = _setting(5.0, "s", (0.0, 1000.0), read_only=False, text=
+        "Time constant with which the model's state is pulled towards the measured rates; 0 for "
+        "never, as in the paper. Lower it if the predicted rates drift in long flights.")
+    inertia: tuple[float, ...] = _setting((), "kg m^2", text=
+        "Known inertias Ix, Iy, Iz, Ixz, which fix the rate-product coefficients. Empty: estimate "
+        "them. Set them if they are measured: fewer coefficients to learn.")
 
 
 @dataclass(frozen=True)
 class GradientSettings:
     """The paper's law Am_dot = e f^T K."""
 
-    gains: tuple[float, ...] = _setting(
-        (),
-        "",
-        "K: n diagonal entries, or n*n entries row-major, symmetric positive semi-definite, "
-        "for n regressors. Empty: 0.15 on the diagonal. Raise them for faster, noisier "
-        "coefficients.",
-    )
-    normalisation: str = _setting(
-        "variance",
-        "",
-        "What the gains are relative to: 'none' (SI units, as in the paper), 'power' (divided "
-        "by f^T K f) or 'variance' (each divided by its regressor's running variance, so that "
-        "they are scale-free, in 1/s). Change it to compare with the paper's gains.",
-        choices=("none", "power", "variance"),
-    )
-    step: str = _setting(
-        "guarded",
-        "",
+    gains: tuple[float, ...] = _setting((), text=
+        "K: n diagonal entries, or n*n entries row-major, symmetric positive semi-definite, for n "
+        "regressors. Empty: 0.15 on the diagonal. Raise them for faster, noisier coefficients.")
+    normalisation: str = _setting("variance", choices=("none", "power", "variance"), text=
+        "What the gains are relative to: 'none' (SI units, as in the paper), 'power' (divided by "
+        "f^T K f) or 'variance' (each divided by its regressor's running variance, so that they "
+        "are scale-free, in 1/s). Change it to compare with the paper's gains.")
+    step: str = _setting("guarded", choices=("guarded", "euler"), text=
         "'guarded': the exact solution over a step, stable for any gain; 'euler': the paper's, "
-        "which blows up once dt f^T K f passes 2, and says so. Change it to reproduce the "
-        "paper alone.",
-        choices=("guarded", "euler"),
-    )
+        "which blows up once dt f^T K f passes 2, and says so. Change it to reproduce the paper "
+        "alone.")
 
 
 @dataclass(frozen=True)
 class AirspeedSettings:
     """Airspeed, for coefficients that hold across flight speeds."""
 
-    type: str = _setting(
-        "",
-        "",
-        "Message type of the airspeed topic; empty for none. With one, damping is scaled with "
-        "the airspeed and control derivatives with its square. Set it if the flight speed "
-        "varies by a fifth or more.",
-        choices=("", *AIRSPEED_TYPES),
-    )
-    reference: float = _setting(
-        20.0,
-        "m/s",
+    type: str = _setting("", choices=("", *AIRSPEED_TYPES), text=
+        "Message type of the airspeed topic; empty for none. With one, damping is scaled with the "
+        "airspeed and control derivatives with its square. Set it if the flight speed varies by a "
+        "fifth or more.")
+    reference: float = _setting(20.0, "m/s", (1.0, 400.0), text=
         "Airspeed at which initial and saved coefficients are valid: the usual one. Where none is "
-        "measured it serves as the airspeed, within 20 %. Set it once, before the first flight.",
-        low=1.0,
-        high=400.0,
-    )
+        "measured it serves as the airspeed, within 20 %. Set it once, before the first flight.")
 
 
 @dataclass(frozen=True)
 class ArmedSettings:
     """Whether the motors are armed: on the ground there is nothing to learn."""
 
-    type: str = _setting(
-        "",
-        "",
-        "Message type of the armed topic; empty for none. With one, coefficients move only "
-        "while the vehicle is armed. Set it if the autopilot publishes it.",
-        choices=("", *ARMED_TYPES),
-    )
+    type: str = _setting("", choices=("", *ARMED_TYPES), text=
+        "Message type of the armed topic; empty for none. With one, coefficients move only while "
+        "the vehicle is armed. Set it if the autopilot publishes it.")
 
 
 EXCITATION_TIMEOUT = 0.25
@@ -559,319 +418,132 @@ EXCITATION_FORMS = ("multisine", "3211", "doublet", "probe")
 class ExcitationSettings:
     """Programmed test inputs, which ``~/excite`` asks the controller to add."""
 
-    form: str = _setting(
-        "multisine",
-        "",
+    form: str = _setting("multisine", choices=EXCITATION_FORMS, read_only=False, text=
         "'multisine' moves all inputs at once, each at frequencies of its own; '3211' and "
         "'doublet' one after the other; 'probe' is one doublet of each, to confirm signs and "
-        "effect after take-off.",
-        choices=EXCITATION_FORMS,
-        read_only=False,
-    )
+        "effect after take-off.")
     amplitude: tuple[float, ...] = _setting(
-        (0.04, 0.04, 0.04, 0.0),
-        "rad, throttle 0..1",
+        (0.04, 0.04, 0.04, 0.0), "rad, throttle 0..1", (0.0, 1e3), read_only=False, text=
         "Peak of de, dr, da, dth, in the units of the inputs; 0 leaves one out. Set it to a tenth "
-        "of the range of each surface.",
-        low=0.0,
-        high=1e3,
-        read_only=False,
-    )
-    band: tuple[float, ...] = _setting(
-        (0.2, 2.0),
-        "Hz",
+        "of the range of each surface.")
+    band: tuple[float, ...] = _setting((0.2, 2.0), "Hz", (0.01, 20.0), read_only=False, text=
         "Lowest and highest frequency. From half the slowest to twice the fastest mode of "
-        "interest; lower it for a large aircraft, raise it for a multirotor.",
-        low=0.01,
-        high=20.0,
-        read_only=False,
-    )
-    duration: float = _setting(
-        60.0,
-        "s",
-        "Length of a run, if it does not end earlier.",
-        low=1.0,
-        high=3600.0,
-        read_only=False,
-    )
-    fade_time: float = _setting(
-        1.0,
-        "s",
-        "Time in which multisines come and go. An abort is at once.",
-        low=0.0,
-        high=60.0,
-        read_only=False,
-    )
-    lead: float = _setting(
-        0.15,
-        "s",
+        "interest; lower it for a large aircraft, raise it for a multirotor.")
+    duration: float = _setting(60.0, "s", (1.0, 3600.0), read_only=False, text=
+        "Length of a run, if it does not end earlier.")
+    fade_time: float = _setting(1.0, "s", (0.0, 60.0), read_only=False, text=
+        "Time in which multisines come and go. An abort is at once.")
+    lead: float = _setting(0.15, "s", (0.0, 0.9), read_only=False, text=
         "How far ahead of the tick a value is stamped: the stamp says from when the controller "
-        "adds it, so that both know when it acted. Raise it for a slow link.",
-        low=0.0,
-        high=0.9,
-        read_only=False,
-    )
-    min_t_ratio: float = _setting(
-        15.0,
-        "",
-        "Value over sigma from which a coefficient is known; when all are, the run ends early. "
-        "15 is 7 %. 0 goes on to the end.",
-        low=0.0,
-        high=1000.0,
-        read_only=False,
-    )
-    max_rate: float = _setting(
-        1.5,
-        "rad/s",
-        "Rate about any axis at which the run is aborted. Raise it for an agile aircraft.",
-        low=0.0,
-        high=100.0,
-        read_only=False,
-    )
-    max_attitude: float = _setting(
-        0.8,
-        "rad",
-        "Roll or pitch angle, where it is known, at which the run is aborted.",
-        low=0.0,
-        high=math.pi,
-        read_only=False,
-    )
-    min_airspeed: float = _setting(
-        0.0,
-        "m/s",
+        "adds it, so that both know when it acted. Raise it for a slow link.")
+    min_t_ratio: float = _setting(15.0, "", (0.0, 1000.0), read_only=False, text=
+        "Value over sigma from which a coefficient is known; when all are, the run ends early. 15 "
+        "is 7 %. 0 goes on to the end.")
+    max_rate: float = _setting(1.5, "rad/s", (0.0, 100.0), read_only=False, text=
+        "Rate about any axis at which the run is aborted. Raise it for an agile aircraft.")
+    max_attitude: float = _setting(0.8, "rad", (0.0, math.pi), read_only=False, text=
+        "Roll or pitch angle, where it is known, at which the run is aborted.")
+    min_airspeed: float = _setting(0.0, "m/s", (0.0, 400.0), read_only=False, text=
         "Airspeed, where it is known, below which the run is aborted; 0 for never. Set it well "
-        "above the stall.",
-        low=0.0,
-        high=400.0,
-        read_only=False,
-    )
-    max_airspeed: float = _setting(
-        0.0,
-        "m/s",
+        "above the stall.")
+    max_airspeed: float = _setting(0.0, "m/s", (0.0, 400.0), read_only=False, text=
         "Airspeed, where it is known, above which the run is aborted; 0 for never. Set it to the "
-        "manoeuvring speed.",
-        low=0.0,
-        high=400.0,
-        read_only=False,
-    )
+        "manoeuvring speed.")
 
 
 @dataclass(frozen=True)
 class SupervisionSettings:
     """When a controller may act on the coefficients."""
 
-    min_fit: float = _setting(
-        -20.0,
-        "%",
+    min_fit: float = _setting(-20.0, "%", (-100.0, 100.0), read_only=False, text=
         "Running fit of free 1-second predictions that every axis needs; it must also beat "
-        "holding the rate. "
-        "Lower it for gusty flight, raise it for a demanding controller.",
-        low=-100.0,
-        high=100.0,
-        read_only=False,
-    )
-    min_t_ratio: float = _setting(
-        4.0,
-        "",
-        "Value over sigma that the main control derivative of every row needs. Raise it "
-        "for a controller that needs sure values.",
-        low=0.0,
-        high=100.0,
-        read_only=False,
-    )
-    max_age: float = _setting(
-        10.0,
-        "s",
+        "holding the rate. Lower it for gusty flight, raise it for a demanding controller.")
+    min_t_ratio: float = _setting(4.0, "", (0.0, 100.0), read_only=False, text=
+        "Value over sigma that the main control derivative of every row needs. Raise it for a "
+        "controller that needs sure values.")
+    max_age: float = _setting(10.0, "s", (0.0, 1e6), read_only=False, text=
         "Time after which a control derivative counts as unconfirmed unless what its input does "
-        "confirms it; 0 for never. Raise it for long cruises in one condition.",
-        low=0.0,
-        high=1e6,
-        read_only=False,
-    )
-    min_excitation: float = _setting(
-        0.25,
-        "",
+        "confirms it; 0 for never. Raise it for long cruises in one condition.")
+    min_excitation: float = _setting(0.25, "", (0.0, 1.0), read_only=False, text=
         "Variance of an input, relative to its mean while learning, below which it counts as "
         "quiet; a row whose inputs are all quiet learns the less, the quieter they are. 0 never "
-        "minds. Lower it if gentle manoeuvres are not learned from.",
-        low=0.0,
-        high=1.0,
-        read_only=False,
-    )
-    min_motion: float = _setting(
-        0.04,
-        "rad/s",
+        "minds. Lower it if gentle manoeuvres are not learned from.")
+    min_motion: float = _setting(0.04, "rad/s", (0.0, 1.0), read_only=False, text=
         "Swing of the rates over 2 s below which the aircraft may be at rest: it is where they do "
-        "not stand out from the gyro's noise either, and learning pauses. 0 for never. Raise it if "
-        "that noise hides that the aircraft stands.",
-        low=0.0,
-        high=1.0,
-        read_only=False,
-    )
-    min_force_motion: float = _setting(
-        0.0,
-        "m/s^2",
+        "not stand out from the gyro's noise either, and learning pauses. 0 for never. Raise it "
+        "if that noise hides that the aircraft stands.")
+    min_force_motion: float = _setting(0.0, "m/s^2", (0.0, 100.0), read_only=False, text=
         "The same for the specific forces; 0 for never. Set it, to 0.3 or so, if a vehicle "
-        "standing on the ground turns its sensor.",
-        low=0.0,
-        high=100.0,
-        read_only=False,
-    )
-    min_airspeed: float = _setting(
-        0.0,
-        "m/s",
+        "standing on the ground turns its sensor.")
+    min_airspeed: float = _setting(0.0, "m/s", (0.0, 400.0), read_only=False, text=
         "Airspeed below which learning pauses, where there is one; 0 for never. Set it to "
-        "somewhat less than the stall speed.",
-        low=0.0,
-        high=400.0,
-        read_only=False,
-    )
-    max_rate: float = _setting(
-        34.9,
-        "rad/s",
+        "somewhat less than the stall speed.")
+    max_rate: float = _setting(34.9, "rad/s", (0.0, 100.0), read_only=False, text=
         "Range of the gyro, at which it is saturated and learning pauses; 0 for none. 34.9 is "
-        "2000 deg/s; see the sensor's data sheet.",
-        low=0.0,
-        high=100.0,
-        read_only=False,
-    )
-    stuck_time: float = _setting(
-        0.25,
-        "s",
+        "2000 deg/s; see the sensor's data sheet.")
+    stuck_time: float = _setting(0.25, "s", (0.0, 60.0), read_only=False, text=
         "Time for which a signal of the Imu may repeat one value before it counts as stuck and "
-        "learning pauses; 0 for ever. Raise it for an Imu that rounds coarsely.",
-        low=0.0,
-        high=60.0,
-        read_only=False,
-    )
-    max_residual: float = _setting(
-        6.0,
-        "",
+        "learning pauses; 0 for ever. Raise it for an Imu that rounds coarsely.")
+    max_residual: float = _setting(6.0, "", (0.0, 1000.0), read_only=False, text=
         "Residual of a row, relative to its usual size, from which usable coefficients are kept "
-        "from learning; 0 for never. Lower it where knocks and landings spoil the estimate.",
-        low=0.0,
-        high=1000.0,
-        read_only=False,
-    )
-    plausibility: bool = _setting(
-        True,
-        "",
+        "from learning; 0 for never. Lower it where knocks and landings spoil the estimate.")
+    plausibility: bool = _setting(True, text=
         "Look for mistakes in units, axes, trim and channels, and learn nothing while there is "
-        "one. Switch it off for a vehicle that is no aeroplane on average, like a tail-sitter.",
-    )
-    expected_signs: tuple[str, ...] = _setting(
-        (),
-        "",
+        "one. Switch it off for a vehicle that is no aeroplane on average, like a tail-sitter.")
+    expected_signs: tuple[str, ...] = _setting((), text=
         "Signs of control derivatives that are sure, like '+pdot/da': where the flight shows "
-        "another, a surface is connected the wrong way round, and nothing is usable.",
-    )
+        "another, a surface is connected the wrong way round, and nothing is usable.")
 
 
 @dataclass(frozen=True)
 class Settings:
     """Every setting of the identifier, with its default."""
 
-    update_rate: float = _setting(
-        20.0,
-        "Hz",
-        "Rate of the updates and of the published estimates. Raise it for a controller that "
-        "needs estimates sooner; 20 Hz suits most.",
-        low=1.0,
-        high=200.0,
-    )
-    input_wait: float = _setting(
-        0.05,
-        "s",
-        "How far the newest Imu stamp must have passed a tick before it is computed: the "
-        "latency allowed to late messages. Raise it if samples are dropped as late; lower it "
-        "for less latency.",
-        low=0.0,
-        high=1.0,
-    )
-    time_jump: float = _setting(
-        1.0,
-        "s",
+    update_rate: float = _setting(20.0, "Hz", (1.0, 200.0), text=
+        "Rate of the updates and of the published estimates. Raise it for a controller that needs "
+        "estimates sooner; 20 Hz suits most.")
+    input_wait: float = _setting(0.05, "s", (0.0, 1.0), text=
+        "How far the newest Imu stamp must have passed a tick before it is computed: the latency "
+        "allowed to late messages. Raise it if samples are dropped as late; lower it for less "
+        "latency.")
+    time_jump: float = _setting(1.0, "s", (0.1, 60.0), text=
         "A stamp further than this from the stream is an outlier; five that agree among "
-        "themselves are a new time base. Change it only for recordings with gaps that are meant.",
-        low=0.1,
-        high=60.0,
-    )
-    structure: str = _setting(
-        "flight_dynamics",
-        "",
+        "themselves are a new time base. Change it only for recordings with gaps that are meant.")
+    structure: str = _setting("flight_dynamics", choices=tuple(STRUCTURES), text=
         "Model structure: 'baseline' (Section 3 of the paper, 18 coefficients), "
-        "'throttle_coupled' (eq. 15, 20), 'augmented' (with a constant and the measured ay and az, "
-        "26) or 'flight_dynamics' (with angle of attack and sideslip as states, 32). Leave it for "
-        "anything with wings; a multirotor is 'throttle_coupled' or 'augmented'.",
-        choices=tuple(STRUCTURES),
-    )
-    estimator: str = _setting(
-        "instrumental_variable",
-        "",
+        "'throttle_coupled' (eq. 15, 20), 'augmented' (with a constant and the measured ay and "
+        "az, 26) or 'flight_dynamics' (with angle of attack and sideslip as states, 32). Leave it "
+        "for anything with wings; a multirotor is 'throttle_coupled' or 'augmented'.")
+    estimator: str = _setting("instrumental_variable", choices=ESTIMATORS, text=
         "How the coefficients move: the paper's 'gradient' law, recursive 'least_squares', or the "
-        "guarded 'instrumental_variable', which gyro noise and gusts do not bias. Leave it "
-        "unless you compare methods.",
-        choices=("gradient", "least_squares", "instrumental_variable"),
-    )
+        "guarded 'instrumental_variable', which gyro noise and gusts do not bias. Leave it unless "
+        "you compare methods.")
     initial_coefficients: tuple[float, ...] = _setting(
-        (),
-        "",
-        "A_m at the start: 3n values, row-major, SI. Empty: zeros. Set them if an aircraft "
-        "model is at hand.",
-        low=-LARGEST_COEFFICIENT,
-        high=LARGEST_COEFFICIENT,
-    )
-    initial_coefficients_file: str = _setting(
-        "",
-        "",
-        "File of initial coefficients, as replay writes it; wins over the values. Set it to "
-        "start the next flight from a replayed one.",
-    )
-    state_file: str = _setting(
-        "",
-        "",
+        (), "", (-LARGEST_COEFFICIENT, LARGEST_COEFFICIENT), text=
+        "A_m at the start: 3n values, row-major, SI. Empty: zeros. Set them if an aircraft model "
+        "is at hand.")
+    initial_coefficients_file: str = _setting("", text=
+        "File of initial coefficients, as replay writes it; wins over the values. Set it to start "
+        "the next flight from a replayed one.")
+    state_file: str = _setting("", text=
         "File that the node keeps its coefficients in and starts from again; wins over the "
         "initial ones. Empty: $ROS_HOME/uav_ident_ros/NODE.yaml; 'none': neither written nor "
-        "read. Replay does not use it. Name one for vehicles that share a node name.",
-    )
-    state_max_age: float = _setting(
-        604800.0,
-        "s",
+        "read. Replay does not use it. Name one for vehicles that share a node name.")
+    state_max_age: float = _setting(604800.0, "s", (0.0, 1e9), text=
         "Age by the computer's clock beyond which the state file is not started from; 0 for "
-        "never. Lower it if the aircraft is often changed between flights.",
-        low=0.0,
-        high=1e9,
-    )
-    save_period: float = _setting(
-        30.0,
-        "s",
-        "Interval at which usable coefficients are written to the state file, at least 1 s; "
-        "0 for only on ~/save and at the end. Raise it to spare a memory card.",
-        low=0.0,
-        high=86400.0,
-        read_only=False,
-    )
-    fixed_coefficients: tuple[str, ...] = _setting(
-        (),
-        "",
-        "Names of coefficients that keep their initial value, like 'pdot/ay'. Fix what is "
-        "known, or what this vehicle does not have.",
-    )
-    forgetting_time: float = _setting(
-        200.0,
-        "s",
+        "never. Lower it if the aircraft is often changed between flights.")
+    save_period: float = _setting(30.0, "s", (0.0, 86400.0), read_only=False, text=
+        "Interval at which usable coefficients are written to the state file, at least 1 s; 0 for "
+        "only on ~/save and at the end. Raise it to spare a memory card.")
+    fixed_coefficients: tuple[str, ...] = _setting((), text=
+        "Names of coefficients that keep their initial value, like 'pdot/ay'. Fix what is known, "
+        "or what this vehicle does not have.")
+    forgetting_time: float = _setting(200.0, "s", (0.0, 1e6), read_only=False, text=
         "Time constant with which old data lose weight; 0 for never. Below 60 s the estimate "
-        "suffers. Lower it if the flight condition changes within minutes.",
-        low=0.0,
-        high=1e6,
-        read_only=False,
-    )
-    adapt_on_start: bool = _setting(
-        True,
-        "",
-        "Whether it learns at once; the service ~/adapt switches it. Set it to false to fly "
-        "on known coefficients.",
-    )
+        "suffers. Lower it if the flight condition changes within minutes.")
+    adapt_on_start: bool = _setting(True, text=
+        "Whether it learns at once; the service ~/adapt switches it. Set it to false to fly on "
+        "known coefficients.")
     imu: ImuSettings = dataclasses.field(default_factory=ImuSettings)
     actuators: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
     airspeed: AirspeedSettings = dataclasses.field(default_factory=AirspeedSettings)
@@ -881,6 +553,7 @@ class Settings:
     gradient: GradientSettings = dataclasses.field(default_factory=GradientSettings)
     supervision: SupervisionSettings = dataclasses.field(default_factory=SupervisionSettings)
     excitation: ExcitationSettings = dataclasses.field(default_factory=ExcitationSettings)
+    # fmt: on
 
     @classmethod
     def from_values(cls, values: Mapping[str, object]) -> Settings:
@@ -935,7 +608,7 @@ def _declarations(cls: type, prefix: str) -> Iterator[Setting]:
         else:
             yield Setting(
                 name=prefix + item.name,
-                type=_PYTHON_TYPES[hint],
+                type=_TYPES[hint],
                 default=typing.cast(Value, item.default),
                 **item.metadata,
             )
@@ -962,23 +635,20 @@ def _build(cls: Any, prefix: str, values: Mapping[str, Value]) -> Any:
     return cls(**arguments)
 
 
+def _refuse(name: str, what: str) -> None:
+    raise SettingsError(name, f"'{name}' {what}")
+
+
 def _check_consistency(settings: Settings) -> None:
     """Check what no single setting can: lengths, and combinations that mean nothing."""
-    structure = STRUCTURES[settings.structure]
-    n = structure.size
-    channels = len(settings.actuators.channels)
+    structure, actuators = STRUCTURES[settings.structure], settings.actuators
+    n, channels = structure.size, len(actuators.channels)
+    one_each = ("scale", "trim", "thrust_curve", "lower_limit", "upper_limit")
     lengths: dict[str, tuple[int, ...]] = {
         "gradient.gains": (0, n, n * n),
         "initial_coefficients": (0, len(structure.dense_rows) * n),
-        "actuators.scale": (0, channels),
-        "actuators.trim": (0, channels),
-        "actuators.thrust_curve": (0, channels),
-        "actuators.lower_limit": (0, channels),
-        "actuators.upper_limit": (0, channels),
-        "actuators.mixing.de": (channels,),
-        "actuators.mixing.dr": (channels,),
-        "actuators.mixing.da": (channels,),
-        "actuators.mixing.dth": (channels,),
+        **{f"actuators.{name}": (0, channels) for name in one_each},
+        **{f"actuators.mixing.{name}": (channels,) for name in INPUTS},
         "imu.rpy": (3,),
         "imu.lever_arm": (3,),
         "model.inertia": (0, 4),
@@ -990,51 +660,48 @@ def _check_consistency(settings: Settings) -> None:
         count = len(typing.cast(tuple[float, ...], values[name]))
         if count not in allowed:
             wanted = " or ".join(str(k) for k in allowed if k)
-            raise SettingsError(
+            _refuse(
                 name,
-                f"'{name}' has {count} values: {wanted} are needed (structure "
-                f"'{settings.structure}' has {n} regressors, 'actuators.channels' names "
-                f"{channels} channels)",
+                f"has {count} values: {wanted} are needed (structure '{structure.name}' has {n} "
+                f"regressors, 'actuators.channels' names {channels} channels)",
             )
     for name in settings.fixed_coefficients:
         try:
-            STRUCTURES[settings.structure].index(name)
+            structure.index(name)
         except ValueError as error:
             raise SettingsError("fixed_coefficients", f"'fixed_coefficients': {error}") from None
     low, high = settings.excitation.band
     if low >= high:
-        raise SettingsError(
-            "excitation.band",
-            f"'excitation.band' is [{low:g}, {high:g}]: write the lower frequency first",
-        )
+        _refuse("excitation.band", f"is [{low:g}, {high:g}]: write the lower frequency first")
     for entry in settings.supervision.expected_signs:
-        if entry[:1] not in ("+", "-") or entry[1:] not in STRUCTURES[settings.structure].names:
-            raise SettingsError(
+        if entry[:1] not in ("+", "-") or entry[1:] not in structure.names:
+            _refuse(
                 "supervision.expected_signs",
-                f"'supervision.expected_signs' has '{entry}': write + or - and a coefficient of "
-                f"structure '{settings.structure}', as in '+pdot/da'",
+                f"has '{entry}': write + or - and a coefficient of structure "
+                f"'{structure.name}', as in '+pdot/da'",
             )
     if settings.estimator == "gradient" and structure.has_flow:
-        raise SettingsError(
+        _refuse(
             "estimator",
-            "'estimator' is 'gradient' and 'structure' is 'flight_dynamics', which is not linear "
+            "is 'gradient' and 'structure' is 'flight_dynamics', which is not linear "
             "in its coefficients: choose 'augmented', 'throttle_coupled' or 'baseline'",
         )
-    if settings.filter.method == "backward_difference" and settings.airspeed.type:
-        raise SettingsError(
+    if settings.filter.method != "backward_difference":
+        return
+    if settings.airspeed.type:
+        _refuse(
             "airspeed.type",
-            f"'airspeed.type' is '{settings.airspeed.type}': speed scaling needs 'filter.method' "
-            "'state_variable'",
+            f"is '{settings.airspeed.type}': speed scaling needs 'filter.method' 'state_variable'",
         )
-    if settings.filter.method == "backward_difference" and settings.estimator != "gradient":
-        raise SettingsError(
+    if settings.estimator != "gradient":
+        _refuse(
             "filter.method",
-            "'filter.method' is 'backward_difference': that is the paper's law only; "
+            "is 'backward_difference': that is the paper's law only; "
             f"with 'estimator' {settings.estimator!r} use 'state_variable'",
         )
-    if settings.filter.method == "backward_difference" and settings.actuators.estimate_delay:
-        raise SettingsError(
+    if actuators.estimate_delay:
+        _refuse(
             "actuators.estimate_delay",
-            "'actuators.estimate_delay' is true, but 'filter.method' 'backward_difference' sees "
-            "the rates at the ticks only: set it to false, or use 'state_variable'",
+            "is true, but 'filter.method' 'backward_difference' sees the rates at the ticks only: "
+            "set it to false, or use 'state_variable'",
         )
