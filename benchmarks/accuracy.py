@@ -68,32 +68,22 @@ WORKERS = 2
 
 @dataclass(frozen=True)
 class Cell:
-    """One method on one flight.
+    """One method on one flight."""
 
-    Parameters
-    ----------
-    flight, seed : str, int or None
-        The flight.
-    structure, method : str
-        Labels.
-    model, truth, hold, measured_force : tuple of 3 floats
-        Fits of p, q, r, percent; NaN where there is none.
-    coefficient_error : float
-        Largest relative error of the dominant coefficients at the end, percent.
-    seconds : float
-        Processing time.
-    """
-
+    # flight, seed: The flight
     flight: str
     seed: int | None
+    # structure, method: Labels
     structure: str
     method: str
+    # model, truth, hold, measured_force: Fits of p, q, r, percent; NaN where there is none
     model: tuple[float, ...]
     truth: tuple[float, ...]
     hold: tuple[float, ...]
     measured_force: tuple[float, ...]
+    # Largest relative error of the dominant coefficients at the end, percent
     coefficient_error: float
-    seconds: float
+    seconds: float  # Processing time
 
 
 def _cell(case: cases.Case, structure: str, method: str, track: cases.Track, began: float) -> Cell:

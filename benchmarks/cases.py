@@ -71,42 +71,23 @@ DOMINANT = ("pdot/p", "qdot/q", "rdot/r", "pdot/da", "qdot/de", "rdot/dr")
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Messages of a flight and what is known of it.
+    """Messages of a flight and what is known of it."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the flight.
-    seed : int or None
-        Seed of a simulated one.
-    parameters : dict
-        Settings that fit its topics.
-    imu_t_ns, imu_arrival_ns : (N,) int arrays
-        Stamps and arrival of the Imu samples, ns.
-    rates, force : (N, 3) arrays
-        In the Imu's axes, rad/s and m/s^2.
-    actuator_t_ns, actuator_arrival_ns : (M,) int arrays
-        The same of the actuators.
-    actuators : (M, C) array
-        Raw channels.
-    true_rates : (N, 3) array or None
-        Noise-free p, q, r, FRD, rad/s.
-    flight : Flight or None
-        What really happened.
-    """
-
-    name: str
-    seed: int | None
-    parameters: dict[str, Any]
+    name: str  # Name of the flight
+    seed: int | None  # Seed of a simulated one
+    parameters: dict[str, Any]  # Settings that fit its topics
+    # imu_t_ns, imu_arrival_ns: (N,) Stamps and arrival of the Imu samples, ns
     imu_t_ns: TimeArray
     imu_arrival_ns: TimeArray
+    # rates, force: (N, 3) In the Imu's axes, rad/s and m/s^2
     rates: FloatArray
     force: FloatArray
+    # actuator_t_ns, actuator_arrival_ns: (M,) The same of the actuators
     actuator_t_ns: TimeArray
     actuator_arrival_ns: TimeArray
-    actuators: FloatArray
-    true_rates: FloatArray | None = None
-    flight: Flight | None = None
+    actuators: FloatArray  # (M, C) Raw channels
+    true_rates: FloatArray | None = None  # (N, 3) Noise-free p, q, r, FRD, rad/s
+    flight: Flight | None = None  # What really happened
 
     def settings(self, values: Mapping[str, object]) -> Settings:
         """Return settings that fit the topics, with `values`."""
@@ -198,37 +179,18 @@ def load(name: str, seed: int | None = None) -> Case:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What one pass over a flight gave.
+    """What one pass over a flight gave."""
 
-    Parameters
-    ----------
-    settings : Settings
-        Settings of the pass.
-    t_ns : (K,) int array
-        Ticks, ns.
-    time : (K,) array
-        The same in s after the first Imu sample.
-    coefficients, sigma : (K, 3, n) arrays
-        Estimate and standard deviation at each.
-    learning : (K, 3) bool array
-        Rows that learned.
-    delay : (K,) array
-        Delay in use, s.
-    changes : list of (time, row, column)
-        Releases of changed coefficients.
-    flow : FlowStates or None
-        Flow angles and attitude; None for a structure without them.
-    """
-
-    settings: Settings
-    t_ns: TimeArray
-    time: FloatArray
+    settings: Settings  # Settings of the pass
+    t_ns: TimeArray  # (K,) Ticks, ns
+    time: FloatArray  # (K,) The same in s after the first Imu sample
+    # coefficients, sigma: (K, 3, n) Estimate and standard deviation at each
     coefficients: FloatArray
     sigma: FloatArray
-    learning: NDArray[np.bool_]
-    delay: FloatArray
-    changes: list[tuple[float, int, int]]
-    flow: FlowStates | None = None
+    learning: NDArray[np.bool_]  # (K, 3) Rows that learned
+    delay: FloatArray  # (K,) Delay in use, s
+    changes: list[tuple[float, int, int]]  # Releases of changed coefficients
+    flow: FlowStates | None = None  # Flow angles and attitude; None for a structure without them
 
     def published(self) -> Published:
         """Return what the track published."""
@@ -349,25 +311,15 @@ def _ticks(case: Case, settings: Settings) -> TimeArray:
 
 @dataclass(frozen=True)
 class Fits:
-    """Fits over the last 40 % of a flight, percent, of p, q, r.
+    """Fits over the last 40 % of a flight, percent, of p, q, r."""
 
-    Parameters
-    ----------
-    model, hold : (3,) arrays
-        Of the free prediction over 1 s and of holding the rate, against the measured rates.
-    free : (H, 3) array
-        Of the free prediction over each of `HORIZONS`.
-    measured_force : (3,) array
-        Of the model with measured forces; NaN without them.
-    truth : (3,) array
-        Of the model against the noise-free rates; NaN where they are unknown.
-    """
-
+    # model, hold: (3,) Of the free prediction over 1 s and of holding the rate, against the
+    # measured rates
     model: FloatArray
     hold: FloatArray
-    free: FloatArray
-    measured_force: FloatArray
-    truth: FloatArray
+    free: FloatArray  # (H, 3) Of the free prediction over each of `HORIZONS`
+    measured_force: FloatArray  # (3,) Of the model with measured forces; NaN without them
+    truth: FloatArray  # (3,) Of the model against the noise-free rates; NaN where they are unknown
 
 
 def score(case: Case, track: Track) -> Fits:

@@ -65,28 +65,15 @@ ARM = (1.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Row:
-    """One figure.
+    """One figure."""
 
-    Parameters
-    ----------
-    section, what : str
-        What was measured.
-    value : tuple of float
-        The figures.
-    unit : str
-        Their unit.
-    wanted : str
-        What is asked; empty if the figure is only reported.
-    met : bool
-        Whether it is met.
-    """
-
+    # section, what: What was measured
     section: str
     what: str
-    value: tuple[float, ...]
-    unit: str
-    wanted: str = ""
-    met: bool = True
+    value: tuple[float, ...]  # The figures
+    unit: str  # Their unit
+    wanted: str = ""  # What is asked; empty if the figure is only reported
+    met: bool = True  # Whether it is met
 
 
 @dataclass(frozen=True, eq=False)

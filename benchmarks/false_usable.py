@@ -59,53 +59,32 @@ BUILD = flights.ROOT / "build"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one trial.
+    """What came of one trial."""
 
-    Parameters
-    ----------
-    kind, name, seed
-        The trial.
-    duration : float
-        Time judged, s.
-    usable : float
-        Share of the time after `START` with the verdict, of all rows.
-    ever : float
-        Share of the whole flight in which some row is usable.
-    wrong, wrong_sign : float
-        Share of the whole flight with a usable row that is wrong; that has the wrong sign.
-    losing : float
-        Share of the whole flight with a usable row whose fit, as shown beside it, is below that
-        of holding the rate.
-    lost : float
-        Time without the verdict in the seconds after the glitch, less those before, s.
-    within : (one, two) tuple of float
-        Coverage of the derivatives known to half of their value, 1 and 2 sigma; NaN if none was.
-    counted : int
-        How many values that was.
-    last : mapping
-        The control derivatives at the end: estimate, sigma, truth.
-    named : float
-        When a mistake was named, s; NaN if never.
-    reason : str
-        What the identifier said last.
-    """
-
+    # kind, name, seed: The trial
     kind: str
     name: str
     seed: int
-    duration: float
-    usable: float
-    ever: float
+    duration: float  # Time judged, s
+    usable: float  # Share of the time after `START` with the verdict, of all rows
+    ever: float  # Share of the whole flight in which some row is usable
+    # wrong, wrong_sign: Share of the whole flight with a usable row that is wrong; that has the
+    # wrong sign
     wrong: float
     wrong_sign: float
+    # Share of the whole flight with a usable row whose fit, as shown beside it, is below that of
+    # holding the rate
     losing: float
-    lost: float
+    lost: float  # Time without the verdict in the seconds after the glitch, less those before, s
+    # (one, two) Coverage of the derivatives known to half of their value, 1 and 2 sigma; NaN if
+    # none was
     within: tuple[float, float]
-    counted: int
+    counted: int  # How many values that was
     feedback: bool
+    # The control derivatives at the end: estimate, sigma, truth
     last: Mapping[str, tuple[float, float, float]]
-    named: float
-    reason: str
+    named: float  # When a mistake was named, s; NaN if never
+    reason: str  # What the identifier said last
 
 
 def whole(

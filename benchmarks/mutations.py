@@ -39,20 +39,11 @@ LONGEST = 900.0
 
 @dataclass(frozen=True)
 class Constant:
-    """A number with a name.
+    """A number with a name."""
 
-    Parameters
-    ----------
-    module : str
-        Module of the core, with a dot for a folder.
-    name : str
-        Its name.
-    line, column, end_line, end_column : int
-        Where its value stands in the source.
-    """
-
-    module: str
-    name: str
+    module: str  # Module of the core, with a dot for a folder
+    name: str  # Its name
+    # line, column, end_line, end_column: Where its value stands in the source
     line: int
     column: int
     end_line: int

@@ -51,24 +51,12 @@ _PRODUCTS = ((0, 1), (1, 2), (0, 2), (0, 0), (2, 2))
 
 @dataclass(frozen=True)
 class Windows:
-    """Measured signals over W windows of m cells.
+    """Measured signals over W windows of m cells."""
 
-    Parameters
-    ----------
-    h : float
-        Width of a cell, s.
-    x : (m + 1, 3, W) array
-        Rates at the edges, rad/s.
-    u : (m, 4, W) array
-        Means of the inputs over the cells, delayed and lagged.
-    force : (m + 1, 2, W) array
-        ay, az at the edges, m/s^2.
-    """
-
-    h: float
-    x: FloatArray
-    u: FloatArray
-    force: FloatArray
+    h: float  # Width of a cell, s
+    x: FloatArray  # (m + 1, 3, W) Rates at the edges, rad/s
+    u: FloatArray  # (m, 4, W) Means of the inputs over the cells, delayed and lagged
+    force: FloatArray  # (m + 1, 2, W) ay, az at the edges, m/s^2
 
 
 def grid_blocks(case: Case, settings: Settings) -> list[Block]:

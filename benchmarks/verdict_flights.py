@@ -40,40 +40,20 @@ WEAK = Sensors(rate=25.0, gyro_noise=0.03, accelerometer_noise=0.6, stamped=True
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One flight and what an identifier is told about it.
+    """One flight and what an identifier is told about it."""
 
-    Parameters
-    ----------
-    kind : str
-        Its class.
-    name : str
-        What it is, in words.
-    seed : int
-        Seed of wind and noise.
-    fly : callable
-        Returns the measurements, or a recorded flight, of which no truth is known; called where
-        the trial is run.
-    settings : mapping
-        Settings that differ from those that fit the topics.
-    warm : bool
-        Start from the true coefficients of the healthy aircraft.
-    feedback : bool
-        No excitation: coverage is counted apart.
-    replayed : bool
-        The flight becomes a bag first, and is read back as `replay` does.
-    names : str
-        What the identifier has to say, as a regular expression; of mistakes only.
-    """
-
-    kind: str
-    name: str
-    seed: int
+    kind: str  # Its class
+    name: str  # What it is, in words
+    seed: int  # Seed of wind and noise
+    # Returns the measurements, or a recorded flight, of which no truth is known; called where the
+    # trial is run
     fly: Callable[[], Measurements | cases.Case]
+    # Settings that differ from those that fit the topics
     settings: Mapping[str, Any] = field(default_factory=dict)
-    warm: bool = False
-    feedback: bool = False
-    replayed: bool = False
-    names: str = ""
+    warm: bool = False  # Start from the true coefficients of the healthy aircraft
+    feedback: bool = False  # No excitation: coverage is counted apart
+    replayed: bool = False  # The flight becomes a bag first, and is read back as `replay` does
+    names: str = ""  # What the identifier has to say, as a regular expression; of mistakes only
 
 
 def truth(flight: Flight, time: float) -> dict[str, float]:

@@ -33,22 +33,13 @@ IDENTIFIED, LAST_GOOD, NOMINAL, MEASURED = "identified", "last good", "nominal",
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """Control derivatives to fly on.
+    """Control derivatives to fly on."""
 
-    Parameters
-    ----------
-    values : (3, 4) array
-        B, rad/s^2 per unit of de, dr, da, dth.
-    sources : (3,) tuple of str
-        Of each row: ``identified``, ``last good``, ``nominal`` or ``measured`` (its sign turned by
-        what the flight shows).
-    reasons : (3,) tuple of str
-        Why it is not the newest identified one; empty if it is.
-    """
-
-    values: FloatArray
+    values: FloatArray  # (3, 4) B, rad/s^2 per unit of de, dr, da, dth
+    # (3,) Of each row: ``identified``, ``last good``, ``nominal`` or ``measured`` (its sign turned
+    # by what the flight shows)
     sources: tuple[str, ...]
-    reasons: tuple[str, ...]
+    reasons: tuple[str, ...]  # (3,) Why it is not the newest identified one; empty if it is
 
 
 def control_derivatives(coefficients: Coefficients | AttitudeModel) -> tuple[FloatArray, BoolArray]:

@@ -30,21 +30,11 @@ GAINS = Gains(rate=(5.0, 4.0, 2.0), bandwidth=20.0)
 
 @dataclass
 class IncrementalLaw:
-    """INDI rate control.
+    """INDI rate control."""
 
-    Parameters
-    ----------
-    limits : (2, 4) array
-        Least and largest de, dr, da, dth, deviations from trim.
-    scale : (3,) array
-        Worth of each axis, rad/s^2: see `allocate`.
-    gains : Gains
-        How fast.
-    """
-
-    limits: FloatArray
-    scale: FloatArray
-    gains: Gains = GAINS
+    limits: FloatArray  # (2, 4) Least and largest de, dr, da, dth, deviations from trim
+    scale: FloatArray  # (3,) Worth of each axis, rad/s^2: see `allocate`
+    gains: Gains = GAINS  # How fast
 
     def restart(self, x: FloatArray, reference: FloatArray, acting: FloatArray) -> None:
         """Forget the past: the first sample, or one after a gap. Parameters as of `update`."""

@@ -21,21 +21,14 @@ SURFACES = tuple(INPUTS.index(name) for name in ("da", "de", "dr"))
 
 @dataclass(frozen=True)
 class PidGains:
-    """Gains of roll, pitch, yaw, in rad of the surface: (3,) arrays.
+    """Gains of roll, pitch, yaw, in rad of the surface: (3,) arrays."""
 
-    Parameters
-    ----------
-    forward, proportional, integral, derivative : (3,) arrays
-        F (s), P (s), I (1), D (s^2).
-    bandwidth : float
-        Of the filter of the derivative, rad/s.
-    """
-
+    # forward, proportional, integral, derivative: (3,) F (s), P (s), I (1), D (s^2)
     forward: FloatArray
     proportional: FloatArray
     integral: FloatArray
     derivative: FloatArray
-    bandwidth: float = 30.0
+    bandwidth: float = 30.0  # Of the filter of the derivative, rad/s
 
 
 class PidLaw:

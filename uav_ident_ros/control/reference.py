@@ -12,21 +12,11 @@ from uav_ident_ros.identification.structure import FloatArray
 
 @dataclass(frozen=True)
 class Gains:
-    """What a law is tuned by.
+    """What a law is tuned by."""
 
-    Parameters
-    ----------
-    rate : (3,) tuple
-        K: acceleration per rate error of roll, pitch, yaw, 1/s.
-    bandwidth : float
-        Of the law's filter or observer, rad/s.
-    reference_time : float
-        Time constant of the reference's derivative, s.
-    """
-
-    rate: tuple[float, float, float]
-    bandwidth: float
-    reference_time: float = 0.1
+    rate: tuple[float, float, float]  # (3,) K: acceleration per rate error of roll, pitch, yaw, 1/s
+    bandwidth: float  # Of the law's filter or observer, rad/s
+    reference_time: float = 0.1  # Time constant of the reference's derivative, s
 
     def times(self, factor: float) -> Gains:
         """Return those of a loop that is so much faster."""

@@ -33,25 +33,14 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True)
 class Flying:
-    """What is known of the flight, to hold against the limits.
+    """What is known of the flight, to hold against the limits."""
 
-    Parameters
-    ----------
-    rates : (3,) array or None
-        Newest measured p, q, r, rad/s; None before any.
-    roll, pitch : float or None
-        Attitude, rad; None if it is not known.
-    airspeed : float or None
-        True airspeed, m/s; None if it is not known.
-    grounded : str
-        Why it does not fly; empty if there is no reason to think so.
-    """
-
-    rates: FloatArray | None
+    rates: FloatArray | None  # (3,) Newest measured p, q, r, rad/s; None before any
+    # roll, pitch: Attitude, rad; None if it is not known
     roll: float | None = None
     pitch: float | None = None
-    airspeed: float | None = None
-    grounded: str = ""
+    airspeed: float | None = None  # True airspeed, m/s; None if it is not known
+    grounded: str = ""  # Why it does not fly; empty if there is no reason to think so
 
     def beyond(self, limits: ExcitationSettings) -> str:
         """Return which limit is passed, in words; empty if none is."""
@@ -75,18 +64,10 @@ class Flying:
 
 @dataclass(frozen=True)
 class Asked:
-    """What the controller is asked to add.
+    """What the controller is asked to add."""
 
-    Parameters
-    ----------
-    t_ns : int
-        Message time from which it counts, ns.
-    values : (4,) array
-        de, dr, da, dth, in the units of the inputs.
-    """
-
-    t_ns: int
-    values: FloatArray
+    t_ns: int  # Message time from which it counts, ns
+    values: FloatArray  # (4,) de, dr, da, dth, in the units of the inputs
 
 
 class ExcitationRun:

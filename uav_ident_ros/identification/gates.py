@@ -68,75 +68,35 @@ LARGEST_GROWTH = 4.0
 
 
 class Look(NamedTuple):
-    """What the gates see of a tick.
+    """What the gates see of a tick."""
 
-    Parameters
-    ----------
-    t : float
-        Time of the tick, s.
-    samples : (k, 6) array
-        Rates, rad/s, and specific forces, m/s^2, that came with it, Imu axes.
-    raw : (j, N) array
-        Values of the channels that are still at work in the filters.
-    airspeed : float or None
-        True airspeed, m/s; None if there is none.
-    armed : bool or None
-        Whether the motors are armed; None if nothing was heard of it.
-    adapt : bool
-        Whether learning is switched on.
-    implausible : str
-        What cannot be as the settings say; empty if nothing.
-    settings : Settings
-        All settings.
-    """
-
-    t: float
+    t: float  # Time of the tick, s
+    # (k, 6) Rates, rad/s, and specific forces, m/s^2, that came with it, Imu axes
     samples: FloatArray
-    raw: FloatArray
-    airspeed: float | None
-    armed: bool | None
-    adapt: bool
-    implausible: str
-    settings: Settings
+    raw: FloatArray  # (j, N) Values of the channels that are still at work in the filters
+    airspeed: float | None  # True airspeed, m/s; None if there is none
+    armed: bool | None  # Whether the motors are armed; None if nothing was heard of it
+    adapt: bool  # Whether learning is switched on
+    implausible: str  # What cannot be as the settings say; empty if nothing
+    settings: Settings  # All settings
 
 
 class Gate(NamedTuple):
-    """A reason not to learn.
+    """A reason not to learn."""
 
-    Parameters
-    ----------
-    name : str
-        One or two words.
-    setting : str
-        Name of the setting that opens it, or moves its threshold.
-    check : callable
-        From a `Look` to the reason to pause; empty if there is none.
-    unreadable : bool
-        Whether the signals then tell nothing of the coefficients either: no score is kept.
-    """
-
-    name: str
-    setting: str
-    check: Callable[[Look], str]
+    name: str  # One or two words
+    setting: str  # Name of the setting that opens it, or moves its threshold
+    check: Callable[[Look], str]  # From a `Look` to the reason to pause; empty if there is none
+    # Whether the signals then tell nothing of the coefficients either: no score is kept
     unreadable: bool = False
 
 
 class Cost(NamedTuple):
-    """What a gate has cost.
+    """What a gate has cost."""
 
-    Parameters
-    ----------
-    share : float
-        Share of the ticks at which it kept from learning, 0 ... 1.
-    setting : str
-        Setting that goes with it.
-    reason : str
-        The last reason that it gave.
-    """
-
-    share: float
-    setting: str
-    reason: str
+    share: float  # Share of the ticks at which it kept from learning, 0 ... 1.
+    setting: str  # Setting that goes with it
+    reason: str  # The last reason that it gave
 
 
 TOO_QUIET, TOO_FAR = "too little excitation", "residual far outside its usual size"
@@ -444,19 +404,12 @@ class ResidualGate:
 
 @dataclass
 class _RowResidual:
-    """Mean squares of the residuals of one row, rad^2/s^4; plain floats, since there are few.
+    """Mean squares of the residuals of one row, rad^2/s^4; plain floats, since there are few."""
 
-    Parameters
-    ----------
-    usual, recent : float
-        Over a long and over a short time.
-    time : float
-        Time over which the usual one was taken, s.
-    """
-
+    # usual, recent: Over a long and over a short time
     usual: float = 0.0
     recent: float = 0.0
-    time: float = 0.0
+    time: float = 0.0  # Time over which the usual one was taken, s
 
     def weigh(self, square: float, dt: float, max_residual: float, *, clear: bool) -> float:
         """Return how much samples with the mean square `square` count, 0 ... 1."""

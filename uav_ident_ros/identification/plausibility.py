@@ -91,20 +91,11 @@ SURE = 3.0
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that cannot be as the settings say.
+    """Something that cannot be as the settings say."""
 
-    Parameters
-    ----------
-    name : str
-        One word.
-    text : str
-        Problem, evidence and cure.
-    fault : bool
-        Whether nothing can be learned before it is put right; else it is a warning.
-    """
-
-    name: str
-    text: str
+    name: str  # One word
+    text: str  # Problem, evidence and cure
+    # Whether nothing can be learned before it is put right; else it is a warning
     fault: bool = True
 
 

@@ -27,18 +27,13 @@ PAUSE_UNITS = 4.0
 class ProgrammedInput:
     """The signals of one run.
 
-    Parameters
-    ----------
-    settings : ExcitationSettings
-        Form, amplitudes, band, duration and fade.
-
     Raises
     ------
     WaveformError
         If the band holds fewer harmonics than there are inputs.
     """
 
-    settings: ExcitationSettings
+    settings: ExcitationSettings  # Form, amplitudes, band, duration and fade
 
     def __post_init__(self) -> None:
         self._shapes(np.zeros(1))  # designed here, so that nothing is slow in flight

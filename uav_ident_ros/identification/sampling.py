@@ -46,35 +46,18 @@ STEADY_RATE = 0.1
 
 @dataclass(frozen=True)
 class Block:
-    """Signals over m consecutive cells of the grid, body axes FRD.
+    """Signals over m consecutive cells of the grid, body axes FRD."""
 
-    Parameters
-    ----------
-    t_ns : (m + 1,) int array
-        Edges of the cells, ns.
-    h : float
-        Cell width, s.
-    x : (m + 1, 3) array
-        Rates p, q, r at the edges, rad/s.
-    u : (m, 4) array
-        Means of de, dr, da, dth over the cells, delayed and lagged.
-    u_undelayed : (m, 4) array or None
-        The same without the delay, for estimating it; None if it is not estimated.
-    specific_force : (m + 1, 3) array
-        Specific forces ax, ay, az at the edges, m/s^2; ay, az less their centripetal part.
-    restarted : bool
-        Whether the first edge does not continue the block before.
-    excitation : (m, 4) array or None
-        The part of `u` that was injected on purpose; None before there was any.
-    """
-
-    t_ns: TimeArray
-    h: float
-    x: FloatArray
-    u: FloatArray
+    t_ns: TimeArray  # (m + 1,) Edges of the cells, ns
+    h: float  # Cell width, s
+    x: FloatArray  # (m + 1, 3) Rates p, q, r at the edges, rad/s
+    u: FloatArray  # (m, 4) Means of de, dr, da, dth over the cells, delayed and lagged
+    # (m, 4) The same without the delay, for estimating it; None if it is not estimated
     u_undelayed: FloatArray | None
+    # (m + 1, 3) Specific forces ax, ay, az at the edges, m/s^2; ay, az less their centripetal part
     specific_force: FloatArray
-    restarted: bool
+    restarted: bool  # Whether the first edge does not continue the block before
+    # (m, 4) The part of `u` that was injected on purpose; None before there was any
     excitation: FloatArray | None = None
 
     @property

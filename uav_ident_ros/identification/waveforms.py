@@ -42,24 +42,12 @@ class WaveformError(ValueError):
 
 @dataclass(frozen=True)
 class Multisine:
-    """Sum of harmonics of one period with optimised phases, peak amplitude one.
+    """Sum of harmonics of one period with optimised phases, peak amplitude one."""
 
-    Parameters
-    ----------
-    period : float
-        Common period of all harmonics, s.
-    harmonics : tuple of int
-        Multiples of 1 / period that are present, with equal power.
-    phases : (k,) array
-        Their phases, rad.
-    peak : float
-        Peak of the sum of unit cosines, by which `sample` divides.
-    """
-
-    period: float
-    harmonics: tuple[int, ...]
-    phases: FloatArray
-    peak: float
+    period: float  # Common period of all harmonics, s
+    harmonics: tuple[int, ...]  # Multiples of 1 / period that are present, with equal power
+    phases: FloatArray  # (k,) Their phases, rad
+    peak: float  # Peak of the sum of unit cosines, by which `sample` divides
 
     def sample(self, t: FloatArray) -> FloatArray:
         """Evaluate at times t, s; peak about one, zero at t = 0."""

@@ -61,18 +61,10 @@ AXES = ("p", "q", "r")
 
 
 class Advice(NamedTuple):
-    """A piece of advice.
+    """A piece of advice."""
 
-    Parameters
-    ----------
-    name : str
-        What it is about, for programs: the name of its function.
-    text : str
-        What was found and what to do, for people.
-    """
-
-    name: str
-    text: str
+    name: str  # What it is about, for programs: the name of its function
+    text: str  # What was found and what to do, for people
 
 
 def never_flew(e: Evidence) -> Iterator[str]:

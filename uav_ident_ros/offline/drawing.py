@@ -46,41 +46,22 @@ class PictureError(Exception):
 
 @dataclass(frozen=True)
 class Overview:
-    """What the picture shows.
+    """What the picture shows."""
 
-    Parameters
-    ----------
-    title : str
-        Heading.
-    horizon : float
-        How long before its time a prediction was made, s.
-    t : (W,) array
-        Times that the predictions are for, s.
-    measured, predicted : (W, 3) array
-        Rates p q r at these times, rad/s.
-    tick_t : (K,) array
-        Times of the ticks, s.
-    coefficients, sigma : (K, m, n) array
-        Coefficients at the ticks and their standard deviations, SI.
-    structure : Structure
-        Their structure.
-    truth : mapping
-        True coefficients by name, as far as they are known.
-    notes : sequence of str
-        Heading of the panel of each rate, such as its fit.
-    """
-
-    title: str
-    horizon: float
-    t: FloatArray
+    title: str  # Heading
+    horizon: float  # How long before its time a prediction was made, s
+    t: FloatArray  # (W,) Times that the predictions are for, s
+    # measured, predicted: (W, 3) Rates p q r at these times, rad/s
     measured: FloatArray
     predicted: FloatArray
-    tick_t: FloatArray
+    tick_t: FloatArray  # (K,) Times of the ticks, s
+    # coefficients, sigma: (K, m, n) Coefficients at the ticks and their standard deviations, SI
     coefficients: FloatArray
     sigma: FloatArray
-    structure: Structure
+    structure: Structure  # Their structure
+    # True coefficients by name, as far as they are known
     truth: Mapping[str, float] = field(default_factory=dict)
-    notes: tuple[str, ...] = ("", "", "")
+    notes: tuple[str, ...] = ("", "", "")  # Heading of the panel of each rate, such as its fit
 
 
 def save_overview(path: Path | str, flight: Overview) -> None:

@@ -47,70 +47,37 @@ _NORMAL_MEDIAN = 0.6745
 
 @dataclass(frozen=True)
 class Evidence:
-    """Measured quantities of a replay.
+    """Measured quantities of a replay."""
 
-    Parameters
-    ----------
-    settings : Settings
-        Settings in use.
-    structure : Structure
-        Structure of the coefficients.
-    values, sigma : (3, n) arrays
-        The result and its standard deviations.
-    fit : PredictionFit
-        Score of record over the last part of the flight.
-    duration : float
-        Time from the first to the last rates, s.
-    rate_spread : (3,) array
-        Standard deviation of p, q, r, rad/s.
-    gyro_noise : (3,) array
-        Standard deviation of what changes from sample to sample, rad/s.
-    input_spread : (4,) array
-        Standard deviation of de, dr, da, dth.
-    imu_rate, actuator_rate : float
-        Median rates of the messages, Hz; 0 if there are too few to tell.
-    delay : DelayEstimate
-        What the flight says about the delay.
-    delays, delay_residual : (J,) and (J, 3) arrays
-        Delays tried, s, and the residual sums of squares of the rows with each; empty if none was.
-    delay_in_use : float
-        Delay that the identifier ended with, s.
-    force_share : mapping
-        For rows without their specific force: the share of what the row leaves unexplained that
-        it would explain.
-    collinear : tuple of tuple of str
-        Coefficients that the flight has not told apart.
-    correlations : mapping
-        For each row: its coefficients, (m,) names, and how their estimates depend on one another,
-        (m, m).
-    lost : mapping
-        Share of the ticks at which a gate was closed, for each reason, the largest first.
-    gate_settings : mapping
-        Settings that go with those reasons.
-    streams : mapping
-        What became of the messages of each stream.
-    """
-
-    settings: Settings
-    structure: Structure
+    settings: Settings  # Settings in use
+    structure: Structure  # Structure of the coefficients
+    # values, sigma: (3, n) The result and its standard deviations
     values: FloatArray
     sigma: FloatArray
-    fit: PredictionFit
-    duration: float
-    rate_spread: FloatArray
-    gyro_noise: FloatArray
-    input_spread: FloatArray
+    fit: PredictionFit  # Score of record over the last part of the flight
+    duration: float  # Time from the first to the last rates, s
+    rate_spread: FloatArray  # (3,) Standard deviation of p, q, r, rad/s
+    gyro_noise: FloatArray  # (3,) Standard deviation of what changes from sample to sample, rad/s
+    input_spread: FloatArray  # (4,) Standard deviation of de, dr, da, dth
+    # imu_rate, actuator_rate: Median rates of the messages, Hz; 0 if there are too few to tell
     imu_rate: float
     actuator_rate: float
-    delay: DelayEstimate = NO_ESTIMATE
+    delay: DelayEstimate = NO_ESTIMATE  # What the flight says about the delay
+    # Delays tried, (J,), s, and the rows' residual sums of squares with each, (J, 3); or empty
     delays: FloatArray = field(default_factory=lambda: np.zeros(0))
     delay_residual: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    delay_in_use: float = 0.0
+    delay_in_use: float = 0.0  # Delay that the identifier ended with, s
+    # For rows without their specific force: the share of what the row leaves unexplained that it
+    # would explain
     force_share: Mapping[str, float] = field(default_factory=dict)
-    collinear: tuple[tuple[str, ...], ...] = ()
+    collinear: tuple[tuple[str, ...], ...] = ()  # Coefficients that the flight has not told apart
+    # Of each row: names of its coefficients, (m,), and the correlations of their estimates, (m, m)
     correlations: Mapping[str, tuple[tuple[str, ...], FloatArray]] = field(default_factory=dict)
+    # Share of the ticks at which a gate was closed, for each reason, the largest first
     lost: Mapping[str, float] = field(default_factory=dict)
+    # Settings that go with those reasons
     gate_settings: Mapping[str, str] = field(default_factory=dict)
+    # What became of the messages of each stream
     streams: Mapping[str, Refusals] = field(default_factory=dict)
 
     def t_ratio(self, name: str) -> float | None:

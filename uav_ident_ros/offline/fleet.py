@@ -53,22 +53,13 @@ def limit_of(rate: float = FALSE_NAMES) -> float:
 
 
 class Pooled(NamedTuple):
-    """A coefficient of an aircraft.
+    """A coefficient of an aircraft."""
 
-    Parameters
-    ----------
-    value, sigma : float
-        Mean over the flights and its standard deviation.
-    scatter : float
-        Standard deviation of the true values from flight to flight.
-    flights : int
-        Flights that it is from.
-    """
-
+    # value, sigma: Mean over the flights and its standard deviation
     value: float
     sigma: float
-    scatter: float
-    flights: int
+    scatter: float  # Standard deviation of the true values from flight to flight
+    flights: int  # Flights that it is from
 
     @property
     def next_sigma(self) -> float:
@@ -90,28 +81,15 @@ def pool(values: FloatArray, sigmas: FloatArray) -> Pooled:
 
 @dataclass(frozen=True)
 class Finding:
-    """A coefficient that is not what it was.
+    """A coefficient that is not what it was."""
 
-    Parameters
-    ----------
-    coefficient : str
-        Its name.
-    since : str
-        Flight from which it went away.
-    named : str
-        Flight at which that was certain.
-    before, now : float
-        Its pooled value before, and that from `since` on.
-    lasting : bool
-        Whether it went on for several flights; one flight alone stands out otherwise.
-    """
-
-    coefficient: str
-    since: str
-    named: str
+    coefficient: str  # Its name
+    since: str  # Flight from which it went away
+    named: str  # Flight at which that was certain
+    # before, now: Its pooled value before, and that from `since` on
     before: float
     now: float
-    lasting: bool
+    lasting: bool  # Whether it went on for several flights; one flight alone stands out otherwise
 
     @property
     def text(self) -> str:
@@ -180,33 +158,20 @@ def _deviation(
 
 @dataclass(frozen=True)
 class Aircraft:
-    """An aircraft and its flights.
+    """An aircraft and its flights."""
 
-    Parameters
-    ----------
-    name, structure : str
-        The aircraft, and the structure of its models.
-    flights : tuple of str
-        Flights with a usable model, in the order of their time.
-    values, sigmas : mapping
-        For each coefficient its values and standard deviations in these flights, (k,); NaN where
-        a flight does not know it.
-    pooled : mapping
-        Coefficients pooled since they last changed.
-    findings : tuple of Finding
-        What changed or stands out.
-    unusable : tuple of (str, str)
-        Flights without a usable model, and why.
-    """
-
+    # name, structure: The aircraft, and the structure of its models
     name: str
     structure: str
-    flights: tuple[str, ...] = ()
+    flights: tuple[str, ...] = ()  # Flights with a usable model, in the order of their time
+    # values, sigmas: For each coefficient its values and standard deviations in these flights,
+    # (k,); NaN where a flight does not know it
     values: Mapping[str, FloatArray] = field(default_factory=dict)
     sigmas: Mapping[str, FloatArray] = field(default_factory=dict)
+    # Coefficients pooled since they last changed
     pooled: Mapping[str, Pooled] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
-    unusable: tuple[tuple[str, str], ...] = ()
+    findings: tuple[Finding, ...] = ()  # What changed or stands out
+    unusable: tuple[tuple[str, str], ...] = ()  # Flights without a usable model, and why
 
     @property
     def main(self) -> list[str]:

@@ -27,44 +27,32 @@ VERDICTS = {USABLE: "usable", NOT_USABLE: "not usable", NO_RESULT: "no result"}
 
 @dataclass(frozen=True)
 class FlightRow:
-    """One coefficient of one flight; of a flight without a result there is one row without any.
+    """One coefficient of one flight; of a flight without a result there is one row without any."""
 
-    Parameters
-    ----------
-    aircraft, flight : str
-        The aircraft, and the name of the flight.
-    start_ns : int
-        Message time of the first tick, ns; 0 if there is none.
-    duration : float
-        Time from the first to the last tick, s.
-    verdict, reason : str
-        ``usable``, ``not usable`` or ``no result``, and why.
-    structure, coefficient : str
-        Structure of the model and name of the coefficient.
-    value, sigma : float or None
-        Its value and standard deviation, SI; a sigma of zero is that of a fixed one.
-    fit_p, fit_q, fit_r, hold_p, hold_q, hold_r : float or None
-        Prediction fit over the last 40 % of the flight, and that of holding the rates, percent.
-    bag, bag_hash, settings_hash, version : str
-        The bag, SHA-256 of its files and of the settings, version of the package.
-    """
-
+    # aircraft, flight: The aircraft, and the name of the flight
     aircraft: str
     flight: str
-    start_ns: int = 0
-    duration: float = 0.0
+    start_ns: int = 0  # Message time of the first tick, ns; 0 if there is none
+    duration: float = 0.0  # Time from the first to the last tick, s
+    # verdict, reason: ``usable``, ``not usable`` or ``no result``, and why
     verdict: str = ""
     reason: str = ""
+    # structure, coefficient: Structure of the model and name of the coefficient
     structure: str = ""
     coefficient: str = ""
+    # value, sigma: Its value and standard deviation, SI; a sigma of zero is that of a fixed one
     value: float | None = None
     sigma: float | None = None
+    # fit_p, fit_q, fit_r, hold_p, hold_q, hold_r: Prediction fit over the last 40 % of the flight,
+    # and that of holding the rates, percent
     fit_p: float | None = None
     fit_q: float | None = None
     fit_r: float | None = None
     hold_p: float | None = None
     hold_q: float | None = None
     hold_r: float | None = None
+    # bag, bag_hash, settings_hash, version: The bag, SHA-256 of its files and of the settings,
+    # version of the package
     bag: str = ""
     bag_hash: str = ""
     settings_hash: str = ""

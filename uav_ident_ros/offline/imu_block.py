@@ -26,22 +26,13 @@ _LITTLE_ENDIAN = b"\x00\x01"
 
 
 class ImuBlock(NamedTuple):
-    """Imu messages that differ in nothing but their stamps and numbers.
+    """Imu messages that differ in nothing but their stamps and numbers."""
 
-    Parameters
-    ----------
-    t_ns : (k,) int array
-        Stamps, ns.
-    values : (k, 6) array
-        Angular velocity, rad/s, and specific force, m/s^2, in the sensor's axes; a force that is
-        not measured is zero.
-    frame_id : str
-        Frame of all of them.
-    """
-
-    t_ns: TimeArray
+    t_ns: TimeArray  # (k,) Stamps, ns
+    # (k, 6) Angular velocity, rad/s, and specific force, m/s^2, in the sensor's axes; a force that
+    # is not measured is zero
     values: FloatArray
-    frame_id: str
+    frame_id: str  # Frame of all of them
 
 
 def decode_imu_block(messages: Sequence[bytes]) -> ImuBlock | None:

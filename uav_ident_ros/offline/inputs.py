@@ -17,27 +17,17 @@ from uav_ident_ros.offline.streams import EXCITATION_END, OWN_TOPICS, STREAMS, S
 
 @dataclass(frozen=True)
 class Inputs:
-    """Which topics of a bag to read, and the settings that fit their types.
+    """Which topics of a bag to read, and the settings that fit their types."""
 
-    Parameters
-    ----------
-    rates_topic, actuators_topic : str
-        Topics of the bag.
-    settings : Settings
-        Settings whose message types are those of the topics.
-    airspeed_topic, armed_topic : str
-        Topics of the airspeed and of whether the vehicle is armed; empty if there is none in the
-        settings.
-    excitation_topic : str
-        Topic of what was injected; empty if there is none.
-    """
-
+    # rates_topic, actuators_topic: Topics of the bag
     rates_topic: str
     actuators_topic: str
-    settings: Settings
+    settings: Settings  # Settings whose message types are those of the topics
+    # airspeed_topic, armed_topic: Topics of the airspeed and of whether the vehicle is armed; empty
+    # if there is none in the settings
     airspeed_topic: str = ""
     armed_topic: str = ""
-    excitation_topic: str = ""
+    excitation_topic: str = ""  # Topic of what was injected; empty if there is none
 
     @property
     def streams(self) -> dict[str, str]:

@@ -97,18 +97,10 @@ class Record:
 
 @dataclass(frozen=True)
 class Refusals:
-    """Messages of one stream and what became of them.
+    """Messages of one stream and what became of them."""
 
-    Parameters
-    ----------
-    received : int
-        Messages read.
-    dropped : dict
-        How many of them were not used, for each reason.
-    """
-
-    received: int
-    dropped: dict[str, int]
+    received: int  # Messages read
+    dropped: dict[str, int]  # How many of them were not used, for each reason
 
 
 class Intake:

@@ -43,71 +43,35 @@ REFUSALS = (
 
 @dataclass(frozen=True)
 class Job:
-    """One bag to be replayed with one configuration.
+    """One bag to be replayed with one configuration."""
 
-    Parameters
-    ----------
-    bag : Path
-        The bag.
-    name : str
-        What its results are called.
-    folder : Path
-        Where they go.
-    params_files : tuple of Path
-        Parameter files; what a later one sets wins.
-    node : str
-        Node whose sections of the files count.
-    topics : mapping
-        Topics to read, by stream as in `STREAMS`; the others are found.
-    plot, report : bool
-        Whether to draw the picture, and to write the report, too.
-    aircraft : str
-        The aircraft that flew.
-    known : str
-        Identity (`identity_of`) of a result that is there already; empty if there is none.
-    """
-
-    bag: Path
-    name: str
-    folder: Path
-    params_files: tuple[Path, ...] = ()
-    node: str = NODE_NAME
+    bag: Path  # The bag
+    name: str  # What its results are called
+    folder: Path  # Where they go
+    params_files: tuple[Path, ...] = ()  # Parameter files; what a later one sets wins
+    node: str = NODE_NAME  # Node whose sections of the files count
+    # Topics to read, by stream as in `STREAMS`; the others are found
     topics: Mapping[str, str] = field(default_factory=dict)
+    # plot, report: Whether to draw the picture, and to write the report, too
     plot: bool = False
     report: bool = False
-    aircraft: str = ""
+    aircraft: str = ""  # The aircraft that flew
+    # Identity (`identity_of`) of a result that is there already; empty if there is none
     known: str = ""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a job.
+    """What came of a job."""
 
-    Parameters
-    ----------
-    job : Job
-        The job.
-    status : int
-        `USABLE`, `NOT_USABLE` or `NO_RESULT`.
-    warnings : tuple of str
-        What is wrong with the input; if there is no result, why.
-    table : str
-        Results in words and columns; empty if there are none.
-    summary : mapping
-        Content of summary.json; empty if there is none.
-    identity : str
-        What the result is of (`identity_of`); empty if that is not known.
-    kept : bool
-        Whether nothing was done, since the result is there already.
-    """
-
-    job: Job
-    status: int
-    warnings: tuple[str, ...] = ()
-    table: str = ""
+    job: Job  # The job
+    status: int  # `USABLE`, `NOT_USABLE` or `NO_RESULT`
+    warnings: tuple[str, ...] = ()  # What is wrong with the input; if there is no result, why
+    table: str = ""  # Results in words and columns; empty if there are none
+    # Content of summary.json; empty if there is none
     summary: Mapping[str, Any] = field(default_factory=dict)
-    identity: str = ""
-    kept: bool = False
+    identity: str = ""  # What the result is of (`identity_of`); empty if that is not known
+    kept: bool = False  # Whether nothing was done, since the result is there already
 
 
 SILENT = Progress()

@@ -19,27 +19,14 @@ VERDICT_WINDOWS = "last_40_percent"
 
 @dataclass(frozen=True)
 class Replayed:
-    """Everything that the results of a replay are made of.
+    """Everything that the results of a replay are made of."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the flight.
-    run : OfflineRun
-        The replay, with at least one estimate.
-    fits : mapping
-        Its score of record, by windows.
-    notes : tuple of str
-        What the bag is like: damage, topics that were not read, inputs that end early.
-    advice : tuple of Advice
-        What to do about the model.
-    """
-
-    name: str
-    run: OfflineRun
-    fits: Mapping[str, PredictionFit]
+    name: str  # Name of the flight
+    run: OfflineRun  # The replay, with at least one estimate
+    fits: Mapping[str, PredictionFit]  # Its score of record, by windows
+    # What the bag is like: damage, topics that were not read, inputs that end early
     notes: tuple[str, ...] = ()
-    advice: tuple[Advice, ...] = ()
+    advice: tuple[Advice, ...] = ()  # What to do about the model
 
     @property
     def doubt(self) -> str:

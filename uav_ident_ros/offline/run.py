@@ -39,21 +39,11 @@ BATCH = 2048
 
 @dataclass(frozen=True)
 class Stretch:
-    """What was measured and published on one time base, with one delay of the inputs.
+    """What was measured and published on one time base, with one delay of the inputs."""
 
-    Parameters
-    ----------
-    era : int
-        Restarts of the time base before it.
-    flown : Flown
-        What was measured on the time base; its inputs have the delay.
-    ticks : list of Estimate
-        The estimates made with that delay.
-    """
-
-    era: int
-    flown: Flown
-    ticks: list[Estimate]
+    era: int  # Restarts of the time base before it
+    flown: Flown  # What was measured on the time base; its inputs have the delay
+    ticks: list[Estimate]  # The estimates made with that delay
 
     @property
     def t_ns(self) -> TimeArray:

@@ -23,27 +23,14 @@ from uav_ident_ros.messages.excitation import EXCITATION_TYPE
 
 @dataclass(frozen=True)
 class Stream:
-    """One of the node's inputs.
+    """One of the node's inputs."""
 
-    Parameters
-    ----------
-    name : str
-        What the identifier calls it.
-    topic : str
-        The node's topic, relative as in ``-r imu/data:=...``.
-    setting : str
-        Setting that holds its message type; empty if there is but one type.
-    types : tuple of str
-        Types that can be read.
-    optional : bool
-        Whether it is read only if its type is set, or its topic asked for; where there is but one
-        type, if it is there.
-    """
-
-    name: str
-    topic: str
-    setting: str
-    types: tuple[str, ...]
+    name: str  # What the identifier calls it
+    topic: str  # The node's topic, relative as in ``-r imu/data:=...``
+    setting: str  # Setting that holds its message type; empty if there is but one type
+    types: tuple[str, ...]  # Types that can be read
+    # Whether it is read only if its type is set, or its topic asked for; where there is but one
+    # type, if it is there
     optional: bool = False
 
 

@@ -30,56 +30,29 @@ SUFFIX = ".yaml"
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the simple autopilot, `uav_ident_ros.simulation.aircraft.Autopilot`.
+    """Gains of the simple autopilot, `uav_ident_ros.simulation.aircraft.Autopilot`."""
 
-    Parameters
-    ----------
-    roll_gain, pitch_gain : float
-        Aileron per rad of roll error, elevator per rad of pitch error.
-    pitch_damping : float
-        Elevator per rad/s of pitch rate.
-    altitude_gain, climb_gain : float
-        Pitch reference per m of altitude error and per m/s of climb, rad.
-    speed_gain : float
-        Throttle per m/s of speed error.
-    """
-
+    # roll_gain, pitch_gain: Aileron per rad of roll error, elevator per rad of pitch error
     roll_gain: float
     pitch_gain: float
-    pitch_damping: float = 0.0
+    pitch_damping: float = 0.0  # Elevator per rad/s of pitch rate
+    # altitude_gain, climb_gain: Pitch reference per m of altitude error and per m/s of climb, rad
     altitude_gain: float = 1e-3
     climb_gain: float = 5e-3
-    speed_gain: float = 0.02
+    speed_gain: float = 0.02  # Throttle per m/s of speed error
 
 
 @dataclass(frozen=True)
 class Airframe:
-    """A JSBSim aircraft and how it is flown here.
+    """A JSBSim aircraft and how it is flown here."""
 
-    Parameters
-    ----------
-    name : str
-        Name of its file, without the ending.
-    description : str
-        What it is.
-    model : str
-        JSBSim's name of it.
-    speed : float
-        True airspeed, m/s.
-    altitude : float
-        Above sea level, m.
-    autopilot : Gains
-        For that speed.
-    excitation : mapping
-        Peaks of the multisines that identify it, by input: rad, throttle 0..1.
-    """
-
-    name: str
-    description: str
-    model: str
-    speed: float
-    altitude: float
-    autopilot: Gains
+    name: str  # Name of its file, without the ending
+    description: str  # What it is
+    model: str  # JSBSim's name of it
+    speed: float  # True airspeed, m/s
+    altitude: float  # Above sea level, m
+    autopilot: Gains  # For that speed
+    # Peaks of the multisines that identify it, by input: rad, throttle 0..1
     excitation: Mapping[str, float] = field(default_factory=dict)
 
     def at_speed(self, speed: float) -> Airframe:

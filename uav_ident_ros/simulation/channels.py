@@ -16,24 +16,13 @@ from uav_ident_ros.identification.structure import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class ChannelSet:
-    """Raw channels of one kind of vehicle.
+    """Raw channels of one kind of vehicle."""
 
-    Parameters
-    ----------
-    name : str
-        ``plain``, ``elevon``, ``quadrotor`` or ``pwm``.
-    names : tuple of str
-        Names of the C channels.
-    allocation : (C, 4) array
-        Raw channels from the inputs de, dr, da, dth (their total, trim included).
-    offset : (C,) array
-        Raw values at zero inputs.
-    """
-
-    name: str
-    names: tuple[str, ...]
+    name: str  # ``plain``, ``elevon``, ``quadrotor`` or ``pwm``
+    names: tuple[str, ...]  # Names of the C channels
+    # (C, 4) Raw channels from the inputs de, dr, da, dth (their total, trim included)
     allocation: FloatArray
-    offset: FloatArray
+    offset: FloatArray  # (C,) Raw values at zero inputs
 
     @property
     def mixing(self) -> FloatArray:

@@ -52,44 +52,20 @@ WINDOWS = ((30.0, 0.0), (0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, math.inf))
 
 @dataclass(frozen=True)
 class Loop:
-    """One flight of the closed loop.
+    """One flight of the closed loop."""
 
-    Parameters
-    ----------
-    duration : float
-        s.
-    faults : tuple of str
-        As in `uav_ident_ros.simulation.faults`, with times.
-    mode : str
-        Of the controller: ``adaptive`` or ``fixed``.
-    heed_verdict : bool
-        Whether the controller heeds ``verdict/usable``, or each coefficient's sigma alone.
-    cold : bool
-        Whether the identifier starts without initial coefficients.
-    excite : float
-        When excitation is asked for, s; 0 for never.
-    seed : int
-        Seed of noise, gusts and manoeuvres.
-    lock_step : bool
-        In step, or in real time.
-    files : Path
-        Folder of ``AIRCRAFT.yaml`` and ``AIRCRAFT_coefficients.yaml``.
-    aircraft : str
-        Name of the aircraft, and of its files there.
-    parameters : mapping
-        More parameters, by process: ``{"simulated_plant": {"rate": "200.0"}}``.
-    """
-
-    duration: float = 120.0
-    faults: tuple[str, ...] = ()
-    mode: str = "adaptive"
+    duration: float = 120.0  # s
+    faults: tuple[str, ...] = ()  # As in `uav_ident_ros.simulation.faults`, with times
+    mode: str = "adaptive"  # Of the controller: ``adaptive`` or ``fixed``
+    # Whether the controller heeds ``verdict/usable``, or each coefficient's sigma alone
     heed_verdict: bool = True
-    cold: bool = False
-    excite: float = 0.0
-    seed: int = 0
-    lock_step: bool = True
-    files: Path = CONFIG
-    aircraft: str = "c172p"
+    cold: bool = False  # Whether the identifier starts without initial coefficients
+    excite: float = 0.0  # When excitation is asked for, s; 0 for never
+    seed: int = 0  # Seed of noise, gusts and manoeuvres
+    lock_step: bool = True  # In step, or in real time
+    files: Path = CONFIG  # Folder of ``AIRCRAFT.yaml`` and ``AIRCRAFT_coefficients.yaml``
+    aircraft: str = "c172p"  # Name of the aircraft, and of its files there
+    # More parameters, by process: ``{"simulated_plant": {"rate": "200.0"}}``
     parameters: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     def arguments(self, process: str, record: Path) -> list[str]:

@@ -13,18 +13,10 @@ from uav_ident_ros.simulation.errors import SimulationError
 
 @dataclass(frozen=True)
 class ColouredNoise:
-    """Ornstein-Uhlenbeck process (first-order Gauss-Markov).
+    """Ornstein-Uhlenbeck process (first-order Gauss-Markov)."""
 
-    Parameters
-    ----------
-    rms : float
-        Stationary standard deviation, in the unit of the signal.
-    correlation_time : float
-        Time in which the autocorrelation falls to 1 / e, s.
-    """
-
-    rms: float = 0.0
-    correlation_time: float = 0.3
+    rms: float = 0.0  # Stationary standard deviation, in the unit of the signal
+    correlation_time: float = 0.3  # Time in which the autocorrelation falls to 1 / e, s
 
     def __post_init__(self) -> None:
         if not (self.rms >= 0.0 and self.correlation_time > 0.0):

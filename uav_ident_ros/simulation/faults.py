@@ -52,24 +52,12 @@ INERTIA_TOLERANCE = 0.005
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault.
+    """One fault."""
 
-    Parameters
-    ----------
-    kind : str
-        ``effect``, ``jams``, ``inertia``, ``turbulence`` or ``repaired``.
-    what : str
-        Surface or axis; empty if it needs none.
-    value : float or None
-        Factor, deflection or severity.
-    time : float
-        When, s after the first sample; -inf for at once.
-    """
-
-    kind: str
-    what: str = ""
-    value: float | None = None
-    time: float = -math.inf
+    kind: str  # ``effect``, ``jams``, ``inertia``, ``turbulence`` or ``repaired``
+    what: str = ""  # Surface or axis; empty if it needs none
+    value: float | None = None  # Factor, deflection or severity
+    time: float = -math.inf  # When, s after the first sample; -inf for at once
 
 
 def parse_fault(text: str) -> Fault:

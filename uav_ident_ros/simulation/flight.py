@@ -39,82 +39,42 @@ def stamps(seconds: FloatArray) -> IntArray:
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """Coefficients that are multiplied from some time on.
+    """Coefficients that are multiplied from some time on."""
 
-    Parameters
-    ----------
-    time : float
-        When, in s after the first sample.
-    factors : mapping
-        Coefficient name, ``pdot/da`` and so on, to factor.
-    """
-
-    time: float
+    time: float  # When, in s after the first sample
+    # Coefficient name, ``pdot/da`` and so on, to factor
     factors: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """Noise-free record of a flight, aircraft body axes (FRD), SI units.
+    """Noise-free record of a flight, aircraft body axes (FRD), SI units."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the flight or vehicle.
-    t_ns : (N,) array of int64
-        Times of the samples below, ns.
-    rates : (N, 3) array
-        p, q, r, rad/s.
-    angular_acceleration : (N, 3) array
-        Their derivatives, rad/s^2; where an input switches, just after (the last, just before).
-    specific_force : (N, 3) array
-        Specific force at the centre of gravity, m/s^2.
-    actuator_t_ns : (M,) array of int64
-        Times at which the actuator values below were commanded, ns. Each is held until the
-        next and acts `delay` later.
-    inputs : (M, 4) array
-        Commands as deviations from trim, de, dr, da (rad), dth.
-    trim : (4,) array
-        What is added to `inputs` on the plain channels.
-    delay : float
-        Transport delay from command to surface, s.
-    time_constant : float
-        First-order lag of the servos, s.
-    structure : str
-        Structure of `coefficients`; empty if the aircraft is of none.
-    coefficients : (3, n) array or None
-        True coefficient matrix at the start, or None if there is none.
-    changes : tuple of CoefficientChange
-        How it changes in flight.
-    local_truth : dict
-        Known local derivatives of an aircraft that has no exact structure, by name.
-    excitation : tuple of (start, end)
-        When the inputs were excited, s after the first sample.
-    airspeed : (N,) array or None
-        True airspeed, m/s.
-    parameters : dict
-        Parameters of the identifier that suit the aircraft, by name.
-    extra : dict
-        More true signals of length N, such as ``alpha`` and ``beta`` (rad) and the surfaces.
-    """
-
-    name: str
-    t_ns: IntArray
-    rates: FloatArray
+    name: str  # Name of the flight or vehicle
+    t_ns: IntArray  # (N,) Times of the samples below, ns
+    rates: FloatArray  # (N, 3) p, q, r, rad/s
+    # (N, 3) Their derivatives, rad/s^2; where an input switches, just after (the last, just before)
     angular_acceleration: FloatArray
-    specific_force: FloatArray
+    specific_force: FloatArray  # (N, 3) Specific force at the centre of gravity, m/s^2
+    # (M,) Times at which the actuator values below were commanded, ns. Each is held until the next
+    # and acts `delay` later.
     actuator_t_ns: IntArray
-    inputs: FloatArray
-    trim: FloatArray
-    delay: float = 0.0
-    time_constant: float = 0.0
-    structure: str = ""
+    inputs: FloatArray  # (M, 4) Commands as deviations from trim, de, dr, da (rad), dth
+    trim: FloatArray  # (4,) What is added to `inputs` on the plain channels
+    delay: float = 0.0  # Transport delay from command to surface, s
+    time_constant: float = 0.0  # First-order lag of the servos, s
+    structure: str = ""  # Structure of `coefficients`; empty if the aircraft is of none
+    # (3, n) True coefficient matrix at the start, or None if there is none
     coefficients: FloatArray | None = None
-    changes: tuple[CoefficientChange, ...] = ()
+    changes: tuple[CoefficientChange, ...] = ()  # How it changes in flight
+    # Known local derivatives of an aircraft that has no exact structure, by name
     local_truth: dict[str, float] = field(default_factory=dict)
+    # (start, end) When the inputs were excited, s after the first sample
     excitation: tuple[tuple[float, float], ...] = ()
-    airspeed: FloatArray | None = None
+    airspeed: FloatArray | None = None  # (N,) True airspeed, m/s
+    # Parameters of the identifier that suit the aircraft, by name
     parameters: dict[str, Any] = field(default_factory=dict)
+    # More true signals of length N, such as ``alpha`` and ``beta`` (rad) and the surfaces
     extra: dict[str, Any] = field(default_factory=dict)
 
     @property

@@ -16,38 +16,21 @@ from uav_ident_ros.simulation.errors import SimulationError
 
 @dataclass(frozen=True)
 class Segment:
-    """One stretch of excitation.
+    """One stretch of excitation."""
 
-    Parameters
-    ----------
-    kind : str
-        ``multisine``, ``3211``, ``doublet`` or ``quiet``.
-    start, duration : float
-        When it begins and how long it lasts, s. Outside of it the inputs are zero.
-    amplitudes : mapping
-        Peak per input (``de dr da dth``), rad, throttle 0..1; inputs left out stay at zero.
-    period : float
-        Period of the multisines, s.
-    band : (low, high)
-        Band of the multisines, Hz.
-    unit : float
-        Length of the shortest pulse of a 3-2-1-1 or doublet, s.
-    pause : float
-        Quiet time after each input's pulses, s; then the next input has its turn, and after
-        the last one the first again.
-    seed : int
-        Seed of the multisine phases.
-    """
-
-    kind: str
+    kind: str  # ``multisine``, ``3211``, ``doublet`` or ``quiet``
+    # start, duration: When it begins and how long it lasts, s. Outside of it the inputs are zero.
     start: float = 0.0
     duration: float = math.inf
+    # Peak per input (``de dr da dth``), rad, throttle 0..1; inputs left out stay at zero
     amplitudes: Mapping[str, float] = field(default_factory=dict)
-    period: float = 20.0
-    band: tuple[float, float] = (0.1, 2.0)
-    unit: float = 0.4
+    period: float = 20.0  # Period of the multisines, s
+    band: tuple[float, float] = (0.1, 2.0)  # Low, high: band of the multisines, Hz
+    unit: float = 0.4  # Length of the shortest pulse of a 3-2-1-1 or doublet, s
+    # Quiet time after each input's pulses, s; then the next input has its turn, and after the last
+    # one the first again
     pause: float = 2.0
-    seed: int = 0
+    seed: int = 0  # Seed of the multisine phases
 
     def __post_init__(self) -> None:
         if self.kind not in _SHAPES:

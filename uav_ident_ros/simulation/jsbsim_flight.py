@@ -46,45 +46,20 @@ LARGEST_UPSET = math.radians(80.0)
 
 @dataclass(frozen=True)
 class AircraftFlight:
-    """Everything that defines a flight of a JSBSim aircraft.
+    """Everything that defines a flight of a JSBSim aircraft."""
 
-    Parameters
-    ----------
-    aircraft : str
-        Its name, or the path of its file: see `uav_ident_ros.simulation.airframe`.
-    segments : sequence of Segment
-        Excitation, added to the autopilot's commands.
-    duration : float
-        Length of the record, s.
-    rate : float
-        Rate of the simulation and of the noise-free samples, Hz.
-    actuator_rate : float
-        Rate of the commands, Hz; each is held until the next.
-    delay : float
-        From recorded command to surface, s.
-    bank : float
-        Bank angle of alternating turns, deg; 0 for level flight.
-    turbulence : int
-        JSBSim's MIL-F-8785C severity, 0 (calm) to 7.
-    changes : tuple of CoefficientChange
-        From a time on, an input (``de`` and so on) has its effect about trim multiplied.
-    seed : int
-        Seed of the turbulence.
-    speed : float or None
-        True airspeed, m/s; None for the aircraft's own.
-    """
-
-    aircraft: str
-    segments: Sequence[Segment]
-    duration: float
-    rate: float = 1000.0
-    actuator_rate: float = 100.0
-    delay: float = 0.0
-    bank: float = 0.0
-    turbulence: int = 0
+    aircraft: str  # Its name, or the path of its file: see `uav_ident_ros.simulation.airframe`
+    segments: Sequence[Segment]  # Excitation, added to the autopilot's commands
+    duration: float  # Length of the record, s
+    rate: float = 1000.0  # Rate of the simulation and of the noise-free samples, Hz
+    actuator_rate: float = 100.0  # Rate of the commands, Hz; each is held until the next
+    delay: float = 0.0  # From recorded command to surface, s
+    bank: float = 0.0  # Bank angle of alternating turns, deg; 0 for level flight
+    turbulence: int = 0  # JSBSim's MIL-F-8785C severity, 0 (calm) to 7
+    # From a time on, an input (``de`` and so on) has its effect about trim multiplied
     changes: tuple[CoefficientChange, ...] = ()
-    seed: int = 0
-    speed: float | None = None
+    seed: int = 0  # Seed of the turbulence
+    speed: float | None = None  # True airspeed, m/s; None for the aircraft's own
 
     def __post_init__(self) -> None:
         airframe(self.aircraft, self.speed)

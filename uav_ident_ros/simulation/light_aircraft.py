@@ -54,52 +54,26 @@ LOST = math.radians(85.0)
 
 @dataclass(frozen=True)
 class LightFlight:
-    """Everything that defines a flight of the light aircraft.
+    """Everything that defines a flight of the light aircraft."""
 
-    Parameters
-    ----------
-    segments : sequence of Segment
-        Excitation, added to the autopilot's commands.
-    duration : float
-        Length of the flight, s.
-    rate : float
-        Rate of integration and of the noise-free samples, Hz.
-    actuator_rate : float
-        Rate of the commands, Hz; each is held until the next.
-    bank : float
-        Bank angle of alternating turns, deg.
-    gust : float
-        Wind on each axis, m/s rms.
-    delay, time_constant : float
-        From command to surface, and the servos' first-order lag, s.
-    travel : float
-        Largest deflection of a surface, rad: commands beyond it are without effect.
-    yaw_damper : float
-        Rudder per rad/s of yaw rate.
-    roll_gain : float
-        Aileron per rad of bank error; a tenth of it per rad/s of roll rate.
-    roll_gust : float
-        Rolling part of the wind, rad/s per m/s: 2 / span for eddies as large as the wing.
-    changes : tuple of CoefficientChange
-        From a time on, an input (``de`` and so on) has its effect multiplied.
-    seed : int
-        Seed of the wind.
-    """
-
-    segments: Sequence[Segment]
-    duration: float
-    rate: float = 200.0
-    actuator_rate: float = 50.0
-    bank: float = 0.0
-    gust: float = 0.0
+    segments: Sequence[Segment]  # Excitation, added to the autopilot's commands
+    duration: float  # Length of the flight, s
+    rate: float = 200.0  # Rate of integration and of the noise-free samples, Hz
+    actuator_rate: float = 50.0  # Rate of the commands, Hz; each is held until the next
+    bank: float = 0.0  # Bank angle of alternating turns, deg
+    gust: float = 0.0  # Wind on each axis, m/s rms
+    # delay, time_constant: From command to surface, and the servos' first-order lag, s
     delay: float = 0.0
     time_constant: float = 0.0
+    # Largest deflection of a surface, rad: commands beyond it are without effect
     travel: float = math.inf
-    yaw_damper: float = 0.15
-    roll_gain: float = 0.2
+    yaw_damper: float = 0.15  # Rudder per rad/s of yaw rate
+    roll_gain: float = 0.2  # Aileron per rad of bank error; a tenth of it per rad/s of roll rate
+    # Rolling part of the wind, rad/s per m/s: 2 / span for eddies as large as the wing
     roll_gust: float = 0.15
+    # From a time on, an input (``de`` and so on) has its effect multiplied
     changes: tuple[CoefficientChange, ...] = ()
-    seed: int = 0
+    seed: int = 0  # Seed of the wind
     truth: Mapping[str, float] = field(default_factory=lambda: dict(TRUTH))
 
     def effect(self, time: float) -> FloatArray:

@@ -59,24 +59,13 @@ _KEPT = {
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """Derivatives of an aircraft about a flight condition.
+    """Derivatives of an aircraft about a flight condition."""
 
-    Parameters
-    ----------
-    by_state : (7, 5) array
-        Of `ROWS` by `STATES`, at a fixed attitude, airspeed and surfaces.
-    by_input : (7, 4) array
-        Of `ROWS` by de, dr, da, dth: whole control derivatives, at fixed states.
-    airspeed : float
-        True, m/s.
-    alpha : float
-        Angle of attack, rad.
-    """
-
-    by_state: FloatArray
+    by_state: FloatArray  # (7, 5) Of `ROWS` by `STATES`, at a fixed attitude, airspeed and surfaces
+    # (7, 4) Of `ROWS` by de, dr, da, dth: whole control derivatives, at fixed states
     by_input: FloatArray
-    airspeed: float
-    alpha: float
+    airspeed: float  # True, m/s
+    alpha: float  # Angle of attack, rad
 
     @property
     def derivatives(self) -> dict[str, float]:

@@ -31,28 +31,15 @@ RANDOM_STREAM = 200
 
 @dataclass(frozen=True)
 class Sample:
-    """What happened and what the Imu measured of it; aircraft axes (FRD), SI units.
+    """What happened and what the Imu measured of it; aircraft axes (FRD), SI units."""
 
-    Parameters
-    ----------
-    time : float
-        After the first sample, s.
-    rates : (3,) array
-        True p, q, r, rad/s.
-    measured_rates, measured_force : (3,) arrays
-        With bias and noise: rad/s, m/s^2.
-    attitude : (3,) array
-        True roll, pitch, yaw, rad.
-    surfaces : (4,) array
-        Where elevator, rudder, aileron (rad) and throttle are.
-    """
-
-    time: float
-    rates: FloatArray
+    time: float  # After the first sample, s
+    rates: FloatArray  # (3,) True p, q, r, rad/s
+    # measured_rates, measured_force: (3,) With bias and noise: rad/s, m/s^2
     measured_rates: FloatArray
     measured_force: FloatArray
-    attitude: FloatArray
-    surfaces: FloatArray
+    attitude: FloatArray  # (3,) True roll, pitch, yaw, rad
+    surfaces: FloatArray  # (4,) Where elevator, rudder, aileron (rad) and throttle are
 
 
 class LiveAircraft:

@@ -46,56 +46,30 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class Mission:
-    """One flight.
+    """One flight."""
 
-    Parameters
-    ----------
-    duration : float
-        s.
-    faults : tuple of str
-        As in `uav_ident_ros.simulation.faults`, with times.
-    seed : int
-        Of noise, turbulence and manoeuvres.
-    sensors : Sensors
-        Of the Imu.
-    """
-
-    duration: float = 60.0
-    faults: tuple[str, ...] = ()
-    seed: int = 0
-    sensors: Sensors = SENSORS
+    duration: float = 60.0  # s
+    faults: tuple[str, ...] = ()  # As in `uav_ident_ros.simulation.faults`, with times
+    seed: int = 0  # Of noise, turbulence and manoeuvres
+    sensors: Sensors = SENSORS  # Of the Imu
 
 
 @dataclass(eq=False)
 class Outcome:
-    """What came of it.
+    """What came of it."""
 
-    Parameters
-    ----------
-    time : (N,) array
-        Of the samples, s.
-    rates, reference : (N, 3) arrays
-        True and wanted p, q, r, rad/s.
-    outputs : (N, 4) array
-        What the actuators were told.
-    usable : list of (time, tuple of bool)
-        The verdicts of roll, pitch and yaw by tick, s.
-    changes : list of (time, name)
-        Coefficients that the identifier released, s.
-    sources : list of (time, tuple)
-        Whose control derivatives each axis was flown on, whenever that changed.
-    lost : float or None
-        When the aircraft was lost, s.
-    """
-
-    time: FloatArray
+    time: FloatArray  # (N,) Of the samples, s
+    # rates, reference: (N, 3) True and wanted p, q, r, rad/s
     rates: FloatArray
     reference: FloatArray
-    outputs: FloatArray
+    outputs: FloatArray  # (N, 4) What the actuators were told
+    # (time, tuple of bool) The verdicts of roll, pitch and yaw by tick, s
     usable: list[tuple[float, tuple[bool, bool, bool]]] = field(default_factory=list)
+    # Coefficients that the identifier released, s
     changes: list[tuple[float, str]] = field(default_factory=list)
+    # (time, tuple) Whose control derivatives each axis was flown on, whenever that changed
     sources: list[tuple[float, tuple[str, ...]]] = field(default_factory=list)
-    lost: float | None = None
+    lost: float | None = None  # When the aircraft was lost, s
 
     def error(self, start: float, end: float) -> FloatArray:
         """Rms of true rates minus reference from `start` to `end` (s), shape (3,), deg/s."""

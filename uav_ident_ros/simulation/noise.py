@@ -25,46 +25,24 @@ RATE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Sensors:
-    """Sensors, and how their messages are stamped and delivered.
+    """Sensors, and how their messages are stamped and delivered."""
 
-    Parameters
-    ----------
-    rate : float
-        Rate of the Imu, Hz; a whole fraction of the flight's.
-    gyro_noise : float
-        White noise of each gyro sample, rms, rad/s.
-    gyro_bias : (3,) tuple
-        Constant error of the rates, rad/s, FRD.
-    accelerometer_noise : float
-        White noise of each specific-force sample, rms, m/s^2.
-    lever_arm : (3,) tuple
-        Position of the accelerometer from the centre of gravity, FRD, m.
-    stamp_jitter : float
-        The Imu's stamps are off by a uniform error of at most this, s.
-    drop : float
-        Fraction of Imu samples that are lost, at random.
-    convention : str
-        ``flu`` or ``frd``: axes of the Imu message.
-    latency : float
-        Log time minus true time of sampling, s; mean of a shifted exponential distribution
-        whose least value is half of it.
-    stamped : bool
-        Whether actuator messages carry a stamp (JointState) or not (Float64MultiArray).
-    channels : str
-        Name of the channel set of the raw actuators.
-    """
-
-    rate: float = 200.0
-    gyro_noise: float = 0.0
+    rate: float = 200.0  # Rate of the Imu, Hz; a whole fraction of the flight's
+    gyro_noise: float = 0.0  # White noise of each gyro sample, rms, rad/s
+    # (3,) Constant error of the rates, rad/s, FRD
     gyro_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    accelerometer_noise: float = 0.0
+    accelerometer_noise: float = 0.0  # White noise of each specific-force sample, rms, m/s^2
+    # (3,) Position of the accelerometer from the centre of gravity, FRD, m
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    stamp_jitter: float = 0.0
-    drop: float = 0.0
-    convention: str = "flu"
+    stamp_jitter: float = 0.0  # The Imu's stamps are off by a uniform error of at most this, s
+    drop: float = 0.0  # Fraction of Imu samples that are lost, at random
+    convention: str = "flu"  # ``flu`` or ``frd``: axes of the Imu message
+    # Log time minus true time of sampling, s; mean of a shifted exponential distribution whose
+    # least value is half of it
     latency: float = 0.0
+    # Whether actuator messages carry a stamp (JointState) or not (Float64MultiArray)
     stamped: bool = True
-    channels: str = "plain"
+    channels: str = "plain"  # Name of the channel set of the raw actuators
 
     def __post_init__(self) -> None:
         if self.convention not in FRAME_IDS:
@@ -82,36 +60,21 @@ class Sensors:
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Messages of a flight as plain arrays, each topic in the order of its log times.
+    """Messages of a flight as plain arrays, each topic in the order of its log times."""
 
-    Parameters
-    ----------
-    flight : Flight
-        What really happened.
-    sensors : Sensors
-        What measured it.
-    imu_t_ns, imu_log_ns : (N,) arrays of int64
-        Stamps and log times of the Imu messages, ns.
-    true_t_ns : (N,) array of int64
-        When they were really sampled, ns.
-    rates, specific_force : (N, 3) arrays
-        In the axes of `sensors.convention`, rad/s and m/s^2.
-    actuator_t_ns, actuator_log_ns : (M,) arrays of int64
-        Stamps and log times of the actuator messages, ns.
-    actuators : (M, C) array
-        Raw channels.
-    """
-
-    flight: Flight
-    sensors: Sensors
+    flight: Flight  # What really happened
+    sensors: Sensors  # What measured it
+    # imu_t_ns, imu_log_ns: (N,) Stamps and log times of the Imu messages, ns
     imu_t_ns: IntArray
     imu_log_ns: IntArray
-    true_t_ns: IntArray
+    true_t_ns: IntArray  # (N,) When they were really sampled, ns
+    # rates, specific_force: (N, 3) In the axes of `sensors.convention`, rad/s and m/s^2
     rates: FloatArray
     specific_force: FloatArray
+    # actuator_t_ns, actuator_log_ns: (M,) Stamps and log times of the actuator messages, ns
     actuator_t_ns: IntArray
     actuator_log_ns: IntArray
-    actuators: FloatArray
+    actuators: FloatArray  # (M, C) Raw channels
 
     @property
     def channel_set(self) -> ChannelSet:

@@ -55,21 +55,13 @@ DIVERGED = 1e3
 
 @dataclass(frozen=True)
 class Autopilot:
-    """Linear feedback, computed at each actuator sample from the true rates.
+    """Linear feedback, computed at each actuator sample from the true rates."""
 
-    Parameters
-    ----------
-    rate_gain : mapping
-        ``"de/q"`` and so on: input per rate, rad per rad/s.
-    angle_gain : mapping
-        The same for the integral of the rate, rad per rad.
-    limit : float
-        Largest command of any input, rad or throttle.
-    """
-
+    # ``"de/q"`` and so on: input per rate, rad per rad/s
     rate_gain: Mapping[str, float] = field(default_factory=dict)
+    # The same for the integral of the rate, rad per rad
     angle_gain: Mapping[str, float] = field(default_factory=dict)
-    limit: float = 0.5
+    limit: float = 0.5  # Largest command of any input, rad or throttle
 
     def matrices(self) -> tuple[FloatArray, FloatArray]:
         """Gains on the rates and on their integrals, each (4, 3)."""
@@ -90,60 +82,27 @@ def _gain_matrix(gains: Mapping[str, float]) -> FloatArray:
 
 @dataclass(frozen=True)
 class PlantFlight:
-    """Everything that defines a flight of a structure plant.
+    """Everything that defines a flight of a structure plant."""
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The plant.
-    segments : sequence of Segment
-        Excitation; the segments add up.
-    duration : float
-        Length of the flight, s.
-    rate : float
-        Rate of the noise-free samples, Hz.
-    actuator_rate : float
-        Rate of the commands, Hz; each is held until the next.
-    delay : float
-        From command to surface, s.
-    time_constant : float
-        First-order lag of the servos, s.
-    gusts : ColouredNoise
-        Angular acceleration, rad/s^2, on each axis independently.
-    force : ColouredNoise
-        Variation of the specific force, m/s^2, on each axis; about (0, 0, -g).
-    moment : (3,) sequence
-        Constant angular acceleration, rad/s^2: an aircraft out of trim.
-    autopilot : Autopilot or None
-        Feedback that is added to the excitation.
-    changes : tuple of CoefficientChange
-        Coefficients that change in flight.
-    trim : (4,) sequence
-        Trim of de, dr, da, dth: what the plain raw channels are at zero deviation.
-    initial_rates : (3,) sequence
-        p, q, r at the start, rad/s.
-    seed : int
-        Seed of the disturbances.
-    max_step : float
-        Largest integration step, s.
-    """
-
-    vehicle: Vehicle
-    segments: Sequence[Segment]
-    duration: float
-    rate: float = 1000.0
-    actuator_rate: float = 100.0
-    delay: float = 0.0
-    time_constant: float = 0.0
-    gusts: ColouredNoise = CALM
+    vehicle: Vehicle  # The plant
+    segments: Sequence[Segment]  # Excitation; they add up
+    duration: float  # Length of the flight, s
+    rate: float = 1000.0  # Rate of the noise-free samples, Hz
+    actuator_rate: float = 100.0  # Rate of the commands, Hz; each is held until the next
+    delay: float = 0.0  # From command to surface, s
+    time_constant: float = 0.0  # First-order lag of the servos, s
+    gusts: ColouredNoise = CALM  # Angular acceleration, rad/s^2, on each axis independently
+    # Variation of the specific force, m/s^2, on each axis; about (0, 0, -g)
     force: ColouredNoise = CALM
+    # (3,) Constant angular acceleration, rad/s^2: an aircraft out of trim
     moment: Sequence[float] = (0.0, 0.0, 0.0)
-    autopilot: Autopilot | None = None
-    changes: tuple[CoefficientChange, ...] = ()
+    autopilot: Autopilot | None = None  # Feedback that is added to the excitation
+    changes: tuple[CoefficientChange, ...] = ()  # Coefficients that change in flight
+    # (4,) Trim of de, dr, da, dth: what the plain raw channels are at zero deviation
     trim: Sequence[float] = DEFAULT_TRIM
-    initial_rates: Sequence[float] = (0.0, 0.0, 0.0)
-    seed: int = 0
-    max_step: float = 1e-3
+    initial_rates: Sequence[float] = (0.0, 0.0, 0.0)  # (3,) p, q, r at the start, rad/s
+    seed: int = 0  # Seed of the disturbances
+    max_step: float = 1e-3  # Largest integration step, s
 
     def __post_init__(self) -> None:
         for name in ("duration", "rate", "actuator_rate", "max_step"):

@@ -46,27 +46,13 @@ weather. Added to the sigmas of what is handed on."""
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """An aircraft that can be flown in the loop.
+    """An aircraft that can be flown in the loop."""
 
-    Parameters
-    ----------
-    aircraft : str
-        Its name, or the path of its file.
-    airframe : Airframe
-        What it is, at the speed flown.
-    trim : (4,) array
-        Elevator, rudder, aileron (rad) and throttle of its steady flight.
-    limits : (2, 4) array
-        Least and largest of them.
-    coefficients : CoefficientSet
-        As identified, sigmas widened.
-    """
-
-    aircraft: str
-    airframe: Airframe
-    trim: FloatArray
-    limits: FloatArray
-    coefficients: CoefficientSet
+    aircraft: str  # Its name, or the path of its file
+    airframe: Airframe  # What it is, at the speed flown
+    trim: FloatArray  # (4,) Elevator, rudder, aileron (rad) and throttle of its steady flight
+    limits: FloatArray  # (2, 4) Least and largest of them
+    coefficients: CoefficientSet  # As identified, sigmas widened
 
 
 def prepare(

@@ -35,36 +35,16 @@ LARGEST_UPSET = math.radians(80.0)
 
 @dataclass(frozen=True)
 class Body:
-    """A quadrotor of 1.5 kg, of the size of the F450.
+    """A quadrotor of 1.5 kg, of the size of the F450."""
 
-    Parameters
-    ----------
-    mass : float
-        kg.
-    inertia : tuple of 3 floats
-        Ix, Iy, Iz, kg m^2.
-    arm : float
-        Of each motor from the roll and from the pitch axis, m.
-    hover : float
-        Command at which it hovers, 0 ... 1.
-    torque : float
-        Rotor torque over thrust, m.
-    inflow : float
-        c above, N per m/s, at full speed.
-    drag : float
-        Sideways force of all rotors, N per m/s.
-    time_constant : float
-        Lag of the motors, s.
-    """
-
-    mass: float = 1.5
-    inertia: tuple[float, float, float] = (0.029, 0.029, 0.055)
-    arm: float = 0.16
-    hover: float = 0.5
-    torque: float = 0.016
-    inflow: float = 0.6
-    drag: float = 0.25
-    time_constant: float = 0.05
+    mass: float = 1.5  # kg
+    inertia: tuple[float, float, float] = (0.029, 0.029, 0.055)  # Ix, Iy, Iz, kg m^2
+    arm: float = 0.16  # Of each motor from the roll and from the pitch axis, m
+    hover: float = 0.5  # Command at which it hovers, 0 ... 1
+    torque: float = 0.016  # Rotor torque over thrust, m
+    inflow: float = 0.6  # c above, N per m/s, at full speed
+    drag: float = 0.25  # Sideways force of all rotors, N per m/s
+    time_constant: float = 0.05  # Lag of the motors, s
 
     @property
     def largest_thrust(self) -> float:
@@ -213,21 +193,13 @@ class Quadrotor:
 
 @dataclass(frozen=True)
 class Hold:
-    """An autopilot that holds attitude and height: commands as deviations from hover.
+    """An autopilot that holds attitude and height: commands as deviations from hover."""
 
-    Parameters
-    ----------
-    angle, rate : float
-        Roll and pitch: input per rad and per rad/s.
-    yaw_rate : float
-        Input per rad/s.
-    height, sinking : float
-        Collective per m and per m/s.
-    """
-
+    # angle, rate: Roll and pitch: input per rad and per rad/s
     angle: float = 0.3
     rate: float = 0.06
-    yaw_rate: float = 0.35
+    yaw_rate: float = 0.35  # Input per rad/s
+    # height, sinking: Collective per m and per m/s
     height: float = 0.05
     sinking: float = 0.08
 
@@ -246,36 +218,17 @@ class Hold:
 
 @dataclass(frozen=True)
 class QuadrotorFlight:
-    """Everything that defines a flight of a quadrotor in hover.
+    """Everything that defines a flight of a quadrotor in hover."""
 
-    Parameters
-    ----------
-    segments : sequence of Segment
-        Excitation, added to the autopilot's commands.
-    duration : float
-        s.
-    rate : float
-        Rate of the simulation and of the noise-free samples, Hz.
-    actuator_rate : float
-        Rate of the commands, Hz, a whole fraction of `rate`; each is held until the next.
-    delay : float
-        From recorded command to motor, s; a whole number of simulation steps.
-    time_constant : float
-        Lag of the motors, s.
-    gusts : ColouredNoise
-        Angular acceleration, rad/s^2, on each axis.
-    seed : int
-        Seed of the gusts.
-    """
-
-    segments: Sequence[Segment]
-    duration: float
-    rate: float = 1000.0
+    segments: Sequence[Segment]  # Excitation, added to the autopilot's commands
+    duration: float  # s
+    rate: float = 1000.0  # Rate of the simulation and of the noise-free samples, Hz
+    # Rate of the commands, Hz, a whole fraction of `rate`; each is held until the next
     actuator_rate: float = 250.0
-    delay: float = 0.0
-    time_constant: float = Body.time_constant
-    gusts: ColouredNoise = CALM
-    seed: int = 0
+    delay: float = 0.0  # From recorded command to motor, s; a whole number of simulation steps
+    time_constant: float = Body.time_constant  # Lag of the motors, s
+    gusts: ColouredNoise = CALM  # Angular acceleration, rad/s^2, on each axis
+    seed: int = 0  # Seed of the gusts
 
     def __post_init__(self) -> None:
         for name in ("duration", "rate", "actuator_rate", "time_constant"):

@@ -18,24 +18,12 @@ from uav_ident_ros.simulation.errors import SimulationError
 
 @dataclass(frozen=True, eq=False)
 class Vehicle:
-    """A plant ``xdot = A f(x, u)``.
+    """A plant ``xdot = A f(x, u)``."""
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    structure : str
-        Structure of A.
-    coefficients : (3, n) array
-        A, SI units.
-    inertia : Inertia or None
-        Its inertias, kg m^2, if A came from them.
-    """
-
-    name: str
-    structure: str
-    coefficients: FloatArray
-    inertia: Inertia | None = None
+    name: str  # Its name
+    structure: str  # Structure of A
+    coefficients: FloatArray  # (3, n) A, SI units
+    inertia: Inertia | None = None  # Its inertias, kg m^2, if A came from them
 
 
 def _small_uav() -> Vehicle:

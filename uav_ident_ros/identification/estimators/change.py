@@ -79,26 +79,16 @@ class TickMean:
 
 @dataclass(frozen=True)
 class Slopes:
-    """How much each control derivative seems to have changed, from the residuals of a window.
+    """How much each control derivative seems to have changed, from the residuals of a window."""
 
-    Parameters
-    ----------
-    slope, deviation : (3, 4) array
-        Slope of the residual along each input, and its standard deviation, by the long-run
-        variance.
-    t : (3, 4) array
-        Their ratio.
-    explained : (3, 4) array
-        Share of the row's whitened residual that the slope explains, 0 ... 1.
-    power : (4,) array
-        Integral of each input's square over the window, about its mean.
-    """
-
+    # slope, deviation: (3, 4) Slope of the residual along each input, and its standard deviation,
+    # by the long-run variance
     slope: FloatArray
     deviation: FloatArray
-    t: FloatArray
+    t: FloatArray  # (3, 4) Their ratio
+    # (3, 4) Share of the row's whitened residual that the slope explains, 0 ... 1.
     explained: FloatArray
-    power: FloatArray
+    power: FloatArray  # (4,) Integral of each input's square over the window, about its mean
 
 
 class ChangeDetector:
