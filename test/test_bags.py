@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from uav_ident_ros.bags.reading import MCAP_MAGIC, Bag, BagError
 from uav_ident_ros.bags.writing import BagWriter, message_class
-from uav_ident_ros.messages.types import decode_imu_cdr
+from uav_ident_ros.messages.imu import decode_imu_cdr
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 FOREIGN = "px4_msgs/msg/ActuatorServos"

@@ -26,7 +26,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
-from uav_ident_ros.messages.types import named_entries
+from uav_ident_ros.messages.published import named_entries
 
 AUGMENTED = STRUCTURES["augmented"]
 FLIGHT = STRUCTURES["flight_dynamics"]

@@ -28,7 +28,7 @@ from uav_ident_ros.files.parameter_table import TABLES, MarkerError, full_tables
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.settings import Settings, declarations
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages.types import named_entries
+from uav_ident_ros.messages.published import named_entries
 from uav_ident_ros.offline.run import choose_inputs
 
 ROOT = Path(__file__).resolve().parents[1]

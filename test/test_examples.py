@@ -25,7 +25,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.prior import first_values
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages.types import named_entries
+from uav_ident_ros.messages.published import named_entries
 
 FOLDER = Path(__file__).parents[1] / "examples"
 REFERENCE = np.array([0.2, 0.05, 0.03])

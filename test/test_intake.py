@@ -14,7 +14,7 @@ from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.bags.writing import BagWriter, header, jazzy_types, message_class
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.messages.types import decode_imu_cdr
+from uav_ident_ros.messages.imu import decode_imu_cdr
 from uav_ident_ros.offline import run as offline
 from uav_ident_ros.offline.imu_block import decode_imu_block
 from uav_ident_ros.offline.inputs import choose_inputs

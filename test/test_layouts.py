@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages.types import entry_names
+from uav_ident_ros.messages.published import entry_names
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 NAMED = "/identifier/coefficients_named"

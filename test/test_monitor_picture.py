@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages.types import FIT_NAMES, USABLE_NAME, entry_names
+from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME, entry_names
 from uav_ident_ros.monitor.heard import TREND_TIME, Coefficient, Heard
 from uav_ident_ros.monitor.picture import picture
 

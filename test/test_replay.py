@@ -27,7 +27,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages.types import entry_names
+from uav_ident_ros.messages.published import entry_names
 from uav_ident_ros.offline import main
 from uav_ident_ros.offline.estimates_bag import write_estimates
 from uav_ident_ros.offline.run import OfflineRun, Refusals, choose_inputs

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace as Message
 
-import pytest
 from geometry_msgs.msg import TwistStamped
 from node_process import StartNode
 from rclpy.serialization import serialize_message
@@ -15,42 +13,12 @@ from recordings import MakePlayer, recording, wait_for_status
 from std_msgs.msg import Float64
 
 from uav_ident_ros.bags import reading as bags
-from uav_ident_ros.identification.settings import AIRSPEED_TYPES
-from uav_ident_ros.messages.airspeed import AIRSPEED
 from uav_ident_ros.player import to_stamp
 
 TOPIC = "/airspeed"
 
 AIRSPEED_EVERY = 20
 """Messages of the flight per airspeed: about 12 Hz."""
-HEADER = Message(stamp=Message(sec=3, nanosec=5))
-
-
-@pytest.mark.parametrize(
-    ("name", "message", "wanted"),
-    [
-        ("std_msgs/msg/Float64", Message(data=21.5), (None, 21.5)),
-        ("std_msgs/msg/Float32", Message(data=21.5), (None, 21.5)),
-        (
-            "geometry_msgs/msg/TwistStamped",
-            Message(header=HEADER, twist=Message(linear=Message(x=18.0, y=6.0, z=9.0))),
-            (3_000_000_005, 21.0),
-        ),
-        ("mavros_msgs/msg/VfrHud", Message(header=HEADER, airspeed=21.5), (3_000_000_005, 21.5)),
-        (
-            "px4_msgs/msg/AirspeedValidated",
-            Message(timestamp=7, true_airspeed_m_s=21.5),
-            (7_000, 21.5),
-        ),
-    ],
-)
-def test_every_type_is_read(name: str, message: object, wanted: tuple[int | None, float]) -> None:
-    stamp_ns, airspeed = AIRSPEED[name](message)
-    assert (stamp_ns, pytest.approx(airspeed)) == wanted
-
-
-def test_the_types_are_those_of_the_settings() -> None:
-    assert tuple(AIRSPEED) == AIRSPEED_TYPES
 
 
 def test_node_waits_for_airspeed_and_learns_with_it(

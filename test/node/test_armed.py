@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace as Message
 
 import pytest
 from node_process import StartNode
@@ -13,30 +12,8 @@ from recordings import MakePlayer, recording
 from std_msgs.msg import Bool
 
 from uav_ident_ros.bags import reading as bags
-from uav_ident_ros.identification.settings import ARMED_TYPES
-from uav_ident_ros.messages.armed import ARMED
 
 TOPIC = "/armed"
-HEADER = Message(stamp=Message(sec=3, nanosec=5))
-
-
-@pytest.mark.parametrize(
-    ("name", "message", "wanted"),
-    [
-        ("std_msgs/msg/Bool", Message(data=True), (None, True)),
-        ("mavros_msgs/msg/State", Message(header=HEADER, armed=True), (3_000_000_005, True)),
-        ("mavros_msgs/msg/State", Message(header=HEADER, armed=False), (3_000_000_005, False)),
-        ("px4_msgs/msg/VehicleStatus", Message(timestamp=7, arming_state=2), (7_000, True)),
-        ("px4_msgs/msg/VehicleStatus", Message(timestamp=7, arming_state=1), (7_000, False)),
-        ("px4_msgs/msg/ActuatorArmed", Message(timestamp=7, armed=True), (7_000, True)),
-    ],
-)
-def test_every_type_is_read(name: str, message: object, wanted: tuple[int | None, bool]) -> None:
-    assert ARMED[name](message) == wanted
-
-
-def test_the_types_are_those_of_the_settings() -> None:
-    assert tuple(ARMED) == ARMED_TYPES
 
 
 @pytest.mark.parametrize("one_clock", [True, False])

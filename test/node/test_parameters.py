@@ -136,13 +136,13 @@ def test_qos_override_changes_the_subscription(context: Context, tmp_path: Path)
     )
     from uav_ident_ros.identification.identifier import OnlineIdentifier
     from uav_ident_ros.node.guard import Guard
-    from uav_ident_ros.node.inputs import ACTUATORS_TOPIC, RATES_TOPIC, Inbox, RatesInput, Wiring
+    from uav_ident_ros.node.inputs import Inputs
     from uav_ident_ros.node.notices import Throttle
 
     node = make_node(context, "--params-file", str(path))
-    settings = settings_of(node, (RATES_TOPIC, ACTUATORS_TOPIC))
+    settings = settings_of(node, ("imu/data", "actuators"))
     said = Throttle(print)
-    RatesInput(Wiring(node, OnlineIdentifier(settings), Inbox(), said, Guard(said)))
+    Inputs(node, OnlineIdentifier(settings), said, Guard(said))
     (profile,) = [s.qos_profile for s in node.subscriptions if s.topic_name == "/imu/data"]
     assert profile.depth == 7
     assert profile.reliability == rclpy.qos.ReliabilityPolicy.RELIABLE

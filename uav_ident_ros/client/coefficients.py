@@ -23,11 +23,12 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
     Structure,
 )
-
-FIT_NAMES = ("fit/p", "fit/q", "fit/r")
-USABLE_NAME = "verdict/usable"
-ROW_USABLE_NAMES = tuple(f"{USABLE_NAME}/{row}" for row in ROWS)
-STATE_NAMES = ("state/alpha", "state/beta", "state/roll", "state/pitch", "state/airspeed")
+from uav_ident_ros.messages.published import (
+    FIT_NAMES,
+    ROW_USABLE_NAMES,
+    STATE_NAMES,
+    USABLE_NAME,
+)
 
 MIN_T_RATIO = 3.0
 """Value over sigma from which on a coefficient is known."""

@@ -10,22 +10,21 @@ from __future__ import annotations
 import difflib
 import importlib
 import math
-import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.settings import ActuatorSettings
-from uav_ident_ros.identification.structure import ROWS, FloatArray, Structure
+from uav_ident_ros.identification.settings import ActuatorSettings, ImuSettings
+from uav_ident_ros.identification.structure import INPUTS
 
 NS_PER_S = 1_000_000_000
 NS_PER_US = 1_000
 
 Vector = tuple[float, float, float]
 
+
+NOT_FINITE = "not finite"
+"""What a message is counted under whose values are NaN or infinite."""
 
 MOST_LISTED = 20
 """Names of a message that a complaint about it lists: more is no help, and floods the log."""
@@ -36,19 +35,19 @@ class MessageTypeError(Exception):
 
 
 class ChannelError(ValueError):
-    """A message does not hold the configured channels; the message says why.
+    """A message does not hold what the settings say; the message says why.
 
     Parameters
     ----------
     message : str
         What is wrong and what would be right.
-    not_finite : bool
-        Whether the channels are there, but hold NaN or infinity.
+    reason : str
+        What it is counted under.
     """
 
-    def __init__(self, message: str, *, not_finite: bool = False) -> None:
+    def __init__(self, message: str, reason: str = "wrong channels") -> None:
         super().__init__(message)
-        self.not_finite = not_finite
+        self.reason = reason
 
 
 class RatesReading(NamedTuple):
@@ -236,6 +235,65 @@ ACTUATORS: dict[str, ActuatorAdapter] = {
 """The supported types of the actuator topic."""
 
 
+Reading = tuple[int | None, Any]
+"""Stamp, ns, None if the type has none and counts from its arrival; and the values."""
+
+PX4_ARMING_STATE_ARMED = 2
+"""VehicleStatus: the value of `arming_state` while armed."""
+
+
+def _of_px4(message: Any, value: Any) -> Reading:
+    return int(message.timestamp) * NS_PER_US, value
+
+
+def _twist_speed(message: Any) -> Reading:
+    v = message.twist.linear
+    return header_ns(message), math.hypot(v.x, v.y, v.z)
+
+
+AIRSPEEDS: dict[str, Callable[[Any], Reading]] = {
+    "std_msgs/msg/Float64": lambda m: (None, float(m.data)),
+    "std_msgs/msg/Float32": lambda m: (None, float(m.data)),
+    "geometry_msgs/msg/TwistStamped": _twist_speed,
+    "mavros_msgs/msg/VfrHud": lambda m: (header_ns(m), float(m.airspeed)),
+    "px4_msgs/msg/AirspeedValidated": lambda m: _of_px4(m, float(m.true_airspeed_m_s)),
+}
+"""The supported types of the airspeed topic: true airspeed, m/s; NaN while none is valid."""
+
+ARMINGS: dict[str, Callable[[Any], Reading]] = {
+    "std_msgs/msg/Bool": lambda m: (None, bool(m.data)),
+    "mavros_msgs/msg/State": lambda m: (header_ns(m), bool(m.armed)),
+    "px4_msgs/msg/VehicleStatus": lambda m: _of_px4(
+        m, int(m.arming_state) == PX4_ARMING_STATE_ARMED
+    ),
+    "px4_msgs/msg/ActuatorArmed": lambda m: _of_px4(m, bool(m.armed)),
+}
+"""The supported types of the armed topic: whether the motors are armed."""
+
+EXCITATION_TYPE = "sensor_msgs/msg/JointState"
+
+
+def read_excitation(message: Any) -> tuple[int, tuple[float, ...]]:
+    """Return stamp, ns, and de, dr, da, dth; 0 for those that the message does not name.
+
+    Raises
+    ------
+    ChannelError
+        If it names something else, holds no value for a name, or one that is not finite.
+    """
+    names, positions = list(message.name), list(message.position)
+    unknown = [name for name in names if name not in INPUTS]
+    if unknown or len(names) != len(positions) or not names:
+        raise ChannelError(
+            f"names {names} with {len(positions)} positions: some of {', '.join(INPUTS)} are "
+            "wanted, each with a position"
+        )
+    if not all(map(math.isfinite, positions)):
+        raise ChannelError(f"position is {positions}: finite numbers are needed", NOT_FINITE)
+    by_name = dict(zip(names, positions, strict=True))
+    return header_ns(message), tuple(float(by_name.get(name, 0.0)) for name in INPUTS)
+
+
 class ActuatorReader:
     """Reads the configured channels from actuator messages.
 
@@ -283,10 +341,7 @@ class ActuatorReader:
         ChannelError
             If a channel is missing or not finite.
         """
-        return self.select(self._read(message, self.field))
-
-    def select(self, reading: ActuatorReading) -> tuple[int | None, tuple[float, ...]]:
-        """Return the same from what was read already."""
+        reading = self._read(message, self.field)
         if reading.names is not None and reading.names != self._names:
             self._find(list(reading.names))
         values = reading.values
@@ -300,7 +355,7 @@ class ActuatorReader:
         if not math.isfinite(sum(selected)):  # a sum of finite channels does not overflow
             raise ChannelError(
                 f"channels {_listed(self._channels)} are {_listed(selected)}: not all finite",
-                not_finite=True,
+                NOT_FINITE,
             )
         return reading.stamp_ns, selected
 
@@ -322,6 +377,52 @@ class ActuatorReader:
 def _listed(items: Sequence[object]) -> str:
     shown = ", ".join(f"{item}" for item in items[:MOST_LISTED]) or "none"
     return f"{shown} and {len(items) - MOST_LISTED} more" if len(items) > MOST_LISTED else shown
+
+
+class RatesReader:
+    """Reads rates messages, and holds their axes against the settings.
+
+    Parameters
+    ----------
+    settings : ImuSettings
+        Type and convention.
+
+    Attributes
+    ----------
+    frame_id : str or None
+        Frame of the newest message; None before the first.
+    fault : str
+        How their axes contradict the settings; empty if they do not.
+    """
+
+    def __init__(self, settings: ImuSettings) -> None:
+        self._settings = settings
+        self._read = RATES[settings.type].read
+        self.frame_id: str | None = None
+        self.fault = frame_fault(settings.convention, "", settings.type)
+
+    def __call__(self, message: Any) -> Reading:
+        """Return stamp, ns, and the pair of rates and specific force.
+
+        Raises
+        ------
+        ChannelError
+            If it holds no rates, or the axes contradict the settings.
+        """
+        return self.checked(self._read(message))
+
+    def checked(self, reading: RatesReading) -> Reading:
+        """Return the same from what was read already."""
+        if reading.frame_id != self.frame_id:
+            self.frame_id = reading.frame_id
+            self.fault = frame_fault(
+                self._settings.convention, reading.frame_id, self._settings.type
+            )
+        if self.fault:
+            raise ChannelError(self.fault, "wrong frame")
+        if reading.rates is None:
+            raise ChannelError("angular_velocity_covariance[0] is -1: no rates in it", "no rates")
+        return reading.stamp_ns, (reading.rates, reading.specific_force)
 
 
 def frame_fault(convention: str, frame_id: str, msgtype: str) -> str:
@@ -346,59 +447,6 @@ def frame_fault(convention: str, frame_id: str, msgtype: str) -> str:
     if RATES[msgtype].convention == "frd":
         return f"{msgtype} is in forward-right-down axes: set imu.convention to 'frd'"
     return ""
-
-
-# --- Imu from bytes --------------------------------------------------------------------------
-
-_CDR_HEADER = 4
-"""Encapsulation header before the CDR body, bytes."""
-
-_IMU_BODY_DOUBLES = 37
-"""Doubles of an Imu after its header: 4 + 9, 3 + 9, 3 + 9."""
-
-# Stamp and length of the frame_id; then, from the first double on: orientation with its
-# covariance, rates, first entry of their covariance, the rest of it, and the force likewise.
-_IMU_FORMATS = {
-    b"\x00\x01": (struct.Struct("<iII"), struct.Struct("<104x4d64x4d")),
-    b"\x00\x00": (struct.Struct(">iII"), struct.Struct(">104x4d64x4d")),
-}
-_IMU_PREFIX_SIZE = 12
-_CDR_ALIGNMENT = 8
-
-
-def decode_imu_cdr(data: bytes) -> RatesReading | None:
-    """Read an Imu message from its CDR bytes, several times faster than a decoder in Python.
-
-    Parameters
-    ----------
-    data : bytes
-        Serialized sensor_msgs/msg/Imu with its encapsulation header (XCDR1, either byte order).
-
-    Returns
-    -------
-    RatesReading or None
-        None if the bytes are not of that form: leave them to a full decoder.
-    """
-    formats = _IMU_FORMATS.get(bytes(data[:2]))
-    if formats is None or len(data) < _CDR_HEADER + _IMU_PREFIX_SIZE:
-        return None
-    prefix, vectors = formats
-    seconds, nanoseconds, length = prefix.unpack_from(data, _CDR_HEADER)
-    start = _CDR_HEADER + _IMU_PREFIX_SIZE
-    body = ((_IMU_PREFIX_SIZE + length + _CDR_ALIGNMENT - 1) & -_CDR_ALIGNMENT) + _CDR_HEADER
-    if length < 1 or len(data) < body + 8 * _IMU_BODY_DOUBLES:
-        return None
-    p, q, r, rate_covariance, ax, ay, az, force_covariance = vectors.unpack_from(data, body)
-    try:
-        frame_id = str(data[start : start + length - 1], "utf-8")
-    except UnicodeDecodeError:
-        return None
-    return RatesReading(
-        seconds * NS_PER_S + nanoseconds,
-        None if rate_covariance == -1.0 else (p, q, r),
-        None if force_covariance == -1.0 else (ax, ay, az),
-        frame_id,
-    )
 
 
 # --- message classes -------------------------------------------------------------------------
@@ -432,76 +480,3 @@ def import_type(name: str) -> Any:
         return getattr(module, type_name)
     except AttributeError:
         raise MessageTypeError(f"the ROS package '{package}' has no type '{name}'") from None
-
-
-# --- building --------------------------------------------------------------------------------
-
-
-class Dimension(NamedTuple):
-    """One std_msgs/msg/MultiArrayDimension."""
-
-    label: str
-    size: int
-    stride: int
-
-
-def coefficients_layout(structure: Structure) -> tuple[Dimension, Dimension]:
-    """Layout of ~/coefficients: the dense matrix of moment and force rows, row-major."""
-    rows, n = len(structure.dense_rows), structure.size
-    return (
-        Dimension(",".join(structure.dense_rows), rows, rows * n),
-        Dimension(",".join(structure.regressors), n, n),
-    )
-
-
-STATE_FIELDS = ("alpha", "beta", "roll", "pitch", "airspeed")
-STATE_NAMES = tuple(f"state/{field}" for field in STATE_FIELDS)
-"""States of a structure with flow angles beside the rates: rad, rad, rad, rad, m/s."""
-
-FIT_NAMES = ("fit/p", "fit/q", "fit/r")
-USABLE_NAME = "verdict/usable"
-ROW_USABLE_NAMES = tuple(f"{USABLE_NAME}/{row}" for row in ROWS)
-
-
-def entry_names(structure: Structure) -> tuple[str, ...]:
-    """Names in ~/coefficients_named: coefficients, states, the fit of each axis, verdicts."""
-    states = STATE_NAMES if structure.has_flow else ()
-    return (*structure.names, *states, *FIT_NAMES, USABLE_NAME, *ROW_USABLE_NAMES)
-
-
-def dense_coefficients(estimate: Estimate, structure: Structure) -> FloatArray:
-    """Matrix of ~/coefficients of an estimate."""
-    return estimate.coefficients[: len(structure.dense_rows)]
-
-
-class NamedEntries(NamedTuple):
-    """Content of ~/coefficients_named.
-
-    Parameters
-    ----------
-    names : tuple of str
-        See `entry_names`.
-    positions : (k,) array
-        Values, SI; the fits in percent; 1 or 0 for usable.
-    efforts : (k,) array
-        One standard deviation of each coefficient and flow angle, 0 for the others.
-    """
-
-    names: tuple[str, ...]
-    positions: FloatArray
-    efforts: FloatArray
-
-
-def named_entries(estimate: Estimate, structure: Structure) -> NamedEntries:
-    """Entries of ~/coefficients_named of an estimate."""
-    verdict = (float(estimate.usable), *map(float, estimate.usable_rows))
-    mask, flow = structure.mask, estimate.flow
-    states: tuple[float, ...] = ()
-    spreads: tuple[float, ...] = ()
-    if flow is not None:
-        states = tuple(getattr(flow, field) for field in STATE_FIELDS)
-        spreads = (flow.alpha_sigma, flow.beta_sigma, 0.0, 0.0, 0.0)
-    positions = np.concatenate([estimate.coefficients[mask], states, estimate.fit, verdict])
-    rest = np.zeros(len(FIT_NAMES) + len(verdict))
-    efforts = np.concatenate([estimate.sigma[mask], spreads, rest])
-    return NamedEntries(entry_names(structure), positions, efforts)

@@ -9,7 +9,8 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from uav_ident_ros.messages.types import FIT_NAMES, NS_PER_S, USABLE_NAME
+from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME
+from uav_ident_ros.messages.types import NS_PER_S
 
 AXIS_OF = {"pdot": "p", "qdot": "q", "rdot": "r"}
 """The moment equations, each with the rate that its fit is of."""

@@ -63,6 +63,11 @@ class InputMonitor:
         self.received += 1
         self.last_arrival = time.monotonic()
 
+    def refuse(self, reason: str, detail: str) -> None:
+        """Count a message that never reaches the identifier, and why."""
+        self.refused[reason] += 1
+        self.detail = detail
+
     def rate(self) -> float:
         """Messages per second since the last call, Hz."""
         since, count = self._rate_from

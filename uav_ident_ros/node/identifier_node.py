@@ -19,35 +19,15 @@ from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
-from uav_ident_ros.identification.identifier import (
-    ACTUATORS,
-    AIRSPEED,
-    ARMED,
-    EXCITATION,
-    RATES,
-    OnlineIdentifier,
-)
+from uav_ident_ros.identification.identifier import EXCITATION, OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.node import diagnostics
 from uav_ident_ros.node.clock import ClockWatch
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.excite import Excite
 from uav_ident_ros.node.guard import Guard
-from uav_ident_ros.node.inputs import (
-    ACTUATORS_TOPIC,
-    AIRSPEED_TOPIC,
-    ARMED_TOPIC,
-    EXCITATION_TOPIC,
-    RATES_TOPIC,
-    ArrayInput,
-    Inbox,
-    RatesInput,
-    Wiring,
-    actuator_input,
-    airspeed_input,
-    armed_input,
-    excitation_input,
-)
+from uav_ident_ros.node.inputs import Inputs
 from uav_ident_ros.node.memory import Memory
 from uav_ident_ros.node.notices import OnChange, Throttle
 from uav_ident_ros.node.outputs import RELIABLE, Outputs
@@ -59,9 +39,6 @@ DIAGNOSTICS_PERIOD = 1.0
 """Interval of /diagnostics, s, on a steady clock."""
 
 Response = TypeVar("Response", Trigger.Response, SetBool.Response)
-
-TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC, ARMED_TOPIC, EXCITATION_TOPIC)
-
 
 LOOKS_PER_TICK = 5
 """How often the timer asks for due ticks in the time of one. Asked once, a tick waited for up to a
@@ -84,15 +61,15 @@ class IdentifierNode(Node):
 
     def __init__(self) -> None:
         super().__init__("identifier")
-        settings = settings_of(self, TOPICS)
+        settings = settings_of(self, [stream.topic for stream in STREAMS])
         self.identifier = OnlineIdentifier(settings, initial_coefficients(settings))
         declare(self, settings)
         self._guard = Guard(Throttle(self._say_error))
         self._changes = Changes(self, settings, self.identifier.reconfigure)
-        self._inbox = Inbox()
-        self._inputs = self._subscribe(settings)
+        warnings = Throttle(self._say_warning)
+        self._inputs = Inputs(self, self.identifier, warnings, self._guard)
         self._clock_watch = ClockWatch(settings.time_jump, settings.update_rate)
-        self._waiting = Waiting(self, self.identifier, self._inputs, self._clock_watch)
+        self._waiting = Waiting(self, self.identifier, self._inputs.monitors, self._clock_watch)
         self._outputs = Outputs(self, self.identifier.structure)
         self._excite = Excite(self, self.identifier, self._injection_is_told)
         self._estimate: Estimate | None = None
@@ -104,25 +81,8 @@ class IdentifierNode(Node):
 
     # -- wiring ----------------------------------------------------------------------------
 
-    def _subscribe(self, settings: Settings) -> dict[str, RatesInput | ArrayInput]:
-        """Subscribe to the inputs; the optional ones only if their type is set."""
-        warnings = Throttle(self._say_warning)
-        to = Wiring(self, self.identifier, self._inbox, warnings, self._guard)
-        self._rates = RatesInput(to)
-        self._optional: dict[str, ArrayInput] = {}
-        if settings.airspeed.type:
-            self._optional[AIRSPEED] = airspeed_input(to)
-        if settings.armed.type:
-            self._optional[ARMED] = armed_input(to)
-        return {
-            RATES: self._rates,
-            ACTUATORS: actuator_input(to),
-            **self._optional,
-            EXCITATION: excitation_input(to),
-        }
-
     def _injection_is_told(self) -> bool:
-        return bool(self.count_publishers(self._inputs[EXCITATION].monitor.topic) > 0)
+        return bool(self.count_publishers(self._inputs.monitors[EXCITATION].topic) > 0)
 
     def _offer_services(self) -> None:
         guard = self._guard
@@ -155,16 +115,15 @@ class IdentifierNode(Node):
 
     def _on_timer(self) -> None:
         self._meter.called()
-        self._inbox.empty()
-        for source in self._optional.values():
-            source.settle()
+        self._inputs.empty()
+        self._inputs.settle()
         while (t_ns := self.identifier.due()) is not None:
             start = time.perf_counter()
             estimate = self.identifier.update(t_ns)
             self._meter.ticked(time.perf_counter() - start)
             if estimate is not None:
                 self._estimate = estimate
-                self._outputs.publish(estimate, self._rates.frame_id)
+                self._outputs.publish(estimate, self._inputs.rates.frame_id or "")
                 self._excite.tick(estimate)
                 self._meter.published((self.get_clock().now().nanoseconds - t_ns) * 1e-9)
         self._excite.watch()
@@ -176,7 +135,7 @@ class IdentifierNode(Node):
 
     def _on_jump(self, jump: TimeJump) -> None:
         """Start again after a jump of /clock; cold if it went back under use_sim_time."""
-        self._inbox.empty()
+        self._inputs.empty()
         self._excite.abort("aborted: the time jumped")
         now_ns = self.get_clock().now().nanoseconds
         if jump.clock_change == ClockChange.ROS_TIME_NO_CHANGE:
@@ -199,7 +158,7 @@ class IdentifierNode(Node):
     # -- services --------------------------------------------------------------------------
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._inbox.empty()
+        self._inputs.empty()
         self._excite.abort("aborted: reset")
         self.identifier.reset()
         self._memory.forget()
@@ -220,7 +179,7 @@ class IdentifierNode(Node):
         return response
 
     def _on_adapt(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._inbox.empty()
+        self._inputs.empty()
         self.identifier.adapt = bool(request.data)
         response.success = True
         response.message = "adaptation is switched " + ("on" if request.data else "off")
@@ -228,7 +187,7 @@ class IdentifierNode(Node):
         return response
 
     def _on_excite(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._inbox.empty()
+        self._inputs.empty()
         return self._excite.on_request(request, response)
 
     def _failed(self, _: object, response: Response) -> Response:
@@ -240,7 +199,7 @@ class IdentifierNode(Node):
     # -- diagnostics -----------------------------------------------------------------------
 
     def _on_diagnostics(self) -> None:
-        self._inbox.empty()
+        self._inputs.empty()
         self._clock_watch.look(self.get_clock().now().nanoseconds)
         self._memory.attend(self._estimate, time.monotonic())
         for line in self._waiting.several():
@@ -279,7 +238,7 @@ class IdentifierNode(Node):
         missed = self._waiting.reason(self._meter.count)
         fault = (
             self._guard.problem
-            or self._rates.fault
+            or self._inputs.rates.fault
             or self._clock_watch.fault(self._meter.count)
             or ("" if self._waiting.standing() else self._clocks_apart())
         )
@@ -314,9 +273,9 @@ class IdentifierNode(Node):
         if self._estimate is not None:
             groups[""] += diagnostics.estimate_values(self._estimate)
             groups[""] += diagnostics.knowledge_values(self.identifier)
-        for stream, source in self._inputs.items():
-            if stream != EXCITATION or source.monitor.received:
-                groups[stream] = list(source.monitor.values(self.identifier.drops[stream]))
+        for stream, monitor in self._inputs.monitors.items():
+            if stream != EXCITATION or monitor.received:
+                groups[stream] = list(monitor.values(self.identifier.drops[stream]))
         groups["excite"] = list(self._excite.values())
         return groups
 

@@ -10,29 +10,12 @@ from collections.abc import Mapping
 from rclpy.node import Node
 
 from uav_ident_ros.identification.drops import Drop
-from uav_ident_ros.identification.identifier import (
-    ACTUATORS,
-    AIRSPEED,
-    ARMED,
-    RATES,
-    OnlineIdentifier,
-)
-from uav_ident_ros.messages.airspeed import AIRSPEED as AIRSPEED_TYPES
-from uav_ident_ros.messages.armed import ARMED as ARMED_TYPES
-from uav_ident_ros.messages.types import ACTUATORS as ACTUATOR_TYPES
+from uav_ident_ros.identification.identifier import ARMED, RATES, OnlineIdentifier
+from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import NS_PER_S
-from uav_ident_ros.messages.types import RATES as RATES_TYPES
 from uav_ident_ros.node.clock import ClockWatch
 from uav_ident_ros.node.diagnostics import InputMonitor
 from uav_ident_ros.node.graph import Wanted, namesakes, publishers, why_silent
-from uav_ident_ros.node.inputs import (
-    ACTUATORS_TOPIC,
-    AIRSPEED_TOPIC,
-    ARMED_TOPIC,
-    RATES_TOPIC,
-    ArrayInput,
-    RatesInput,
-)
 
 SILENT_AFTER = 2.0
 """Seconds without a message, or a tick, that are worth a word."""
@@ -54,13 +37,8 @@ CURES: dict[str, str] = {
 }
 """What to do about messages that are all dropped for one reason; others say it themselves."""
 
-_TYPES: dict[str, tuple[str, str, tuple[str, ...]]] = {
-    RATES: (RATES_TOPIC, "imu.type", tuple(RATES_TYPES)),
-    ACTUATORS: (ACTUATORS_TOPIC, "actuators.type", tuple(ACTUATOR_TYPES)),
-    AIRSPEED: (AIRSPEED_TOPIC, "airspeed.type", tuple(AIRSPEED_TYPES)),
-    ARMED: (ARMED_TOPIC, "armed.type", tuple(ARMED_TYPES)),
-}
-"""Name, setting of the type, and possible types of each stream that is waited for."""
+_AWAITED = {stream.name: stream for stream in STREAMS if stream.setting}
+"""The streams that are waited for."""
 
 
 class Waiting:
@@ -72,8 +50,8 @@ class Waiting:
         Knows the graph.
     identifier : OnlineIdentifier
         Knows the drops, and the newest stamp.
-    inputs : mapping
-        The subscriptions by stream.
+    monitors : mapping
+        Counts of the subscriptions, by stream.
     clock : ClockWatch
         Knows whether /clock moves.
     """
@@ -82,13 +60,13 @@ class Waiting:
         self,
         node: Node,
         identifier: OnlineIdentifier,
-        inputs: Mapping[str, RatesInput | ArrayInput],
+        monitors: Mapping[str, InputMonitor],
         clock: ClockWatch,
     ) -> None:
         self._node = node
         self._identifier = identifier
         self._clock = clock
-        self._monitors = {stream: inputs[stream].monitor for stream in _TYPES if stream in inputs}
+        self._monitors = {s: monitor for s, monitor in monitors.items() if s in _AWAITED}
         self._before: dict[str, list[tuple[int, Counter[str]]]] = {s: [] for s in self._monitors}
         self._ticks = (0, time.monotonic())
         self._stamp: tuple[int | None, float] = (None, time.monotonic())
@@ -134,8 +112,8 @@ class Waiting:
         )
         if time.monotonic() - self._began < DISCOVERY_TIME:
             return missed
-        name, parameter, types = _TYPES[stream]
-        wanted = Wanted(name, monitor.topic, monitor.type_name, parameter, types)
+        row = _AWAITED[stream]
+        wanted = Wanted(row.topic, monitor.topic, monitor.type_name, row.setting, row.types)
         return f"{missed}: {why_silent(self._node, wanted)}"
 
     def _all_dropped(self, stream: str) -> str:

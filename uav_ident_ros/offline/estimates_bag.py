@@ -20,13 +20,13 @@ from uav_ident_ros.bags.writing import (
 )
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.messages.types import (
-    NS_PER_S,
+from uav_ident_ros.messages.published import (
     coefficients_layout,
     dense_coefficients,
     entry_names,
     named_entries,
 )
+from uav_ident_ros.messages.types import NS_PER_S
 
 NAMED_TYPE = "sensor_msgs/msg/JointState"
 ARRAY_TYPE = "std_msgs/msg/Float64MultiArray"

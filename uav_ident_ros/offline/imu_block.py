@@ -10,7 +10,8 @@ import numpy as np
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages.types import NS_PER_S, RatesReading, decode_imu_cdr
+from uav_ident_ros.messages.imu import decode_imu_cdr
+from uav_ident_ros.messages.types import NS_PER_S, RatesReading
 
 # Places in the bytes: encapsulation, stamp, frame_id with its length; then, aligned, the doubles
 # orientation with covariance, rates with covariance, force with covariance.

@@ -11,8 +11,8 @@ from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.settings import (
     Settings,
 )
-from uav_ident_ros.messages.excitation import EXCITATION_TYPE
-from uav_ident_ros.offline.streams import EXCITATION_END, OWN_TOPICS, STREAMS, Stream
+from uav_ident_ros.messages.streams import EXCITATION_END, OWN_TOPICS, STREAMS, Stream
+from uav_ident_ros.messages.types import EXCITATION_TYPE
 
 
 @dataclass(frozen=True)

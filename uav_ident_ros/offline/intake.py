@@ -12,44 +12,29 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from uav_ident_ros.bags.reading import Bag, BagError, Message
 from uav_ident_ros.identification.identifier import (
     ACTUATORS,
-    AIRSPEED,
-    ARMED,
     EXCITATION,
     RATES,
     OnlineIdentifier,
 )
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.messages.airspeed import AIRSPEED as AIRSPEED_READERS
-from uav_ident_ros.messages.armed import ARMED as ARMED_READERS
 from uav_ident_ros.messages.arrival import Arrivals
-from uav_ident_ros.messages.cdr import ChannelsDecoder
-from uav_ident_ros.messages.excitation import read_excitation
-from uav_ident_ros.messages.types import (
-    RATES as RATES_READERS,
-)
-from uav_ident_ros.messages.types import (
-    ActuatorReader,
-    ActuatorReading,
-    ChannelError,
-    RatesReading,
-    decode_imu_cdr,
-    frame_fault,
-)
+from uav_ident_ros.messages.imu import IMU_TYPE, decode_imu_cdr
+from uav_ident_ros.messages.streams import STREAMS
+from uav_ident_ros.messages.types import ChannelError, RatesReader
 from uav_ident_ros.offline.imu_block import ImuBlock, decode_imu_block
 from uav_ident_ros.offline.inputs import Inputs
 
-IMU_TYPE = "sensor_msgs/msg/Imu"
-
-# Why the shells refuse a message before the identifier sees it.
-WRONG_FRAME, NO_RATES, UNREADABLE = "wrong frame", "no rates", "unreadable"
-NOT_FINITE, WRONG_CHANNELS = "not finite", "wrong channels"
+UNREADABLE = "unreadable"
+"""Why a message is refused whose bytes are none of its type."""
 
 _NO_FORCE = (0.0, 0.0, 0.0)
 
@@ -121,45 +106,46 @@ class Intake:
         Excitation that was taken: de, dr, da, dth.
     era : int
         Restarts of the time base so far.
-    frame_id : str or None
-        Newest frame of the rates.
     frame_ids : set of str
-        Every frame they have come in.
-    fault : str
-        How their axes contradict the settings; empty if they do not.
+        Every frame the rates have come in.
     """
 
     def __init__(self, inputs: Inputs, identifier: OnlineIdentifier) -> None:
         settings = inputs.settings
         self._inputs = inputs
         self._identifier = identifier
-        self._read_rates = RATES_READERS[settings.imu.type].read
-        self._read_channels = ActuatorReader(settings.actuators)
-        self._read_bytes: Callable[[bytes], ActuatorReading | None] = lambda data: None
-        if ChannelsDecoder.knows(settings.actuators.type, self._read_channels.field):
-            self._read_bytes = ChannelsDecoder(settings.actuators.type, self._read_channels.field)
+        self._axes = RatesReader(settings.imu)
+        self._streams = {stream.name: stream for stream in STREAMS}
+        self._readers = {
+            name: self._streams[name].reader(settings) for name in inputs.streams if name != RATES
+        }
         self.rates = Record(6)
         self.actuators = Record(len(settings.actuators.channels))
         self.injected = Record(len(INPUTS))
+        self._records = {ACTUATORS: self.actuators, EXCITATION: self.injected}
         self.era = 0
-        self.frame_id: str | None = None
         self.frame_ids: set[str] = set()
-        self.fault = ""
         self._newest_ns: int | None = None
         self._jump_ns = round(settings.time_jump * 1e9)
         self._received: Counter[str] = Counter()
         self._refused: dict[str, Counter[str]] = {s: Counter() for s in identifier.drops}
         self._stream_of = {topic: stream for stream, topic in inputs.streams.items()}
-        self._airspeeds = Arrivals(identifier, identifier.add_airspeed)
-        self._armings = Arrivals(identifier, identifier.add_armed)
-        self._take = {
-            RATES: self._take_rates,
-            ACTUATORS: self._take_actuators,
-            AIRSPEED: self._take_airspeed,
-            ARMED: self._take_armed,
-            EXCITATION: self._take_excitation,
+        self._arrivals = {
+            name: Arrivals(identifier, partial(stream.add, identifier))
+            for name, stream in self._streams.items()
+            if stream.any_clock
         }
         self._decode: dict[str, Callable[[bytes], object]] = {}
+
+    @property
+    def frame_id(self) -> str | None:
+        """Newest frame of the rates."""
+        return self._axes.frame_id
+
+    @property
+    def fault(self) -> str:
+        """How their axes contradict the settings; empty if they do not."""
+        return self._axes.fault if self._received[RATES] else ""
 
     def read_with(self, bag: Bag) -> None:
         """Read the messages that follow by the definitions in a bag.
@@ -235,70 +221,47 @@ class Intake:
         stream = self._stream_of[message.topic]
         self._received[stream] += 1
         try:
-            self._take[stream](message)
+            if stream == RATES:
+                self._take_rates(message)
+            else:
+                self._take_other(stream, message)
         except BagError:
             self._refused[stream][UNREADABLE] += 1
+        except ChannelError as error:
+            self._refused[stream][error.reason] += 1
 
     def _take_rates(self, message: Message) -> None:
-        reading: RatesReading | None = None
-        if self._inputs.settings.imu.type == IMU_TYPE:
-            reading = decode_imu_cdr(message.data)
-        t_ns, rates, force, frame_id = reading or self._read_rates(
-            self._decode[RATES](message.data)
-        )
-        if frame_id != self.frame_id:
-            self.frame_id = frame_id
-            self.frame_ids.add(frame_id)
-            imu = self._inputs.settings.imu
-            self.fault = frame_fault(imu.convention, frame_id, imu.type)
-        if self.fault:
-            self._refused[RATES][WRONG_FRAME] += 1
-        elif rates is None:
-            self._refused[RATES][NO_RATES] += 1
-        elif self._identifier.add_rates(t_ns, rates, force) is None:
+        t_ns, (rates, force) = self._rates_of(message)
+        if self._identifier.add_rates(t_ns, rates, force) is None:
             if self._newest_ns is not None and abs(t_ns - self._newest_ns) > self._jump_ns:
                 self.era += 1
                 self._newest_ns = t_ns
             self._newest_ns = max(t_ns, self._newest_ns or t_ns)
             self.rates.append(t_ns, (*rates, *(force or _NO_FORCE)), self.era)
-            self._airspeeds.settle()
-            self._armings.settle()
+            for arrivals in self._arrivals.values():
+                arrivals.settle()
 
-    def _take_actuators(self, message: Message) -> None:
-        read = self._read_channels
-        reading = self._read_bytes(message.data)
+    def _rates_of(self, message: Message) -> tuple[int, Any]:
+        is_imu = self._inputs.settings.imu.type == IMU_TYPE
+        reading = decode_imu_cdr(message.data) if is_imu else None
         try:
             if reading is not None:
-                stamp_ns, values = read.select(reading)
+                t_ns, values = self._axes.checked(reading)
             else:
-                stamp_ns, values = read(self._decode[ACTUATORS](message.data))
-        except ChannelError as error:
-            reason = NOT_FINITE if error.not_finite else WRONG_CHANNELS
-            self._refused[ACTUATORS][reason] += 1
+                t_ns, values = self._axes(self._decode[RATES](message.data))
+        finally:
+            self.frame_ids |= {self.frame_id} if self.frame_id is not None else set()
+        assert t_ns is not None  # every type of the rates is stamped
+        return t_ns, values
+
+    def _take_other(self, stream: str, message: Message) -> None:
+        stamp_ns, values = self._readers[stream](self._decode[stream](message.data))
+        if stream in self._arrivals:
+            self._arrivals[stream].add(stamp_ns, message.log_ns, values)
             return
         t_ns = message.log_ns if stamp_ns is None else stamp_ns
-        if self._identifier.add_actuators(t_ns, values) is None:
-            self.actuators.append(t_ns, values, self.era)
-
-    def _take_airspeed(self, message: Message) -> None:
-        read = AIRSPEED_READERS[self._inputs.settings.airspeed.type]
-        stamp_ns, airspeed = read(self._decode[AIRSPEED](message.data))
-        self._airspeeds.add(stamp_ns, message.log_ns, airspeed)
-
-    def _take_armed(self, message: Message) -> None:
-        read = ARMED_READERS[self._inputs.settings.armed.type]
-        stamp_ns, armed = read(self._decode[ARMED](message.data))
-        self._armings.add(stamp_ns, message.log_ns, armed)
-
-    def _take_excitation(self, message: Message) -> None:
-        try:
-            t_ns, values = read_excitation(self._decode[EXCITATION](message.data))
-        except ChannelError as error:
-            reason = NOT_FINITE if error.not_finite else WRONG_CHANNELS
-            self._refused[EXCITATION][reason] += 1
-            return
-        if self._identifier.add_excitation(t_ns, values) is None:
-            self.injected.append(t_ns, values, self.era)
+        if self._streams[stream].add(self._identifier, t_ns, values) is None:
+            self._records[stream].append(t_ns, values, self.era)
 
 
 def _others(count: int, chosen: Sequence[int]) -> list[int]:

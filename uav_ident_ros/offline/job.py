@@ -14,6 +14,7 @@ from uav_ident_ros.files.coefficients_file import CoefficientsFileError, load_co
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.offline.advice import advise
 from uav_ident_ros.offline.drawing import PictureError
@@ -26,7 +27,6 @@ from uav_ident_ros.offline.replayed import Replayed
 from uav_ident_ros.offline.results import write_results
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.status import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
-from uav_ident_ros.offline.streams import STREAMS
 from uav_ident_ros.report.page import write_report
 
 REFUSALS = (

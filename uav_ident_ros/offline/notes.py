@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.samples import NS
+from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.offline.inputs import candidates
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.offline.streams import STREAMS
 
 MISSING_TIME = 1.0
 """Time without actuators at the beginning or the end that is worth a word, s."""

@@ -8,8 +8,8 @@ import os
 from pathlib import Path
 from typing import NoReturn
 
+from uav_ident_ros.messages.streams import STREAMS, Stream
 from uav_ident_ros.offline.status import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
-from uav_ident_ros.offline.streams import STREAMS, Stream
 
 DESCRIPTION = """\
 Run the identifier over recorded flights, as the node would have run, and score its predictions.

@@ -10,9 +10,9 @@ from typing import Any
 from uav_ident_ros.identification.linearisation import Mode
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.structure import ROWS
+from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.offline.inputs import Inputs
 from uav_ident_ros.offline.replayed import Replayed
-from uav_ident_ros.offline.streams import STREAMS
 
 SUMMARY_VERSION = 2
 AXES = ("p", "q", "r")

@@ -14,7 +14,7 @@ from uav_ident_ros.identification.prediction import InputSignal
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.messages.types import entry_names, named_entries
+from uav_ident_ros.messages.published import entry_names, named_entries
 from uav_ident_ros.offline.run import OfflineRun, Stretch
 
 PAUSE_BETWEEN = 1.0
