@@ -56,30 +56,14 @@ REFUSALS = (BagError, SettingsError, MessageTypeError, ParameterFileError)
 
 @dataclass(frozen=True)
 class Flight:
-    """A recorded flight, ready to be played.
+    """A recorded flight, ready to be played."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the bag.
-    path : Path
-        The bag.
-    parameter_file : Path or None
-        Parameters that describe its topics.
-    inputs : Inputs
-        Its topics and the settings.
-    messages : list of Message
-        Everything on the topics of the inputs, in log-time order.
-    types : dict
-        Message type of each topic.
-    """
-
-    name: str
+    name: str  # Name of the bag
     path: Path
-    parameter_file: Path | None
-    inputs: Inputs
-    messages: list[Message]
-    types: dict[str, str]
+    parameter_file: Path | None  # Parameters that describe its topics
+    inputs: Inputs  # Its topics and the settings
+    messages: list[Message]  # Everything on the topics of the inputs, in log-time order
+    types: dict[str, str]  # Message type of each topic
 
     @property
     def duration(self) -> float:

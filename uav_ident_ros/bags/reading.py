@@ -33,21 +33,11 @@ class BagError(Exception):
 
 
 class Message(NamedTuple):
-    """One message of a bag.
-
-    Parameters
-    ----------
-    topic : str
-        Its topic.
-    log_ns : int
-        When it was recorded, ns.
-    data : bytes
-        The serialized message (CDR).
-    """
+    """One message of a bag."""
 
     topic: str
-    log_ns: int
-    data: bytes
+    log_ns: int  # When it was recorded, ns
+    data: bytes  # The serialized message (CDR)
 
 
 class Bag:

@@ -64,23 +64,13 @@ class CoefficientsFileError(Exception):
 
 @dataclass(frozen=True)
 class Notes:
-    """What a file may say beside the coefficients.
+    """What a file may say beside the coefficients."""
 
-    Parameters
-    ----------
-    saved : datetime, optional
-        When it was written, by the computer's clock, with its time zone.
-    usable : bool, optional
-        Whether the verdict on the coefficients was good.
-    delay : float, optional
-        Transport delay of the actuators that was found in flight, s.
-    learned_with : mapping of str to str
-        Settings that say what the coefficients mean, each with its value as JSON.
-    """
-
+    # When it was written, by the computer's clock, with its time zone
     saved: datetime | None = None
-    usable: bool | None = None
-    delay: float | None = None
+    usable: bool | None = None  # Whether the verdict on the coefficients was good
+    delay: float | None = None  # Transport delay of the actuators that was found in flight, s
+    # Settings that say what the coefficients mean, each with its value as JSON
     learned_with: Mapping[str, str] = field(default_factory=dict)
 
 

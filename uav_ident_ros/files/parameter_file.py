@@ -55,18 +55,11 @@ class ParameterFileError(Exception):
 
 @dataclass(frozen=True)
 class ParameterFile:
-    """Content of a parameter file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    sections : dict
-        For each section (a node name or pattern), in the order of their first lines, the
-        values by dotted name.
-    """
+    """Content of a parameter file."""
 
     path: Path
+    # For each section (a node name or pattern), in the order of their first lines, the values by
+    # dotted name
     sections: dict[str, dict[str, ParameterValue]] = field(default_factory=dict)
 
     @classmethod

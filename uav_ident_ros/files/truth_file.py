@@ -17,17 +17,11 @@ TRUTH_FILE = "truth.yaml"
 
 @dataclass(frozen=True)
 class Truth:
-    """True coefficients over time, by name.
+    """True coefficients over time, by name."""
 
-    Parameters
-    ----------
-    values : mapping
-        Values at the start of the flight, SI.
-    changes : tuple
-        Times, s after the first rates, and the factors by which coefficients change then.
-    """
-
+    # Values at the start of the flight, SI
     values: Mapping[str, float] = field(default_factory=dict)
+    # Times, s after the first rates, and the factors by which coefficients change then
     changes: tuple[tuple[float, Mapping[str, float]], ...] = ()
 
     def steps(self, name: str, end: float) -> tuple[list[float], list[float]]:

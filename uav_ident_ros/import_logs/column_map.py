@@ -41,48 +41,21 @@ channels:
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Meaning of the columns of a table.
+    """Meaning of the columns of a table."""
 
-    Parameters
-    ----------
-    time : str
-        Column of the time.
-    time_ns : Decimal
-        Its unit, ns.
-    rates : tuple of 3 str
-        Columns of the rates.
-    rates_factor : float
-        Their unit, rad/s.
-    axes : str
-        ``frd`` or ``flu``.
-    channels : dict
-        Channel by column.
-    force : tuple of 3 str
-        Columns of the specific force; empty for none.
-    force_factor : float
-        Their unit, m/s^2.
-    airspeed : str
-        Column of the true airspeed; empty for none.
-    airspeed_factor : float
-        Its unit, m/s.
-    lever_arm : tuple of 3 floats
-        Accelerometer from the centre of gravity, m, FRD.
-    delimiter : str
-        Between the cells.
-    """
-
-    time: str
-    time_ns: Decimal
-    rates: tuple[str, ...]
-    rates_factor: float
-    axes: str
-    channels: dict[str, Channel]
-    force: tuple[str, ...] = ()
-    force_factor: float = 1.0
-    airspeed: str = ""
-    airspeed_factor: float = 1.0
+    time: str  # Column of the time
+    time_ns: Decimal  # Its unit, ns
+    rates: tuple[str, ...]  # Columns of the rates
+    rates_factor: float  # Their unit, rad/s
+    axes: str  # ``frd`` or ``flu``
+    channels: dict[str, Channel]  # Channel by column
+    force: tuple[str, ...] = ()  # Columns of the specific force; empty for none
+    force_factor: float = 1.0  # Their unit, m/s^2
+    airspeed: str = ""  # Column of the true airspeed; empty for none
+    airspeed_factor: float = 1.0  # Its unit, m/s
+    # Accelerometer from the centre of gravity, m, FRD
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    delimiter: str = ","
+    delimiter: str = ","  # Between the cells
 
     @property
     def columns(self) -> list[str]:

@@ -41,209 +41,102 @@ class ImportLogError(Exception):
 
 @dataclass(frozen=True)
 class Choice:
-    """What to take from a log in place of the best.
+    """What to take from a log in place of the best."""
 
-    Parameters
-    ----------
-    rates_topic, actuators_topic : str, optional
-        PX4 topic or ArduPilot message type.
-    rates_instance : int
-        Which gyro, of several.
-    actuators_instance : int
-        Which set of commands, of several.
-    """
-
+    # rates_topic, actuators_topic: PX4 topic or ArduPilot message type
     rates_topic: str | None = None
     actuators_topic: str | None = None
-    rates_instance: int = 0
-    actuators_instance: int = 0
+    rates_instance: int = 0  # Which gyro, of several
+    actuators_instance: int = 0  # Which set of commands, of several
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One raw channel of the actuators and what it does.
+    """One raw channel of the actuators and what it does."""
 
-    Parameters
-    ----------
-    name : str
-        Name in the bag.
-    effect : tuple of 4 floats
-        Weights of the scaled channel in de (positive pitches down), dr (yaws left), da (rolls
-        right), dth: a column of the mixing matrix.
-    meaning : str
-        What moves, in words, and where that is written.
-    scale : float
-        Factor from the raw deviation to full deflections (surfaces) or full throttle.
-    neutral : float
-        Raw value at rest: a centred surface, a stopped motor.
-    unit : str
-        Unit of the raw value.
-    trim : float, optional
-        Raw value in trimmed flight, where it is known.
-    """
-
-    name: str
+    name: str  # Name in the bag
+    # Weights of the scaled channel in de (positive pitches down), dr (yaws left), da (rolls right),
+    # dth: a column of the mixing matrix
     effect: Effect
-    meaning: str
+    meaning: str  # What moves, in words, and where that is written
+    # Factor from the raw deviation to full deflections (surfaces) or full throttle
     scale: float = 1.0
-    neutral: float = 0.0
-    unit: str = "normalised"
-    trim: float | None = None
+    neutral: float = 0.0  # Raw value at rest: a centred surface, a stopped motor
+    unit: str = "normalised"  # Unit of the raw value
+    trim: float | None = None  # Raw value in trimmed flight, where it is known
 
 
 @dataclass(frozen=True, eq=False)
 class Rates:
-    """Samples of the gyro and the accelerometer, in one set of axes.
+    """Samples of the gyro and the accelerometer, in one set of axes."""
 
-    Parameters
-    ----------
-    source : str
-        Where in the log they are from.
-    t_ns : (n,) int array
-        Stamps, ns, in the order of the log.
-    rates : (n, 3) array
-        Angular velocity, rad/s.
-    force : (n, 3) array or None
-        Specific force, m/s^2; None if there is no accelerometer.
-    convention : str
-        ``frd`` or ``flu``.
-    """
-
-    source: str
-    t_ns: TimeArray
-    rates: FloatArray
-    force: FloatArray | None
-    convention: str = "frd"
+    source: str  # Where in the log they are from
+    t_ns: TimeArray  # (n,) Stamps, ns, in the order of the log
+    rates: FloatArray  # (n, 3) Angular velocity, rad/s
+    force: FloatArray | None  # (n, 3) Specific force, m/s^2; None if there is no accelerometer
+    convention: str = "frd"  # ``frd`` or ``flu``
 
 
 @dataclass(frozen=True, eq=False)
 class Actuators:
-    """Samples of every channel that was logged.
+    """Samples of every channel that was logged."""
 
-    Parameters
-    ----------
-    source : str
-        Where in the log they are from.
-    t_ns : (m,) int array
-        Stamps, ns: from when on the values apply.
-    values : (m, C) array
-        Raw values.
-    channels : tuple of Channel
-        The C channels; those without effect are recorded, but not used.
-    """
-
-    source: str
-    t_ns: TimeArray
-    values: FloatArray
-    channels: tuple[Channel, ...]
+    source: str  # Where in the log they are from
+    t_ns: TimeArray  # (m,) Stamps, ns: from when on the values apply
+    values: FloatArray  # (m, C) Raw values
+    channels: tuple[Channel, ...]  # The C channels; those without effect are recorded, but not used
 
 
 @dataclass(frozen=True, eq=False)
 class Airspeed:
-    """Samples of the airspeed.
+    """Samples of the airspeed."""
 
-    Parameters
-    ----------
-    source : str
-        Where in the log they are from.
-    t_ns : (m,) int array
-        Stamps, ns.
-    values : (m,) array
-        True airspeed, m/s.
-    """
-
-    source: str
-    t_ns: TimeArray
-    values: FloatArray
+    source: str  # Where in the log they are from
+    t_ns: TimeArray  # (m,) Stamps, ns
+    values: FloatArray  # (m,) True airspeed, m/s
 
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """Samples of the autopilot's own estimate of the attitude.
+    """Samples of the autopilot's own estimate of the attitude."""
 
-    Parameters
-    ----------
-    source : str
-        Where in the log they are from.
-    t_ns : (m,) int array
-        Stamps, ns.
-    quaternion : (m, 4) array
-        Unit quaternions x, y, z, w that turn vectors from body axes (FRD) to north-east-down.
-    """
-
-    source: str
-    t_ns: TimeArray
+    source: str  # Where in the log they are from
+    t_ns: TimeArray  # (m,) Stamps, ns
+    # (m, 4) Unit quaternions x, y, z, w that turn vectors from body axes (FRD) to north-east-down
     quaternion: FloatArray
 
 
 @dataclass
 class Findings:
-    """What there is to say about an import, a sentence each.
+    """What there is to say about an import, a sentence each."""
 
-    Parameters
-    ----------
-    read : list of str
-        What the log itself says.
-    assumed : list of str
-        What it does not say and was taken for granted.
-    lost : list of str
-        What is missing or doubtful.
-    damage : list of str
-        How much of the file could not be read.
-    """
-
-    read: list[str] = field(default_factory=list)
+    read: list[str] = field(default_factory=list)  # What the log itself says
+    # What it does not say and was taken for granted
     assumed: list[str] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)
-    damage: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)  # What is missing or doubtful
+    damage: list[str] = field(default_factory=list)  # How much of the file could not be read
 
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
-    """A log in the project's own terms.
-
-    Parameters
-    ----------
-    path : Path
-        The log file.
-    title : str
-        What wrote it: ``PX4``, ``ArduPilot`` and so on, with versions.
-    rates : Rates
-        The rates.
-    actuators : Actuators
-        The actuators.
-    findings : Findings
-        What there is to say about it.
-    airspeed : Airspeed, optional
-        The airspeed.
-    lever_arm : tuple of 3 floats
-        Accelerometer from the centre of gravity, m, FRD.
-    flown : list of pairs of int, optional
-        Start and end of every stretch in the air, or armed, ns; None if the log does not say.
-    armed : list of pairs of int, optional
-        Start and end of every stretch in which it was armed, ns; None if the log does not say.
-    attitude : Attitude, optional
-        The attitude.
-    hovers : bool
-        Whether it is a multirotor, or a VTOL by the commands of its hover.
-    ground_speed : float
-        Median speed over ground in flight, m/s; 0 if it is not known.
-    parameters : dict
-        What the log says of the autopilot's parameters that matter, by name.
-    """
+    """A log in the project's own terms."""
 
     path: Path
-    title: str
+    title: str  # What wrote it: ``PX4``, ``ArduPilot`` and so on, with versions
     rates: Rates
     actuators: Actuators
-    findings: Findings
+    findings: Findings  # What there is to say about it
     airspeed: Airspeed | None = None
+    # Accelerometer from the centre of gravity, m, FRD
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # Start and end of every stretch in the air, or armed, ns; None if the log does not say
     flown: list[tuple[int, int]] | None = None
+    # Start and end of every stretch in which it was armed, ns; None if the log does not say
     armed: list[tuple[int, int]] | None = None
     attitude: Attitude | None = None
-    hovers: bool = False
-    ground_speed: float = 0.0
+    hovers: bool = False  # Whether it is a multirotor, or a VTOL by the commands of its hover
+    ground_speed: float = 0.0  # Median speed over ground in flight, m/s; 0 if it is not known
+    # What the log says of the autopilot's parameters that matter, by name
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def streams(self) -> dict[str, Any]:

@@ -126,39 +126,22 @@ class _Subscription:
 
 @dataclass
 class Px4Log:
-    """A PX4 log in memory.
+    """A PX4 log in memory."""
 
-    Parameters
-    ----------
-    path : Path
-        Where it is from.
-    topics : dict
-        Arrays by field name, of each topic and instance that has messages.
-    parameters : dict
-        Parameters at the start of the log, by name.
-    parameter_changes : list of tuple
-        Time (us), name and value of every parameter that was set while logging.
-    facts : dict
-        What the log says of the firmware and the board.
-    dropouts : list of float
-        Lengths of the stretches in which the logger itself lost messages, s.
-    damage : list of str
-        What could not be read, and how much it is.
-    remarks : list of str
-        What else there is to say about the file.
-    start_ns : int, optional
-        Stamp of the start of the log, ns; None if it is not known.
-    """
-
-    path: Path
+    path: Path  # Where it is from
+    # Arrays by field name, of each topic and instance that has messages
     topics: dict[tuple[str, int], dict[str, Column]] = field(default_factory=dict)
+    # Parameters at the start of the log, by name
     parameters: dict[str, float] = field(default_factory=dict)
+    # Time (us), name and value of every parameter that was set while logging
     parameter_changes: list[tuple[int, str, float]] = field(default_factory=list)
+    # What the log says of the firmware and the board
     facts: dict[str, int | float | str] = field(default_factory=dict)
+    # Lengths of the stretches in which the logger itself lost messages, s
     dropouts: list[float] = field(default_factory=list)
-    damage: list[str] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
-    start_ns: int | None = None
+    damage: list[str] = field(default_factory=list)  # What could not be read, and how much it is
+    remarks: list[str] = field(default_factory=list)  # What else there is to say about the file
+    start_ns: int | None = None  # Stamp of the start of the log, ns; None if it is not known
 
     @property
     def end_ns(self) -> int:

@@ -52,20 +52,11 @@ def dense_coefficients(estimate: Estimate, structure: Structure) -> FloatArray:
 
 
 class NamedEntries(NamedTuple):
-    """Content of ~/coefficients_named.
+    """Content of ~/coefficients_named."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        See `entry_names`.
-    positions : (k,) array
-        Values, SI; the fits in percent; 1 or 0 for usable.
-    efforts : (k,) array
-        One standard deviation of each coefficient and flow angle, 0 for the others.
-    """
-
-    names: tuple[str, ...]
-    positions: FloatArray
+    names: tuple[str, ...]  # See `entry_names`
+    positions: FloatArray  # (k,) Values, SI; the fits in percent; 1 or 0 for usable
+    # (k,) One standard deviation of each coefficient and flow angle, 0 for the others
     efforts: FloatArray
 
 

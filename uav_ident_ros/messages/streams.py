@@ -23,36 +23,20 @@ from uav_ident_ros.messages.types import EXCITATION_TYPE, ActuatorReader, RatesR
 
 @dataclass(frozen=True)
 class Stream:
-    """One of the inputs.
+    """One of the inputs."""
 
-    Parameters
-    ----------
-    name : str
-        What the identifier calls it.
-    topic : str
-        The node's topic, relative as in ``-r imu/data:=...``.
-    setting : str
-        Setting that holds its message type; empty if there is but one type.
-    types : tuple of str
-        Types that can be read.
-    reader : callable
-        Settings to a reader: message to stamp, ns, and values; it may raise `ChannelError`.
-    add : callable
-        Gives an identifier the values of a stamp, ns; returns why it dropped them, or None.
-    optional : bool
-        Whether it is read only if its type is set, or its topic asked for; where there is but one
-        type, if it is there.
-    any_clock : bool
-        Whether it may carry no time, or that of any clock (see `arrival.Arrivals`).
-    """
-
-    name: str
-    topic: str
-    setting: str
-    types: tuple[str, ...]
+    name: str  # What the identifier calls it
+    topic: str  # The node's topic, relative as in ``-r imu/data:=...``
+    setting: str  # Setting that holds its message type; empty if there is but one type
+    types: tuple[str, ...]  # Types that can be read
+    # Settings to a reader: message to stamp, ns, and values; it may raise `ChannelError`
     reader: Callable[[Settings], Callable[[Any], Reading]]
+    # Gives an identifier the values of a stamp, ns; returns why it dropped them, or None
     add: Callable[[OnlineIdentifier, int, Any], Drop | None]
+    # Whether it is read only if its type is set, or its topic asked for; where there is but one
+    # type, if it is there
     optional: bool = False
+    # Whether it may carry no time, or that of any clock (see `arrival.Arrivals`)
     any_clock: bool = False
 
     def type_of(self, settings: Settings) -> str:

@@ -51,83 +51,44 @@ class ChannelError(ValueError):
 
 
 class RatesReading(NamedTuple):
-    """One message of the rates topic.
+    """One message of the rates topic."""
 
-    Parameters
-    ----------
-    stamp_ns : int
-        Message time, ns.
-    rates : (3,) tuple or None
-        Angular velocity, rad/s, in the sensor's axes; None if the message declares none.
-    specific_force : (3,) tuple or None
-        Specific force, m/s^2, in the sensor's axes; None if the message declares none.
-    frame_id : str
-        Frame of the header; empty if the type has none.
-    """
-
-    stamp_ns: int
+    stamp_ns: int  # Message time, ns
+    # (3,) Angular velocity, rad/s, in the sensor's axes; None if the message declares none
     rates: Vector | None
+    # (3,) Specific force, m/s^2, in the sensor's axes; None if the message declares none
     specific_force: Vector | None
-    frame_id: str
+    frame_id: str  # Frame of the header; empty if the type has none
 
 
 class ActuatorReading(NamedTuple):
-    """One message of the actuator topic.
+    """One message of the actuator topic."""
 
-    Parameters
-    ----------
-    stamp_ns : int or None
-        Message time, ns; None if the type has no stamp and counts from its arrival.
-    values : sequence of float
-        Every raw channel of the message.
-    names : sequence of str or None
-        Their names; None if the type does not name them.
-    """
-
+    # Message time, ns; None if the type has no stamp and counts from its arrival
     stamp_ns: int | None
-    values: Sequence[float]
-    names: Sequence[str] | None
+    values: Sequence[float]  # Every raw channel of the message
+    names: Sequence[str] | None  # Their names; None if the type does not name them
 
 
 @dataclass(frozen=True)
 class RatesAdapter:
-    """How to read one type of rates message.
+    """How to read one type of rates message."""
 
-    Parameters
-    ----------
-    read : callable
-        Message to `RatesReading`.
-    convention : str
-        The axes that the type itself prescribes; empty if a parameter says.
-    """
-
-    read: Callable[[Any], RatesReading]
-    convention: str = ""
+    read: Callable[[Any], RatesReading]  # Message to `RatesReading`
+    convention: str = ""  # The axes that the type itself prescribes; empty if a parameter says
 
 
 @dataclass(frozen=True)
 class ActuatorAdapter:
-    """How to read one type of actuator message.
+    """How to read one type of actuator message."""
 
-    Parameters
-    ----------
-    read : callable
-        Message and name of an array field to `ActuatorReading`.
-    fields : tuple of str
-        The array fields that can hold the channels; the first is the usual one.
-    unit : str
-        Unit of the values, in words.
-    stamped : bool
-        Whether messages carry their own time.
-    named : bool
-        Whether messages name their channels.
-    """
-
+    # Message and name of an array field to `ActuatorReading`
     read: Callable[[Any, str], ActuatorReading]
+    # The array fields that can hold the channels; the first is the usual one
     fields: tuple[str, ...]
-    unit: str
-    stamped: bool = True
-    named: bool = False
+    unit: str  # Unit of the values, in words
+    stamped: bool = True  # Whether messages carry their own time
+    named: bool = False  # Whether messages name their channels
 
 
 # --- reading ---------------------------------------------------------------------------------

@@ -36,21 +36,13 @@ WAITING_FOR_STATUS = "no status on /diagnostics yet"
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A coefficient as it was last published.
+    """A coefficient as it was last published."""
 
-    Parameters
-    ----------
-    name : str
-        ``pdot/da`` and so on.
-    value, sigma : float
-        Value and standard deviation, SI; sigma is 0 for a fixed coefficient.
-    past : tuple of float
-        Its values over the last `TREND_TIME`, oldest first, the newest included.
-    """
-
-    name: str
+    name: str  # ``pdot/da`` and so on
+    # value, sigma: Value and standard deviation, SI; sigma is 0 for a fixed coefficient
     value: float
     sigma: float
+    # Its values over the last `TREND_TIME`, oldest first, the newest included
     past: tuple[float, ...] = ()
 
     @property
@@ -69,19 +61,12 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Status:
-    """The newest status of the node on /diagnostics.
+    """The newest status of the node on /diagnostics."""
 
-    Parameters
-    ----------
-    state, reason : str
-        The state word, and why it is in it.
-    values : mapping
-        Everything beneath it, by label.
-    """
-
+    # state, reason: The state word, and why it is in it
     state: str = ""
     reason: str = WAITING_FOR_STATUS
-    values: Mapping[str, str] = field(default_factory=dict)
+    values: Mapping[str, str] = field(default_factory=dict)  # Everything beneath it, by label
 
     def number(self, label: str) -> float | None:
         """Value of a label as a number; None if it is missing or none."""

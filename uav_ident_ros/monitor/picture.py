@@ -55,22 +55,14 @@ CONFIDENCE = {"none": "as set", "low": "estimated, not sure yet", "sure": "estim
 
 @dataclass(frozen=True)
 class Glyphs:
-    """Characters that the terminal can show.
+    """Characters that the terminal can show."""
 
-    Parameters
-    ----------
-    up, down, level : str
-        Trends.
-    sparks : str
-        Levels of the line of past values, lowest first.
-    usable, unusable : str
-        Verdict on a row.
-    """
-
+    # up, down, level: Trends
     up: str = "↗"
     down: str = "↘"
     level: str = "→"
-    sparks: str = "▁▂▃▄▅▆▇█"
+    sparks: str = "▁▂▃▄▅▆▇█"  # Levels of the line of past values, lowest first
+    # usable, unusable: Verdict on a row
     usable: str = "✓"
     unusable: str = "✗"
 

@@ -18,27 +18,13 @@ OWN_OUTPUT = "coefficients_named"
 
 @dataclass(frozen=True)
 class Wanted:
-    """An input as the node wants it.
+    """An input as the node wants it."""
 
-    Parameters
-    ----------
-    name : str
-        As in the code: what a remapping begins with.
-    topic : str
-        Resolved name.
-    type_name : str
-        Message type.
-    parameter : str
-        Setting that names the type; empty if there is none.
-    types : collection of str
-        Every type that the setting may name.
-    """
-
-    name: str
-    topic: str
+    name: str  # As in the code: what a remapping begins with
+    topic: str  # Resolved name
     type_name: str
-    parameter: str
-    types: Collection[str]
+    parameter: str  # Setting that names the type; empty if there is none
+    types: Collection[str]  # Every type that the setting may name
 
 
 def publishers(node: Node, topic: str) -> list[str]:

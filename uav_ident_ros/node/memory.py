@@ -64,20 +64,11 @@ def state_path(settings: Settings, node_name: str) -> Path | None:
 
 @dataclass(frozen=True)
 class Recalled:
-    """What a state file held.
+    """What a state file held."""
 
-    Parameters
-    ----------
-    coefficients : CoefficientSet
-        As they were saved.
-    notes : Notes
-        What was noted with them.
-    age : timedelta
-        Time since they were saved, by the computer's clock; negative if that was set back.
-    """
-
-    coefficients: CoefficientSet
-    notes: Notes
+    coefficients: CoefficientSet  # As they were saved
+    notes: Notes  # What was noted with them
+    # Time since they were saved, by the computer's clock; negative if that was set back
     age: timedelta
 
 

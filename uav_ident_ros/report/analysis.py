@@ -66,21 +66,11 @@ def autocorrelation(residual: FloatArray, lags: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class Spectra:
-    """Power spectral densities by Welch's method.
+    """Power spectral densities by Welch's method."""
 
-    Parameters
-    ----------
-    frequency : (F,) array
-        Hz, without zero.
-    inputs : (F, 4) array
-        Density of de, dr, da, dth, unit^2/Hz.
-    rates : (F, 3) array
-        Density of p, q, r, (rad/s)^2/Hz.
-    """
-
-    frequency: FloatArray
-    inputs: FloatArray
-    rates: FloatArray
+    frequency: FloatArray  # (F,) Hz, without zero
+    inputs: FloatArray  # (F, 4) Density of de, dr, da, dth, unit^2/Hz
+    rates: FloatArray  # (F, 3) Density of p, q, r, (rad/s)^2/Hz
 
     def band(self, density: FloatArray) -> tuple[float, float]:
         """Return the frequencies, Hz, between which the middle 80 % of the power lies."""

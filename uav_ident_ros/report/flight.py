@@ -53,33 +53,15 @@ class Clock:
 
 @dataclass(frozen=True)
 class Flight:
-    """What was measured and estimated, in order of time; rates in rad/s, body axes FRD.
+    """What was measured and estimated, in order of time; rates in rad/s, body axes FRD."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the bag.
-    structure : Structure
-        Structure of the estimates.
-    settings : Settings
-        All settings.
-    stretches : list of Stretch
-        The flight as the offline run gives it.
-    clock : Clock
-        Time of the stamps, s.
-    estimates : list of Estimate
-        One per tick.
-    tick_t : (K,) array
-        Times of the ticks, s.
-    """
-
-    name: str
-    structure: Structure
+    name: str  # Name of the bag
+    structure: Structure  # Structure of the estimates
     settings: Settings
-    stretches: Sequence[Stretch]
-    clock: Clock
-    estimates: Sequence[Estimate]
-    tick_t: FloatArray
+    stretches: Sequence[Stretch]  # The flight as the offline run gives it
+    clock: Clock  # Time of the stamps, s
+    estimates: Sequence[Estimate]  # One per tick
+    tick_t: FloatArray  # (K,) Times of the ticks, s
 
     @cached_property
     def time_bases(self) -> list[Stretch]:

@@ -19,24 +19,14 @@ SHORTEST_FIT = 2
 
 @dataclass(frozen=True)
 class Predictions:
-    """Rates predicted one horizon ahead, and measured, p q r in rad/s, FRD.
+    """Rates predicted one horizon ahead, and measured, p q r in rad/s, FRD."""
 
-    Parameters
-    ----------
-    horizon : float
-        How far ahead, s.
-    t : (W,) array
-        Times that the predictions are for, s.
-    predicted, measured : (W, 3) array
-        Prediction and measurement at these times.
-    before : (W, 3) array
-        Measured when the prediction was made: what holding the rates predicts.
-    """
-
-    horizon: float
-    t: FloatArray
+    horizon: float  # How far ahead, s
+    t: FloatArray  # (W,) Times that the predictions are for, s
+    # predicted, measured: (W, 3) Prediction and measurement at these times
     predicted: FloatArray
     measured: FloatArray
+    # (W, 3) Measured when the prediction was made: what holding the rates predicts
     before: FloatArray
 
     @property

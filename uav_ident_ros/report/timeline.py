@@ -37,33 +37,15 @@ HEADROOM = 0.08
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart on the page.
+    """A chart on the page."""
 
-    Parameters
-    ----------
-    identity : str
-        Unique on the page.
-    heading : str
-        What it shows.
-    model : Any
-        The Bokeh figure.
-    spoken : str
-        The chart in words, for those who listen.
-    caption : str
-        How to read it.
-    legend : tuple
-        Names, and the colours that stand for them.
-    small : bool
-        Whether several fit side by side.
-    """
-
-    identity: str
-    heading: str
-    model: Any
-    spoken: str
-    caption: str = ""
-    legend: tuple[tuple[str, str], ...] = ()
-    small: bool = False
+    identity: str  # Unique on the page
+    heading: str  # What it shows
+    model: Any  # The Bokeh figure
+    spoken: str  # The chart in words, for those who listen
+    caption: str = ""  # How to read it
+    legend: tuple[tuple[str, str], ...] = ()  # Names, and the colours that stand for them
+    small: bool = False  # Whether several fit side by side
 
 
 def columns(values: Mapping[str, Any]) -> ColumnDataSource:
