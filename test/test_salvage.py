@@ -121,14 +121,11 @@ def test_chunks_behind_a_torn_place_are_found_without_an_index(flight: Path, cop
     """The length of one record is wrong, and the index is gone."""
     whole, _ = messages(flight)
     places = chunk_places(flight)
-    torn, _ = places[len(places) // 2]
-    content = bytearray(flight.read_bytes()[: sum(places[-1])])
-    content[torn + 1 : torn + 9] = b"\xff" * 8
-    copy.write_bytes(content)
+    copy.write_bytes(flight.read_bytes()[: sum(places[-1])])
+    spoil(copy, places[len(places) // 2][0] + 1, 8)
     found, (damage,) = messages(copy)
     assert "cannot be read in 1 places between chunks" in damage
-    assert found[0] == whole[0]
-    assert found[-1] == whole[-1]
+    assert (found[0], found[-1]) == (whole[0], whole[-1])
     assert len(whole) * 0.8 < len(found) < len(whole)
 
 
@@ -157,10 +154,13 @@ def test_bad_chunk_is_left_out_and_the_rest_is_used(where: str, flight: Path, co
     if where != "content":  # the record itself cannot be read either
         spoil(copy, position + 1, 8)
     found, (line,) = messages(copy)
-    assert line.startswith(f"'flight.mcap' is damaged: 1 of {len(places)} chunks are left out")
     lost = [m for m in whole if m not in set(found)]
     assert found == [m for m in whole if m in set(found)]
     assert 0.5 * len(whole) / len(places) < len(lost) < 1.5 * len(whole) / len(places)
+    if where != "content":
+        assert line.startswith("'flight.mcap' cannot be read in 1 places between chunks; ")
+        return
+    assert line.startswith(f"'flight.mcap' is damaged: 1 of {len(places)} chunks are left out")
     begin, end = ((m[1] - whole[0][1]) * 1e-9 for m in (lost[0], lost[-1]))
     assert f"between {begin:.1f} s and {end:.1f} s after its start" in line
 
@@ -170,7 +170,7 @@ def test_bad_index_costs_nothing(flight: Path, copy: Path) -> None:
     spoil(copy, copy.stat().st_size - 28, 8)  # in the footer: where the index begins
     found, (line,) = messages(copy)
     assert found == whole
-    assert "has no usable index" in line
+    assert line.endswith("yet all of it was read")
 
 
 @pytest.mark.parametrize("cut", [False, True])
@@ -265,7 +265,7 @@ def test_without_the_mcap_library_its_name_is_said(
     assert len(messages(flight)[0]) == MESSAGES  # a whole one needs no such library
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_random_damage_gives_messages_or_one_line(seed: int, flight: Path, copy: Path) -> None:
     rng = np.random.default_rng(seed)
     content = bytearray(copy.read_bytes())
@@ -277,8 +277,9 @@ def test_random_damage_gives_messages_or_one_line(seed: int, flight: Path, copy:
     try:
         with Bag(copy) as bag:
             for topic in bag.types:
-                count = sum(1 for _ in bag.messages([topic]))
-                assert count >= 0
+                decode = bag.decoder(topic)
+                for message in bag.messages([topic]):
+                    decode(message.data)
             assert all("\n" not in line for line in bag.damage)
     except BagError as error:
         assert "flight.mcap" in str(error)
@@ -295,28 +296,23 @@ def replayed(bag: Path, output: Path, *options: str) -> tuple[int, dict[str, Any
     return status, json.loads(path.read_text()) if path.exists() else {}
 
 
-def test_replay_of_a_bag_with_a_hole(
-    long_flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("hole", [True, False])
+def test_replay_of_a_damaged_bag(
+    hole: bool, long_flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    position, length = chunk_places(long_flight)[8]
     damaged = tmp_path / "flight.mcap"
-    damaged.write_bytes(long_flight.read_bytes())
-    spoil(damaged, position + length // 2)
+    damaged.write_bytes(long_flight.read_bytes()[: None if hole else -400_000])
+    if hole:
+        position, length = chunk_places(long_flight)[8]
+        spoil(damaged, position + length // 2)
     status, summary = replayed(damaged, tmp_path / "out")
     assert status == USABLE
     (note,) = summary["notes"]
-    assert note.startswith("'flight.mcap' is damaged: 1 of ")
+    words = "is damaged: 1 of " if hole else "is cut off at its end; "
+    assert note.startswith(f"'flight.mcap' {words}")
     assert f"note: {note[:60]}" in capsys.readouterr().out
+    assert summary["ticks"] > 600
     assert summary["coefficients"]["pdot/da"]["value"] == pytest.approx(60.0, rel=0.05)
-
-
-def test_replay_of_a_cut_off_bag(long_flight: Path, tmp_path: Path) -> None:
-    damaged = tmp_path / "flight.mcap"
-    damaged.write_bytes(long_flight.read_bytes()[: long_flight.stat().st_size * 3 // 4])
-    status, summary = replayed(damaged, tmp_path / "out")
-    assert status == USABLE
-    assert 500 < summary["ticks"] < 620
-    assert "cut off" in summary["notes"][0]
 
 
 def test_damage_is_said_where_it_leaves_no_result(
@@ -415,32 +411,21 @@ def test_two_imus_on_one_topic(tmp_path: Path) -> None:
 
 
 def test_messages_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
+    """The first of each topic has no byte at all, others are cut off."""
     bag = tmp_path / "bag"
     with Bag(BAGS / "multisine") as source, BagWriter(bag) as writer:
         for topic, name in TYPES.items():
             writer.topic(topic, name)
+            writer.write(topic, source.start_ns, b"")
         for count, (topic, log_ns, data) in enumerate(source.messages(TYPES)):
             if log_ns > source.start_ns + 5 * SECOND_NS:
                 break
             writer.write(topic, log_ns, data[:30] if count % 100 == 7 else data)
     _, summary = replayed(bag, tmp_path / "out")
     dropped = [summary["inputs"][s]["dropped"].get("unreadable", 0) for s in ("rates", "actuators")]
-    assert sum(dropped) == 13
+    assert min(dropped) >= 1
+    assert sum(dropped) == 13 + 2
     assert summary["ticks"] > 90
-
-
-def test_a_first_message_without_a_byte(tmp_path: Path) -> None:
-    bag = tmp_path / "bag"
-    with Bag(BAGS / "multisine") as source, BagWriter(bag) as writer:
-        for topic, name in TYPES.items():
-            writer.topic(topic, name)
-            writer.write(topic, source.start_ns, b"")
-        for topic, log_ns, data in source.messages(TYPES):
-            if log_ns < source.start_ns + 3 * SECOND_NS:
-                writer.write(topic, log_ns, data)
-    _, summary = replayed(bag, tmp_path / "out")
-    dropped = [summary["inputs"][s]["dropped"]["unreadable"] for s in ("rates", "actuators")]
-    assert dropped == [1, 1]
 
 
 def test_what_is_no_file_on_a_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

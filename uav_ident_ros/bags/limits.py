@@ -124,6 +124,4 @@ def guard_rosbags() -> None:
     }
     for name in ("bz2", "lz4"):
         rosbag1.decompressors[name] = partial(decompressed, compression=name)
-    reader.zstd = SimpleNamespace(
-        open=_Bounded, decompress=lambda data: decompressed(data, "zstd")
-    )
+    reader.zstd = SimpleNamespace(open=_Bounded, decompress=lambda data: decompressed(data, "zstd"))

@@ -2,8 +2,9 @@
 """What a damaged MCAP file still holds, read record by record with the mcap library.
 
 A recorder that was killed leaves a file without an index; a bad disk spoils single chunks. Every
-chunk that is whole is used, of a last one that is cut off the messages before the cut. A chunk that
-does not check out is left out as a whole: nobody knows which of its messages are right.
+chunk that is whole is used, of a last one that is cut off the messages before the cut: at the usual
+768 kB, 200 Hz of Imu and 50 Hz of actuators, that is up to eight seconds. A chunk that does not
+check out is left out as a whole: nobody knows which of its messages are right.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ import mmap
 import re
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -29,86 +30,27 @@ from rosbags.interfaces import (
 from uav_ident_ros.bags.limits import decompressed
 
 if TYPE_CHECKING:
-    from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+    from mcap.records import Channel, Chunk, McapRecord, Schema
 
 NS = 1e-9
-ENCODING = "cdr"
 
-FORMATS: Mapping[str, MessageDefinitionFormat] = {
-    "ros2msg": MessageDefinitionFormat.MSG,
-    "ros2idl": MessageDefinitionFormat.IDL,
-}
+FORMATS = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
 """Encodings of the definitions in a file."""
 
-RECORD_HEADER = 9
-"""Bytes of a record before what it holds: its kind and length."""
+RECORD_HEADER, MAGIC_SIZE = 9, 8
+"""Bytes of a record before what it holds, its kind and length; and before the first record."""
 
 CHUNK = re.compile(
     rb"\x06(?=(.{8}).{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd)(.{8}))", re.DOTALL
 )
 """Begin of a chunk: length, times, size and checksum, compression, length of the data."""
 
-MAGIC_SIZE = 8
-"""Bytes before the first record."""
+Timed = tuple[int, int, Any]
+"""Log time, ns, position of the chunk, and the message; None for a sign that the chunk begins."""
 
 
 class SalvageError(Exception):
     """Nothing can be saved; the message says why."""
-
-
-@dataclass
-class _Contents:
-    """What a pass over a file has found.
-
-    Attributes
-    ----------
-    schemas, channels : dict
-        Definitions and topics, by the file's own numbers.
-    counts : Counter
-        Messages of each channel.
-    chunks : list of (int, int, bool)
-        Position, time of the first message (ns), and whether it is whole, of each usable chunk.
-    loose : bool
-        Whether there are messages outside of chunks.
-    lost : list of (int, int)
-        First and last time of the chunks that are left out, ns.
-    indexed : bool
-        Whether there is an index.
-    ended : bool
-        Whether the end of the messages was reached; the index follows.
-    cut : bool
-        Whether the file ends before.
-    torn : int
-        Places between chunks that cannot be read.
-    start_ns, end_ns : int
-        First and last log time, ns.
-    """
-
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    counts: Counter[int] = field(default_factory=Counter)
-    chunks: list[tuple[int, int, bool]] = field(default_factory=list)
-    loose: bool = False
-    lost: list[tuple[int, int]] = field(default_factory=list)
-    indexed: bool = False
-    ended: bool = False
-    cut: bool = False
-    torn: int = 0
-    start_ns: int = 2**63 - 1
-    end_ns: int = 0
-
-    def add(self, record: McapRecord) -> None:
-        """Take a definition, a topic or a message."""
-        from mcap.records import Channel, Message, Schema
-
-        if isinstance(record, Schema):
-            self.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self.channels[record.id] = record
-        elif isinstance(record, Message):
-            self.counts[record.channel_id] += 1
-            self.start_ns = min(self.start_ns, record.log_time)
-            self.end_ns = max(self.end_ns, record.log_time)
 
 
 class SalvageReader:
@@ -142,30 +84,91 @@ class SalvageReader:
             raise SalvageError(
                 "install the Python package 'mcap' to save what is there (pip install mcap)"
             ) from None
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._counts: Counter[int] = Counter()
+        self._chunks: list[tuple[int, int, bool]] = []  # position, first time, ns, whether whole
+        self._loose = False  # whether there are messages outside of chunks
+        self.start_time, self.end_time = 2**63 - 1, 0
         with path.open("rb") as file:
-            self._contents = contents = _scan(file)
-        saved = sum(n for channel, n in contents.counts.items() if channel in contents.channels)
+            words = self._scan(file)
+        saved = sum(n for channel, n in self._counts.items() if channel in self._channels)
         if not saved:
             raise SalvageError("there is no message to be saved")
-        self.start_time, self.end_time = contents.start_ns, contents.end_ns + 1
-        self.connections = [self._connection(c) for _, c in sorted(contents.channels.items())]
-        words = _damage(contents)
+        self.connections = [self._connection(c) for _, c in sorted(self._channels.items())]
         self.damage = f"'{path.name}' {words}; {saved} messages were saved" if words else ""
 
+    def _scan(self, file: IO[bytes]) -> str:
+        """Read the whole file; return what is wrong with it."""
+        from mcap.records import Chunk, DataEnd, Message
+
+        lost: list[Chunk] = []
+        torn, cut, ended = 0, False, False
+        places = _chunk_places(file)
+        for position, record in _records(file, places):
+            if isinstance(record, Chunk):
+                if not self._take_chunk(record, position, whole=True):
+                    lost.append(record)
+            elif record is not None:
+                ended = ended or isinstance(record, DataEnd)
+                self._loose = self._loose or isinstance(record, Message)
+                self._take([record])
+            elif places and places[-1] > position:
+                torn += 1
+            elif not ended:
+                cut = True
+                self._take_chunk(_chunk_at(file, position), position, whole=False)
+        found = []
+        if lost:
+            begin, end = (f(getattr(c, f"message_{n}_time") for c in lost)
+                          for f, n in ((min, "start"), (max, "end")))  # fmt: skip
+            zero = min(self.start_time, begin)
+            found.append(
+                f"is damaged: {len(lost)} of {len(lost) + len(self._chunks)} chunks are left out, "
+                f"between {(begin - zero) * NS:.1f} s and {(end - zero) * NS:.1f} s after its start"
+            )
+        found += [f"cannot be read in {torn} places between chunks"] * (torn > 0)
+        found += ["is cut off at its end"] * cut
+        return " and ".join(found)
+
+    def _take_chunk(self, chunk: Chunk | None, position: int, *, whole: bool) -> bool:
+        """Take what a chunk holds; return whether anything could be read."""
+        try:
+            self._take(_unpacked(chunk, whole=whole) if chunk is not None else [])
+        except Exception:  # damaged bytes make the parser fail in many ways
+            return False
+        if chunk is not None:
+            self._chunks.append((position, chunk.message_start_time, whole))
+        return True
+
+    def _take(self, records: Iterable[McapRecord]) -> None:
+        """Take definitions, topics and messages."""
+        from mcap.records import Channel, Message, Schema
+
+        for record in records:
+            if isinstance(record, Schema):
+                self._schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self._channels[record.id] = record
+            elif isinstance(record, Message):
+                self._counts[record.channel_id] += 1
+                self.start_time = min(self.start_time, record.log_time)
+                self.end_time = max(self.end_time, record.log_time + 1)
+
     def _connection(self, channel: Channel) -> Connection:
-        schema = self._contents.schemas.get(channel.schema_id)
-        form = MessageDefinitionFormat.NONE
+        schema = self._schemas.get(channel.schema_id)
+        name, form, text = "unknown", MessageDefinitionFormat.NONE, ""
         if schema is not None:
-            form = FORMATS.get(schema.encoding, form)
-        text = schema.data.decode(errors="replace") if schema is not None else ""
+            name, form = schema.name, FORMATS.get(schema.encoding, form)
+            text = schema.data.decode(errors="replace") if schema.encoding in FORMATS else ""
         return Connection(
             id=channel.id,
             topic=channel.topic,
-            msgtype=schema.name if schema is not None else "unknown",
-            msgdef=MessageDefinition(form, text if form != MessageDefinitionFormat.NONE else ""),
+            msgtype=name,
+            msgdef=MessageDefinition(form, text),
             digest="",
-            msgcount=self._contents.counts[channel.id],
-            ext=ConnectionExtRosbag2(ENCODING, []),
+            msgcount=self._counts[channel.id],
+            ext=ConnectionExtRosbag2("cdr", []),
             owner=self,
         )
 
@@ -178,83 +181,37 @@ class SalvageReader:
         """Yield connection, log time and bytes of the messages of some connections."""
         chosen = {connection.id: connection for connection in connections}
         with self.path.open("rb") as file:
-            parts = [self._of_chunk(file, chosen, *chunk) for chunk in self._contents.chunks]
-            if self._contents.loose:
-                parts.append(_loose(file, chosen))
+            parts = [_of_chunk(file, chosen, *chunk) for chunk in self._chunks]
+            if self._loose:
+                parts.append(_by_time(chosen, (r for _, r in _records(file, [])), 1))
             for log_ns, _, message in heapq.merge(*parts, key=lambda part: part[:2]):
                 if message is not None:
                     yield chosen[message.channel_id], log_ns, message.data
 
-    def _of_chunk(
-        self, file: IO[bytes], chosen: Collection[int], position: int, start_ns: int, whole: bool
-    ) -> Iterator[tuple[int, int, Message | None]]:
-        """Yield the chunk's messages by their time, after a sign that it begins."""
-        # Until the merge comes to this chunk the sign alone is in memory.
-        yield start_ns, 0, None
-        found = [m for m in _unpacked(_chunk_at(file, position), whole=whole) if _is_of(m, chosen)]
-        found.sort(key=lambda message: message.log_time)
-        for message in found:
-            yield message.log_time, position, message
+
+def _of_chunk(
+    file: IO[bytes], chosen: Collection[int], position: int, start_ns: int, whole: bool
+) -> Iterator[Timed]:
+    """Yield a chunk's messages by their time, after a sign that it begins."""
+    # Until the merge comes to this chunk the sign alone is in memory.
+    yield start_ns, 0, None
+    chunk = _chunk_at(file, position)
+    assert chunk is not None  # as when the file was scanned
+    yield from _by_time(chosen, _unpacked(chunk, whole=whole), position)
 
 
-def _is_of(record: Any, chosen: Collection[int]) -> bool:
+def _by_time(chosen: Collection[int], records: Iterable[Any], place: int) -> Iterator[Timed]:
     from mcap.records import Message
 
-    return isinstance(record, Message) and record.channel_id in chosen
+    found = [r for r in records if isinstance(r, Message) and r.channel_id in chosen]
+    for message in sorted(found, key=lambda message: message.log_time):
+        yield message.log_time, place, message
 
 
-def _loose(file: IO[bytes], chosen: Collection[int]) -> Iterator[tuple[int, int, Message | None]]:
-    """Yield the messages that are in no chunk, by their time."""
-    records: list[Any] = [record for _, record in _records(file, []) if _is_of(record, chosen)]
-    records.sort(key=lambda message: message.log_time)
-    for message in records:
-        yield message.log_time, 1, message
-
-
-def _scan(file: IO[bytes]) -> _Contents:
-    """Read a whole file and say what is in it."""
-    from mcap.records import Chunk, DataEnd, Message
-
-    contents = _Contents()
-    index = _index(file, contents)
-    places = _chunk_places(file)
-    for position, record in _records(file, places):
-        if isinstance(record, Chunk):
-            _take_chunk(contents, position, record, index)
-        elif record is None:
-            _take_rest(contents, file, position, index, places)
-        else:
-            contents.ended = contents.ended or isinstance(record, DataEnd)
-            contents.loose = contents.loose or isinstance(record, Message)
-            contents.add(record)
-    return contents
-
-
-def _index(file: IO[bytes], contents: _Contents) -> dict[int, tuple[int, int]]:
-    """Return position and times of the chunks, if the index at the end of the file is whole."""
-    from mcap.reader import make_reader
-
-    try:
-        summary = make_reader(file).get_summary()
-    except Exception:  # damaged bytes make the parser fail in many ways
-        summary = None
-    if summary is None:
-        return {}
-    contents.indexed = True
-    contents.schemas.update(summary.schemas)
-    contents.channels.update(summary.channels)
-    return {
-        c.chunk_start_offset: (c.message_start_time, c.message_end_time)
-        for c in summary.chunk_indexes
-    }
-
-
-def _records(
-    file: IO[bytes], chunk_positions: Sequence[int]
-) -> Iterator[tuple[int, McapRecord | None]]:
+def _records(file: IO[bytes], places: list[int]) -> Iterator[tuple[int, McapRecord | None]]:
     """Yield position and content of every record that can be read; None for one that cannot.
 
-    Behind a bad record reading goes on at the next of the known positions of chunks.
+    Behind a bad record reading goes on at the next of the known places of chunks.
     """
     from mcap.stream_reader import StreamReader
 
@@ -271,14 +228,14 @@ def _records(
             return
         except Exception:  # as above
             yield position, None
-        following = bisect_right(chunk_positions, position)
-        if following == len(chunk_positions):
+        following = bisect_right(places, position)
+        if following == len(places):
             return
-        position, skip_magic = chunk_positions[following], True
+        position, skip_magic = places[following], True
 
 
 def _chunk_places(file: IO[bytes]) -> list[int]:
-    """Find every place where a chunk begins, in rising order: by its form, whatever an index says."""
+    """Find every place where a chunk begins, in rising order: by its form alone."""
     size = file.seek(0, 2)
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         result = []
@@ -291,59 +248,21 @@ def _chunk_places(file: IO[bytes]) -> list[int]:
         return result
 
 
-def _take_chunk(
-    contents: _Contents, position: int, chunk: Chunk, index: Mapping[int, tuple[int, int]]
-) -> None:
-    try:
-        records = _unpacked(chunk, whole=True)
-    except Exception:  # as above
-        times = (chunk.message_start_time, chunk.message_end_time)
-        contents.lost.append(index.get(position, times))
-        return
-    for record in records:
-        contents.add(record)
-    contents.chunks.append((position, chunk.message_start_time, True))
-
-
-def _take_rest(
-    contents: _Contents,
-    file: IO[bytes],
-    position: int,
-    index: Mapping[int, tuple[int, int]],
-    places: Sequence[int],
-) -> None:
-    """Take what there is of a record that cannot be read."""
-    if position in index:
-        contents.lost.append(index[position])
-        return
-    if contents.ended:
-        return
-    if places and places[-1] > position:
-        contents.torn += 1
-        return
-    contents.cut = True
-    try:
-        chunk = _chunk_at(file, position)
-        records = _unpacked(chunk, whole=False)
-    except Exception:  # as above: it is no chunk, or nothing of it is left
-        return
-    for record in records:
-        contents.add(record)
-    contents.chunks.append((position, chunk.message_start_time, False))
-
-
-def _chunk_at(file: IO[bytes], position: int) -> Chunk:
-    """Read the chunk at a position; its data may be cut off by the end of the file."""
+def _chunk_at(file: IO[bytes], position: int) -> Chunk | None:
+    """Read the chunk at a position, whose data may be cut off; None if there is none."""
     from mcap.data_stream import ReadDataStream
     from mcap.opcode import Opcode
     from mcap.records import Chunk
 
     file.seek(position)
     stream = ReadDataStream(file)
-    if stream.read1() != Opcode.CHUNK:
-        raise SalvageError("no chunk")
-    stream.read8()  # its length
-    return Chunk.read(stream)
+    try:
+        if stream.read1() != Opcode.CHUNK:
+            return None
+        stream.read8()  # its length
+        return Chunk.read(stream)
+    except Exception:  # as above: too little is left
+        return None
 
 
 def _unpacked(chunk: Chunk, *, whole: bool) -> list[McapRecord]:
@@ -354,32 +273,10 @@ def _unpacked(chunk: Chunk, *, whole: bool) -> list[McapRecord]:
     if whole:
         return list(breakup_chunk(replace(chunk, data=data, compression=""), validate_crc=True))
     found = []
+    reader = StreamReader(BytesIO(data), skip_magic=True, record_size_limit=len(data))
     try:
-        for record in StreamReader(
-            BytesIO(data), skip_magic=True, record_size_limit=len(data)
-        ).records:
+        for record in reader.records:
             found.append(record)
     except Exception:  # the cut
         pass
     return found
-
-
-def _damage(contents: _Contents) -> str:
-    """Say what is wrong with a file."""
-    found = []
-    if contents.lost:
-        begin = min(first for first, _ in contents.lost)
-        end = max(last for _, last in contents.lost)
-        zero = min(contents.start_ns, begin)
-        chunks = len(contents.lost) + len(contents.chunks)
-        found.append(
-            f"is damaged: {len(contents.lost)} of {chunks} chunks are left out, between "
-            f"{(begin - zero) * NS:.1f} s and {(end - zero) * NS:.1f} s after its start"
-        )
-    if contents.torn:
-        found.append(f"cannot be read in {contents.torn} places between chunks")
-    if contents.cut:
-        found.append("is cut off at its end")
-    if not found and not contents.indexed:
-        found.append("has no usable index")
-    return " and ".join(found)
