@@ -76,9 +76,9 @@ def test_any_yaml_reader_sees_numbers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("version: 1", "version: 2", "line 3: version 2 is not known, only 1 is"),
-        ("uav_ident_ros/coefficients", "other", "line 2: the format is 'other'"),
-        ("structure: baseline", "structure: base", "line 4: structure 'base' is unknown, known"),
+        ("version: 1", "version: 2", "version 2 is not known, only 1 is"),
+        ("uav_ident_ros/coefficients", "other", "the format is 'other'"),
+        ("structure: baseline", "structure: base", "structure 'base' is unknown, known"),
         ("  pdot/da:", "  pdot/daa:", "unknown entry 'pdot/daa': did you mean 'pdot/da'"),
         ("  pdot/pq:", "  # pdot/pq:", "coefficients has no pdot/pq"),
         ("  pdot/qr:", "  pdot/pq:", "'pdot/pq' is there twice"),
@@ -110,7 +110,7 @@ def test_not_finite_value_is_refused_on_loading(tmp_path: Path) -> None:
     for bad in (".nan", ".inf", "1e999", "true"):
         lines[6] = f"  pdot/pq: {{value: {bad}, sigma: 0.1}}"
         path.write_text("\n".join(lines), encoding="utf-8")
-        with pytest.raises(CoefficientsFileError, match=r"line 7: .*not a finite number"):
+        with pytest.raises(CoefficientsFileError, match=r"not a finite number"):
             load_coefficients(path)
 
 

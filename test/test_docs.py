@@ -24,7 +24,7 @@ import setuptools
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.client import Refusal
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.files.parameter_table import TABLES, MarkerError, full_tables, main, renew
+from uav_ident_ros.files.parameter_table import TABLES, full_tables, renew
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.settings import Settings, declarations
 from uav_ident_ros.identification.structure import STRUCTURES
@@ -107,17 +107,6 @@ def test_every_table_stands_somewhere_and_every_parameter_in_one() -> None:
     rows = full_tables()
     for setting in declarations():
         assert f"| `{setting.name}` |" in rows
-
-
-def test_a_page_without_markers_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("no table here\n")
-    assert main([str(page)]) == 2
-    assert str(page) in capsys.readouterr().err
-    with pytest.raises(MarkerError, match="'nothing'"):
-        renew("<!-- generated: nothing -->\n<!-- end: nothing -->")
 
 
 # --- what the pages name exists --------------------------------------------------------------

@@ -65,8 +65,6 @@ TRICKY = """\
       channels: [elevator, rudder]
     twice: 1
     twice: 2
-    changed_type: x
-    changed_type: 1.0
     actuators.delay: 0.03
 identifier:
   ros__parameters:

@@ -28,7 +28,7 @@ import math
 import os
 import re
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
@@ -38,12 +38,13 @@ from typing import Any
 import numpy as np
 import yaml
 
+from uav_ident_ros.files.strict_yaml import StrictLoader, yaml_problem
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import MAX_DELAY
-from uav_ident_ros.identification.structure import STRUCTURES, Structure
+from uav_ident_ros.identification.structure import STRUCTURES
 
 FORMAT = "uav_ident_ros/coefficients"
-VERSION = 1
+VERSION = "1"
 
 NS_PER_S = 1_000_000_000
 
@@ -53,7 +54,6 @@ LARGEST_FILE = 1_000_000
 _TOP_KEYS = ("format", "version", "structure", "stamp", "coefficients")
 _NOTE_KEYS = ("saved", "usable", "delay", "learned_with")
 _ENTRY_KEYS = ("value", "sigma")
-_BOOLEANS = {"true": True, "false": False}
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _INFINITY = frozenset((".inf", ".Inf", ".INF", "+.inf", "inf"))
 
@@ -226,19 +226,16 @@ def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[Coe
     """Read a coefficients file with its notes; parameters and errors as `load_coefficients`."""
     path = Path(path)
     try:
-        root = yaml.compose(_text_of(path), yaml.SafeLoader)
-        return _Reader(path).document(root, structure)
+        content = yaml.load(_text_of(path), StrictLoader)
+        return _coefficients(content, structure), _notes(content)
     except OSError as error:
         reason = _reason(error)
     except UnicodeDecodeError:
         reason = "it is not text in UTF-8"
     except RecursionError:
         reason = "it is nested too deeply"
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        reason = f"line {mark.line + 1 if mark else 1}: {error.problem or error.context}"
     except yaml.YAMLError as error:
-        reason = str(error).splitlines()[0]
+        reason = yaml_problem(error)
     except _WrongError as error:
         reason = str(error)
     raise CoefficientsFileError(f"coefficients file '{path}': {reason}")
@@ -250,9 +247,9 @@ def _text_of(path: Path) -> str:
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder")
     if not stat.S_ISREG(status.st_mode):
-        raise _WrongError(None, "it is not a regular file")
+        raise _WrongError("it is not a regular file")
     if status.st_size > LARGEST_FILE:
-        raise _WrongError(None, f"it has {status.st_size} bytes, more than any such file")
+        raise _WrongError(f"it has {status.st_size} bytes, more than any such file")
     return path.read_text(encoding="utf-8")
 
 
@@ -263,141 +260,98 @@ def _reason(error: OSError) -> str:
 
 
 class _WrongError(Exception):
-    """What is wrong, with the line."""
-
-    def __init__(self, node: Any, reason: str) -> None:
-        line = f"line {node.start_mark.line + 1}: " if node is not None else ""
-        super().__init__(f"{line}{reason}")
+    """What is wrong."""
 
 
-class _Reader:
-    """Turns the nodes of a YAML document into coefficients: nodes still know their lines."""
+def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:
+    """Check the entries that every file has."""
+    if content is None:
+        raise _WrongError("it is empty")
+    top = _mapping(content, "the file", _TOP_KEYS, _NOTE_KEYS)
+    name = top["structure"]
+    for wrong, reason in (
+        (top["format"] != FORMAT, f"the format is '{top['format']}', not '{FORMAT}'"),
+        (top["version"] != VERSION, f"version {top['version']} is not known, only {VERSION} is"),
+        (
+            name not in [*STRUCTURES],
+            f"structure '{name}' is unknown, known are {', '.join(STRUCTURES)}",
+        ),
+        (
+            wanted is not None and name != wanted,
+            f"it is for structure '{name}', but 'structure' is '{wanted}'",
+        ),
+    ):
+        if wrong:
+            raise _WrongError(reason)
+    structure = STRUCTURES[name]
+    entries = _mapping(top["coefficients"], "coefficients", structure.names)
+    values, sigma = np.zeros(structure.mask.shape), np.zeros(structure.mask.shape)
+    for name, index in zip(structure.names, structure.free, strict=True):
+        entry = _mapping(entries[name], name, _ENTRY_KEYS)
+        values[index] = _number(entry["value"], f"the value of {name}")
+        unknown = entry["sigma"] in _INFINITY
+        sigma[index] = math.inf if unknown else _number(entry["sigma"], f"the sigma of {name}")
+        if sigma[index] < 0.0:
+            raise _WrongError(f"the sigma of {name} is negative")
+    return CoefficientSet(structure.name, values, sigma, _stamp(top["stamp"]))
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
 
-    def document(self, root: Any, wanted: str | None) -> tuple[CoefficientSet, Notes]:
-        """Read the whole document."""
-        if root is None:
-            raise _WrongError(None, "it is empty")
-        top = self._mapping(root, "the file", _TOP_KEYS, _NOTE_KEYS)
-        return self._coefficients(top, wanted), self._notes(top)
+def _notes(content: Mapping[str, Any]) -> Notes:
+    """Check what stands beside the coefficients, as far as it is there."""
+    delay = _number(content["delay"], "delay") if "delay" in content else None
+    if delay is not None and not 0.0 <= delay <= MAX_DELAY:
+        raise _WrongError(f"delay is {delay:g}: allowed is 0 to {MAX_DELAY:g} s")
+    usable = content.get("usable")
+    if usable not in (None, "true", "false"):
+        raise _WrongError(f"usable is '{usable}', not true or false")
+    learned_with = content.get("learned_with", {})
+    if not isinstance(learned_with, dict):
+        raise _WrongError("learned_with must be a mapping")
+    saved = _time(content["saved"]) if "saved" in content else None
+    texts = {name: str(value) for name, value in learned_with.items()}
+    return Notes(saved, None if usable is None else usable == "true", delay, texts)
 
-    def _coefficients(self, top: Mapping[str, Any], wanted: str | None) -> CoefficientSet:
-        if self._text(top["format"], "format") != FORMAT:
-            raise _WrongError(
-                top["format"], f"the format is '{top['format'].value}', not '{FORMAT}'"
-            )
-        if self._text(top["version"], "version") != str(VERSION):
-            raise _WrongError(
-                top["version"], f"version {top['version'].value} is not known, only {VERSION} is"
-            )
-        structure = self._structure(top["structure"], wanted)
-        entries = self._mapping(top["coefficients"], "coefficients", structure.names)
-        values, sigma = np.zeros(structure.mask.shape), np.zeros(structure.mask.shape)
-        for name, index in zip(structure.names, structure.free, strict=True):
-            entry = self._mapping(entries[name], name, _ENTRY_KEYS)
-            values[index] = self._number(entry["value"], f"the value of {name}")
-            sigma[index] = self._sigma(entry["sigma"], f"the sigma of {name}")
-        return CoefficientSet(structure.name, values, sigma, self._stamp(top["stamp"]))
 
-    def _notes(self, top: Mapping[str, Any]) -> Notes:
-        """Read what stands beside the coefficients, as far as it is there."""
-        learned_with = {}
-        if "learned_with" in top:
-            if not isinstance(top["learned_with"], yaml.MappingNode):
-                raise _WrongError(top["learned_with"], "learned_with must be a mapping")
-            for key, value in top["learned_with"].value:
-                name = self._text(key, "an entry of learned_with")
-                learned_with[name] = self._text(value, name)
-        return Notes(
-            saved=self._time(top["saved"]) if "saved" in top else None,
-            usable=self._flag(top["usable"], "usable") if "usable" in top else None,
-            delay=self._delay(top["delay"]) if "delay" in top else None,
-            learned_with=learned_with,
-        )
+def _mapping(
+    content: Any, owner: str, keys: Sequence[str], optional: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Check that a mapping has all the given keys, and of others only the optional ones."""
+    if not isinstance(content, dict):
+        raise _WrongError(f"{owner} must be a mapping with {', '.join(keys)}")
+    allowed = (*keys, *optional)
+    for key in content:
+        if key not in allowed:
+            near = difflib.get_close_matches(str(key), allowed, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(allowed)}"
+            raise _WrongError(f"{owner} has an unknown entry '{key}': {hint}")
+    if missing := [key for key in keys if key not in content]:
+        raise _WrongError(f"{owner} has no {', '.join(missing)}")
+    return content
 
-    def _time(self, node: Any) -> datetime:
-        text = self._text(node, "saved")
-        try:
-            time = datetime.fromisoformat(text)
-        except ValueError:
-            wanted = "a time like 2023-11-14T22:13:25Z"
-            raise _WrongError(node, f"saved is '{text}', not {wanted}") from None
-        if time.tzinfo is None:
-            raise _WrongError(node, f"saved is '{text}', without a time zone: add Z for UTC")
-        return time
 
-    def _flag(self, node: Any, owner: str) -> bool:
-        text = self._text(node, owner)
-        if text not in _BOOLEANS:
-            raise _WrongError(node, f"{owner} is '{text}', not true or false")
-        return _BOOLEANS[text]
+def _number(text: Any, what: str) -> float:
+    number = float(text) if isinstance(text, str) and _NUMBER.fullmatch(text) else math.nan
+    if not math.isfinite(number):
+        raise _WrongError(f"{what} is '{text}', not a finite number")
+    return number
 
-    def _delay(self, node: Any) -> float:
-        delay = self._number(node, "delay")
-        if not 0.0 <= delay <= MAX_DELAY:
-            raise _WrongError(node, f"delay is {delay:g}: allowed is 0 to {MAX_DELAY:g} s")
-        return delay
 
-    def _mapping(
-        self, node: Any, owner: str, keys: tuple[str, ...], optional: tuple[str, ...] = ()
-    ) -> dict[str, Any]:
-        """Read a mapping that has all the given keys, and of others only the optional ones."""
-        if not isinstance(node, yaml.MappingNode):
-            raise _WrongError(node, f"{owner} must be a mapping with {', '.join(keys)}")
-        allowed = (*keys, *optional)
-        found: dict[str, Any] = {}
-        for key, value in node.value:
-            if key.value not in allowed:
-                near = difflib.get_close_matches(str(key.value), allowed, n=1)
-                hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(allowed)}"
-                raise _WrongError(key, f"{owner} has an unknown entry '{key.value}': {hint}")
-            if key.value in found:
-                raise _WrongError(key, f"'{key.value}' is there twice")
-            found[key.value] = value
-        missing = [key for key in keys if key not in found]
-        if missing:
-            raise _WrongError(node, f"{owner} has no {', '.join(missing)}")
-        return found
+def _stamp(text: Any) -> int:
+    try:
+        # Decimal, as seconds since 1970 do not keep their nanoseconds in a float.
+        t_ns = int(Decimal(text) * NS_PER_S)
+    except (InvalidOperation, ValueError, OverflowError, TypeError):
+        raise _WrongError(f"stamp is '{text}', not a number of seconds") from None
+    if t_ns < 0:
+        raise _WrongError("stamp is negative")
+    return t_ns
 
-    def _text(self, node: Any, owner: str) -> str:
-        if not isinstance(node, yaml.ScalarNode):
-            raise _WrongError(node, f"{owner} must be a plain value")
-        return str(node.value)
 
-    def _structure(self, node: Any, wanted: str | None) -> Structure:
-        name = self._text(node, "structure")
-        if name not in STRUCTURES:
-            raise _WrongError(
-                node, f"structure '{name}' is unknown, known are {', '.join(STRUCTURES)}"
-            )
-        if wanted is not None and name != wanted:
-            raise _WrongError(node, f"it is for structure '{name}', but 'structure' is '{wanted}'")
-        return STRUCTURES[name]
-
-    def _number(self, node: Any, owner: str) -> float:
-        text = self._text(node, owner)
-        number = float(text) if _NUMBER.fullmatch(text) else math.nan
-        if not math.isfinite(number):
-            raise _WrongError(node, f"{owner} is '{text}', not a finite number")
-        return number
-
-    def _sigma(self, node: Any, owner: str) -> float:
-        if self._text(node, owner) in _INFINITY:
-            return math.inf
-        sigma = self._number(node, owner)
-        if sigma < 0.0:
-            raise _WrongError(node, f"{owner} is negative")
-        return sigma
-
-    def _stamp(self, node: Any) -> int:
-        text = self._text(node, "stamp")
-        try:
-            # Decimal, as seconds since 1970 do not keep their nanoseconds in a float.
-            t_ns = int(Decimal(text) * NS_PER_S)
-        except (InvalidOperation, ValueError, OverflowError):
-            raise _WrongError(node, f"stamp is '{text}', not a number of seconds") from None
-        if t_ns < 0:
-            raise _WrongError(node, "stamp is negative")
-        return t_ns
+def _time(text: Any) -> datetime:
+    try:
+        time = datetime.fromisoformat(text)
+    except (ValueError, TypeError):
+        raise _WrongError(f"saved is '{text}', not a time like 2023-11-14T22:13:25Z") from None
+    if time.tzinfo is None:
+        raise _WrongError(f"saved is '{text}', without a time zone: add Z for UTC")
+    return time

@@ -16,6 +16,8 @@ from typing import Any
 
 import yaml
 
+from uav_ident_ros.files.strict_yaml import yaml_problem
+
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str] | None
 
 PARAMETERS_KEY = "ros__parameters"
@@ -28,25 +30,17 @@ IGNORED_PREFIXES = ("qos_overrides.",)
 _TRUE = frozenset(("Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"))
 _FALSE = frozenset(("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"))
 
-# C's strtol with base 0 and strtod, which is how rcl reads numbers.
+# C's strtol with base 0, which is how rcl reads integers.
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)")
-_DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-_HEXADECIMAL = re.compile(r"[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)([pP][+-]?\d+)?")
-_INFINITE = re.compile(r"([+-]?)(inf|infinity)", re.IGNORECASE)
-_NOT_A_NUMBER = re.compile(r"[+-]?nan(\(\w*\))?", re.IGNORECASE)
-_DOTTED = frozenset(
-    [".nan", ".NaN", ".NAN"]
-    + [sign + word for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")]
-)
+_NUMBER = re.compile(r"[+-]?(0[xX][0-9a-fA-F.]+([pP][+-]?\d+)?|[\d.]+([eE][+-]?\d+)?)", re.ASCII)
+_WORD = re.compile(r"[+-]?(inf|infinity|nan)", re.IGNORECASE)
+_DOTTED = re.compile(r"\.nan|\.NaN|\.NAN|[+-]?\.(inf|Inf|INF)")
 
 _INT64_LOW, _INT64_HIGH = -(2**63), 2**63 - 1
 _SMALLEST_NORMAL = 2.2250738585072014e-308
 """C's strtod reports a range error below it (and rcl then takes the word as it stands)."""
 
 _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-
-_PRECEDENCE = ("bool", "int", "float", "str", "bool[]", "int[]", "float[]", "str[]", "empty")
-"""Where one name was given values of several types, rclpy takes the first of these."""
 
 
 class ParameterFileError(Exception):
@@ -79,10 +73,16 @@ class ParameterFile:
             raise ParameterFileError(f"parameter file '{path}': {reason}") from None
         except UnicodeDecodeError:
             raise ParameterFileError(f"parameter file '{path}' is not text in UTF-8") from None
+        sections: dict[str, dict[str, ParameterValue]] = {}
         try:
-            return cls(path, _Parser(text).sections())
-        except _MalformedError as error:
-            raise ParameterFileError(f"parameter file '{path}', {error}") from None
+            root = yaml.compose(text, _Loader)
+            for section, name, value in _sections(root, "", "the file") if root else ():
+                values = sections.setdefault(section, {})
+                if name:
+                    values[name] = value
+        except yaml.YAMLError as error:
+            raise ParameterFileError(f"parameter file '{path}', {yaml_problem(error)}") from None
+        return cls(path, sections)
 
     def values_for(self, node: str) -> dict[str, ParameterValue]:
         """Return what rclpy gives to a node: of all matching sections the last one wins.
@@ -147,14 +147,6 @@ def _matches(section: str, node: str) -> bool:
     return re.fullmatch(pattern, _absolute(node)) is not None
 
 
-class _MalformedError(Exception):
-    """Line and reason."""
-
-    def __init__(self, mark: Any, reason: str) -> None:
-        line = f"line {mark.line + 1}: " if mark is not None else ""
-        super().__init__(f"{line}{reason}")
-
-
 def scalar(text: str, *, quoted: bool = False) -> bool | int | float | str:
     """Give a YAML scalar the type and value that rcl gives it."""
     if quoted:
@@ -181,173 +173,120 @@ def _integer(text: str) -> int:
 
 def _real(text: str) -> float | None:
     """Read a number as C's strtod does; None if it is none or out of range."""
-    if text in _DOTTED:
+    if _DOTTED.fullmatch(text):
         text = text.replace(".", "", 1)
-    if _INFINITE.fullmatch(text):
+    if _WORD.fullmatch(text):
         return float(text)
-    if _NOT_A_NUMBER.fullmatch(text):
-        return float("nan")
-    if _DECIMAL.fullmatch(text):
-        number = float(text)
-    elif _HEXADECIMAL.fullmatch(text):
-        try:
-            number = float.fromhex(text)
-        except OverflowError:
-            return None
-    else:
+    if not _NUMBER.fullmatch(text):
         return None
-    zero = not re.search(r"[1-9a-fA-F]", re.split(r"[eEpP]", text.lower().replace("0x", ""))[0])
+    try:
+        number = float.fromhex(text) if "x" in text.lower() else float(text)
+    except (ValueError, OverflowError):
+        return None
+    digits = re.split(r"[eEpP]" if "x" not in text.lower() else "[pP]", text)[0]
+    zero = not re.search(r"[1-9a-fA-F]", digits.lower().replace("0x", ""))
     in_range = abs(number) != float("inf") and (zero or abs(number) >= _SMALLEST_NORMAL)
     return number if in_range else None
 
 
-def _type_name(value: Any) -> str:
-    return type(value).__name__
+class _Loader(yaml.BaseLoader):
+    """A loader that takes no aliases, as rcl does not, and knows no types."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise _malformed(self.peek_event(), "ROS does not support aliases")  # type: ignore[no-untyped-call]
+        return super().compose_node(parent, index)
+
+    def resolve(self, kind: Any, value: Any, implicit: Any) -> str:
+        """Leave every scalar without a tag of its own to `scalar`."""
+        return ""
 
 
-class _Parser:
-    """Walks the events of a YAML text as rcl does."""
+def _malformed(node: Any, reason: str) -> yaml.YAMLError:
+    return yaml.composer.ComposerError(None, None, reason, node.start_mark)
 
-    def __init__(self, text: str) -> None:
-        self._text = text
-        self._sections: dict[str, dict[str, dict[str, ParameterValue]]] = {}
 
-    def sections(self) -> dict[str, dict[str, ParameterValue]]:
-        """Parameters by section and dotted name."""
-        try:
-            # Events, not a document: a document would already have lost the scalars' text.
-            self._events: Iterator[Any] = iter(
-                [e for e in yaml.parse(self._text, yaml.SafeLoader) if not _is_frame(e)]
+def _entries(node: Any, owner: str) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the keys of a mapping, each as text and as a node, and the values."""
+    if not isinstance(node, yaml.MappingNode):
+        raise _malformed(
+            node,
+            f"{owner} holds a value: node names, then '{PARAMETERS_KEY}:', then the parameters "
+            "are needed",
+        )
+    for key, value in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise _malformed(key, "a key must be a plain name")
+        if not key.value:
+            raise _malformed(key, "there is no key")
+        yield key.value, key, value
+
+
+def _sections(node: Any, name: str, owner: str) -> Iterator[tuple[str, str, ParameterValue]]:
+    """Yield section, dotted name and value of each parameter; one without a name for a section."""
+    for key, place, value in _entries(node, owner):
+        if not key.startswith(PARAMETERS_KEY):
+            separator = "" if not name or name.endswith("/") else "/"
+            yield from _sections(value, f"{name}{separator}{key}", f"'{key}'")
+            continue
+        if not name:
+            raise _malformed(place, f"there is no node name before {PARAMETERS_KEY}")
+        _check_name(name, place)
+        yield name, "", None
+        for parameter, found in _parameters(value, "", f"'{PARAMETERS_KEY}'"):
+            yield name, parameter, found
+
+
+def _parameters(node: Any, prefix: str, owner: str) -> Iterator[tuple[str, ParameterValue]]:
+    """Yield the parameters of a mapping, nested or not."""
+    if prefix and not node.value:
+        raise _malformed(node, f"{owner} is an empty mapping")
+    for key, _, value in _entries(node, owner):
+        name = f"{prefix}{key}"
+        if isinstance(value, yaml.MappingNode):
+            yield from _parameters(value, f"{name}.", f"'{name}'")
+        else:
+            yield name, _value(value)
+
+
+def _value(node: Any) -> ParameterValue:
+    if isinstance(node, yaml.ScalarNode):
+        return _scalar(node)
+    values: list[Any] = []
+    for item in node.value:
+        if not isinstance(item, yaml.ScalarNode):
+            raise _malformed(item, "a list can hold plain values only")
+        values.append(_scalar(item))
+        if type(values[-1]) is not type(values[0]):
+            raise _malformed(
+                item,
+                f"the values of a list must be of one type: {values[0]!r} is "
+                f"{_WORDS[type(values[0])]}, {values[-1]!r} is {_WORDS[type(values[-1])]}",
             )
-        except yaml.MarkedYAMLError as error:
-            problem = error.problem or "it is not YAML"
-            raise _MalformedError(error.problem_mark or error.context_mark, problem) from None
-        except yaml.YAMLError as error:
-            reason = str(error).splitlines()[0]
-            raise _MalformedError(None, reason) from None
-        for event in self._events:
-            if isinstance(event, yaml.ScalarEvent):
-                continue  # a document without content
-            self._expect_mapping(event, "the file")
-            self._section("")
-        return {
-            section: {name: _preferred(typed) for name, typed in parameters.items()}
-            for section, parameters in self._sections.items()
-        }
-
-    def _expect_mapping(self, event: Any, owner: str) -> None:
-        if isinstance(event, yaml.AliasEvent):
-            raise _MalformedError(event.start_mark, "ROS does not support aliases")
-        if not isinstance(event, yaml.MappingStartEvent):
-            raise _MalformedError(
-                event.start_mark,
-                f"{owner} holds a value: node names, then '{PARAMETERS_KEY}:', then the parameters "
-                "are needed",
-            )
-
-    def _entries(self) -> Iterator[tuple[str, Any, Any]]:
-        """Key, its event and the first event of the value, to the end of the mapping."""
-        for key in self._events:
-            if isinstance(key, yaml.MappingEndEvent):
-                return
-            if not isinstance(key, yaml.ScalarEvent):
-                raise _MalformedError(key.start_mark, "a key must be a plain name")
-            if not key.value:
-                raise _MalformedError(key.start_mark, "there is no key")
-            yield key.value, key, next(self._events)
-
-    def _section(self, name: str) -> None:
-        """Read a mapping of node names, or of a node to its parameters."""
-        for key, event, value in self._entries():
-            if not key.startswith(PARAMETERS_KEY):
-                self._expect_mapping(value, f"'{key}'")
-                separator = "" if not name or name.endswith("/") else "/"
-                self._section(f"{name}{separator}{key}")
-                continue
-            if not name:
-                raise _MalformedError(
-                    event.start_mark, f"there is no node name before {PARAMETERS_KEY}"
-                )
-            _check_name(name, event.start_mark)
-            self._expect_mapping(value, f"'{PARAMETERS_KEY}'")
-            self._parameters("", self._sections.setdefault(name, {}), value)
-
-    def _parameters(
-        self, prefix: str, target: dict[str, dict[str, ParameterValue]], start: Any
-    ) -> None:
-        """Read a mapping of parameters, nested or not."""
-        empty = bool(prefix)
-        for key, _, value in self._entries():
-            empty = False
-            name = f"{prefix}{key}"
-            if isinstance(value, yaml.MappingStartEvent):
-                self._parameters(f"{name}.", target, value)
-                continue
-            typed = target.setdefault(name, {})
-            kind, read = self._value(value)
-            typed[kind] = read
-        if empty:
-            raise _MalformedError(start.start_mark, f"'{prefix[:-1]}' is an empty mapping")
-
-    def _value(self, event: Any) -> tuple[str, ParameterValue]:
-        """Type and value of a parameter."""
-        if isinstance(event, yaml.AliasEvent):
-            raise _MalformedError(event.start_mark, "ROS does not support aliases")
-        if isinstance(event, yaml.ScalarEvent):
-            single = _scalar(event)
-            return _type_name(single), single
-        values: list[Any] = []
-        for item in self._events:
-            if isinstance(item, yaml.SequenceEndEvent):
-                break
-            if isinstance(item, yaml.AliasEvent):
-                raise _MalformedError(item.start_mark, "ROS does not support aliases")
-            if not isinstance(item, yaml.ScalarEvent):
-                raise _MalformedError(item.start_mark, "a list can hold plain values only")
-            values.append(_scalar(item))
-            if type(values[-1]) is not type(values[0]):
-                raise _MalformedError(
-                    item.start_mark,
-                    f"the values of a list must be of one type: {values[0]!r} is "
-                    f"{_WORDS[type(values[0])]}, {values[-1]!r} is {_WORDS[type(values[-1])]}",
-                )
-        if not values:
-            return "empty", None
-        return f"{_type_name(values[0])}[]", values
+    return values or None
 
 
 _WORDS = {bool: "a bool", int: "an integer", float: "a floating-point number", str: "a word"}
-
 
 _STRING_TAG = "tag:yaml.org,2002:str"
 """The tag written ``!!str``."""
 
 
-def _is_frame(event: Any) -> bool:
-    """Whether an event only frames streams and documents."""
-    frames = (yaml.StreamStartEvent, yaml.StreamEndEvent)
-    return isinstance(event, (*frames, yaml.DocumentStartEvent, yaml.DocumentEndEvent))
+def _scalar(node: yaml.ScalarNode) -> bool | int | float | str:
+    quoted = node.style in ("'", '"') or node.tag == _STRING_TAG
+    if not quoted and not node.value:
+        raise _malformed(node, "there is no value")
+    return scalar(node.value, quoted=quoted)
 
 
-def _scalar(event: yaml.ScalarEvent) -> bool | int | float | str:
-    quoted = event.style in ("'", '"') or event.tag == _STRING_TAG
-    if not quoted and not event.value:
-        raise _MalformedError(event.start_mark, "there is no value")
-    return scalar(event.value, quoted=quoted)
-
-
-def _check_name(name: str, mark: Any) -> None:
+def _check_name(name: str, place: Any) -> None:
     """Check that a section is a node name or a pattern."""
     if name == "/**":
         return
     for token in name.removeprefix("/").split("/"):
         if token not in ("*", "**") and not _TOKEN.fullmatch(token):
-            raise _MalformedError(
-                mark,
+            raise _malformed(
+                place,
                 f"'{name}' is no node name: letters, digits and '_' make one, '*' and '**' a "
                 "pattern",
             )
-
-
-def _preferred(typed: dict[str, ParameterValue]) -> ParameterValue:
-    return typed[min(typed, key=_PRECEDENCE.index)]

@@ -15,8 +15,6 @@ from pathlib import Path
 from uav_ident_ros.identification.settings import Setting, Value, declarations
 from uav_ident_ros.messages.types import ACTUATORS, RATES
 
-USAGE_ERROR = 2
-
 MAIN_PARAMETERS = (
     "structure",
     "estimator",
@@ -43,10 +41,6 @@ _BLOCK = re.compile(
     r"(?P<start><!-- generated: (?P<name>[\w-]+) -->\n).*?(?P<end><!-- end: (?P=name) -->)",
     re.DOTALL,
 )
-
-
-class MarkerError(ValueError):
-    """A file has no block to renew, or one of an unknown name."""
 
 
 def write_value(value: Value) -> str:
@@ -151,40 +145,14 @@ def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def renew(text: str) -> str:
-    """Return `text` with every block between markers written anew.
-
-    Raises
-    ------
-    MarkerError
-        If there is no block, or one of an unknown name.
-    """
+    """Return `text` with every block between markers written anew."""
 
     def block(match: re.Match[str]) -> str:
-        name = match["name"]
-        if name not in TABLES:
-            raise MarkerError(f"there is no table '{name}': there are {', '.join(TABLES)}")
-        return f"{match['start']}\n{TABLES[name]()}\n{match['end']}"
+        return f"{match['start']}\n{TABLES[match['name']]()}\n{match['end']}"
 
-    renewed, count = _BLOCK.subn(block, text)
-    if not count:
-        raise MarkerError("there is no block between '<!-- generated: NAME -->' and its end")
-    return renewed
-
-
-def main(paths: Sequence[str]) -> int:
-    """Renew the files; the return value is the exit status."""
-    for path in map(Path, paths):
-        try:
-            text = path.read_text(encoding="utf-8")
-            renewed = renew(text)
-        except (OSError, MarkerError) as error:
-            print(f"parameter_table: '{path}': {error}", file=sys.stderr)
-            return USAGE_ERROR
-        if renewed != text:
-            path.write_text(renewed, encoding="utf-8")
-            print(f"renewed {path}")
-    return 0
+    return _BLOCK.sub(block, text)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    for file in map(Path, sys.argv[1:]):
+        file.write_text(renew(file.read_text(encoding="utf-8")), encoding="utf-8")

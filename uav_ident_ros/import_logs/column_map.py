@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -13,8 +13,9 @@ from typing import Any
 
 import yaml
 
+from uav_ident_ros.files.strict_yaml import yaml_problem
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.import_logs.flight_log import Channel, Effect, ImportLogError
+from uav_ident_ros.import_logs.flight_log import Channel, ImportLogError
 
 TIME_UNITS = {"s": Decimal(10**9), "ms": Decimal(10**6), "us": Decimal(10**3), "ns": Decimal(1)}
 """Nanoseconds in each unit of time."""
@@ -74,162 +75,126 @@ def load_column_map(path: Path) -> ColumnMap:
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return _column_map(content)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
         raise ImportLogError(f"column map '{path}' cannot be read: {reason}") from None
     except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise ImportLogError(f"column map '{path}' is no YAML: {reason}") from None
-    return _Reader(path, content).column_map()
+        raise ImportLogError(f"column map '{path}' is no YAML: {yaml_problem(error)}") from None
+    except _WrongError as error:
+        raise ImportLogError(f"column map '{path}': {error}") from None
 
 
-class _Reader:
-    """Checks the entries of one file.
+class _WrongError(Exception):
+    """What is wrong with an entry, and what would be right."""
 
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    content : Any
-        What YAML made of it.
-    """
 
-    def __init__(self, path: Path, content: Any) -> None:
-        self._path = path
-        self._content = self._mapping(content, "the file")
+def _column_map(content: Any) -> ColumnMap:
+    vector, single = ("columns", "unit", "counts"), ("column", "unit")
+    top = _mapping(content, "", ("time", "axes", "rates", "channels"),
+                   ("specific_force", "airspeed", "lever_arm", "delimiter"))  # fmt: skip
+    time = _mapping(top["time"], "time", ("column",), single)
+    rates = _mapping(top["rates"], "rates", ("columns",), vector)
+    force = _mapping(top.get("specific_force", {}), "specific_force", (), vector)
+    airspeed = _mapping(top.get("airspeed", {}), "airspeed", (), single)
+    delimiter = top.get("delimiter", ",")
+    if not isinstance(delimiter, str) or len(delimiter) != 1:
+        raise _WrongError(f"'delimiter' is {delimiter!r}: one character is needed")
+    arm = _three(top.get("lever_arm", [0.0, 0.0, 0.0]), "lever_arm", "numbers forward, right, down")
+    x, y, z = (_number(value, "lever_arm") for value in arm)
+    return ColumnMap(
+        time=str(time["column"]),
+        time_ns=_choice(time.get("unit", "s"), "time.unit", TIME_UNITS),
+        rates=_columns(rates, "rates"),
+        rates_factor=_choice(rates.get("unit"), "rates.unit", RATE_UNITS) / _counts(rates, "rates"),
+        axes=_choice(top["axes"], "axes", {axes: axes for axes in AXES}),
+        channels=_channels(_mapping(top["channels"], "channels")),
+        force=_columns(force, "specific_force") if force else (),
+        force_factor=_choice(force.get("unit", "m/s^2"), "specific_force.unit", FORCE_UNITS)
+        / _counts(force, "specific_force"),
+        airspeed=str(_mapping(airspeed, "airspeed", ("column",), single)["column"])
+        if airspeed
+        else "",
+        airspeed_factor=_choice(airspeed.get("unit", "m/s"), "airspeed.unit", SPEED_UNITS),
+        lever_arm=(x, y, z),
+        delimiter=delimiter,
+    )
 
-    def column_map(self) -> ColumnMap:
-        """Return the whole map."""
-        known = ("time", "axes", "rates", "specific_force", "airspeed", "channels", "lever_arm")
-        self._refuse_unknown(self._content, (*known, "delimiter"), "")
-        time = self._entry("time", ("column", "unit"))
-        rates = self._entry("rates", ("columns", "unit", "counts"))
-        force = self._entry("specific_force", ("columns", "unit", "counts"), optional=True)
-        airspeed = self._entry("airspeed", ("column", "unit"), optional=True)
-        return ColumnMap(
-            time=self._text(time, "time", "column"),
-            time_ns=TIME_UNITS[self._choice(time, "time.unit", "s", tuple(TIME_UNITS))],
-            rates=self._vector(rates, "rates"),
-            rates_factor=RATE_UNITS[self._choice(rates, "rates.unit", None, tuple(RATE_UNITS))]
-            / self._counts(rates, "rates"),
-            axes=self._choice(self._content, "axes", None, AXES),
-            channels=self._channels(),
-            force=self._vector(force, "specific_force") if force else (),
-            force_factor=FORCE_UNITS[
-                self._choice(force, "specific_force.unit", "m/s^2", tuple(FORCE_UNITS))
-            ]
-            / self._counts(force, "specific_force"),
-            airspeed=self._text(airspeed, "airspeed", "column") if airspeed else "",
-            airspeed_factor=SPEED_UNITS[
-                self._choice(airspeed, "airspeed.unit", "m/s", tuple(SPEED_UNITS))
-            ],
-            lever_arm=self._lever_arm(),
-            delimiter=self._delimiter(),
+
+def _channels(entries: Mapping[str, Any]) -> dict[str, Channel]:
+    known = ("column", "trim", "neutral", "scale", "unit", *INPUTS)
+    channels: dict[str, Channel] = {}
+    for name, value in entries.items():
+        where = f"channels.{name}"
+        entry = _mapping(value, where, (), known)
+        column = str(entry.get("column", name))
+        if column in channels:
+            raise _WrongError(f"'{where}': column '{column}' is used twice")
+
+        def number(key: str, default: float, entry: Any = entry, where: str = where) -> float:
+            return _number(entry.get(key, default), f"{where}.{key}")
+
+        de, dr, da, dth = (number(u, 0.0) for u in INPUTS)
+        channels[column] = Channel(
+            str(name),
+            (de, dr, da, dth),
+            f"column '{column}'",
+            number("scale", 1.0),
+            number("neutral", 0.0),
+            str(entry.get("unit", "as in the table")),
+            None if entry.get("trim") is None else number("trim", 0.0),
         )
+    if not any(any(channel.effect) for channel in channels.values()):
+        raise _WrongError(f"no channel says what it moves: give weights of {', '.join(INPUTS)}")
+    return channels
 
-    def _fail(self, reason: str) -> ImportLogError:
-        return ImportLogError(f"column map '{self._path}': {reason}")
 
-    def _mapping(self, value: Any, name: str) -> Mapping[str, Any]:
-        if not isinstance(value, Mapping):
-            raise self._fail(f"{name} must hold entries 'name: value' (see import_log --help)")
-        return value
+def _mapping(
+    value: Any, name: str, needed: Sequence[str] = (), known: Sequence[str] | None = None
+) -> Mapping[str, Any]:
+    """Check that a mapping has what is needed, and nothing unknown; any names if none are known."""
+    prefix = f"{name}." if name else ""
+    if not isinstance(value, Mapping):
+        owner = f"'{name}'" if name else "the file"
+        raise _WrongError(f"{owner} must hold entries 'name: value' (see import_log --help)")
+    allowed = (*needed, *(known or ()))
+    for key in value if allowed else ():
+        if key not in allowed:
+            near = difflib.get_close_matches(str(key), allowed, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(allowed)}"
+            raise _WrongError(f"there is no entry '{prefix}{key}': {hint}")
+    for key in needed:
+        if key not in value:
+            raise _WrongError(f"'{prefix}{key}' is missing (see import_log --help)")
+    return value
 
-    def _refuse_unknown(
-        self, entries: Mapping[str, Any], known: tuple[str, ...], prefix: str
-    ) -> None:
-        for name in entries:
-            if name not in known:
-                near = difflib.get_close_matches(str(name), known, n=1)
-                hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
-                raise self._fail(f"there is no entry '{prefix}{name}': {hint}")
 
-    def _entry(
-        self, name: str, known: tuple[str, ...], *, optional: bool = False
-    ) -> Mapping[str, Any]:
-        if name not in self._content:
-            if optional:
-                return {}
-            raise self._fail(f"'{name}' is missing (see import_log --help)")
-        entry = self._mapping(self._content[name], f"'{name}'")
-        self._refuse_unknown(entry, known, f"{name}.")
-        return entry
+def _choice(value: Any, name: str, allowed: Mapping[str, Any]) -> Any:
+    if value not in [*allowed]:
+        said = "missing" if value is None else f"'{value}'"
+        raise _WrongError(f"'{name}' is {said}: allowed are {', '.join(allowed)}")
+    return allowed[value]
 
-    def _text(self, entry: Mapping[str, Any], name: str, key: str) -> str:
-        if key not in entry:
-            raise self._fail(f"'{name}.{key}' is missing")
-        return str(entry[key])
 
-    def _choice(
-        self, entry: Mapping[str, Any], name: str, default: str | None, allowed: tuple[str, ...]
-    ) -> str:
-        value = entry.get(name.rpartition(".")[2], default)
-        if value not in allowed:
-            said = "missing" if value is None else f"'{value}'"
-            raise self._fail(f"'{name}' is {said}: allowed are {', '.join(allowed)}")
-        return str(value)
+def _three(value: Any, name: str, what: str) -> list[Any]:
+    if not isinstance(value, list) or len(value) != AXES_OF_A_VECTOR:
+        raise _WrongError(f"'{name}' is {value!r}: three {what} are needed")
+    return value
 
-    def _vector(self, entry: Mapping[str, Any], name: str) -> tuple[str, ...]:
-        columns = entry.get("columns")
-        if not isinstance(columns, list) or len(columns) != AXES_OF_A_VECTOR:
-            raise self._fail(f"'{name}.columns' is {columns!r}: three columns x, y, z are needed")
-        return tuple(str(column) for column in columns)
 
-    def _counts(self, entry: Mapping[str, Any], name: str) -> float:
-        """Return how many counts of a raw sensor make up one unit."""
-        counts = self._number(entry.get("counts", 1.0), f"{name}.counts")
-        if not counts:
-            raise self._fail(f"'{name}.counts' is 0: how many counts make up one unit?")
-        return counts
+def _columns(entry: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    return tuple(map(str, _three(entry.get("columns"), f"{name}.columns", "columns x, y, z")))
 
-    def _number(self, value: Any, name: str) -> float:
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not math.isfinite(value)
-        ):
-            raise self._fail(f"'{name}' is {value!r}: a finite number is needed")
-        return float(value)
 
-    def _lever_arm(self) -> tuple[float, float, float]:
-        given = self._content.get("lever_arm", [0.0, 0.0, 0.0])
-        if not isinstance(given, list) or len(given) != AXES_OF_A_VECTOR:
-            raise self._fail(
-                f"'lever_arm' is {given!r}: three numbers forward, right, down (m) are needed"
-            )
-        x, y, z = (self._number(value, "lever_arm") for value in given)
-        return x, y, z
+def _counts(entry: Mapping[str, Any], name: str) -> float:
+    """Return how many counts of a raw sensor make up one unit."""
+    counts = _number(entry.get("counts", 1.0), f"{name}.counts")
+    if not counts:
+        raise _WrongError(f"'{name}.counts' is 0: how many counts make up one unit?")
+    return counts
 
-    def _delimiter(self) -> str:
-        given = self._content.get("delimiter", ",")
-        if not isinstance(given, str) or len(given) != 1:
-            raise self._fail(f"'delimiter' is {given!r}: one character is needed")
-        return given
 
-    def _channels(self) -> dict[str, Channel]:
-        entries = self._mapping(self._content.get("channels"), "'channels'")
-        known = ("column", "trim", "neutral", "scale", "unit", *INPUTS)
-        channels: dict[str, Channel] = {}
-        for name, value in entries.items():
-            entry = self._mapping(value, f"'channels.{name}'")
-            self._refuse_unknown(entry, known, f"channels.{name}.")
-            column = str(entry.get("column", name))
-            if column in channels:
-                raise self._fail(f"'channels.{name}': column '{column}' is used twice")
-            de, dr, da, dth = (
-                self._number(entry.get(u, 0.0), f"channels.{name}.{u}") for u in INPUTS
-            )
-            effect: Effect = (de, dr, da, dth)
-            trim = entry.get("trim")
-            channels[column] = Channel(
-                str(name),
-                effect,
-                f"column '{column}'",
-                self._number(entry.get("scale", 1.0), f"channels.{name}.scale"),
-                self._number(entry.get("neutral", 0.0), f"channels.{name}.neutral"),
-                str(entry.get("unit", "as in the table")),
-                None if trim is None else self._number(trim, f"channels.{name}.trim"),
-            )
-        if not any(any(channel.effect) for channel in channels.values()):
-            raise self._fail(f"no channel says what it moves: give weights of {', '.join(INPUTS)}")
-        return channels
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise _WrongError(f"'{name}' is {value!r}: a finite number is needed")
+    return float(value)
