@@ -24,9 +24,9 @@ from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.offline.advice import advise
 from uav_ident_ros.offline.evidence import measure
 from uav_ident_ros.offline.inputs import choose_inputs
-from uav_ident_ros.offline.replayed import Replayed
-from uav_ident_ros.offline.results import write_results
+from uav_ident_ros.offline.job import write_results
 from uav_ident_ros.offline.run import OfflineRun
+from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.simulation.cli import main as simulate
 
 IMU_RATE, ACTUATOR_RATE = 200, 50

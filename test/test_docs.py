@@ -174,7 +174,7 @@ def test_replay_commands_fit_the_bags_that_they_name() -> None:
             parameters = load_parameters(ROOT / base, "/identifier")
             parameters |= load_parameters(ROOT / file, "/identifier")
             with Bag(ROOT / words[1]) as bag:
-                assert choose_inputs(bag, parameters).actuators_topic == "/actuators"
+                assert choose_inputs(bag, parameters).streams["actuators"] == "/actuators"
             tried += 1
     assert tried >= 4
 

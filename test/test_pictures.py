@@ -5,27 +5,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.offline.drawing import COLOURS, MEASURED, PREDICTED, spread, with_sigma
+from uav_ident_ros.offline.picture import COLOURS, MEASURED, PREDICTED, with_sigma
 
 BAGS = Path(__file__).parents[1] / "bags"
-
-
-@given(st.lists(st.floats(0.0, 1.0), max_size=8).map(sorted))
-def test_labels_are_apart_and_in_order(wanted: list[float]) -> None:
-    places = spread(np.array(wanted), 0.1)
-    assert (np.diff(places) >= 0.1 - 1e-9).all()
-    assert places.max(initial=0.0) <= 1.0 + 1e-9
-
-
-def test_labels_with_room_stay_where_they_belong() -> None:
-    np.testing.assert_allclose(spread(np.array([0.1, 0.5, 0.9]), 0.1), [0.1, 0.5, 0.9])
 
 
 @pytest.mark.parametrize(

@@ -277,10 +277,13 @@ def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
 
     with Bag(excerpt("pulses", tmp_path / "renamed", 1.0, renamed)) as bag:
         inputs = choose_inputs(bag, {})
-        assert (inputs.rates_topic, inputs.actuators_topic) == ("/plane/imu", "/plane/servos")
+        assert (inputs.streams["rates"], inputs.streams["actuators"]) == (
+            "/plane/imu",
+            "/plane/servos",
+        )
         assert inputs.settings.actuators.type == "std_msgs/msg/Float64MultiArray"
         with pytest.raises(BagError, match="no topic '/imu/data'; it has /plane/imu"):
-            choose_inputs(bag, {}, "/imu/data")
+            choose_inputs(bag, {}, {"rates": "/imu/data"})
     with Bag(excerpt("pulses", tmp_path / "doubled", 1.0, doubled)) as bag:
         with pytest.raises(BagError) as caught:
             choose_inputs(bag, {})
@@ -290,9 +293,9 @@ def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
             f"  {topic} (sensor_msgs/msg/Imu), 201 messages, 201 Hz"
             for topic in ("/imu_a", "/imu_b")
         ]
-        assert choose_inputs(bag, {}, "/imu_b").rates_topic == "/imu_b"
+        assert choose_inputs(bag, {}, {"rates": "/imu_b"}).streams["rates"] == "/imu_b"
         with pytest.raises(BagError, match="Float64MultiArray, but known are sensor_msgs/msg/Imu"):
-            choose_inputs(bag, {}, ACTUATORS)
+            choose_inputs(bag, {}, {"rates": ACTUATORS})
     other = {"actuators.type": "mavros_msgs/msg/RCOut"}
     words = r"but 'actuators\.type' is 'mavros_msgs/msg/RCOut'"
     with Bag(BAGS / "pulses") as bag, pytest.raises(BagError, match=words):
@@ -545,11 +548,11 @@ def test_nothing_is_learned_while_disarmed(tmp_path: Path, boot_s: int) -> None:
             writer.write(topic, log_ns, message)
     values = load_parameters(BAGS / "multisine" / "identifier.yaml", "identifier")
     with Bag(tmp_path / "bag") as bag:
-        assert choose_inputs(bag, values).armed_topic == ""
+        assert "armed" not in choose_inputs(bag, values).streams
         inputs = choose_inputs(bag, values | {"armed.type": armed})
         run = OfflineRun(inputs)
         run.run(bag, lambda messages, total: messages)
-    assert inputs.armed_topic == "/armed"
+    assert inputs.streams["armed"] == "/armed"
     assert run.refusals("armed") == Refusals(2, {})
     start_ns = run.estimates[0].t_ns
     learned = [(e.t_ns - start_ns) / SECOND_NS for e in run.estimates if e.adapting]
@@ -700,15 +703,15 @@ def test_airspeed_topic_is_found_by_type_and_by_option(tmp_path: Path) -> None:
     entries = changing_speed(0.5, NUMBER)
     with Bag(write_flight(tmp_path / "named", entries, NUMBER, "/pitot")) as bag:
         assert choose_inputs(bag, {}).topics == (IMU, ACTUATORS)
-        assert choose_inputs(bag, {"airspeed.type": ""}).airspeed_topic == ""
-        assert choose_inputs(bag, {"airspeed.type": NUMBER}).airspeed_topic == "/pitot"
+        assert "airspeed" not in choose_inputs(bag, {"airspeed.type": ""}).streams
+        assert choose_inputs(bag, {"airspeed.type": NUMBER}).streams["airspeed"] == "/pitot"
         # the option alone is enough: the type is the topic's
-        inputs = choose_inputs(bag, {"airspeed.type": ""}, airspeed_topic="/pitot")
+        inputs = choose_inputs(bag, {"airspeed.type": ""}, {"airspeed": "/pitot"})
         assert inputs.settings.airspeed.type == NUMBER
         assert inputs.topics == (IMU, ACTUATORS, "/pitot")
         words = "'/pitot' is of type std_msgs/msg/Float64, but 'airspeed.type' is 'geometry_msgs"
         with pytest.raises(BagError, match=words):
-            choose_inputs(bag, {"airspeed.type": TWIST}, airspeed_topic="/pitot")
+            choose_inputs(bag, {"airspeed.type": TWIST}, {"airspeed": "/pitot"})
     with BagWriter(tmp_path / "two") as writer:
         for topic, msgtype in (
             (IMU, "sensor_msgs/msg/Imu"),
@@ -719,7 +722,7 @@ def test_airspeed_topic_is_found_by_type_and_by_option(tmp_path: Path) -> None:
             writer.topic(topic, msgtype)
         writer.write("/pitot_a", START_NS, message_class(NUMBER)(data=20.0))
     with Bag(tmp_path / "two") as bag:  # one of them is silent
-        assert choose_inputs(bag, {"airspeed.type": NUMBER}).airspeed_topic == "/pitot_a"
+        assert choose_inputs(bag, {"airspeed.type": NUMBER}).streams["airspeed"] == "/pitot_a"
 
 
 # --- with what was injected --------------------------------------------------------------------
@@ -758,7 +761,8 @@ def test_what_was_injected_is_found_by_its_name(
     bag = excerpt("multisine", tmp_path / "bag", 3.0, injected(["da", "de"], topics, [0.1, 0.2]))
     with Bag(bag) as opened:
         inputs = choose_inputs(opened, {})
-        assert (inputs.actuators_topic, inputs.excitation_topic) == (ACTUATORS, chosen)
+        assert inputs.streams["actuators"] == ACTUATORS
+        assert inputs.streams.get("excitation", "") == chosen
         run = OfflineRun(inputs)
         run.run(opened, lambda messages, total: messages)
     _, values = run.intake.injected.of_era(0)

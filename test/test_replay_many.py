@@ -18,11 +18,10 @@ import pytest
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.offline import main
-from uav_ident_ros.offline.comparison import WORST_FIT, mean_fit, ranked, ranking
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.job import Job, Outcome, replay
 from uav_ident_ros.offline.options import parser, topics
-from uav_ident_ros.offline.overview import columns, overview
+from uav_ident_ros.offline.overview import WORST_FIT, columns, mean_fit, overview, ranked, ranking
 from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
 

@@ -25,6 +25,7 @@ from uav_ident_ros.bags.reading import Bag, BagError, Message
 from uav_ident_ros.domain import own_domain
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.settings import SettingsError
+from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import ACTUATORS, MessageTypeError, import_type
 from uav_ident_ros.monitor.listener import Listener
 from uav_ident_ros.monitor.views import make_view
@@ -114,10 +115,9 @@ def node_command(flight: Flight) -> list[str]:
         ("actuators.type", settings.actuators.type),
     ):
         command += ["-p", f"{name}:={value}"]
-    command += ["-r", f"imu/data:={flight.inputs.rates_topic}"]
-    command += ["-r", f"actuators:={flight.inputs.actuators_topic}"]
-    if flight.inputs.airspeed_topic:
-        command += ["-r", f"airspeed:={flight.inputs.airspeed_topic}"]
+    for stream in STREAMS:
+        if stream.name in flight.inputs.streams:
+            command += ["-r", f"{stream.topic}:={flight.inputs.streams[stream.name]}"]
     return command
 
 

@@ -13,13 +13,12 @@ from pathlib import Path
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import BagWriteError
-from uav_ident_ros.offline.comparison import ranked, ranking
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.flights_table import write_flights
 from uav_ident_ros.offline.job import Job, Outcome, replay
 from uav_ident_ros.offline.journal import Journal
 from uav_ident_ros.offline.options import topics
-from uav_ident_ros.offline.overview import overview
+from uav_ident_ros.offline.overview import overview, ranked, ranking
 from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.progress import Shown
 from uav_ident_ros.offline.status import NO_RESULT

@@ -12,9 +12,9 @@ from pathlib import Path
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, save_coefficients
-from uav_ident_ros.offline.drawing import PictureError
 from uav_ident_ros.offline.fleet import Aircraft, fleet_of
 from uav_ident_ros.offline.flights_table import read_flights
+from uav_ident_ros.offline.picture import PictureError
 
 NO_RESULT = 2
 """Exit status: no table can be used."""

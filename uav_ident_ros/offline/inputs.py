@@ -8,9 +8,7 @@ from dataclasses import dataclass
 
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.identification.samples import NS
-from uav_ident_ros.identification.settings import (
-    Settings,
-)
+from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.streams import EXCITATION_END, OWN_TOPICS, STREAMS, Stream
 from uav_ident_ros.messages.types import EXCITATION_TYPE
 
@@ -19,25 +17,8 @@ from uav_ident_ros.messages.types import EXCITATION_TYPE
 class Inputs:
     """Which topics of a bag to read, and the settings that fit their types."""
 
-    # rates_topic, actuators_topic: Topics of the bag
-    rates_topic: str
-    actuators_topic: str
-    settings: Settings  # Settings whose message types are those of the topics
-    # airspeed_topic, armed_topic: Topics of the airspeed and of whether the vehicle is armed; empty
-    # if there is none in the settings
-    airspeed_topic: str = ""
-    armed_topic: str = ""
-    excitation_topic: str = ""  # Topic of what was injected; empty if there is none
-
-    @property
-    def streams(self) -> dict[str, str]:
-        """The topic of every stream that is read."""
-        topics = (
-            self.rates_topic, self.actuators_topic, self.airspeed_topic, self.armed_topic,
-            self.excitation_topic,
-        )  # fmt: skip
-        names = (stream.name for stream in STREAMS)
-        return {name: topic for name, topic in zip(names, topics, strict=True) if topic}
+    streams: Mapping[str, str]  # topic of every stream that is read, by the stream's name
+    settings: Settings  # their message types are those of the topics
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -46,13 +27,7 @@ class Inputs:
 
 
 def choose_inputs(
-    bag: Bag,
-    parameters: Mapping[str, object],
-    rates_topic: str | None = None,
-    actuators_topic: str | None = None,
-    airspeed_topic: str | None = None,
-    armed_topic: str | None = None,
-    excitation_topic: str | None = None,
+    bag: Bag, parameters: Mapping[str, object], asked: Mapping[str, str] | None = None
 ) -> Inputs:
     """Find the input topics of a bag.
 
@@ -62,14 +37,11 @@ def choose_inputs(
         The bag.
     parameters : mapping
         Parameters by dotted name; a message type that is not among them is the topic's.
-    rates_topic, actuators_topic : str, optional
-        Topics to take. Left out: ``/imu/data`` and ``/actuators`` if the bag has them, else
-        the only topic of a known type.
-    airspeed_topic, armed_topic : str, optional
-        Topics to take. Left out: none, or, if the type is set, ``/airspeed`` and ``/armed`` or
-        else the only topic of that type.
-    excitation_topic : str, optional
-        Topic to take. Left out: ``/excitation``, or else the only one whose name ends so.
+    asked : mapping, optional
+        Topics to take, by stream as in `STREAMS`. Rates and actuators left out: ``/imu/data`` and
+        ``/actuators`` if the bag has them, else the only topic of a known type. Airspeed and armed:
+        none, or, if the type is set, ``/airspeed`` and ``/armed`` or else the only topic of that
+        type. Excitation: ``/excitation``, or else the only one whose name ends so.
 
     Raises
     ------
@@ -80,20 +52,18 @@ def choose_inputs(
     """
     values = dict(parameters)
     Settings.from_values(values)  # what is wrong with the parameters comes before the bag
-    asked = (rates_topic, actuators_topic, airspeed_topic, armed_topic, excitation_topic)
-    topics = []
-    for stream, topic in zip(STREAMS, asked, strict=True):
+    topics = {}
+    for stream in STREAMS:
+        topic = (asked or {}).get(stream.name)
         if not stream.setting:
-            topics.append(_choose(bag, stream, topic, "") if topic else _find_injected(bag))
+            topics[stream.name] = _choose(bag, stream, topic, "") if topic else _find_injected(bag)
             continue
         wanted = str(values.get(stream.setting) or "")
-        if stream.optional and not topic and not wanted:
-            topics.append("")
-            continue
-        topics.append(_choose(bag, stream, topic, wanted))
-        values[stream.setting] = bag.type_of(topics[-1])
-    rates, actuators, airspeed, armed, excitation = topics
-    return Inputs(rates, actuators, Settings.from_values(values), airspeed, armed, excitation)
+        if topic or wanted or not stream.optional:
+            topics[stream.name] = _choose(bag, stream, topic, wanted)
+            values[stream.setting] = bag.type_of(topics[stream.name])
+    read = {name: topic for name, topic in topics.items() if topic}
+    return Inputs(read, Settings.from_values(values))
 
 
 def _find_injected(bag: Bag) -> str:

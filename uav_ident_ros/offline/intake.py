@@ -169,7 +169,7 @@ class Intake:
 
     def take(self, messages: Sequence[Message], tick: Callable[[], None]) -> None:
         """Take messages in their order; `tick` is called whenever ticks may have come due."""
-        imu = [i for i, m in enumerate(messages) if m.topic == self._inputs.rates_topic]
+        imu = [i for i, m in enumerate(messages) if m.topic == self._inputs.streams[RATES]]
         block = self._block([messages[i].data for i in imu])
         if block is None:
             for message in messages:

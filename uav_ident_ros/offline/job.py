@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,23 +11,26 @@ from typing import Any
 
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.writing import BagWriteError
-from uav_ident_ros.files.coefficients_file import CoefficientsFileError, load_coefficients
+from uav_ident_ros.files.coefficients_file import (
+    CoefficientsFileError,
+    load_coefficients,
+    save_coefficients,
+)
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import Settings, SettingsError
-from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.offline.advice import advise
-from uav_ident_ros.offline.drawing import PictureError
+from uav_ident_ros.offline.estimates_bag import write_estimates
 from uav_ident_ros.offline.evidence import measure
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.notes import notes_on
-from uav_ident_ros.offline.picture import write_picture
+from uav_ident_ros.offline.picture import PictureError, write_picture
 from uav_ident_ros.offline.progress import Progress
-from uav_ident_ros.offline.replayed import Replayed
-from uav_ident_ros.offline.results import write_results
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.status import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
+from uav_ident_ros.offline.summary import Replayed, summarise
+from uav_ident_ros.offline.table import write_table
 from uav_ident_ros.report.page import write_report
 
 REFUSALS = (
@@ -104,6 +108,42 @@ def replay(job: Job, progress: Progress = SILENT) -> Outcome:
     return Outcome(job, status, tuple(warnings), table, summary)
 
 
+def write_results(folder: Path, replayed: Replayed, node: str) -> tuple[dict[str, Any], str]:
+    """Write the bag of estimates, the summary, the table and the coefficients.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to; made if it is not there.
+    replayed : Replayed
+        The replay.
+    node : str
+        Node whose topics the bag of estimates has.
+
+    Returns
+    -------
+    dict, str
+        Content of summary.json and of table.txt.
+
+    Raises
+    ------
+    BagWriteError, CoefficientsFileError
+        If something cannot be written.
+    """
+    run = replayed.run
+    summary, table = summarise(replayed), write_table(replayed)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+        (folder / "summary.json").write_text(text, encoding="utf-8")
+        (folder / "table.txt").write_text(f"{table}\n", encoding="utf-8")
+    except OSError as error:
+        raise BagWriteError(f"cannot write to '{folder}': {error.strerror}") from None
+    write_estimates(folder / "estimates", run.estimates, run.structure, node, run.frame_id or "")
+    save_coefficients(run.result(), folder / "coefficients.yaml")
+    return summary, table
+
+
 def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:
     """Run the identifier over the bag; return it, and what the bag is like."""
     values: dict[str, Any] = {}
@@ -111,8 +151,7 @@ def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun,
         values.update(load_parameters(file, job.node))
     with Bag(job.bag) as bag:
         try:
-            asked = (job.topics.get(stream.name) for stream in STREAMS)
-            inputs = choose_inputs(bag, values, *asked)
+            inputs = choose_inputs(bag, values, job.topics)
             run = OfflineRun(inputs, _initial(inputs.settings))
             run.run(bag, progress.messages)
             if run.fault:
@@ -136,7 +175,7 @@ def _initial(settings: Settings) -> CoefficientSet | None:
 def _why_nothing(run: OfflineRun) -> str:
     """Say what became of the rates of a bag that gave no estimate."""
     rates = run.refusals("rates")
-    topic = run.inputs.rates_topic
+    topic = run.inputs.streams["rates"]
     if not rates.dropped:
         return f"'{topic}' has {rates.received} messages, too few for one tick"
     reasons = ", ".join(f"{count} {reason}" for reason, count in rates.dropped.items())

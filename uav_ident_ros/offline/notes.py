@@ -46,7 +46,7 @@ def _mixed_frames(run: OfflineRun) -> Iterator[str]:
     if len(run.intake.frame_ids) > 1:
         frames = ", ".join(f"'{frame}'" for frame in sorted(run.intake.frame_ids))
         yield (
-            f"{run.inputs.rates_topic} has messages of several frames, {frames}: if these are "
+            f"{run.inputs.streams['rates']} has messages of several frames, {frames}: if these are "
             "two sensors, record them on two topics"
         )
 
@@ -55,7 +55,8 @@ def _missing_actuators(run: OfflineRun) -> Iterator[str]:
     """Yield that actuators start late or stop early."""
     parts = list(run.stretches())
     if not any(len(part.inputs.t_ns) for part in parts):
-        yield f"{run.inputs.actuators_topic} has no messages that could be used: nothing is learned"
+        topic = run.inputs.streams["actuators"]
+        yield f"{topic} has no messages that could be used: nothing is learned"
         return
     first, last = parts[0], parts[-1]
     if len(first.inputs.t_ns):

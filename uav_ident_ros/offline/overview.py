@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many bags, a line each: how good its model is, or why there is none."""
+"""Several replays, a line each: of many bags, or of many configurations on one, best first."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ from uav_ident_ros.offline.flights_table import VERDICTS
 from uav_ident_ros.offline.job import Outcome
 from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE
 from uav_ident_ros.offline.summary import AXES
+
+HOLDING = "holding the rates"
+WORST_FIT = -100.0
+"""Fit below which an axis counts no worse, percent: one that diverges must not hide the others."""
 
 LOWEST_SHOWN = -1000.0
 """Fit below which the number says nothing more, percent."""
@@ -59,3 +63,50 @@ def verdict(outcome: Outcome) -> str:
         return f"{word}: {outcome.warnings[-1].splitlines()[0]}"
     reason = outcome.summary["reason"]
     return f"{word}: {reason}" if outcome.status == NOT_USABLE and reason else word
+
+
+def mean_fit(outcome: Outcome) -> float:
+    """Return the mean over the axes of the 1-second prediction fit, percent."""
+    if not outcome.summary:
+        return WORST_FIT
+    fits = [WORST_FIT if fit is None else max(fit, WORST_FIT) for fit in fit_of(outcome)]
+    return sum(fits) / len(fits)
+
+
+def ranked(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Return the outcomes, usable ones first, then by their mean fit."""
+    return sorted(outcomes, key=lambda outcome: (outcome.status, -mean_fit(outcome)))
+
+
+def ranking(bag: str, outcomes: Sequence[Outcome]) -> str:
+    """Return a table of the configurations of one bag, the best first.
+
+    Parameters
+    ----------
+    bag : str
+        Name of the bag.
+    outcomes : sequence of Outcome
+        One for each configuration.
+    """
+    width = max(len(HOLDING), *(len(outcome.job.name) for outcome in outcomes)) + 2
+    heads = "".join(f"{f'fit {axis}':>8}" for axis in AXES)
+    lines = [
+        f"{bag}: {len(outcomes)} configurations, by their 1-second prediction fit over the last "
+        "40 % of the flight [%]",
+        "",
+        f"   {'configuration':<{width}}{heads}{'mean':>8}{'delay':>8}  verdict",
+    ]
+    for place, outcome in enumerate(ranked(outcomes), start=1):
+        name = f"{place:>2} {outcome.job.name:<{width}}"
+        lines.append(f"{name}{fit_columns(outcome)}{_rest(outcome)}  {verdict(outcome)}")
+    holding = next((o.summary for o in outcomes if o.summary), None)
+    if holding is not None:
+        hold = holding["prediction_fit"][FIT_WINDOWS]["hold"]
+        lines.append(f"   {HOLDING:<{width}}{columns([hold[axis] for axis in AXES])}")
+    return "\n".join(lines)
+
+
+def _rest(outcome: Outcome) -> str:
+    if not outcome.summary:
+        return f"{'-':>8}{'-':>8}"
+    return f"{mean_fit(outcome):>8.1f}{outcome.summary['delay']:>8.3f}"

@@ -14,8 +14,8 @@ from dataclasses import replace
 from multiprocessing import resource_tracker
 
 from uav_ident_ros.bags.reading import BagError
-from uav_ident_ros.offline.identity import identity_of
 from uav_ident_ros.offline.job import REFUSALS, Job, Outcome, replay
+from uav_ident_ros.offline.journal import identity_of
 from uav_ident_ros.offline.progress import bar
 from uav_ident_ros.offline.status import NO_RESULT
 

@@ -1,23 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a replay."""
+"""The picture of a replay: rates beside their predictions, coefficients beside the truth."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from uav_ident_ros.files.truth_file import read_truth
-from uav_ident_ros.offline.drawing import Overview, save_overview
+from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
-from uav_ident_ros.offline.replayed import Replayed
-from uav_ident_ros.report.flight import collect
-from uav_ident_ros.report.predictions import predict
+from uav_ident_ros.offline.summary import Replayed
+from uav_ident_ros.report.flight import AXES, Flight, collect
+from uav_ident_ros.report.predictions import Predictions, predict
+
+SIZE = (13.0, 8.0)
+"""Inches."""
+
+DPI = 110
 
 HORIZON = 1.0
-"""How far ahead the predictions of the picture are, s: that of the score of record."""
+"""How far ahead the predictions are, s: that of the score of record."""
+
+DETAIL = 25.0
+"""Length of the rates' panels, s: a longer one hides the measurement behind the prediction."""
+
+HEADROOM = 1.3
+"""The panels reach so far beyond what they are scaled by: a divergent curve leaves them."""
+
+BAND = 2.0
+"""Half width of the band around a coefficient, standard deviations."""
+
+MEASURED, PREDICTED = "tab:gray", "tab:red"
+
+COLOURS = {
+    "p": "tab:blue", "q": "tab:cyan", "r": "tab:green", "de": "tab:purple", "dr": "tab:brown",
+    "da": "tab:pink", "beta": "tab:olive", "alpha": "tab:orange",
+}  # fmt: skip
+"""Regressors that are drawn, each in one colour throughout."""
+
+
+class PictureError(Exception):
+    """A picture cannot be made; the message says why."""
 
 
 def write_picture(path: Path, bag: Path, replayed: Replayed) -> None:
-    """Draw the rates beside their predictions and the coefficients beside the truth.
+    """Draw a replay as a PNG.
 
     Parameters
     ----------
@@ -31,26 +61,92 @@ def write_picture(path: Path, bag: Path, replayed: Replayed) -> None:
     Raises
     ------
     PictureError
-        If it cannot be drawn or written.
+        If matplotlib is missing or the file cannot be written.
     """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise PictureError("pictures need matplotlib (python3-matplotlib)") from None
     flight = collect(replayed.name, replayed.run)
-    ahead = predict(flight, HORIZON)
-    fit = replayed.fits[FIT_WINDOWS]
-    notes = tuple(
-        f"1-second prediction fit {model:.1f} %, holding the rates {hold:.1f} %"
-        for model, hold in zip(fit.model, fit.hold, strict=True)
+    ahead, fit = predict(flight, HORIZON), replayed.fits[FIT_WINDOWS]
+    truth = read_truth(bag, flight.structure).values
+    figure = Figure(figsize=SIZE, layout="constrained")
+    panels = figure.subplots(3, 2, sharex="col", width_ratios=(1.1, 1.0))
+    for axis, (left, right) in enumerate(panels):
+        left.set_title(
+            f"{AXES[axis]}: 1-second prediction fit {fit.model[axis]:.1f} %, "
+            f"holding the rates {fit.hold[axis]:.1f} %",
+            fontsize="medium",
+            loc="left",
+        )
+        _draw_rate(left, axis, ahead)
+        _draw_coefficients(right, axis, flight, truth)
+    for panel in panels[2]:
+        panel.set_xlabel("time [s]")
+    dashed = ", dashed: truth" if truth else ""
+    panels[0][1].set_title(
+        f"coefficients [SI], band: ±{BAND:g} standard deviations{dashed}",
+        fontsize="medium",
+        loc="left",
     )
-    overview = Overview(
-        title=f"{flight.name}: {flight.settings.estimator}, {flight.structure.name}",
-        horizon=HORIZON,
-        t=ahead.t,
-        measured=ahead.measured,
-        predicted=ahead.predicted,
-        tick_t=flight.tick_t,
-        coefficients=flight.coefficients,
-        sigma=flight.sigma,
-        structure=flight.structure,
-        truth=read_truth(bag, flight.structure).values,
-        notes=notes,
-    )
-    save_overview(path, overview)
+    panels[0][0].legend(loc="upper left", ncols=2, fontsize="small")
+    figure.suptitle(f"{flight.name}: {flight.settings.estimator}, {flight.structure.name}")
+    try:
+        # Without the software's name and version the same data give the same bytes.
+        figure.savefig(path, dpi=DPI, metadata={"Software": None})
+    except OSError as error:
+        raise PictureError(f"cannot write '{path}': {error.strerror}") from None
+
+
+def _draw_rate(panel: Any, axis: int, ahead: Predictions) -> None:
+    """Draw the end of the flight: the measurement wide, the prediction thin on top of it."""
+    shown = ahead.t >= ahead.t.max(initial=0.0) - DETAIL
+    t, measured = ahead.t[shown], ahead.measured[shown, axis]
+    panel.plot(t, measured, color=MEASURED, alpha=0.55, linewidth=3.5, label="measured")
+    panel.plot(
+        t, ahead.predicted[shown, axis],
+        color=PREDICTED, linewidth=1.0, label=f"predicted {ahead.horizon:g} s before",
+    )  # fmt: skip
+    # without samples, or at rest, there is no scale
+    limit = HEADROOM * max(float(np.abs(measured).max(initial=0.0)), 1e-3)
+    panel.set_ylim(-limit, limit)
+    panel.set_ylabel(f"{AXES[axis]} [rad/s]")
+    panel.grid(alpha=0.3)
+
+
+def _draw_coefficients(panel: Any, row: int, flight: Flight, truth: Mapping[str, float]) -> None:
+    """Draw the damping and control derivatives of a row, each with its band and its truth."""
+    regressors = flight.structure.regressors
+    columns = [j for i, j in flight.structure.free if i == row and regressors[j] in COLOURS]
+    # the first half is where they come from: noise, until they have settled
+    settled = flight.coefficients[len(flight.tick_t) // 2 :, row, columns]
+    known = [truth[name] for j in columns if (name := f"{ROWS[row]}/{regressors[j]}") in truth]
+    reach = np.array([0.0, *settled.ravel(), *known])
+    low, high = float(reach.min()), float(reach.max())
+    margin = (HEADROOM - 1.0) * max(high - low, 1e-3)
+    panel.set_ylim(low - margin, high + margin)
+    panel.grid(alpha=0.3)
+    for j in sorted(columns, key=lambda j: -flight.coefficients[-1, row, j]):
+        name, colour = f"{ROWS[row]}/{regressors[j]}", COLOURS[regressors[j]]
+        values, sigma = flight.coefficients[:, row, j], flight.sigma[:, row, j]
+        panel.fill_between(
+            flight.tick_t, values - BAND * sigma, values + BAND * sigma,
+            where=BAND * sigma < high - low + margin, color=colour, alpha=0.25, linewidth=0.0,
+        )  # fmt: skip
+        text = f"{name}  {with_sigma(values[-1], sigma[-1])}"
+        panel.plot(flight.tick_t, values, color=colour, linewidth=1.3, label=text)
+        if name in truth:
+            panel.axhline(truth[name], color=colour, linestyle="--", linewidth=1.1)
+    # the highest first, as the curves are
+    panel.legend(
+        loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False,
+        labelcolor="linecolor", handlelength=1.0,
+    )  # fmt: skip
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """Return a value and its standard deviation, to two figures of the latter."""
+    if not (0.0 < sigma < np.inf):
+        return f"{value:.3g}"
+    places = max(0, 1 - int(np.floor(np.log10(sigma))))
+    return f"{value:.{places}f} ± {sigma:.{places}f}"

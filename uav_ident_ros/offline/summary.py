@@ -1,21 +1,70 @@
 # SPDX-License-Identifier: Apache-2.0
-"""summary.json: everything about a replay, the same bytes for the same bag."""
+"""A flight that was replayed, and summary.json: the same bytes for the same bag."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
-from uav_ident_ros.identification.linearisation import Mode
+import numpy as np
+
+from uav_ident_ros.identification.linearisation import Condition, Mode, modes
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.messages.streams import STREAMS
+from uav_ident_ros.offline.advice import Advice
 from uav_ident_ros.offline.inputs import Inputs
-from uav_ident_ros.offline.replayed import Replayed
+from uav_ident_ros.offline.run import OfflineRun
 
 SUMMARY_VERSION = 2
 AXES = ("p", "q", "r")
+
+VERDICT_WINDOWS = "last_40_percent"
+"""The windows of the score that the verdict must not contradict."""
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """Everything that the results of a replay are made of."""
+
+    name: str  # Name of the flight
+    run: OfflineRun  # The replay, with at least one estimate
+    fits: Mapping[str, PredictionFit]  # Its score of record, by windows
+    # What the bag is like: damage, topics that were not read, inputs that end early
+    notes: tuple[str, ...] = ()
+    advice: tuple[Advice, ...] = ()  # What to do about the model
+
+    @property
+    def doubt(self) -> str:
+        """Why a controller should not act on the model; empty if it may.
+
+        The verdict of the last tick, unless the score beside it loses to holding the rates.
+        """
+        last = self.run.estimates[-1]
+        if not last.usable:
+            return last.reason or "the verdict of the last tick"
+        score = self.fits[VERDICT_WINDOWS]
+        worse = [
+            axis
+            for axis, model, hold in zip("pqr", score.model, score.hold, strict=True)
+            if model < hold
+        ]
+        if worse:
+            return f"over the last part of the flight {', '.join(worse)} loses to holding the rate"
+        return ""
+
+    def modes(self) -> list[Mode]:
+        """Return the modes of the model, level at the airspeed flown; none without flow angles."""
+        last = self.run.estimates[-1]
+        if last.flow is None or not last.flow.airspeed > 0.0:
+            return []
+        condition = Condition(last.flow.airspeed)
+        try:
+            return modes(self.run.structure, last.coefficients, last.sigma, condition)
+        except np.linalg.LinAlgError:
+            return []  # a model of so short a flight that it is none
 
 
 def summarise(replayed: Replayed) -> dict[str, Any]:
@@ -67,12 +116,11 @@ def summarise(replayed: Replayed) -> dict[str, Any]:
 
 def streams(inputs: Inputs) -> tuple[tuple[str, str, str], ...]:
     """Return name, topic and message type of the streams that are read."""
-    settings = inputs.settings.values()
-    types = {
-        stream.name: str(settings[stream.setting]) if stream.setting else stream.types[0]
+    return tuple(
+        (stream.name, inputs.streams[stream.name], stream.type_of(inputs.settings))
         for stream in STREAMS
-    }
-    return tuple((name, topic, types[name]) for name, topic in inputs.streams.items())
+        if stream.name in inputs.streams
+    )
 
 
 def _json(value: float) -> float | None:

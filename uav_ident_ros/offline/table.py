@@ -12,8 +12,7 @@ import numpy as np
 from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.structure import ROWS
-from uav_ident_ros.offline.replayed import Replayed
-from uav_ident_ros.offline.summary import AXES, streams
+from uav_ident_ros.offline.summary import AXES, Replayed, streams
 
 WIDTH = 100
 """Columns of the longest line."""

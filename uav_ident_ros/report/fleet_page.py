@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.offline.drawing import PictureError
 from uav_ident_ros.offline.fleet import Aircraft, Pooled
+from uav_ident_ros.offline.picture import PictureError
 from uav_ident_ros.report.page import render, write_page
 
 MOST_CHARTS = 24

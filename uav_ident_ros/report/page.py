@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.identification.samples import NS
-from uav_ident_ros.offline.drawing import PictureError
+from uav_ident_ros.offline.picture import PictureError
 from uav_ident_ros.offline.run import OfflineRun
 
 if TYPE_CHECKING:  # replay imports the report

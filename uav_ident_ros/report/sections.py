@@ -12,7 +12,7 @@ import numpy as np
 
 from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.linearisation import Condition, modes
-from uav_ident_ros.offline.identity import bag_files
+from uav_ident_ros.offline.journal import bag_files
 from uav_ident_ros.report import diagrams, tables
 from uav_ident_ros.report.analysis import spectra
 from uav_ident_ros.report.charts import (
