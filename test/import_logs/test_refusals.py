@@ -20,8 +20,8 @@ from ulog_writing import commands, sensor_combined, write_ulog
 
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.import_logs.cli import DAMAGED
-from uav_ident_ros.import_logs.dataflash import HEADER, DataflashLog
-from uav_ident_ros.import_logs.px4_log import MAGIC, SYNC, read_ulog
+from uav_ident_ros.import_logs.dataflash import HEADER, read_dataflash
+from uav_ident_ros.import_logs.px4_log import MAGIC, SYNC, read_ulog, title_of
 
 IMU_NS = 5_000_000 * np.arange(1, 2001)
 VALUES = np.random.default_rng(1).normal(size=(len(IMU_NS), 3))
@@ -127,7 +127,7 @@ def test_a_ulog_with_nothing_but_a_header(tmp_path: Path, capsys, out, size: int
     (tmp_path / "short.ulg").write_bytes(whole[:size])
     said = refusal([str(tmp_path / "short.ulg"), *out], capsys)
     assert "short.ulg'" in said
-    assert "no readable ULog file" in said or "no topics at all" in said
+    assert "no readable ULog file" in said or "no messages at all" in said
 
 
 def test_a_ulog_with_garbage_inside_says_so(tmp_path: Path, capsys, out) -> None:
@@ -189,12 +189,14 @@ def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
     (topic,) = theirs.data_list
     assert (topic.name, topic.multi_id) == ("nested", 2)
     for name, values in topic.data.items():
-        np.testing.assert_array_equal(ours.topic("nested", 2).column(name), values, err_msg=name)
-    assert ours.topic("nested", 2).size("arms[1].yz") == 2
+        np.testing.assert_array_equal(
+            ours.messages("nested", 2).columns[name], values, err_msg=name
+        )
+    assert ours.messages("nested", 2).size("arms[1].yz") == 2
     assert ours.parameters == theirs.initial_parameters
-    assert list(ours.changes(("",))) == [(0.004, "GAIN", 0.5)]
+    assert ours.changes == [(0.004, "GAIN", 0.5)]
     assert ours.dropouts == [0.01]
-    assert ours.title == "PX4 v1.12.0"
+    assert title_of(ours) == "PX4 v1.12.0"
     assert ours.end_ns == theirs.last_timestamp * 1000
 
 
@@ -212,7 +214,7 @@ def test_formats_of_endless_size(tmp_path: Path, capsys, out, formats: list[str]
     for kind, text in [*(("F", f.encode()) for f in formats), ("A", b"\0\0\0a")]:
         content += struct.pack("<HB", len(text), ord(kind)) + text
     (tmp_path / "bomb.ulg").write_bytes(content)
-    assert "it has no topics at all" in refusal([str(tmp_path / "bomb.ulg"), *out], capsys)
+    assert "it has no messages at all" in refusal([str(tmp_path / "bomb.ulg"), *out], capsys)
 
 
 def test_a_ulog_with_a_stamp_that_no_clock_gave(tmp_path: Path, capsys, out) -> None:
@@ -300,7 +302,7 @@ def test_a_dataflash_log_with_garbage_inside_says_so(tmp_path: Path, capsys, out
 def test_one_damaged_byte_costs_one_message(tmp_path: Path, capsys, out, part: str) -> None:
     """pymavlink's index stops at it, and with it went the rest of the log."""
     whole = bytearray(plane_log(tmp_path).read_bytes())
-    reader = DataflashLog(tmp_path / "plane.bin", ("IMU", "RCOU"))
+    reader = read_dataflash(tmp_path / "plane.bin", ("IMU", "RCOU"))
     assert reader.messages("IMU").stamp_ns.tolist() == IMU_NS.tolist()
     kind = whole[whole.index(b"IMU\0") - 2]
     pattern = HEADER + bytes([kind])
@@ -338,7 +340,7 @@ def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
         writer.add("ARSP", 1000 * t, 0, *numbers.normal(size=2), 1234)
         writer.add("CTUN", 1000 * t, *numbers.integers(-9000, 9000, 4), *numbers.normal(size=6))
     path = writer.write(tmp_path / "flight.bin")
-    log = DataflashLog(path, ("IMU", "ARSP", "CTUN"))
+    log = read_dataflash(path, ("IMU", "ARSP", "CTUN"))
     theirs: dict[str, list] = {}
     reader = DFReader_binary(str(path), zero_time_base=True)
     while (message := reader.recv_msg()) is not None:

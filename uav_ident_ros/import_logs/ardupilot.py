@@ -25,7 +25,7 @@ from uav_ident_ros.import_logs.autopilot import (
     say_stretches,
     that_explain,
 )
-from uav_ident_ros.import_logs.dataflash import DataflashLog, Messages
+from uav_ident_ros.import_logs.dataflash import read_dataflash
 from uav_ident_ros.import_logs.flight_log import (
     Airspeed,
     Attitude,
@@ -36,6 +36,7 @@ from uav_ident_ros.import_logs.flight_log import (
     Rates,
 )
 from uav_ident_ros.import_logs.knowledge import table
+from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.orientation import describe_rotation, quaternions
 from uav_ident_ros.import_logs.stamps import Stretches, hold, interpolate, intervals
 
@@ -84,7 +85,7 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     """
     if choice.actuators_instance:
         raise ImportLogError(f"log '{path}': ArduPilot logs one set of actuators, instance 0")
-    log = DataflashLog(path, tuple(dict.fromkeys(TYPES)))
+    log = read_dataflash(path, TYPES)
     findings = Findings(lost=list(log.remarks), damage=list(log.damage))
     unit = choice.rates_instance
     title = next((text for text in log.texts if _firmware(text)), "ArduPilot")
@@ -96,7 +97,7 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     actuators = read_outputs(log, findings, choice.actuators_topic, flown or [])
     lever_arm = read_lever_arm(log.parameters, f"INS_POS{unit + 1}_", findings)
     airspeed = _airspeed(log, findings)
-    say_changes((change for change in log.changes if change[1].startswith(IMPORTED)), findings)
+    say_changes(log, IMPORTED, findings)
     _say_dropouts(log, findings)
     findings.read.append(BOOT_TIME)
     return FlightLog(
@@ -127,7 +128,7 @@ def _firmware(text: str) -> str:
 
 
 def _read_rates(
-    log: DataflashLog, findings: Findings, wanted: str | None, unit: int, flight: Stretches
+    log: Log, findings: Findings, wanted: str | None, unit: int, flight: Stretches
 ) -> Rates:
     """Read the raw gyro if it was logged, else the filtered one."""
 
@@ -145,13 +146,13 @@ def _read_rates(
     return Rates(messages.name, messages.sample_ns, messages.values(*GYRO_FIELDS), force)
 
 
-def _of_unit(log: DataflashLog, name: str, unit: int) -> Messages | None:
+def _of_unit(log: Log, name: str, unit: int) -> Messages | None:
     """Messages of one inertial unit, in new logs or old ones."""
     old = [n for n, number in OLD_INSTANCES.items() if number == unit and name == FILTERED]
     return log.messages(name, unit) or (log.messages(old[0]) if old else None)
 
 
-def _say_rates(log: DataflashLog, messages: Messages, name: str, findings: Findings) -> None:
+def _say_rates(log: Log, messages: Messages, name: str, findings: Findings) -> None:
     if name == RAW:
         findings.read.append(
             f"rates: {messages.name}, raw samples stamped when sampled (SampleUS), in body axes "
@@ -181,7 +182,7 @@ def _say_rates(log: DataflashLog, messages: Messages, name: str, findings: Findi
         )
 
 
-def _force(log: DataflashLog, rates: Messages, unit: int, findings: Findings) -> FloatArray | None:
+def _force(log: Log, rates: Messages, unit: int, findings: Findings) -> FloatArray | None:
     """Specific force at the stamps of the rates, from the same messages or others."""
     if set(FORCE_FIELDS) <= set(rates.columns):
         return rates.values(*FORCE_FIELDS)
@@ -199,7 +200,7 @@ def _force(log: DataflashLog, rates: Messages, unit: int, findings: Findings) ->
 # --- the rest -----------------------------------------------------------------------------------
 
 
-def _airspeed(log: DataflashLog, findings: Findings) -> Airspeed | None:
+def _airspeed(log: Log, findings: Findings) -> Airspeed | None:
     """Airspeed of the first sensor, made true by Plane's ratio if that was logged."""
     messages = log.messages("ARSP")
     if messages is None or "Airspeed" not in messages:
@@ -215,7 +216,7 @@ def _airspeed(log: DataflashLog, findings: Findings) -> Airspeed | None:
     return Airspeed("ARSP", messages.stamp_ns, speed)
 
 
-def _attitude(log: DataflashLog, findings: Findings) -> Attitude | None:
+def _attitude(log: Log, findings: Findings) -> Attitude | None:
     """Find ArduPilot's estimate of the attitude."""
     messages = log.messages("ATT")
     if messages is None or not set(EULER) <= set(messages.columns):
@@ -225,7 +226,7 @@ def _attitude(log: DataflashLog, findings: Findings) -> Attitude | None:
     return Attitude("ATT", messages.stamp_ns, quaternions(roll, pitch, yaw))
 
 
-def _ground_speed(log: DataflashLog, flight: Stretches) -> float:
+def _ground_speed(log: Log, flight: Stretches) -> float:
     """Return the median speed over ground in flight, m/s; 0 if it is not known."""
     messages = log.messages("GPS")
     if messages is None or "Spd" not in messages:
@@ -233,7 +234,7 @@ def _ground_speed(log: DataflashLog, flight: Stretches) -> float:
     return median_in_flight(messages.stamp_ns, messages.values("Spd")[:, 0], flight)
 
 
-def _armed(log: DataflashLog) -> list[tuple[int, int]] | None:
+def _armed(log: Log) -> list[tuple[int, int]] | None:
     """Stretches in which it was armed; None if the log does not say.
 
     What is logged is the change: before the first the state was the other.
@@ -249,13 +250,13 @@ def _armed(log: DataflashLog) -> list[tuple[int, int]] | None:
         if len(t_ns):
             before = not values[0]
             return intervals(
-                np.append(log.start_ns, t_ns), np.append(before, values > 0), log.end_ns
+                np.append(log.start_ns or 0, t_ns), np.append(before, values > 0), log.end_ns
             )
     return None
 
 
 def _flown(
-    log: DataflashLog, armed: list[tuple[int, int]] | None, findings: Findings
+    log: Log, armed: list[tuple[int, int]] | None, findings: Findings
 ) -> list[tuple[int, int]] | None:
     """Stretches in the air (Plane) or armed; None if the log says neither."""
     state, source, stretches = "armed", "ARM, EV", armed
@@ -272,7 +273,7 @@ def _flown(
     return stretches
 
 
-def _say_dropouts(log: DataflashLog, findings: Findings) -> None:
+def _say_dropouts(log: Log, findings: Findings) -> None:
     """Say what the logger itself lost."""
     statistics = log.messages("DSF")
     if statistics is not None and "Dp" in statistics and statistics.columns["Dp"].max() > 0:

@@ -12,9 +12,9 @@ import re
 
 import numpy as np
 
-from uav_ident_ros.import_logs.dataflash import DataflashLog
 from uav_ident_ros.import_logs.flight_log import Findings
 from uav_ident_ros.import_logs.knowledge import table
+from uav_ident_ros.import_logs.log import Log
 
 RANGES = ("MIN", "TRIM", "MAX")
 PAIRED = ("ELEVON_MIXING", "ELEVON_OUTPUT", "VTAIL_OUTPUT", "FLAPERON_OUTPUT", "MIXING_OUTPUT")
@@ -23,7 +23,7 @@ PAIRED = ("ELEVON_MIXING", "ELEVON_OUTPUT", "VTAIL_OUTPUT", "FLAPERON_OUTPUT", "
 THROTTLE = "RC3_"
 
 
-def name_as_today(log: DataflashLog, firmware: str, findings: Findings) -> None:
+def name_as_today(log: Log, firmware: str, findings: Findings) -> None:
     """Add parameters to an old log, under today's names, as far as they follow from its own."""
     parameters = log.parameters
     if any(name.startswith("SERVO") and name.endswith("_FUNCTION") for name in parameters):
@@ -34,7 +34,7 @@ def name_as_today(log: DataflashLog, firmware: str, findings: Findings) -> None:
         parameters.update(_plane(log, findings) | parameters)
 
 
-def _copter(log: DataflashLog, findings: Findings) -> dict[str, float]:
+def _copter(log: Log, findings: Findings) -> dict[str, float]:
     """Motors on the first pins, in the order of the frame."""
     parameters, known = log.parameters, table("ardupilot")
     if "FRAME" not in parameters:
@@ -62,7 +62,7 @@ def _copter(log: DataflashLog, findings: Findings) -> dict[str, float]:
     return frame
 
 
-def _pins_with_pulses(log: DataflashLog) -> int:
+def _pins_with_pulses(log: Log) -> int:
     """Count the pins, from the first on, that carry changing pulses."""
     pulses = log.messages("RCOU")
     fields = [f for f in pulses.columns if re.fullmatch(r"C(h|han)?\d+", f)] if pulses else []
@@ -70,7 +70,7 @@ def _pins_with_pulses(log: DataflashLog) -> int:
     return moving.index(False) if False in moving else len(moving)
 
 
-def _plane(log: DataflashLog, findings: Findings) -> dict[str, float]:
+def _plane(log: Log, findings: Findings) -> dict[str, float]:
     """Surfaces on the pins of the sticks' channels, and what RCn_FUNCTION says of the others."""
     parameters = log.parameters
     if paired := [name for name in PAIRED if parameters.get(name)]:

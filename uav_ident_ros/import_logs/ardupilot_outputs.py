@@ -15,7 +15,6 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.autopilot import choose, find_messages
-from uav_ident_ros.import_logs.dataflash import DataflashLog, Messages
 from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
     Actuators,
@@ -26,6 +25,7 @@ from uav_ident_ros.import_logs.flight_log import (
     unique_names,
 )
 from uav_ident_ros.import_logs.knowledge import effect_of, effects_of_arms, table
+from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.stamps import Stretches, join
 
 KNOWN = table("ardupilot")
@@ -51,9 +51,7 @@ PINS = ("RCOU", "RCO2", "RCO3")
 BEFORE_MIXER = ("RATE", "AETR")
 
 
-def read_outputs(
-    log: DataflashLog, findings: Findings, wanted: str | None, flight: Stretches
-) -> Actuators:
+def read_outputs(log: Log, findings: Findings, wanted: str | None, flight: Stretches) -> Actuators:
     """Read the commands from the messages asked for, or from the best there are.
 
     Raises
@@ -79,7 +77,7 @@ def read_outputs(
     return actuators
 
 
-def _explained(log: DataflashLog) -> bool:
+def _explained(log: Log) -> bool:
     """Whether the parameters say what some pin moves."""
     functions = [
         v for name, v in log.parameters.items() if re.fullmatch(r"SERVO\d+_FUNCTION", name)
@@ -89,7 +87,7 @@ def _explained(log: DataflashLog) -> bool:
     return any(function in MOTORS for function in functions) and _frame(log) in FRAMES
 
 
-def _frame(log: DataflashLog) -> tuple[int, int]:
+def _frame(log: Log) -> tuple[int, int]:
     parameters = log.parameters
     return int(parameters.get("FRAME_CLASS", 0)), int(parameters.get("FRAME_TYPE", -1))
 
@@ -97,7 +95,7 @@ def _frame(log: DataflashLog) -> tuple[int, int]:
 # --- pins ---------------------------------------------------------------------------------------
 
 
-def _pins(log: DataflashLog, first: Messages, findings: Findings) -> Actuators:
+def _pins(log: Log, first: Messages, findings: Findings) -> Actuators:
     """Pulse widths and the functions of the servo outputs."""
     numbers = _pin_numbers(first, 1)
     t_ns, values = first.stamp_ns, first.values(*numbers.values())
@@ -123,11 +121,11 @@ def _pin_numbers(messages: Messages, first: int) -> dict[int, str]:
     return {number: name for number, name in sorted(numbered.items()) if number >= first}
 
 
-def _function(log: DataflashLog, pin: int) -> int:
+def _function(log: Log, pin: int) -> int:
     return int(log.parameters.get(f"SERVO{pin}_FUNCTION", 0))
 
 
-def _channels(log: DataflashLog, functions: dict[int, int], findings: Findings) -> list[Channel]:
+def _channels(log: Log, functions: dict[int, int], findings: Findings) -> list[Channel]:
     """Meaning of each pin."""
     surfaces = any(function in SURFACES for function in functions.values())
     rotors = _rotors(log, functions, findings, surfaces)
@@ -166,7 +164,7 @@ def _name(pin: int, function: int) -> str:
 
 
 def _surface(
-    log: DataflashLog, pin: int, name: str, effect: Effect, where: str, findings: Findings
+    log: Log, pin: int, name: str, effect: Effect, where: str, findings: Findings
 ) -> Channel:
     """Return a pin that deflects to both sides of its trim."""
     low, high, sign = _limits(log, pin)
@@ -181,7 +179,7 @@ def _surface(
 
 
 def _range(
-    log: DataflashLog, pin: int, name: str, effect: Effect, where: str, lowest: str, highest: str
+    log: Log, pin: int, name: str, effect: Effect, where: str, lowest: str, highest: str
 ) -> Channel:
     """Return a pin that runs from nothing to full."""
     low, high, sign = _limits(log, pin)
@@ -193,7 +191,7 @@ def _range(
     )
 
 
-def _limits(log: DataflashLog, pin: int) -> tuple[float, float, float]:
+def _limits(log: Log, pin: int) -> tuple[float, float, float]:
     """Return least and greatest pulse width, us, and the direction."""
     low = float(log.parameters.get(f"SERVO{pin}_MIN", PWM_MIN))
     high = float(log.parameters.get(f"SERVO{pin}_MAX", PWM_MAX))
@@ -205,7 +203,7 @@ def _limits(log: DataflashLog, pin: int) -> tuple[float, float, float]:
 
 
 def _rotors(
-    log: DataflashLog, functions: dict[int, int], findings: Findings, surfaces: bool
+    log: Log, functions: dict[int, int], findings: Findings, surfaces: bool
 ) -> dict[int, Effect]:
     """Effect of each motor by its number, from the frame."""
     motors = [MOTORS[function] for function in functions.values() if function in MOTORS]
@@ -238,7 +236,7 @@ def _rotors(
 # --- before the mixer -----------------------------------------------------------------------------
 
 
-def _aetr(log: DataflashLog, messages: Messages, findings: Findings) -> Actuators:
+def _aetr(log: Log, messages: Messages, findings: Findings) -> Actuators:
     """Plane's controls before its mixer."""
     findings.assumed.append(
         "AETR: full deflection is 4500, full throttle 100 (older logs: throttle in the same unit)"
@@ -246,7 +244,7 @@ def _aetr(log: DataflashLog, messages: Messages, findings: Findings) -> Actuator
     return _demands(log, messages, KNOWN["controls"]["AETR"])
 
 
-def _rate(log: DataflashLog, messages: Messages, findings: Findings) -> Actuators:
+def _rate(log: Log, messages: Messages, findings: Findings) -> Actuators:
     """Copter's controls before its mixer."""
     findings.assumed.append("the mixer delivers what RATE asks for: it knows no saturation")
     known = KNOWN["controls"]["RATE"]
@@ -259,9 +257,7 @@ def _rate(log: DataflashLog, messages: Messages, findings: Findings) -> Actuator
     return _demands(log, messages, known)
 
 
-def _demands(
-    log: DataflashLog, messages: Messages, known: Mapping[str, Mapping[str, Any]]
-) -> Actuators:
+def _demands(log: Log, messages: Messages, known: Mapping[str, Mapping[str, Any]]) -> Actuators:
     missing = [field for field in known if field not in messages]
     if missing:
         raise ImportLogError(
@@ -276,7 +272,7 @@ def _demands(
     return Actuators(messages.name, messages.stamp_ns, values, channels)
 
 
-READERS: dict[str, Callable[[DataflashLog, Messages, Findings], Actuators]] = {
+READERS: dict[str, Callable[[Log, Messages, Findings], Actuators]] = {
     "RCOU": _pins,
     "RATE": _rate,
     "AETR": _aetr,

@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
-from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
 
 import numpy as np
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError
+from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.stamps import Stretches, coverage
 
 ENOUGH_RATE = 20.0
@@ -26,34 +26,14 @@ BOOT_TIME = "stamps are the autopilot's time since its start, not the time of da
 NO_FORCE = "there is no accelerometer at a useful rate: ay and az are zero"
 
 
-class Log(Protocol):
-    """An opened log."""
-
-    path: Path
-
-    def contents(self) -> str:
-        """List in one line what it has."""
-
-
-class Messages(Protocol):
-    """All messages of one kind."""
-
-    @property
-    def rate(self) -> float:
-        """Messages per second."""
-
-
-Found = TypeVar("Found", bound=Messages)
-
-
 def find_messages(
     log: Log,
     what: str,
     names: Collection[str],
     wanted: str | None,
     instance: int,
-    find: Callable[[str, int], Found | None],
-) -> dict[str, Found]:
+    find: Callable[[str, int], Messages | None],
+) -> dict[str, Messages]:
     """Find the messages asked for, or all kinds that would do, by name in the order of `names`.
 
     Parameters
@@ -204,7 +184,8 @@ def say_stretches(
     findings.read.append(f"{state} for {seconds:.1f} s in {len(stretches)} stretch(es) ({source})")
 
 
-def say_changes(changes: Iterable[tuple[float, str, float]], findings: Findings) -> None:
-    """Say which parameters, as time (s), name and value, became others in flight."""
+def say_changes(log: Log, prefixes: tuple[str, ...], findings: Findings) -> None:
+    """Say which parameters that begin so became others in flight."""
+    changes = [change for change in log.changes if change[1].startswith(prefixes)]
     for t, name, value in changes:
         findings.lost.append(f"{name} became {value:g} at {t:.1f} s: the first value is used")

@@ -11,16 +11,15 @@ from __future__ import annotations
 import mmap
 import re
 import struct
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column, ImportLogError
-from uav_ident_ros.import_logs.resync import Gap, loss_in_words, walk
-from uav_ident_ros.import_logs.stamps import LATEST_NS, plausible, rate
+from uav_ident_ros.import_logs.flight_log import Column, ImportLogError
+from uav_ident_ros.import_logs.log import STAMPS, Log, Messages
+from uav_ident_ros.import_logs.resync import walk
 
 HEADER = b"\xa3\x95"
 """First bytes of every message."""
@@ -38,9 +37,6 @@ TRAILER = 528
 """Logs are written in pages of at most so many bytes: less than one behind the last message is
 no damage."""
 
-STAMPS = {"TimeUS": NS_PER_US, "TimeMS": 1_000_000}
-"""Fields of the time since the autopilot's start, and their unit, ns; TimeMS until 2015."""
-
 INSTANCE_FIELD = "I"
 
 FIELD_TYPES: dict[str, tuple[str, float]] = {
@@ -53,50 +49,6 @@ FIELD_TYPES: dict[str, tuple[str, float]] = {
     "a": ("S64", 1.0),
 }
 """NumPy type of each format character, and what its integers are to be divided by."""
-
-
-class Messages:
-    """All messages of one type and instance.
-
-    Parameters
-    ----------
-    name : str
-        Type, with ``[i]`` behind it for an instance beyond the first.
-    columns : dict
-        Array of values by field name.
-    """
-
-    def __init__(self, name: str, columns: dict[str, Column]) -> None:
-        self.name = name
-        self.columns = columns
-
-    def __contains__(self, field: str) -> bool:
-        """Whether they have such a field."""
-        return field in self.columns
-
-    @property
-    def stamp_ns(self) -> TimeArray:
-        """When they were logged, ns since the start of the autopilot."""
-        name = next(name for name in STAMPS if name in self)
-        return self._ns(name, STAMPS[name])
-
-    @property
-    def sample_ns(self) -> TimeArray:
-        """When what they hold was sampled, ns; when it was logged if that is not said."""
-        return self._ns("SampleUS", NS_PER_US) if "SampleUS" in self else self.stamp_ns
-
-    def _ns(self, name: str, unit: int) -> TimeArray:
-        return np.asarray(self.columns[name]).astype(np.int64) * unit
-
-    @property
-    def rate(self) -> float:
-        """Messages per second."""
-        return rate(self.sample_ns)
-
-    def values(self, *fields: str) -> FloatArray:
-        """Values of some fields, shape (k, number of fields)."""
-        with np.errstate(invalid="ignore"):  # damaged bytes may be a NaN that signals
-            return np.column_stack([self.columns[field] for field in fields]).astype(float)
 
 
 @dataclass(frozen=True)
@@ -180,132 +132,60 @@ class _Walker:
             self._begin = re.compile(re.escape(HEADER) + b"[" + known + b"]", re.DOTALL)
 
 
-class DataflashLog:
-    """An ArduPilot log in memory: some types of its messages.
-
-    Parameters
-    ----------
-    path : Path
-        Dataflash file.
-    types : tuple of str
-        The types to read.
-
-    Attributes
-    ----------
-    parameters : dict
-        Parameters as first logged, by name.
-    changes : list of tuple
-        Time (s), name and value of every parameter that changed afterwards.
-    texts : list of str
-        The MSG messages.
-    damage : list of str
-        What could not be read, and how much it is.
-    remarks : list of str
-        What else there is to say about the file.
-    start_ns, end_ns : int
-        Oldest and newest stamp, ns.
+def read_dataflash(path: Path, types: Collection[str]) -> Log:
+    """Read some types of the messages of a dataflash log.
 
     Raises
     ------
     ImportLogError
         If the file cannot be read.
     """
+    log = Log(path)
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            found = _Walker(data)
+            gaps = walk(found, 0, len(data))
+            stamped = _take(log, data, found, {*types, "PARM", "MSG"})
+            log.start_ns = min((t_ns for _, t_ns in stamped), default=None)
+            if gaps and gaps[-1][1] == len(data) and len(data) - gaps[-1][0] < TRAILER:
+                begin = gaps[-1][0]
+                cut = data[begin : begin + 2] == HEADER
+                gaps = gaps if cut else gaps[:-1]
+                log.say_loss(gaps, len(data), stamped, cut=cut)
+            else:
+                log.say_loss(gaps, len(data), stamped, cut=False)
+    except OSError as error:
+        raise ImportLogError(f"log '{path}' cannot be read: {error.strerror or error}") from None
+    return log
 
-    def __init__(self, path: Path, types: tuple[str, ...]) -> None:
-        self.path = path
-        self.parameters: dict[str, float] = {}
-        self.changes: list[tuple[float, str, float]] = []
-        self.texts: list[str] = []
-        self.damage: list[str] = []
-        self.remarks: list[str] = []
-        self.start_ns, self.end_ns = LATEST_NS, 0
-        self._columns: dict[str, dict[str, Column]] = {}
-        try:
-            with (
-                path.open("rb") as file,
-                mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
-            ):
-                contents = _Walker(data)
-                gaps = walk(contents, 0, len(data))
-                self._types = sorted(
-                    f.name for n, f in contents.formats.items() if contents.places[n]
-                )
-                stamped = self._read(data, contents, types)
-                self._say_gaps(data, gaps, stamped)
-        except OSError as error:
-            raise ImportLogError(
-                f"log '{path}' cannot be read: {error.strerror or error}"
-            ) from None
 
-    def messages(self, name: str, instance: int = 0) -> Messages | None:
-        """Return the messages of a type and instance, if there are any with a stamp."""
-        columns = self._columns.get(name)
-        if columns is None or instance not in self.instances(name):
-            return None
-        if INSTANCE_FIELD in columns:
-            chosen = columns[INSTANCE_FIELD] == instance
-            columns = {field: values[chosen] for field, values in columns.items()}
-        return Messages(f"{name}[{instance}]" if instance else name, columns)
-
-    def instances(self, name: str) -> list[int]:
-        """Instances of a type that have messages."""
-        columns = self._columns.get(name, {})
-        if INSTANCE_FIELD in columns:
-            return [int(number) for number in np.unique(columns[INSTANCE_FIELD])]
-        return [0] if any(map(len, columns.values())) else []
-
-    def contents(self) -> str:
-        """List the message types in one line."""
-        return ", ".join(self._types) or "no messages at all"
-
-    def _read(
-        self, data: mmap.mmap, contents: _Walker, types: tuple[str, ...]
-    ) -> list[tuple[int, int]]:
-        """Keep the messages wanted; return place and stamp (ns) of all that have one, in order."""
-        stamped: list[tuple[int, int]] = []
-        for number, declared in contents.formats.items():
-            places = contents.places[number]
-            if not places or declared.name not in {*types, "PARM", "MSG"}:
-                continue
-            columns = _columns(data, declared, places)
-            if declared.name == "MSG" and "Message" in columns:
-                self.texts += [_text(message) for message in columns["Message"]]
-            elif declared.name == "PARM" and {"Name", "Value"} <= set(columns):
-                self._take_parameters(columns)
-            elif declared.name not in self._columns and any(name in columns for name in STAMPS):
-                t_ns = Messages(declared.name, columns).stamp_ns
-                good = plausible(t_ns)
-                self._columns[declared.name] = {n: values[good] for n, values in columns.items()}
-                if good.any():
-                    self.start_ns = min(self.start_ns, int(t_ns[good].min()))
-                    self.end_ns = max(self.end_ns, int(t_ns[good].max()))
-                if not good.all():
-                    self.damage.append(
-                        f"{int((~good).sum())} of {len(good)} messages {declared.name} have a "
-                        "stamp that no clock gave, and were left out"
-                    )
-                kept = np.flatnonzero(good)
-                stamped += zip(np.array(places)[kept].tolist(), t_ns[kept].tolist(), strict=True)
-        return sorted(stamped)
-
-    def _take_parameters(self, columns: dict[str, Column]) -> None:
-        stamps = [(columns[name], unit) for name, unit in STAMPS.items() if name in columns]
-        for i, (name, value) in enumerate(zip(columns["Name"], columns["Value"], strict=True)):
-            if not np.isfinite(value):
-                continue
-            before = self.parameters.setdefault(_text(name), float(value))
-            if before != value:
-                t = float(stamps[0][0][i]) * stamps[0][1] * 1e-9 if stamps else 0.0
-                self.changes.append((t, _text(name), float(value)))
-
-    def _say_gaps(self, data: mmap.mmap, gaps: list[Gap], stamped: list[tuple[int, int]]) -> None:
-        """Say how much could not be read."""
-        if gaps and gaps[-1][1] == len(data) and len(data) - gaps[-1][0] < TRAILER:
-            begin, _ = gaps.pop()
-            if data[begin : begin + 2] == HEADER:
-                self.remarks.append("the file is cut off at its end: what is there was read")
-        if gaps:
-            self.damage.insert(0, loss_in_words(gaps, len(data), stamped))
+def _take(
+    log: Log, data: mmap.mmap, found: _Walker, types: Collection[str]
+) -> list[tuple[int, int]]:
+    """Take the messages wanted; return place and stamp (ns) of all that have one."""
+    stamped: list[tuple[int, int]] = []
+    taken: set[str] = set()
+    for number, declared in found.formats.items():
+        name, places = declared.name, found.places[number]
+        if places:
+            log.kinds.add(name)
+        if not places or name not in types:
+            continue
+        columns = _columns(data, declared, places)
+        if name == "MSG" and "Message" in columns:
+            log.texts += [_text(message) for message in columns["Message"]]
+        elif name == "PARM" and {"Name", "Value"} <= set(columns):
+            stamps = Messages(name, columns)
+            timed = any(n in stamps for n in STAMPS)
+            t = stamps.stamp_ns * 1e-9 if timed else np.zeros(len(places))
+            for values in zip(columns["Name"], columns["Value"], t.tolist(), strict=True):
+                log.set_parameter(_text(values[0]), float(values[1]), values[2])
+        elif name not in taken and any(n in columns for n in STAMPS):
+            taken.add(name)
+            good = log.add(name, 0, columns, INSTANCE_FIELD)
+            t_ns = Messages(name, columns).stamp_ns[good]
+            stamped += zip(np.array(places)[good].tolist(), t_ns.tolist(), strict=True)
+    return stamped
 
 
 def _format(name: bytes, characters: bytes, columns: bytes) -> _Format:

@@ -33,10 +33,11 @@ from uav_ident_ros.import_logs.flight_log import (
     Rates,
 )
 from uav_ident_ros.import_logs.knowledge import table
+from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.orientation import board_to_body, describe_rotation
 from uav_ident_ros.import_logs.px4_actuators import COMMANDS, hovers, read_actuators
 from uav_ident_ros.import_logs.px4_folder import read_folder
-from uav_ident_ros.import_logs.px4_log import Px4Log, Topic, read_ulog
+from uav_ident_ros.import_logs.px4_log import read_ulog, title_of
 from uav_ident_ros.import_logs.stamps import Stretches, interpolate, intervals
 
 ARMED = 2
@@ -97,7 +98,7 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     actuators = read_actuators(log, findings, choice, flown or [])
     lever_arm = read_lever_arm(log.parameters, "EKF2_IMU_POS_", findings)
     airspeed = _airspeed(log, findings)
-    say_changes(log.changes(IMPORTED), findings)
+    say_changes(log, IMPORTED, findings)
     if dropouts := log.dropouts:
         findings.lost.append(
             f"the logger lost messages {len(dropouts)} times, together {sum(dropouts):.3g} s, at "
@@ -106,7 +107,7 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     findings.read.append(BOOT_TIME)
     return FlightLog(
         path,
-        log.title,
+        title_of(log),
         rates,
         actuators,
         findings,
@@ -124,20 +125,20 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
 # --- rates --------------------------------------------------------------------------------------
 
 
-def _refuse_others(log: Px4Log) -> None:
+def _refuse_others(log: Log) -> None:
     """Refuse what is no aircraft."""
     for name, known in table("px4")["not_aircraft"].items():
         refuse_others(log, known, log.parameters.get(name), name)
-    status = log.topic("vehicle_status")
+    status = log.messages("vehicle_status")
     if status is not None and "vehicle_type" in status:
-        kind = int(status.column("vehicle_type")[-1])
+        kind = int(status.columns["vehicle_type"][-1])
         refuse_others(log, {ROVER: "a rover"}, kind, "vehicle_status.vehicle_type")
 
 
-def _read_rates(log: Px4Log, findings: Findings, choice: Choice, flight: Stretches) -> Rates:
+def _read_rates(log: Log, findings: Findings, choice: Choice, flight: Stretches) -> Rates:
     """Read the topic asked for, or the first that is fast enough, or the fastest."""
     usable = find_messages(
-        log, "rates", RATES_READERS, choice.rates_topic, choice.rates_instance, log.topic
+        log, "rates", RATES_READERS, choice.rates_topic, choice.rates_instance, log.messages
     )
     streams = {name: (topic.stamp_ns, topic.rate) for name, topic in usable.items()}
     name = choose(streams, flight, findings, "SDLOG_PROFILE")
@@ -146,7 +147,7 @@ def _read_rates(log: Px4Log, findings: Findings, choice: Choice, flight: Stretch
     return rates
 
 
-def _from_sensor_combined(log: Px4Log, topic: Topic, findings: Findings) -> Rates:
+def _from_sensor_combined(log: Log, topic: Messages, findings: Findings) -> Rates:
     """Calibrated mean rates over each gyro period, in the body's axes."""
     findings.read.append(
         "rates: sensor_combined, calibrated means over the gyro's period, before PX4's low-pass, "
@@ -154,7 +155,7 @@ def _from_sensor_combined(log: Px4Log, topic: Topic, findings: Findings) -> Rate
     )
     _say_orientation(log, findings, "PX4 has turned sensor_combined by it")
     force = topic.vector("accelerometer_m_s2")
-    relative = topic.column("accelerometer_timestamp_relative")
+    relative = topic.columns["accelerometer_timestamp_relative"]
     valid = relative != RELATIVE_STAMP_INVALID
     if not valid.any():
         findings.lost.append("there is no valid accelerometer sample: ay and az are zero")
@@ -169,9 +170,9 @@ def _from_sensor_combined(log: Px4Log, topic: Topic, findings: Findings) -> Rate
     return Rates(topic.name, topic.stamp_ns, topic.vector("gyro_rad"), force)
 
 
-def _from_sensor_gyro(log: Px4Log, topic: Topic, findings: Findings) -> Rates:
+def _from_sensor_gyro(log: Log, topic: Messages, findings: Findings) -> Rates:
     """Uncalibrated rates of one gyro, in the board's axes: offset and rotation applied here."""
-    raw = np.column_stack([topic.column(axis) for axis in "xyz"]).astype(float)
+    raw = topic.values(*"xyz")
     if "timestamp_sample" not in topic:
         findings.assumed.append(
             "sensor_gyro without timestamp_sample (before v1.11) is calibrated, filtered and "
@@ -193,7 +194,7 @@ def _from_sensor_gyro(log: Px4Log, topic: Topic, findings: Findings) -> Rates:
     return Rates(topic.name, topic.sample_ns, (raw - offset) @ matrix.T, force)
 
 
-def _from_angular_velocity(log: Px4Log, topic: Topic, findings: Findings) -> Rates:
+def _from_angular_velocity(log: Log, topic: Messages, findings: Findings) -> Rates:
     """Take the rates that PX4 controls with."""
     cutoff = log.parameters.get("IMU_GYRO_CUTOFF")
     findings.read.append(
@@ -207,7 +208,7 @@ def _from_angular_velocity(log: Px4Log, topic: Topic, findings: Findings) -> Rat
     return Rates(topic.name, topic.sample_ns, topic.vector("xyz"), _force_at(log, topic, findings))
 
 
-RATES_READERS: dict[str, Callable[[Px4Log, Topic, Findings], Rates]] = {
+RATES_READERS: dict[str, Callable[[Log, Messages, Findings], Rates]] = {
     "sensor_combined": _from_sensor_combined,
     "sensor_gyro": _from_sensor_gyro,
     "vehicle_angular_velocity": _from_angular_velocity,
@@ -215,10 +216,10 @@ RATES_READERS: dict[str, Callable[[Px4Log, Topic, Findings], Rates]] = {
 """Readers by topic, the preferred first."""
 
 
-def _force_at(log: Px4Log, rates: Topic, findings: Findings) -> FloatArray | None:
+def _force_at(log: Log, rates: Messages, findings: Findings) -> FloatArray | None:
     """Specific force in body axes at the stamps of the rates, from another topic."""
     for name, field in (("sensor_combined", "accelerometer_m_s2"), ("vehicle_acceleration", "xyz")):
-        topic = log.topic(name)
+        topic = log.messages(name)
         if topic is not None and topic.rate >= ENOUGH_RATE:
             findings.read.append(f"specific force: {name}, interpolated to the stamps of the rates")
             return interpolate(rates.sample_ns, topic.sample_ns, topic.vector(field))
@@ -226,16 +227,16 @@ def _force_at(log: Px4Log, rates: Topic, findings: Findings) -> FloatArray | Non
     return None
 
 
-def _rotation_number(log: Px4Log) -> int:
+def _rotation_number(log: Log) -> int:
     return int(log.parameters.get("SENS_BOARD_ROT", 0))
 
 
-def _board_offsets(log: Px4Log) -> tuple[float, float, float]:
+def _board_offsets(log: Log) -> tuple[float, float, float]:
     x, y, z = (float(log.parameters.get(f"SENS_BOARD_{a}_OFF", 0.0)) for a in "XYZ")
     return x, y, z
 
 
-def _say_orientation(log: Px4Log, findings: Findings, consequence: str) -> None:
+def _say_orientation(log: Log, findings: Findings, consequence: str) -> None:
     if "SENS_BOARD_ROT" not in log.parameters:
         findings.assumed.append(f"the log has no SENS_BOARD_ROT: rotation none ({consequence})")
         return
@@ -248,9 +249,9 @@ def _say_orientation(log: Px4Log, findings: Findings, consequence: str) -> None:
     )
 
 
-def _gyro_offset(log: Px4Log, topic: Topic, findings: Findings) -> FloatArray:
+def _gyro_offset(log: Log, topic: Messages, findings: Findings) -> FloatArray:
     """Calibrated offset of the gyro with this device number, rad/s, board axes."""
-    device = int(topic.column("device_id")[0]) if "device_id" in topic else 0
+    device = int(topic.columns["device_id"][0]) if "device_id" in topic else 0
     for i in range(MOST_GYROS):
         if device and int(log.parameters.get(f"CAL_GYRO{i}_ID", 0)) == device:
             findings.read.append(f"gyro offset: CAL_GYRO{i}_XOFF, YOFF, ZOFF, subtracted")
@@ -262,47 +263,47 @@ def _gyro_offset(log: Px4Log, topic: Topic, findings: Findings) -> FloatArray:
 # --- the rest -----------------------------------------------------------------------------------
 
 
-def _airspeed(log: Px4Log, findings: Findings) -> Airspeed | None:
+def _airspeed(log: Log, findings: Findings) -> Airspeed | None:
     """Find the true airspeed: validated by PX4 (newer logs) or as measured."""
     for name in ("airspeed_validated", "airspeed"):
-        topic = log.topic(name)
+        topic = log.messages(name)
         if topic is not None and "true_airspeed_m_s" in topic:
-            speed = topic.column("true_airspeed_m_s").astype(float)
+            speed = topic.columns["true_airspeed_m_s"].astype(float)
             if np.isfinite(speed).any():
                 findings.read.append(f"true airspeed: {name}.true_airspeed_m_s")
                 return Airspeed(name, topic.stamp_ns, speed)
     return None
 
 
-def _attitude(log: Px4Log, findings: Findings) -> Attitude | None:
+def _attitude(log: Log, findings: Findings) -> Attitude | None:
     """Find PX4's estimate of the attitude."""
-    topic = log.topic("vehicle_attitude")
+    topic = log.messages("vehicle_attitude")
     if topic is None or topic.size("q") != QUATERNION:
         return None
     findings.read.append("attitude: vehicle_attitude.q, as the Imu's orientation (FRD to NED)")
     return Attitude(topic.name, topic.sample_ns, topic.vector("q", QUATERNION)[:, [1, 2, 3, 0]])
 
 
-def _ground_speed(log: Px4Log, flight: Stretches) -> float:
+def _ground_speed(log: Log, flight: Stretches) -> float:
     """Return the median speed over ground in flight, m/s; 0 if it is not known."""
     for name in ("vehicle_gps_position", "sensor_gps"):
-        topic = log.topic(name)
+        topic = log.messages(name)
         if topic is not None and "vel_m_s" in topic:
-            return median_in_flight(topic.stamp_ns, topic.column("vel_m_s").astype(float), flight)
+            return median_in_flight(topic.stamp_ns, topic.columns["vel_m_s"].astype(float), flight)
     return 0.0
 
 
-def _armed(log: Px4Log) -> list[tuple[int, int]] | None:
+def _armed(log: Log) -> list[tuple[int, int]] | None:
     """Stretches in which it was armed; None if the log does not say."""
-    status = log.topic("vehicle_status")
+    status = log.messages("vehicle_status")
     if status is None or "arming_state" not in status:
         return None
-    armed = status.column("arming_state") == ARMED
+    armed = status.columns["arming_state"] == ARMED
     return intervals(status.stamp_ns, armed, log.end_ns, log.start_ns)
 
 
 def _flown(
-    log: Px4Log, armed: list[tuple[int, int]] | None, findings: Findings
+    log: Log, armed: list[tuple[int, int]] | None, findings: Findings
 ) -> list[tuple[int, int]] | None:
     """Stretches in the air, else those armed; None if the log says neither."""
     if armed is not None and not armed:
@@ -311,10 +312,10 @@ def _flown(
             "actuators, so no model can come of this log"
         )
         return []
-    landed = log.topic("vehicle_land_detected")
+    landed = log.messages("vehicle_land_detected")
     if landed is not None and "landed" in landed:
         stretches = intervals(
-            landed.stamp_ns, landed.column("landed") == 0, log.end_ns, log.start_ns
+            landed.stamp_ns, landed.columns["landed"] == 0, log.end_ns, log.start_ns
         )
         say_stretches("in the air", "vehicle_land_detected", stretches, findings)
         return stretches

@@ -27,8 +27,8 @@ from uav_ident_ros.import_logs.flight_log import (
     unique_names,
 )
 from uav_ident_ros.import_logs.knowledge import effect_of, effects_of_arms, table
+from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.mixing import from_torques, rotor_effects
-from uav_ident_ros.import_logs.px4_log import Px4Log, Topic
 from uav_ident_ros.import_logs.stamps import Stretches, join
 
 KNOWN = table("px4")
@@ -49,7 +49,7 @@ PWM_MIN, PWM_MAX = 1000.0, 2000.0
 BEFORE_MIXER = ("vehicle_torque_setpoint", "actuator_controls_0", "actuator_controls_1")
 
 
-def read_actuators(log: Px4Log, findings: Findings, choice: Choice, flight: Stretches) -> Actuators:
+def read_actuators(log: Log, findings: Findings, choice: Choice, flight: Stretches) -> Actuators:
     """Read the commands from the topic asked for, or from the best there is.
 
     Raises
@@ -59,11 +59,11 @@ def read_actuators(log: Px4Log, findings: Findings, choice: Choice, flight: Stre
     """
     wanted, instance = choice.actuators_topic, choice.actuators_instance
 
-    def find(name: str, instance: int) -> Topic | None:
+    def find(name: str, instance: int) -> Messages | None:
         if not name.startswith(CONTROLS):
-            return log.topic(name, instance)
+            return log.messages(name, instance)
         # The sets of a VTOL of old are topics of their own.
-        return log.topic(name) if wanted or name == f"{CONTROLS}{instance}" else None
+        return log.messages(name) if wanted or name == f"{CONTROLS}{instance}" else None
 
     usable = find_messages(log, "actuators", READERS, wanted, instance, find)
     name = _choose(log, usable, findings, flight, instance)
@@ -77,7 +77,7 @@ CONTROLS = "actuator_controls_"
 
 
 def _choose(
-    log: Px4Log, usable: dict[str, Topic], findings: Findings, flight: Stretches, instance: int
+    log: Log, usable: dict[str, Messages], findings: Findings, flight: Stretches, instance: int
 ) -> str:
     """Name the best topic: nearest to the actuators, of those that say what they move."""
     parameters = log.parameters
@@ -94,7 +94,7 @@ def _choose(
     return choose(streams, flight, findings, "SDLOG_PROFILE: 'high rate'", BEFORE_MIXER)
 
 
-def hovers(log: Px4Log, instance: int) -> bool:
+def hovers(log: Log, instance: int) -> bool:
     """Whether the commands are those of a multirotor: of one, or of a VTOL's hover."""
     airframe, kind = log.parameters.get("CA_AIRFRAME"), log.parameters.get("MAV_TYPE")
     hybrid = airframe in KNOWN["hybrid_airframes"] or kind in KNOWN["hybrid_types"]
@@ -114,16 +114,16 @@ SETPOINTS = ("vehicle_torque_setpoint", "vehicle_thrust_setpoint")
 ALLOCATED = ("actuator_motors", "actuator_servos")
 
 
-def _explained(log: Px4Log, name: str) -> bool:
+def _explained(log: Log, name: str) -> bool:
     """Whether the parameters say what the allocated actuators are."""
     count = "CA_ROTOR_COUNT" if name == "actuator_motors" else "CA_SV_CS_COUNT"
     return log.parameters.get(count, 0) > 0
 
 
-def _say_delay(topic: Topic, findings: Findings) -> None:
-    delay = topic.publication_delay
-    if delay is None:
+def _say_delay(topic: Messages, findings: Findings) -> None:
+    if "timestamp_sample" not in topic:
         return
+    delay = float(np.median(topic.stamp_ns - topic.sample_ns)) * 1e-9
     findings.read.append(
         f"commands count from their publication (timestamp), in the median {delay * 1e3:.2f} ms "
         "after the gyro sample they answer (timestamp_sample)"
@@ -133,13 +133,13 @@ def _say_delay(topic: Topic, findings: Findings) -> None:
 # --- control allocation -----------------------------------------------------------------------
 
 
-def _allocated(log: Px4Log, findings: Findings, instance: int) -> Actuators:
+def _allocated(log: Log, findings: Findings, instance: int) -> Actuators:
     """Motors and servos behind the control allocation."""
     streams = []
     channels: list[Channel] = []
     sources = []
     for name, describe in (("actuator_motors", _motors), ("actuator_servos", _servos)):
-        topic = log.topic(name, instance)
+        topic = log.messages(name, instance)
         if topic is None:
             continue
         values = topic.vector("control", topic.size("control"))
@@ -162,7 +162,7 @@ def _allocated(log: Px4Log, findings: Findings, instance: int) -> Actuators:
     return Actuators(" and ".join(sources), t_ns, values, tuple(channels))
 
 
-def _motors(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
+def _motors(log: Log, findings: Findings, count: int) -> list[Channel]:
     """Meaning of the entries of actuator_motors."""
     get = log.parameters.get
     rotors = min(int(get("CA_ROTOR_COUNT", 0)), count)
@@ -197,11 +197,11 @@ def _motors(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
     ]
 
 
-def _rotor(log: Px4Log, index: int, what: str, default: float = 0.0) -> float:
+def _rotor(log: Log, index: int, what: str, default: float = 0.0) -> float:
     return float(log.parameters.get(f"CA_ROTOR{index}_{what}", default))
 
 
-def _servos(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
+def _servos(log: Log, findings: Findings, count: int) -> list[Channel]:
     """Meaning of the entries of actuator_servos: first the control surfaces."""
     get = log.parameters.get
     surfaces = min(int(get("CA_SV_CS_COUNT", 0)), count)
@@ -232,10 +232,10 @@ def _servos(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
 # --- before the allocation or the mixer ---------------------------------------------------------
 
 
-def _setpoints(log: Px4Log, findings: Findings, instance: int) -> Actuators:
+def _setpoints(log: Log, findings: Findings, instance: int) -> Actuators:
     """Torque and thrust asked of the control allocation."""
-    torque = log.topic("vehicle_torque_setpoint", instance)
-    thrust = log.topic("vehicle_thrust_setpoint", instance)
+    torque = log.messages("vehicle_torque_setpoint", instance)
+    thrust = log.messages("vehicle_thrust_setpoint", instance)
     if torque is None:
         raise ImportLogError(
             f"log '{log.path}' has no vehicle_torque_setpoint of instance {instance}"
@@ -263,7 +263,7 @@ def _setpoints(log: Px4Log, findings: Findings, instance: int) -> Actuators:
     return Actuators(f"{torque.name} and {thrust.name}", t_ns, values, tuple(channels))
 
 
-def _lifts(log: Px4Log, forces: FloatArray, findings: Findings) -> bool:
+def _lifts(log: Log, forces: FloatArray, findings: Findings) -> bool:
     """Whether the thrust that counts points up rather than forward."""
     airframe = log.parameters.get("CA_AIRFRAME")
     if airframe in (MULTIROTOR, FIXED_WING):
@@ -275,9 +275,9 @@ def _lifts(log: Px4Log, forces: FloatArray, findings: Findings) -> bool:
     return up >= ahead
 
 
-def _controls(name: str, log: Px4Log, findings: Findings, instance: int) -> Actuators:
+def _controls(name: str, log: Log, findings: Findings, instance: int) -> Actuators:
     """One set of controls of logs before v1.13 or so."""
-    topic = log.topic(name)
+    topic = log.messages(name)
     assert topic is not None  # the caller has looked
     values = topic.vector("control", topic.size("control"))
     channels = tuple(
@@ -298,11 +298,11 @@ def _controls(name: str, log: Px4Log, findings: Findings, instance: int) -> Actu
 # --- pulse widths -------------------------------------------------------------------------------
 
 
-def _outputs(log: Px4Log, findings: Findings, instance: int) -> Actuators:
+def _outputs(log: Log, findings: Findings, instance: int) -> Actuators:
     """Pulse widths at the pins, with functions from PWM_*_FUNCn, or a quadrotor's old mixer."""
-    topic = log.topic("actuator_outputs", instance)
+    topic = log.messages("actuator_outputs", instance)
     assert topic is not None  # the caller has looked
-    count = int(np.max(topic.column("noutputs"))) or topic.size("output")
+    count = int(np.max(topic.columns["noutputs"])) or topic.size("output")
     values = topic.vector("output", topic.size("output"))[:, :count]
     prefix = "PWM_AUX" if instance else "PWM_MAIN"
     functions = [int(log.parameters.get(f"{prefix}_FUNC{i + 1}", 0)) for i in range(count)]
@@ -319,9 +319,7 @@ def _outputs(log: Px4Log, findings: Findings, instance: int) -> Actuators:
     return Actuators(topic.name, topic.stamp_ns, values, tuple(channels))
 
 
-def _by_function(
-    log: Px4Log, findings: Findings, functions: list[int], prefix: str
-) -> list[Channel]:
+def _by_function(log: Log, findings: Findings, functions: list[int], prefix: str) -> list[Channel]:
     """Meaning of pins whose functions are parameters."""
     motors = _motors(log, findings, FUNCTIONS_OF_A_KIND)
     servos = _servos(log, findings, FUNCTIONS_OF_A_KIND)
@@ -351,7 +349,7 @@ def _renamed(channel: Channel, name: str) -> Channel:
     )
 
 
-def _quad_x(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
+def _quad_x(log: Log, findings: Findings, count: int) -> list[Channel]:
     """Take a quadrotor in X: the mixer file is not in an old log."""
     low = float(log.parameters.get("PWM_MIN", PWM_MIN))
     high = float(log.parameters.get("PWM_MAX", PWM_MAX))
@@ -369,7 +367,7 @@ def _quad_x(log: Px4Log, findings: Findings, count: int) -> list[Channel]:
     ]
 
 
-READERS: dict[str, Callable[[Px4Log, Findings, int], Actuators]] = {
+READERS: dict[str, Callable[[Log, Findings, int], Actuators]] = {
     "actuator_motors": _allocated,
     "actuator_servos": _allocated,
     "vehicle_torque_setpoint": _setpoints,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from uav_ident_ros.import_logs.flight_log import Column, ImportLogError
-from uav_ident_ros.import_logs.px4_log import Px4Log
+from uav_ident_ros.import_logs.log import Log
 
 TABLE = re.compile(r"(?P<log>.+?)_(?P<topic>{topics})_(?P<instance>\d+)\.csv")
 """How ulog2csv names its files."""
@@ -18,7 +18,7 @@ PARAMETERS = re.compile(r".*param(s|eters)?\.(csv|txt)")
 """What ulog_params writes: lines of a name and a value."""
 
 
-def read_folder(path: Path, topics: tuple[str, ...]) -> Px4Log:
+def read_folder(path: Path, topics: tuple[str, ...]) -> Log:
     """Read the tables of some topics, and the parameters if they are there.
 
     Raises
@@ -36,7 +36,7 @@ def read_folder(path: Path, topics: tuple[str, ...]) -> Px4Log:
             if logs
             else f"folder '{path}' has no table of ulog2csv, as LOG_sensor_combined_0.csv"
         )
-    log = Px4Log(path, facts={"sys_name": "PX4, by ulog2csv"})
+    log = Log(path, facts={"sys_name": "PX4, by ulog2csv"})
     for file, match in found.items():
         columns = _table(file)
         if len(columns["timestamp"]):

@@ -18,11 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column, ImportLogError
-from uav_ident_ros.import_logs.resync import loss_in_words, walk
-from uav_ident_ros.import_logs.stamps import BoolArray, plausible, rate
+from uav_ident_ros.import_logs.log import Log
+from uav_ident_ros.import_logs.resync import walk
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 """First bytes of every ULog file."""
@@ -46,67 +44,6 @@ DEEPEST = 8
 """How deep formats may contain formats."""
 
 
-class Topic:
-    """All messages of one topic and instance.
-
-    Parameters
-    ----------
-    name : str
-        Name, with ``[i]`` behind it for an instance beyond the first.
-    data : dict
-        Array by field name; an entry of an array field is ``field[0]`` and so on.
-    """
-
-    def __init__(self, name: str, data: dict[str, Column]) -> None:
-        self.name = name
-        self._data = data
-
-    def __contains__(self, field: str) -> bool:
-        """Whether it has such a field."""
-        return field in self._data
-
-    @property
-    def stamp_ns(self) -> TimeArray:
-        """When the messages were published, ns since the start of the autopilot."""
-        return self._ns("timestamp")
-
-    @property
-    def sample_ns(self) -> TimeArray:
-        """When what they are computed from was sampled, ns; the publication if not logged."""
-        sampled, published = self._ns("timestamp_sample"), self._ns("timestamp")
-        return np.where(sampled > 0, sampled, published)
-
-    @property
-    def publication_delay(self) -> float | None:
-        """Median time from sampling to publication, s; None if it is not logged."""
-        if "timestamp_sample" not in self._data:
-            return None
-        return float(np.median(self._ns("timestamp") - self.sample_ns)) * 1e-9
-
-    def _ns(self, field: str) -> TimeArray:
-        stamps = self._data[field if field in self._data else "timestamp"]
-        return stamps.astype(np.int64) * NS_PER_US
-
-    @property
-    def rate(self) -> float:
-        """Messages per second."""
-        return rate(self.stamp_ns)
-
-    def column(self, field: str) -> Column:
-        """Values of one field, in the type of the log."""
-        return self._data[field]
-
-    def vector(self, field: str, size: int = 3) -> FloatArray:
-        """Values of an array field, shape (k, size)."""
-        columns = [self.column(f"{field}[{i}]") for i in range(size)]
-        with np.errstate(invalid="ignore"):  # damaged bytes may be a NaN that signals
-            return np.column_stack(columns).astype(float)
-
-    def size(self, field: str) -> int:
-        """Length of an array field."""
-        return sum(1 for name in self._data if name.startswith(f"{field}["))
-
-
 @dataclass
 class _Subscription:
     """One topic and instance: its fields, the sizes of its messages, where they are."""
@@ -124,80 +61,20 @@ class _Subscription:
         return {name: table[name] for name in self.dtype.names or ()}
 
 
-@dataclass
-class Px4Log:
-    """A PX4 log in memory."""
-
-    path: Path  # Where it is from
-    # Arrays by field name, of each topic and instance that has messages
-    topics: dict[tuple[str, int], dict[str, Column]] = field(default_factory=dict)
-    # Parameters at the start of the log, by name
-    parameters: dict[str, float] = field(default_factory=dict)
-    # Time (us), name and value of every parameter that was set while logging
-    parameter_changes: list[tuple[int, str, float]] = field(default_factory=list)
-    # What the log says of the firmware and the board
-    facts: dict[str, int | float | str] = field(default_factory=dict)
-    # Lengths of the stretches in which the logger itself lost messages, s
-    dropouts: list[float] = field(default_factory=list)
-    damage: list[str] = field(default_factory=list)  # What could not be read, and how much it is
-    remarks: list[str] = field(default_factory=list)  # What else there is to say about the file
-    start_ns: int | None = None  # Stamp of the start of the log, ns; None if it is not known
-
-    @property
-    def end_ns(self) -> int:
-        """Newest stamp, ns."""
-        stamps = [columns["timestamp"] for columns in self.topics.values()]
-        return int(max((t_us.max() for t_us in stamps), default=0)) * NS_PER_US
-
-    def add(self, name: str, instance: int, columns: dict[str, Column]) -> BoolArray:
-        """Add a topic; return which messages are kept: those with a stamp that a clock gave."""
-        good = plausible(columns["timestamp"].astype(np.int64) * NS_PER_US)
-        if not good.all():
-            self.damage.append(
-                f"{int((~good).sum())} of {len(good)} messages {name} have a stamp that no clock "
-                "gave, and were left out"
-            )
-            columns = {name: values[good] for name, values in columns.items()}
-        if good.any():
-            self.topics[name, instance] = columns
-        return good
-
-    def topic(self, name: str, instance: int = 0) -> Topic | None:
-        """Return a topic if the log has messages of it."""
-        data = self.topics.get((name, instance))
-        if data is None:
-            return None
-        return Topic(f"{name}[{instance}]" if instance else name, data)
-
-    def instances(self, name: str) -> list[int]:
-        """Instances of a topic that have messages."""
-        return sorted(i for n, i in self.topics if n == name)
-
-    def contents(self) -> str:
-        """List the topics in one line."""
-        return ", ".join(sorted({name for name, _ in self.topics})) or "no topics at all"
-
-    def changes(self, prefixes: tuple[str, ...]) -> Iterator[tuple[float, str, float]]:
-        """Yield time (s), name and value of the parameters that were changed while logging."""
-        for t_us, name, value in self.parameter_changes:
-            if name.startswith(prefixes) and self.parameters.get(name) != value:
-                yield t_us * 1e-6, name, value
-
-    @property
-    def title(self) -> str:
-        """Which board and firmware wrote it."""
-        words = [str(self.facts.get("sys_name", "PX4"))]
-        release = self.facts.get("ver_sw_release")
-        if isinstance(release, int) and release:
-            words.append("v" + ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8)))
-        elif "ver_sw" in self.facts:
-            words.append(f"firmware {str(self.facts['ver_sw'])[:10]}")
-        if "ver_hw" in self.facts:
-            words.append(f"on {self.facts['ver_hw']}")
-        return " ".join(words)
+def title_of(log: Log) -> str:
+    """Return which board and firmware wrote a log."""
+    words = [str(log.facts.get("sys_name", "PX4"))]
+    release = log.facts.get("ver_sw_release")
+    if isinstance(release, int) and release:
+        words.append("v" + ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8)))
+    elif "ver_sw" in log.facts:
+        words.append(f"firmware {str(log.facts['ver_sw'])[:10]}")
+    if "ver_hw" in log.facts:
+        words.append(f"on {log.facts['ver_hw']}")
+    return " ".join(words)
 
 
-def read_ulog(path: Path) -> Px4Log:
+def read_ulog(path: Path) -> Log:
     """Read a ULog file.
 
     Raises
@@ -205,20 +82,14 @@ def read_ulog(path: Path) -> Px4Log:
     ImportLogError
         If the file cannot be read.
     """
+    log = Log(path)
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             if len(data) < FILE_HEADER:
                 raise ImportLogError(f"log '{path}' is no readable ULog file: it is cut off")
-            found = _Walker(data, path)
+            log.start_ns = int.from_bytes(data[8:16], "little") * NS_PER_US
+            found = _Walker(data, log)
             gaps = walk(found, FILE_HEADER, len(data))
-            log = Px4Log(
-                path,
-                parameters=found.parameters,
-                parameter_changes=found.changes,
-                facts=found.facts,
-                dropouts=found.dropouts,
-                start_ns=int.from_bytes(data[8:16], "little") * NS_PER_US,
-            )
             stamped: list[tuple[int, int]] = []
             for topic in found.topics.values():
                 if "timestamp" in (topic.dtype.names or ()) and topic.places:
@@ -227,11 +98,8 @@ def read_ulog(path: Path) -> Px4Log:
                     t_ns = columns["timestamp"][good].astype(np.int64) * NS_PER_US
                     places = np.array(topic.places)[good]
                     stamped += zip(places.tolist(), t_ns.tolist(), strict=True)
-            if gaps and gaps[-1][1] == len(data) and found.may_begin(gaps[-1][0]):
-                gaps.pop()
-                log.remarks.append("the file is cut off at its end: what is there was read")
-            if gaps:
-                log.damage.insert(0, loss_in_words(gaps, len(data), sorted(stamped)))
+            cut = bool(gaps) and gaps[-1][1] == len(data) and found.may_begin(gaps[-1][0])
+            log.say_loss(gaps, len(data), stamped, cut=cut)
     except OSError as error:
         raise ImportLogError(f"log '{path}' cannot be read: {error.strerror}") from None
     return log
@@ -242,24 +110,12 @@ _KEY = re.compile(rb"[a-z0-9_]+(\[\d+\])? [\w-]+")
 
 
 class _Walker:
-    """Finds the messages of a file, and takes them in.
+    """Finds the messages of a file, and takes them into a log."""
 
-    Parameters
-    ----------
-    data : mmap
-        The file.
-    path : Path
-        Its name, for messages.
-    """
-
-    def __init__(self, data: mmap.mmap, path: Path) -> None:
-        self._data, self._size, self._path = data, len(data), path
+    def __init__(self, data: mmap.mmap, log: Log) -> None:
+        self._data, self._size, self._log = data, len(data), log
         self.topics: dict[int, _Subscription] = {}
         self.lengths: set[int] = set()
-        self.parameters: dict[str, float] = {}
-        self.changes: list[tuple[int, str, float]] = []
-        self.facts: dict[str, int | float | str] = {}
-        self.dropouts: list[float] = []
         self._formats: dict[str, list[tuple[str, int, str]]] = {}
         self._newest: _Subscription | None = None
         self._last: _Subscription | None = None
@@ -357,8 +213,8 @@ class _Walker:
         incompatible = content[8:16]
         if incompatible[0] & ~1 or any(incompatible[1:]):
             raise ImportLogError(
-                f"log '{self._path}' is no readable ULog file: its flags {incompatible.hex()} say "
-                "that it is of a later format"
+                f"log '{self._log.path}' is no readable ULog file: its flags "
+                f"{incompatible.hex()} say that it is of a later format"
             )
 
     def _take_format(self, content: bytes) -> None:
@@ -411,24 +267,24 @@ class _Walker:
     def _take_fact(self, content: bytes) -> None:
         kind, name, value = _entry(content)
         if kind.startswith("char["):
-            self.facts[name] = _text(value)
+            self._log.facts[name] = _text(value)
         elif (number := _number(kind, value)) is not None:
-            self.facts[name] = number
+            self._log.facts[name] = number
 
     def _take_parameter(self, content: bytes) -> None:
         kind, name, content = _entry(content)
         value = _number(kind, content)
-        if value is None or not np.isfinite(value):
+        if value is None:
             return
-        if self._newest is None:
-            self.parameters[name] = value
-            return
-        place: Mapping[str, Any] = self._newest.dtype.fields or {}
-        at = self._newest.places[-1] + DATA_HEADER + int(place["timestamp"][1])
-        self.changes.append((int.from_bytes(self._data[at : at + 8], "little"), name, value))
+        t_us = 0
+        if self._newest is not None:
+            place: Mapping[str, Any] = self._newest.dtype.fields or {}
+            at = self._newest.places[-1] + DATA_HEADER + int(place["timestamp"][1])
+            t_us = int.from_bytes(self._data[at : at + 8], "little")
+        self._log.set_parameter(name, value, t_us * 1e-6)
 
     def _take_dropout(self, content: bytes) -> None:
-        self.dropouts.append(int.from_bytes(content, "little") * 1e-3)
+        self._log.dropouts.append(int.from_bytes(content, "little") * 1e-3)
 
 
 def _entry(content: bytes) -> tuple[str, str, bytes]:

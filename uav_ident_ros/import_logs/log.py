@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An autopilot's log in memory: messages as arrays, parameters, what is damaged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column
+from uav_ident_ros.import_logs.resync import Gap, loss_in_words
+from uav_ident_ros.import_logs.stamps import BoolArray, plausible, rate
+
+STAMPS = {"timestamp": NS_PER_US, "TimeUS": NS_PER_US, "TimeMS": 1_000_000}
+"""Fields of the time since the autopilot's start, and their unit, ns; TimeMS until 2015."""
+
+SAMPLED = ("timestamp_sample", "SampleUS")
+"""Fields of the time at which was sampled what a message holds, us."""
+
+
+class Messages:
+    """All messages of one kind and instance: PX4's topics, ArduPilot's types.
+
+    Parameters
+    ----------
+    name : str
+        The kind, with ``[i]`` behind it for an instance beyond the first.
+    columns : dict
+        Array by field name; an entry of an array field is ``field[0]`` and so on.
+    """
+
+    def __init__(self, name: str, columns: dict[str, Column]) -> None:
+        self.name = name
+        self.columns = columns
+
+    def __contains__(self, field: str) -> bool:
+        """Whether they have such a field."""
+        return field in self.columns
+
+    @property
+    def stamp_ns(self) -> TimeArray:
+        """When they were published or logged, ns since the start of the autopilot."""
+        name = next(name for name in STAMPS if name in self)
+        return np.asarray(self.columns[name]).astype(np.int64) * STAMPS[name]
+
+    @property
+    def sample_ns(self) -> TimeArray:
+        """When what they hold was sampled, ns; the same as `stamp_ns` where that is not said."""
+        name = next((name for name in SAMPLED if name in self), None)
+        if name is None:
+            return self.stamp_ns
+        sampled = np.asarray(self.columns[name]).astype(np.int64) * NS_PER_US
+        return np.where(sampled > 0, sampled, self.stamp_ns)
+
+    @property
+    def rate(self) -> float:
+        """Messages per second."""
+        return rate(self.sample_ns)
+
+    def values(self, *fields: str) -> FloatArray:
+        """Values of some fields, shape (k, number of fields)."""
+        with np.errstate(invalid="ignore"):  # damaged bytes may be a NaN that signals
+            return np.column_stack([self.columns[field] for field in fields]).astype(float)
+
+    def vector(self, field: str, size: int = 3) -> FloatArray:
+        """Values of an array field, shape (k, size)."""
+        return self.values(*(f"{field}[{i}]" for i in range(size)))
+
+    def size(self, field: str) -> int:
+        """Length of an array field."""
+        return sum(1 for name in self.columns if name.startswith(f"{field}["))
+
+
+@dataclass
+class Log:
+    """A log in memory."""
+
+    path: Path  # Where it is from
+    kinds: set[str] = field(default_factory=set)  # Every kind of messages in it
+    # Parameters at the start, by name, and time (s), name and value of those that became others
+    parameters: dict[str, float] = field(default_factory=dict)
+    changes: list[tuple[float, str, float]] = field(default_factory=list)
+    texts: list[str] = field(default_factory=list)  # What the autopilot said of itself
+    # What a PX4 log says of the firmware and the board
+    facts: dict[str, int | float | str] = field(default_factory=dict)
+    # Lengths of the stretches in which the logger itself lost messages, s
+    dropouts: list[float] = field(default_factory=list)
+    damage: list[str] = field(default_factory=list)  # What could not be read, and how much it is
+    remarks: list[str] = field(default_factory=list)  # What else there is to say about the file
+    start_ns: int | None = None  # Stamp of the start, ns; None if it is not known
+    _found: dict[tuple[str, int], Messages] = field(default_factory=dict)
+
+    @property
+    def end_ns(self) -> int:
+        """Newest stamp, ns."""
+        return max((int(m.stamp_ns.max()) for m in self._found.values()), default=0)
+
+    def add(
+        self, name: str, instance: int, columns: dict[str, Column], instance_field: str = ""
+    ) -> BoolArray:
+        """Add messages; return which are kept: those with a stamp that a clock gave.
+
+        With an `instance_field` they are of several instances, as it says.
+        """
+        good = plausible(Messages(name, columns).stamp_ns)
+        if not good.all():
+            self.damage.append(
+                f"{int((~good).sum())} of {len(good)} messages {name} have a stamp that no clock "
+                "gave, and were left out"
+            )
+        columns = {field: values[good] for field, values in columns.items()}
+        which = columns.get(instance_field, np.full(int(good.sum()), instance))
+        for number in map(int, np.unique(which)):
+            chosen = {field: values[which == number] for field, values in columns.items()}
+            named = f"{name}[{number}]" if number else name
+            self._found[name, number] = Messages(named, chosen)
+            self.kinds.add(name)
+        return good
+
+    def messages(self, name: str, instance: int = 0) -> Messages | None:
+        """Return the messages of a kind and instance, if there are any."""
+        return self._found.get((name, instance))
+
+    def instances(self, name: str) -> list[int]:
+        """Instances of a kind that have messages."""
+        return sorted(number for kind, number in self._found if kind == name)
+
+    def contents(self) -> str:
+        """List the kinds of messages in one line."""
+        return ", ".join(sorted(self.kinds)) or "no messages at all"
+
+    def set_parameter(self, name: str, value: float, t: float) -> None:
+        """Take a parameter; a value that is not the first is a change at the time `t`, s."""
+        if np.isfinite(value) and self.parameters.setdefault(name, value) != value:
+            self.changes.append((t, name, value))
+
+    def say_loss(
+        self, gaps: list[Gap], size: int, stamped: list[tuple[int, int]], *, cut: bool
+    ) -> None:
+        """Say how much of the file could not be read; a gap at the end may be a `cut`."""
+        if gaps and cut:
+            gaps.pop()
+            self.remarks.append("the file is cut off at its end: what is there was read")
+        if gaps:
+            self.damage.insert(0, loss_in_words(gaps, size, sorted(stamped)))
