@@ -57,7 +57,7 @@ def good() -> Evidence:
     for name in ("pdot/p", "qdot/q", "rdot/r"):
         values[AUGMENTED.index(name)] = -5.0
     return Evidence(
-        settings=Settings(),
+        settings=Settings.from_values({"structure": "augmented"}),
         structure=AUGMENTED,
         values=values,
         sigma=np.where(AUGMENTED.mask, 0.1, 0.0),
@@ -139,6 +139,12 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
         {"delay": replace(SURE, confidence="low"), "delay_in_use": 0.2},
         {"delay": SURE, "delay_in_use": 0.2},
         "170 ms too long",
+    ),
+    "airspeed assumed": (
+        "assumed_airspeed",
+        {"settings": Settings.from_values({"airspeed.reference": 20.1})},
+        {"settings": Settings()},
+        "no airspeed is measured, and 'airspeed.reference' is the default, 20 m/s: set it to",
     ),
     "yaw needs ay": (
         "row_needs_force",

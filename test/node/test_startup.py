@@ -93,6 +93,7 @@ def test_it_says_which_section_its_parameters_are_of(start_node: StartNode, tmp_
     path.write_text("/**/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
     node = start_node(parameter_file=path)
     assert wait_for(lambda: f"parameters of '{path}', section /**/identifier" in node.log), node.log
+    assert wait_for(lambda: "'airspeed.reference' is the default, 20 m/s" in node.log)
 
 
 @pytest.mark.parametrize(

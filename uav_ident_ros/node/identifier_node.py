@@ -97,6 +97,7 @@ class IdentifierNode(Node):
         self.create_timer(look_period(settings.update_rate), tick)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._said = OnChange()
+        self._warnings: list[str] = []
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         tell = self._guard(self._on_diagnostics)
         self.create_timer(DIAGNOSTICS_PERIOD, tell, clock=self._steady)
@@ -202,8 +203,11 @@ class IdentifierNode(Node):
         self._inputs.empty()
         self._clock_watch.look(self.get_clock().now().nanoseconds)
         self._memory.attend(self._estimate, time.monotonic())
-        for line in self._waiting.several():
-            self._say_warning(line)
+        warnings = self._waiting.warnings()
+        for line in warnings:
+            if line not in self._warnings:
+                self._say_warning(line)
+        self._warnings = warnings
         state, reason = self._state()
         line = f"{state}: {reason}" if reason else state
         if self._said.changed(line):
@@ -240,7 +244,7 @@ class IdentifierNode(Node):
             self._guard.problem
             or self._inputs.rates.fault
             or self._clock_watch.fault(self._meter.count)
-            or ("" if self._waiting.standing() else self._clocks_apart())
+            or (self._clocks_apart() if self._waiting.imu_moves else "")
         )
         if fault:
             return "fault", fault
@@ -267,6 +271,7 @@ class IdentifierNode(Node):
                 ("estimator", settings.estimator),
                 ("use_sim_time", str(self.get_clock().ros_time_is_active).lower()),
                 ("internal errors", str(self._guard.count)),
+                ("warnings", "; ".join(self._warnings) or "none"),
             ],
             "ticks": list(self._meter.values()),
         }

@@ -11,6 +11,7 @@ from rclpy.node import Node
 
 from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.identifier import ARMED, RATES, OnlineIdentifier
+from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import NS_PER_S
 from uav_ident_ros.node.clock import ClockWatch
@@ -54,6 +55,12 @@ class Waiting:
         Counts of the subscriptions, by stream.
     clock : ClockWatch
         Knows whether /clock moves.
+
+    Attributes
+    ----------
+    imu_moves : bool
+        Whether the stamps of the rates went on until the last look. Where they do not, those of
+        the actuators are soon far from them: that is no fault of the actuators.
     """
 
     def __init__(
@@ -71,7 +78,7 @@ class Waiting:
         self._ticks = (0, time.monotonic())
         self._stamp: tuple[int | None, float] = (None, time.monotonic())
         self._began = time.monotonic()
-        self._same = 1
+        self.imu_moves = False
         self._lost = dict.fromkeys(self._monitors, "")
 
     def reason(self, ticks: int) -> str:
@@ -85,7 +92,8 @@ class Waiting:
         now = time.monotonic()
         if ticks != self._ticks[0]:
             self._ticks = (ticks, now)
-        if self._identifier.newest_ns != self._stamp[0]:
+        self.imu_moves = self._identifier.newest_ns != self._stamp[0]
+        if self.imu_moves:
             self._stamp = (self._identifier.newest_ns, now)
         self._lost = {stream: self._all_dropped(stream) for stream in self._monitors}
         if self._node.get_clock().ros_time_is_active and (standing := self._clock.silence()):
@@ -97,7 +105,7 @@ class Waiting:
             return lost
         if ticks and now - self._ticks[1] <= SILENT_AFTER:
             return ""
-        return self.standing() or self._early(ticks)
+        return self._standing() or self._early(ticks)
 
     def _silent(self, stream: str, monitor: InputMonitor) -> str:
         """Say why no message of a stream arrives; empty if they do."""
@@ -132,11 +140,8 @@ class Waiting:
         what = CURES.get(reason) or monitor.detail or reason
         return f"every message on '{monitor.topic}' is dropped: {what}"
 
-    def standing(self) -> str:
-        """Say that the stamps of the rates stand still; empty if they move.
-
-        Those of the actuators are then far from them: that is no fault of the actuators.
-        """
+    def _standing(self) -> str:
+        """Say that the stamps of the rates stand still; empty if they move."""
         newest_ns, since = self._stamp
         monitor = self._monitors[RATES]
         age = monitor.age()
@@ -154,22 +159,20 @@ class Waiting:
     def _early(ticks: int) -> str:
         return "no tick is due any more" if ticks else "the first tick is not due yet"
 
-    def several(self) -> list[str]:
-        """Return a line for what has come to exist twice: a publisher of an input, this node."""
-        lines = []
+    def warnings(self) -> list[str]:
+        """Return what does not keep it from learning and is wrong all the same, a line each."""
+        lines = [unmeasured(self._identifier.settings)]
         same = namesakes(self._node)
-        if same > max(self._same, 1):
+        if same > 1:
             lines.append(
                 f"{same} nodes are called '{self._node.get_fully_qualified_name()}': their outputs "
                 "mix, and they write the same state file; give each a namespace, -r __ns:=/drone1"
             )
-        self._same = same
         for monitor in self._monitors.values():
-            before, names = monitor.publishers, publishers(self._node, monitor.topic)
-            monitor.publishers = names
-            if len(names) > 1 and names != before:
+            names = monitor.publishers = publishers(self._node, monitor.topic)
+            if len(names) > 1:
                 lines.append(
                     f"'{monitor.topic}' has {len(names)} publishers, whose messages mix: "
-                    f"{', '.join(names)}"
+                    f"{', '.join(names)}; end one, or remap its topic"
                 )
-        return lines
+        return [line for line in lines if line]

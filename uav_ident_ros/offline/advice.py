@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
+from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.identification.structure import INPUTS, ROWS
 from uav_ident_ros.offline.evidence import ROW_FORCES, Evidence
 
@@ -186,6 +187,12 @@ def many_drops(e: Evidence) -> Iterator[str]:
             )
 
 
+def assumed_airspeed(e: Evidence) -> Iterator[str]:
+    """Say that nobody has told how fast the aircraft flies."""
+    if said := unmeasured(e.settings):
+        yield said
+
+
 def wrong_sign(e: Evidence) -> Iterator[str]:
     """Name the damping that drives the motion instead."""
     for name in DAMPING:
@@ -231,6 +238,7 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     gated,
     weak_excitation,
     wrong_delay,
+    assumed_airspeed,
     wrong_sign,
     no_better_than_holding,
     row_needs_force,

@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mistakes at the start: the log and /diagnostics name each, with what to do, within 3 s."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistStamped, Vector3
+from node_process import NodeProcess, wait_for
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, JointState, MagneticField
+from std_msgs.msg import Bool, Float64, Float64MultiArray
+
+PERIOD = 0.01
+START_NS = 1_700_000_000_000_000_000
+
+LOOKS = 3
+"""Messages on /diagnostics, one a second, of which the last must name a mistake."""
+
+DISCOVERY = 2
+"""More of them until DDS has found, or lost, an endpoint on a busy machine."""
+
+PARAMETERS = {
+    "actuators.type": "sensor_msgs/msg/JointState",
+    "actuators.channels": "['e', 'r', 'a', 't']",
+    "airspeed.type": "std_msgs/msg/Float64",
+    "armed.type": "std_msgs/msg/Bool",
+    "qos_overrides./actuators.subscription.reliability": "reliable",
+    "state_file": "none",
+}
+
+Topic = tuple[str, type, bool]
+"""Name, message type, and whether it is reliable."""
+
+RIGHT: dict[str, Topic] = {
+    "imu": ("/imu/data", Imu, False),
+    "actuators": ("/actuators", JointState, True),
+    "airspeed": ("/airspeed", Float64, False),
+    "armed": ("/armed", Bool, True),
+}
+
+Change = Topic | str | Callable[[Any], object] | None
+"""Another topic, a word, what is done to each message; None: nobody publishes it."""
+
+SILENT, TWICE = "silent", "twice"
+
+
+def stamp(sec: int) -> Callable[[Any], None]:
+    """Stamp messages so."""
+
+    def change(message: Any) -> None:
+        message.header.stamp.sec = sec
+        message.header.stamp.nanosec = 0 if sec == 0 else 1
+
+    return change
+
+
+def frozen() -> Callable[[Any], None]:
+    """Stamp every message as the first."""
+    first: list[Any] = []
+
+    def change(message: Any) -> None:
+        first.append(message.header.stamp)
+        message.header.stamp = first[0]
+
+    return change
+
+
+def put(name: str, value: Any) -> Callable[[Any], None]:
+    """Give an entry of messages a value."""
+
+    def change(message: Any) -> None:
+        *path, last = name.split(".")
+        for part in path:
+            message = getattr(message, part)
+        setattr(message, last, value)
+
+    return change
+
+
+NO_RATES = [-1.0, *[0.0] * 8]
+DROPPED = "every message on '{}' is dropped: {}"
+MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
+    # what is wrong: what must be said, and how to make it so
+    "armed is set, nobody tells it": ("no message on '/armed' yet: nobody", {"armed": None}),
+    "no driver": (
+        "nobody publishes '/imu/data': no other topic fits: does its source run, with ROS_DOMAIN",
+        {"imu": None},
+    ),
+    "another name": (
+        "'/imu/data_raw' carries sensor_msgs/msg/Imu: start with -r imu/data:=/imu/data_raw",
+        {"imu": ("/imu/data_raw", Imu, False)},
+    ),
+    "another sensor on the topic": (
+        "'/imu/data' of /source carries sensor_msgs/msg/MagneticField, but",
+        {"imu": ("/imu/data", MagneticField, False)},
+    ),
+    "a driver that sends nothing": (
+        "'/imu/data' has a publisher, /source, which sends nothing",
+        {"imu": SILENT},
+    ),
+    "another type elsewhere": (
+        "-r actuators:=/servos -p actuators.type:=std_msgs/msg/Float64MultiArray",
+        {"actuators": ("/servos", Float64MultiArray, True)},
+    ),
+    "another type on the topic": (
+        "set 'actuators.type' to std_msgs/msg/Float64MultiArray",
+        {"actuators": ("/actuators", Float64MultiArray, True)},
+    ),
+    "QoS that does not fit": (
+        "'qos_overrides./actuators.subscription.reliability' asks for reliable: set it to best_",
+        {"actuators": ("/actuators", JointState, False)},
+    ),
+    "actuators end": ("no message on '/actuators' for more than 2 s: nobody", {"actuators": None}),
+    "airspeed is set, nobody measures it": (
+        "no message on '/airspeed' for more than 2 s: nobody publishes",
+        {"airspeed": None},
+    ),
+    "airspeed of another type": (
+        "set 'airspeed.type' to geometry_msgs/msg/TwistStamped",
+        {"airspeed": ("/airspeed", TwistStamped, False)},
+    ),
+    "two drivers": (
+        "'/imu/data' has 2 publishers, whose messages mix: /source, /source; end one",
+        {"imu": TWICE},
+    ),
+    "two nodes of one name": (
+        "2 nodes are called '/identifier': their outputs mix",
+        {"node": TWICE},
+    ),
+    "other names": (
+        DROPPED.format("/actuators", "there is no channel 'e' among elevator, rudder"),
+        {"actuators": put("name", ["elevator", "rudder", "aileron", "throttle"])},
+    ),
+    "too few channels": (
+        DROPPED.format("/actuators", "'position' has 2 values, too few for channels e, r, a, t"),
+        {"actuators": put("position", [0.1, 0.0])},
+    ),
+    "channels that are no numbers": (
+        DROPPED.format("/actuators", "channel"),
+        {"actuators": put("position", [math.nan] * 4)},
+    ),
+    "channels of another kind": (
+        DROPPED.format("/actuators", "their values are larger than any aircraft has"),
+        {"actuators": put("position", [1e6] * 4)},
+    ),
+    "two clocks": ("they run on different clocks", {"actuators": stamp(START_NS // 10**9 + 999)}),
+    "airspeed of another unit": (
+        DROPPED.format("/airspeed", "their values are larger than any aircraft has: look at un"),
+        {"airspeed": put("data", 20_000.0)},
+    ),
+    "no stamps": (DROPPED.format("/imu/data", "their stamp is zero: let"), {"imu": stamp(0)}),
+    "stamps stand still": (
+        "the stamps on '/imu/data' stand still at 1700000",
+        {"imu": frozen()},
+    ),
+    "stamps of another century": (
+        DROPPED.format("/imu/data", "their stamp is beyond 2038: look at the clock"),
+        {"imu": stamp(2**31 - 1)},
+    ),
+    "rates that are no numbers": (
+        DROPPED.format("/imu/data", "their values are not finite numbers: look at the source"),
+        {"imu": put("angular_velocity.x", math.nan)},
+    ),
+    "rates in another unit": (
+        DROPPED.format("/imu/data", "their values are larger than any aircraft has: look at un"),
+        {"imu": put("angular_velocity.x", 4000.0)},
+    ),
+    "no gyro": (
+        DROPPED.format("/imu/data", "angular_velocity_covariance[0] is -1: no rates"),
+        {"imu": put("angular_velocity_covariance", NO_RATES)},
+    ),
+    "no Imu at all": (
+        DROPPED.format("/imu/data", "it takes 3003"),
+        {"imu": put("header.frame_id", "x" * 300_000)},
+    ),
+    "axes against the convention": (
+        "'imu_frd' contradicts imu.convention 'flu': set it to 'frd', or correct",
+        {"imu": put("header.frame_id", "imu_frd")},
+    ),
+}
+
+
+class Source:
+    """Publishes what the node listens to, right or with a mistake, and hears /diagnostics."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("source", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.heard: list[str] = []
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 10)
+        self.changes: dict[str, Change] = {}
+        self._publishers: dict[tuple[str, Topic, int], Any] = {}
+        self._twin: Any = None
+        self._t_ns = START_NS
+
+    def _hear(self, message: DiagnosticArray) -> None:
+        values = {entry.key: entry.value for entry in message.status[0].values}
+        self.heard.append(f"{message.status[0].message}; {values['warnings']}")
+
+    def make(self, changes: dict[str, Change]) -> None:
+        """Publish with these changes from now on."""
+        self.changes = changes
+        wanted = set()
+        for stream, right in RIGHT.items():
+            change = changes.get(stream, right)
+            if change is not None:
+                topic = change if isinstance(change, tuple) else right
+                wanted |= {(stream, topic, k) for k in range(2 if change == TWICE else 1)}
+        for gone in self._publishers.keys() - wanted:
+            self.node.destroy_publisher(self._publishers.pop(gone))
+        for key in wanted - self._publishers.keys():
+            name, kind, reliable = key[1]
+            policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+            self._publishers[key] = self.node.create_publisher(
+                kind, name, QoSProfile(depth=10, reliability=policy)
+            )
+        if self._twin is not None:
+            self._twin.destroy_node()
+        twice = changes.get("node") == TWICE
+        self._twin = rclpy.create_node("identifier", context=self.context) if twice else None
+        self.heard.clear()
+
+    def send(self) -> None:
+        """Publish a message of each."""
+        self._t_ns += round(PERIOD * 1e9)
+        rate = 0.2 * math.sin(self._t_ns * 1e-9)
+        for (stream, (_, kind, _), _), publisher in self._publishers.items():
+            change, message = self.changes.get(stream), kind()
+            if change == SILENT:
+                continue
+            if kind is Imu:
+                message.angular_velocity = Vector3(x=rate, y=rate, z=rate)
+            elif kind is JointState:
+                message.name, message.position = ["e", "r", "a", "t"], [0.1, 0.0, 0.0, 0.5]
+            elif kind in (Float64, Bool):
+                message.data = kind is Bool or 20.0
+            if hasattr(message, "header"):
+                seconds, rest = divmod(self._t_ns, 10**9)
+                message.header.stamp.sec, message.header.stamp.nanosec = seconds, rest
+            if callable(change):
+                change(message)
+            publisher.publish(message)
+        self.executor.spin_once(timeout_sec=PERIOD)
+
+    def says(self, words: str) -> bool:
+        """Go on until /diagnostics says the words, or has not in time."""
+
+        def ended() -> bool:
+            self.send()
+            return len(self.heard) >= LOOKS + DISCOVERY or any(words in h for h in self.heard)
+
+        return wait_for(ended) and any(words in h for h in self.heard)
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        if self._twin is not None:
+            self._twin.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture(scope="module")
+def node() -> Iterator[NodeProcess]:
+    arguments = [part for item in PARAMETERS.items() for part in ("-p", ":=".join(item))]
+    started = NodeProcess(["--ros-args", *arguments])
+    yield started
+    started.kill()
+
+
+@pytest.fixture(scope="module")
+def source() -> Iterator[Source]:
+    made = Source()
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_every_mistake_is_named_with_what_to_do(
+    mistake: str, source: Source, node: NodeProcess
+) -> None:
+    """One node for all: what is wrong may also begin in flight, and end again."""
+    words, changes = MISTAKES[mistake]
+    logged = len(node.log)
+    source.make(changes)
+    assert source.says(words), (source.heard, node.log[logged:])
+    assert wait_for(lambda: words in node.log[logged:]), node.log[logged:]
+
+
+def test_after_the_mistakes_it_goes_on(source: Source, node: NodeProcess) -> None:
+    source.make({})
+
+    def well() -> bool:
+        source.send()
+        return any(line.startswith(("paused", "learning")) for line in source.heard[-1:])
+
+    assert wait_for(well), source.heard
+    assert node.process.poll() is None
