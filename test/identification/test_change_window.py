@@ -23,7 +23,11 @@ def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> N
         f = chance.normal(size=(10, STRUCTURE.size))
         data = Regression(y=chance.normal(size=(10, 3)), f=f, z=f, dt=length / 10)
         changed = detector.update(
-            data, np.zeros((3, STRUCTURE.size)), np.ones(4, dtype=bool), np.ones(3, dtype=bool)
+            data,
+            np.zeros((3, STRUCTURE.size)),
+            np.zeros((3, 4)),
+            np.ones(4, dtype=bool),
+            np.ones(3, dtype=bool),
         )
         assert changed == []
         assert np.isfinite(detector.found.slope).all()
@@ -32,7 +36,12 @@ def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> N
 def test_a_window_does_not_reach_over_a_gap() -> None:
     chance = np.random.default_rng(1)
     detector = ChangeDetector(STRUCTURE.mask)
-    everything = (np.zeros((3, STRUCTURE.size)), np.ones(4, dtype=bool), np.ones(3, dtype=bool))
+    everything = (
+        np.zeros((3, STRUCTURE.size)),
+        np.zeros((3, 4)),
+        np.ones(4, dtype=bool),
+        np.ones(3, dtype=bool),
+    )
     for k in range(130):
         f = chance.normal(size=(10, STRUCTURE.size))
         data = Regression(chance.normal(size=(10, 3)), f, f, 0.005, restarted=k == 120)
@@ -40,24 +49,56 @@ def test_a_window_does_not_reach_over_a_gap() -> None:
     assert len(detector.recent) == 10
 
 
-@pytest.mark.parametrize(("noise", "noticed"), [(0.05, True), (0.5, False)])
-def test_what_does_not_stand_out_must_explain_the_residual(noise: float, noticed: bool) -> None:
-    """A lost surface does; what an autopilot answers to a storm explains little of it."""
+@pytest.mark.parametrize(
+    ("when", "noise", "sigma", "noticed"),
+    [
+        (60.0, 0.05, 0.0, True),
+        (60.0, 0.5, 0.0, False),  # what an autopilot answers to a storm explains little of it
+        (20.0, 0.05, 3.0, True),  # soon after the start, too
+        (60.0, 0.05, 8.0, False),  # within two sigma: it is being learned
+    ],
+)
+def test_a_change_stands_out_from_noise_and_from_learning(
+    when: float, noise: float, sigma: float, noticed: bool
+) -> None:
+    """A lost surface does, by 12 of -20."""
     chance = np.random.default_rng(2)
     detector = ChangeDetector(STRUCTURE.mask)
     coefficients = np.zeros((3, STRUCTURE.size))
     coefficients[1, 8] = -20.0
-    found = []
-    for k in range(1400):  # ticks of 0.05 s
+    everywhere, nowhere = np.ones(4, dtype=bool), np.zeros(3, dtype=bool)
+    found, first = [], round(when / 0.05)
+    for k in range(first + 200):  # ticks of 0.05 s
         f = np.zeros((10, STRUCTURE.size))
         f[:, 8] = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal()
-        lost = 12.0 if k >= 1200 else 0.0
+        lost = 12.0 if k >= first else 0.0
         y = f @ coefficients.T + noise * chance.normal(size=3)
         y[:, 1] += lost * f[:, 8]
         data = Regression(y, f, f, 0.005)
-        changed = detector.update(
-            data, coefficients, np.ones(4, dtype=bool), np.zeros(3, dtype=bool)
-        )
+        changed = detector.update(data, coefficients, np.full((3, 4), sigma), everywhere, nowhere)
         found += [(k, *change) for change in changed]
     assert [(i, j) for _, i, j in found[:1]] == ([(1, 0)] if noticed else [])
-    assert all(1200 < k < 1320 for k, _, _ in found[:1])
+    assert all(first < k < first + 120 for k, _, _ in found[:1])
+
+
+def test_what_a_still_input_seems_to_do_is_not_remembered() -> None:
+    """Its slope is noise: a surface that moves again and is lost is noticed all the same."""
+    chance = np.random.default_rng(3)
+    detector = ChangeDetector(STRUCTURE.mask)
+    coefficients = np.zeros((3, STRUCTURE.size))
+    coefficients[1, 8] = -20.0
+    found = []
+    for k in range(1200):  # ticks of 0.05 s
+        size = 1.0 if k % 400 < 100 or k >= 800 else 0.001
+        f = np.zeros((10, STRUCTURE.size))
+        f[:, 8] = size * (0.03 * np.sin(0.1 * k) + 0.01 * chance.normal())
+        y = f @ coefficients.T + 0.05 * chance.normal(size=3)
+        y[:, 1] += 12.0 * f[:, 8] if k >= 1000 else 0.0
+        found += detector.update(
+            Regression(y, f, f, 0.005),
+            coefficients,
+            np.zeros((3, 4)),
+            np.full(4, size == 1.0),
+            np.zeros(3, dtype=bool),
+        )
+    assert found[:1] == [(1, 0)]

@@ -41,8 +41,12 @@ HISTORY_DELAY = 10.0
 """Newest stretch that the usual size leaves out, s: a change has so long to be noticed before it
 becomes usual itself."""
 
-SHORTEST_HISTORY = 20.0
-"""Time after which there is a usual size, s."""
+SHORTEST_HISTORY = 3.0
+"""Time after which there is a usual size, s: with the window and the delay, 18 s of learning."""
+
+LEARNED_SIGMAS = 2.0
+"""Slope in standard deviations of the coefficient itself up to which it is being learned, not
+changed."""
 
 MIN_EXPLAINED = 0.33
 """Share of a row's whitened residual that the slope explains below which nothing has changed."""
@@ -115,9 +119,10 @@ class ChangeDetector:
         self.found = Slopes(nothing, nothing, nothing, nothing, np.zeros(4))
         self._recent_time = 0.0
         self._since_look = 0.0
-        self._usual: FloatArray = np.zeros((3, 4))
+        self._usual: FloatArray = np.zeros((3, 4))  # times power
+        self._usual_power: FloatArray = np.zeros((3, 4))
         self._usual_time = 0.0
-        self._newest: deque[tuple[float, FloatArray]] = deque()
+        self._newest: deque[tuple[float, FloatArray, FloatArray]] = deque()
         self._newest_time = 0.0
         self._square: FloatArray = np.zeros(3)
         self._product: FloatArray = np.zeros(3)
@@ -131,7 +136,12 @@ class ChangeDetector:
         self._agreeing.fill(0)
 
     def update(
-        self, data: Regression, coefficients: FloatArray, lively: BoolArray, clear: BoolArray
+        self,
+        data: Regression,
+        coefficients: FloatArray,
+        sigma: FloatArray,
+        lively: BoolArray,
+        clear: BoolArray,
     ) -> list[tuple[int, int]]:
         """Return (row, input) of each control derivative that has changed.
 
@@ -140,7 +150,9 @@ class ChangeDetector:
         data : Regression
             Samples of this tick.
         coefficients : (3, n) array
-            The estimate.
+            The estimate: whitened, as the residuals are.
+        sigma : (3, 4) array
+            Standard deviations of its control derivatives.
         lively : (4,) bool array
             Inputs that move enough to tell.
         clear : (3,) bool array
@@ -161,25 +173,31 @@ class ChangeDetector:
             return []
         elapsed, self._since_look = self._since_look, 0.0
         self._hold_off = np.maximum(self._hold_off - elapsed, 0.0)
-        return self._look(coefficients, lively, clear, elapsed)
+        return self._look(coefficients, sigma, lively, clear, elapsed)
 
     def _look(
-        self, coefficients: FloatArray, lively: BoolArray, clear: BoolArray, elapsed: float
+        self,
+        coefficients: FloatArray,
+        sigma: FloatArray,
+        lively: BoolArray,
+        clear: BoolArray,
+        elapsed: float,
     ) -> list[tuple[int, int]]:
         self.found = found = self._slopes(coefficients)
         size = np.abs(found.slope)
-        usual = np.sqrt(self._usual)
+        usual = np.sqrt(_ratio(self._usual, self._usual_power))
         alarm = (
             lively
             & (found.explained >= np.where(clear, MIN_EXPLAINED, MIN_EXPLAINED_UNCLEAR)[:, None])
             & (found.t > MIN_T)
             & (size > MIN_CHANGE * np.abs(coefficients[:, INPUT_COLUMNS]))
+            & (size > LEARNED_SIGMAS * sigma)
             & (size > MIN_HISTORY_RATIO * usual)
             & (self._hold_off == 0.0)[:, None]
             & (self._usual_time >= SHORTEST_HISTORY)
         )
         self._agreeing = np.where(alarm, self._agreeing + 1, 0)
-        self._remember(np.where(alarm, self._usual, found.slope**2), elapsed)
+        self._remember(np.where(alarm, 0.0, found.power), found.slope**2, elapsed)
         changed = []
         for i in range(3):
             # One release at a time in a row: the strongest, the others may only mirror it.
@@ -190,19 +208,24 @@ class ChangeDetector:
                 changed.append((i, strongest))
                 self._hold_off[i] = WINDOW_TIME
                 self._agreeing[i] = 0
-                for _, square in self._newest:
-                    square[i] = self._usual[i]
+                for _, power, _ in self._newest:
+                    power[i] = 0.0
         return changed
 
-    def _remember(self, square: FloatArray, elapsed: float) -> None:
-        """Let what is old enough of the squared slopes count in their usual size."""
-        self._newest.append((elapsed, square))
+    def _remember(self, power: FloatArray, square: FloatArray, elapsed: float) -> None:
+        """Let what is old enough of the squared slopes count in their usual size.
+
+        Each counts by the power of its input: where an input hardly moves, its slope is noise.
+        """
+        self._newest.append((elapsed, power, square))
         self._newest_time += elapsed
         while self._newest_time > HISTORY_DELAY:
-            time, old = self._newest.popleft()
+            time, counts, old = self._newest.popleft()
             self._newest_time -= time
-            self._usual_time = min(self._usual_time + time, HISTORY_TIME)
-            self._usual += time / self._usual_time * (old - self._usual)
+            self._usual_time += time
+            keep = np.exp(-time / HISTORY_TIME)
+            self._usual = keep * self._usual + counts * old
+            self._usual_power = keep * self._usual_power + counts
 
     def _slopes(self, coefficients: FloatArray) -> Slopes:
         """Look for slopes over the window."""

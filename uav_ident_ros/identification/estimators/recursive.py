@@ -179,7 +179,7 @@ class Whitened:
         layout = estimate.information.layout
         self._noise = NoiseModel(layout.rows)
         self._signals = Whitener((layout.rows, 2 + 2 * layout.width))
-        self._solution: Solution | None = None
+        self.solution: Solution | None = None
         self._since = 0.0
 
     def add(self, sample: Sample, dt: FloatArray, *, restarted: bool) -> None:
@@ -210,10 +210,10 @@ class Whitened:
         coefficients : (R, n) array
             The coefficients before.
         """
-        if self._solution is None or self._since >= WHITENED_TIME:
-            self._solution = self.estimate.solve(coefficients)
+        if self.solution is None or self._since >= WHITENED_TIME:
+            self.solution = self.estimate.solve(coefficients)
             self._since = 0.0
-        white = self._solution
+        white = self.solution
         return np.asarray(np.hypot(np.maximum(sigma, white.sigma), values - white.values))
 
 
@@ -280,9 +280,7 @@ class RecursiveRegression:
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
         self._detector = ChangeDetector(start.free[:3])
         self._recent: deque[Sample] = deque()
-        self._snapshots: deque[tuple[Sums, Solution]] = deque(
-            maxlen=round(WINDOW_TIME / SNAPSHOT_TIME)
-        )
+        self._snapshots: deque[Solution] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
         self._trials: dict[int, Trial] = {}
         self._since_snapshot = 0.0
 
@@ -311,14 +309,12 @@ class RecursiveRegression:
     @property
     def inputs(self) -> FloatArray:
         """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
-        return self._linear()[:, INPUT_COLUMNS]
+        return self._linear(self._solution)[:, INPUT_COLUMNS]
 
-    def _linear(self) -> FloatArray:
+    def _linear(self, solution: Solution) -> FloatArray:
         """Moment rows of the linear problem in the place of their columns, shape (3, c)."""
         linear = np.zeros((3, self._layout.size))
-        linear[self._moment_rows, self._moment_columns] = self._solution.linear[:3][
-            self._layout.used[:3]
-        ]
+        linear[self._moment_rows, self._moment_columns] = solution.linear[:3][self._layout.used[:3]]
         return linear
 
     def residual(self, data: Regression) -> FloatArray:
@@ -407,13 +403,15 @@ class RecursiveRegression:
         for row in list(self._trials):
             self._continue_trial(row, sample, dt)
         lively = self._gate.share >= LIVELY_SHARE
-        changed = self._detector.update(data, self._linear(), lively, self.clear)
+        white = self._whitened.solution or self._solution
+        sigma = white.sigma[: len(ROWS), INPUT_COLUMNS]
+        changed = self._detector.update(data, self._linear(white), sigma, lively, self.clear)
         self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
         for i, j in changed:
-            self._release(i, j)
+            self._release(i, j, white)
         self._since_snapshot += data.time
         if self._since_snapshot >= SNAPSHOT_TIME:
-            self._snapshots.append((self._sums().copy(), self._solution))
+            self._snapshots.append(white)
             self._since_snapshot = 0.0
 
     def _sums(self) -> Sums:
@@ -431,7 +429,7 @@ class RecursiveRegression:
             return [self._whitened.estimate]
         return [self._whitened.estimate, self._reference]
 
-    def _release(self, row: int, j: int) -> None:
+    def _release(self, row: int, j: int, white: Solution) -> None:
         """Forget what input `j` did in one row, back to before the change, and learn it anew.
 
         A covariance reset: of all that was known before, the covariance of this coefficient and of
@@ -441,8 +439,8 @@ class RecursiveRegression:
         found, information = self._detector.found, self.information
         sums = self._sums().copy()
         beside = [other.sums.copy() for other in self._beside()]
-        self._trials[row] = Trial(sums.copy(), self._solution.linear[row].copy(), beside)
-        known = self._snapshots[0][1] if self._snapshots else self._solution
+        self._trials[row] = Trial(sums.copy(), white.linear[row].copy(), beside)
+        known = self._snapshots[0] if self._snapshots else white
         mean, covariance = known.linear[row].copy(), known.covariance[row].copy()
         columns = self._layout.index[row].tolist()
         entry = columns.index(INPUT_COLUMNS.start + j)
