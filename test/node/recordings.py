@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from node_process import ROOT
@@ -97,3 +98,12 @@ def joined(named: Iterable, predicted: Iterable, error: Iterable) -> TickValues:
         for tick, v in vectors.items():
             ticks[tick] += (v.x, v.y, v.z)
     return ticks
+
+
+def call(player: Player, kind: Any, service: str, request: Any) -> Any:
+    """Call a service of the node."""
+    client = player.node.create_client(kind, service)
+    player.wait_until(client.service_is_ready, f"service '{service}'")
+    future = client.call_async(request)
+    player.wait_until(future.done, f"an answer of '{service}'")
+    return future.result()

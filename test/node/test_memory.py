@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 import rclpy.logging
 from node_process import StartNode, wait_for
-from recordings import NODE, MakePlayer, Recording, recording
+from recordings import NODE, MakePlayer, Recording, call, recording
 from std_srvs.srv import Trigger
-from test_operation import call
 
 from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from recordings import (
     RATES_TOPIC,
     MakePlayer,
     Recording,
+    call,
     published,
     recording,
     wait_for_status,
@@ -27,21 +27,11 @@ from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.files.coefficients_file import load_coefficients
-from uav_ident_ros.player import Player
 
 
 @pytest.fixture
 def flight() -> Recording:
     return recording("multisine", 5.0)
-
-
-def call(player: Player, kind: Any, service: str, request: Any) -> Any:
-    """Call a service of the node."""
-    client = player.node.create_client(kind, service)
-    player.wait_until(client.service_is_ready, f"service '{service}'")
-    future = client.call_async(request)
-    player.wait_until(future.done, f"an answer of '{service}'")
-    return future.result()
 
 
 def test_diagnostics_tell_what_a_pilot_asks(
