@@ -4,16 +4,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from excerpts import BAGS, parameters, replayed_run
 
-from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
-from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
@@ -36,9 +36,8 @@ from uav_ident_ros.offline.advice import (
     advise,
 )
 from uav_ident_ros.offline.evidence import Evidence, gyro_noise, lost_to, measure
-from uav_ident_ros.offline.run import OfflineRun, Refusals, choose_inputs
+from uav_ident_ros.offline.run import Refusals
 
-BAGS = Path(__file__).parent.parent / "bags"
 AUGMENTED = STRUCTURES["augmented"]
 JUST_ABOVE, JUST_BELOW = 1.01, 0.99
 
@@ -318,11 +317,12 @@ def test_gyro_noise_is_told_from_motion() -> None:
 
 def evidence_of(name: str, changes: dict[str, Any], seconds: float = 60.0) -> Evidence:
     """What is measured on the beginning of an example bag with changed parameters."""
-    values = load_parameters(BAGS / name / "identifier.yaml", "identifier")
-    with Bag(BAGS / name) as bag:
-        end_ns = bag.start_ns + round(seconds * 1e9)
-        run = OfflineRun(choose_inputs(bag, {**values, **changes}))
-        run.run(bag, lambda messages, _: (m for m in messages if m.log_ns < end_ns))
+
+    def first(messages: Iterable[Message]) -> Iterator[Message]:
+        start, *rest = messages
+        yield from (m for m in (start, *rest) if m.log_ns < start.log_ns + round(seconds * 1e9))
+
+    run = replayed_run(BAGS / name, parameters(name) | changes, first)
     return measure(run, run.score())
 
 

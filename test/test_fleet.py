@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import shutil
 import signal
@@ -17,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from excerpts import PARAMETERS, ROOT, SECOND_NS, excerpt
 
-from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline import fleet_command, main
@@ -35,11 +36,6 @@ from uav_ident_ros.offline.fleet import (
 from uav_ident_ros.offline.flights_table import FlightRow, read_flights
 from uav_ident_ros.offline.journal import JOURNAL_FILE
 
-ROOT = Path(__file__).parent.parent
-BAGS = ROOT / "bags"
-PARAMETERS = BAGS / "multisine" / "identifier.yaml"
-SECOND_NS = 1_000_000_000
-TYPES = {"/imu/data": "sensor_msgs/msg/Imu", "/actuators": "sensor_msgs/msg/JointState"}
 NAMES = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
 
 
@@ -216,25 +212,13 @@ def test_what_is_no_table_is_one_line(
 # --- the table of flights ----------------------------------------------------------------------
 
 
-def excerpt(target: Path, begin: float, seconds: float) -> Path:
-    """A part of a flight of stamped messages."""
-    with Bag(BAGS / "multisine") as bag, BagWriter(target) as writer:
-        for topic, name in TYPES.items():
-            writer.topic(topic, name)
-        first = bag.start_ns + round(begin * SECOND_NS)
-        for topic, log_ns, data in bag.messages(TYPES):
-            if first <= log_ns <= first + seconds * SECOND_NS:
-                writer.write(topic, log_ns, data)
-    return target
-
-
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Short flights of two aircraft, and a file that is none."""
     folder = tmp_path_factory.mktemp("logs")
     for k in range(3):
-        excerpt(folder / "red" / f"flight{k}", 5.0 * k, 8.0)
-    excerpt(folder / "blue" / "maiden", 0.0, 6.0)
+        excerpt(folder / "red" / f"flight{k}", 8.0, begin=5.0 * k)
+    excerpt(folder / "blue" / "maiden", 6.0)
     (folder / "blue" / "broken.mcap").write_bytes(b"not a bag")
     return folder
 
@@ -309,8 +293,6 @@ def test_killed_in_the_middle_it_finishes_when_started_again(
     journal = output / JOURNAL_FILE
     while process.poll() is None and not (journal.exists() and journal.read_text()):
         time.sleep(0.05)
-    import os
-
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -341,8 +323,6 @@ def test_a_cluster_gives_the_same_table(logs: Path, replayed: Path, tmp_path: Pa
                 (w for w in cluster.workers.values() if w.worker_address == address), None
             )
             if worker is not None and worker.process is not None:
-                import os
-
                 os.kill(worker.process.pid, signal.SIGKILL)
         assert process.wait(300.0) == 2
     assert contents(tmp_path) == contents(replayed)

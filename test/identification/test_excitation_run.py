@@ -133,10 +133,6 @@ def test_a_run_goes_from_nothing_over_the_signal_to_zero_and_silence() -> None:
     assert run.why.startswith("complete; not known yet: pdot/p")
 
 
-def test_the_same_ticks_give_the_same_signal() -> None:
-    np.testing.assert_array_equal(values(flown(started(), 200)), values(flown(started(), 200)))
-
-
 @pytest.mark.parametrize("ticks", [0, 1, 10, 100, 396, 399])
 def test_an_abort_asks_for_zero_from_now_on_whatever_the_state(ticks: int) -> None:
     run = started()

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import AMPLITUDES, Message, give, messages, plant_flight, run, settings
+from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
 
 from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.gates import ROW_GATES, Gates, GlitchFilter, RestGate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
@@ -142,11 +142,6 @@ def test_sticks_at_their_limit_pause(excited: Measurements) -> None:
     assert any(e.adapting for e in estimates)
 
 
-def test_limits_must_fit_the_channels(excited: Measurements) -> None:
-    with pytest.raises(SettingsError, match=r"'actuators\.upper_limit' has 2 values: 4 are needed"):
-        settings(excited, actuators__upper_limit=(1.0, 1.0))
-
-
 def test_armed_decides_if_there_is_a_topic_that_tells(excited: Measurements) -> None:
     told = identifier(excited, armed__type="std_msgs/msg/Bool")
     stream = messages(excited)
@@ -220,8 +215,9 @@ def test_a_halved_elevator_is_named_and_not_usable_until_learned_anew() -> None:
 
 def test_a_surface_lost_after_a_warm_start_is_learned_anew() -> None:
     """What was known of it must not hold it where it was."""
-    healthy = identifier(measured(40.0))
-    run(healthy, messages(measured(40.0)))
+    flight = measured(40.0)
+    healthy = identifier(flight)
+    run(healthy, messages(flight))
     sure = healthy.coefficient_set()
     sure = replace(sure, sigma=0.2 * sure.sigma)
     halved = measured(60.0, changes=(CoefficientChange(45.0, {"qdot/de": 0.5}),))
@@ -265,12 +261,7 @@ def test_a_pause_is_told_row_by_row() -> None:
         ),
     )
     flown = identifier(part)
-    stream = messages(part)
-    estimates = []
-    for message in stream:
-        give(flown, message)
-        while (due := flown.due()) is not None:
-            estimates.append(flown.update(due))
+    run(flown, messages(part))
     assert flown.pauses() == {"qdot": "too little excitation"}
     assert flown.learning.tolist() == [True, False, True]
 

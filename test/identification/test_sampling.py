@@ -266,29 +266,3 @@ def test_no_trim_is_learned_from_stale_inputs() -> None:
 
 
 # -- memory ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("imu_ms", "inputs", "values"),
-    [
-        (5, True, {}),
-        (5, False, {}),
-        (5, True, {"actuators__interpolation": "linear"}),
-        (5, True, {"actuators__learn_trim_time": 1.0}),
-        (400, True, {}),  # every interval is a gap
-    ],
-)
-def test_buffers_stay_bounded(imu_ms: int, inputs: bool, values: dict[str, Any]) -> None:
-    target = sampler(**values)
-    largest = 0
-    for second in range(120):
-        start = second * 1000 * MS
-        stamps = range(start - start % (imu_ms * MS), start + 1000 * MS, imu_ms * MS)
-        moving = np.full((len(stamps), 3), 0.5)
-        add_rates(target, stamps, moving)
-        if inputs:
-            add_inputs(target, range(start, start + 1000 * MS, 20 * MS))
-        list(blocks(target, start + 1000 * MS, start))
-        if second > 20:
-            largest = max(largest, len(target.rates.t), len(target.raw_inputs.t))
-    assert largest < 300

@@ -66,3 +66,18 @@ def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:
         assert identifier.add_airspeed(t_ns, 20.0) is Drop.BEYOND_STAMP
         assert identifier.add_armed(t_ns, True) is Drop.BEYOND_STAMP
     assert identifier.due() is None
+
+
+def test_ticks_end_with_the_last_stamp() -> None:
+    identifier = OnlineIdentifier(Settings())
+    start = LATEST_STAMP - 1_000_000_000
+    ticks = []
+    for k in range(400):
+        identifier.add_rates(start + k * S // 200, (0.0, 0.01 * (k % 7), 0.0))
+        identifier.add_actuators(start + k * S // 200, (0.0, 0.0, 0.0, 0.0))
+        while (due := identifier.due()) is not None:
+            estimate = identifier.update(due)
+            assert estimate is not None
+            ticks.append(estimate.t_ns)
+    assert ticks
+    assert max(ticks) <= LATEST_STAMP

@@ -16,27 +16,6 @@ from uav_ident_ros.simulation.inputs import Segment, sample_inputs
 AMPLITUDES = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
 
 
-def test_multisines_of_one_period_are_orthogonal() -> None:
-    t = np.arange(0, 20.0, 0.005)
-    u = Segment("multisine", amplitudes=AMPLITUDES).sample(t)
-    gram = u.T @ u
-    normalised = gram / np.sqrt(np.outer(np.diag(gram), np.diag(gram)))
-    np.testing.assert_allclose(normalised, np.eye(4), atol=1e-12)
-
-
-def test_multisine_peaks_are_the_amplitudes_and_lower_than_of_random_phases() -> None:
-    t = np.arange(0, 20.0, 1e-3)
-    u = Segment("multisine", amplitudes=AMPLITUDES).sample(t)
-    np.testing.assert_allclose(np.abs(u).max(axis=0), [0.08, 0.12, 0.06, 0.2], rtol=5e-3)
-    for i, harmonics in enumerate(disjoint_harmonics(4, 20.0, (0.1, 2.0))):
-        design = multisine(20.0, harmonics, i)
-        assert design.relative_peak_factor < 1.25
-        phases = np.random.default_rng(i).uniform(0, 2 * np.pi, len(harmonics))
-        angle = 2 * np.pi / 20.0 * np.multiply.outer(t, harmonics) + phases
-        random = np.cos(angle).sum(axis=1)
-        assert design.relative_peak_factor < np.ptp(random) / (np.sqrt(8) * random.std())
-
-
 def test_multisine_starts_at_zero_and_has_only_its_own_harmonics() -> None:
     design = multisine(10.0, (2, 5, 7), 3)
     signal = design.sample(np.arange(0, 10.0, 0.01))

@@ -122,14 +122,6 @@ def test_ballast_raises_the_inertia_that_it_names(axis: str) -> None:
     assert mass < aircraft.aircraft.mass < 1.1 * mass
 
 
-def test_more_pitch_inertia_is_less_pitch_acceleration() -> None:
-    light, heavy = (
-        rate_gained(flown(*faults, surface="elevator", size=-0.05, seconds=0.12)[1], 1)
-        for faults in ((), ("0.0: pitch inertia 1.3",))
-    )
-    assert heavy / light == pytest.approx(1.0 / 1.3, abs=0.06)
-
-
 def test_turbulence_comes_when_it_is_told_to() -> None:
     _, samples = flown("2.0: turbulence 4", size=0.0, seconds=6.0)
     rates = np.array([sample.rates for sample in samples])

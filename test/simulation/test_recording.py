@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
-from rosbags.typesys import Stores, get_typestore
 
 from uav_ident_ros.bags.writing import BagWriteError, BagWriter, header, message_class, qos
 from uav_ident_ros.identification.settings import Settings
@@ -59,27 +57,6 @@ def test_rosbags_reads_back_what_was_measured(tmp_path: Path, convention: str) -
     assert offered["/imu/data"].reliability is QosReliability.BEST_EFFORT
     assert offered["/imu/data"].depth == 500
     assert offered["/actuators"].reliability is QosReliability.RELIABLE
-
-
-def test_mcap_reads_it_in_order_with_schemas(tmp_path: Path) -> None:
-    path, measured = recorded(tmp_path / "bag", stamped=False)
-    types = get_typestore(Stores.ROS2_JAZZY)
-    with (path / "bag.mcap").open("rb") as file:
-        reader = make_reader(file)
-        summary = reader.get_summary()
-        entries = list(reader.iter_messages(log_time_order=False))
-    assert {s.name: s.encoding for s in summary.schemas.values()} == {
-        "sensor_msgs/msg/Imu": "ros2msg",
-        "std_msgs/msg/Float64MultiArray": "ros2msg",
-    }
-    log_times = [message.log_time for _, _, message in entries]
-    assert log_times == sorted(log_times)
-    values = [
-        types.deserialize_cdr(message.data, schema.name).data
-        for schema, channel, message in entries
-        if channel.topic == "/actuators"
-    ]
-    np.testing.assert_array_equal(values, measured.actuators)
 
 
 def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:

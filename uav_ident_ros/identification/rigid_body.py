@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.structure import (
-    PRODUCT_COLUMNS,
     RATE_COLUMNS,
     FloatArray,
     Structure,
@@ -82,52 +81,6 @@ def coefficients_from_physics(inertia: Inertia, moments: FloatArray) -> FloatArr
     """
     moments = np.asarray(moments, dtype=np.float64)
     return np.hstack([product_coefficients(inertia), np.linalg.solve(inertia.tensor(), moments)])
-
-
-def physics_from_coefficients(coefficients: FloatArray, iy: float) -> tuple[Inertia, FloatArray]:
-    """Inertias and moment derivatives from A: the inverse of `coefficients_from_physics`.
-
-    Angular motion alone determines the inertias up to a common factor, so one of them is
-    needed: `iy`.
-
-    Parameters
-    ----------
-    coefficients : (3, n) array
-        A. Its A12, A23 and A25 determine the inertia ratios.
-    iy : float
-        Pitch moment of inertia, kg m^2.
-
-    Returns
-    -------
-    inertia : Inertia
-        The inertias, kg m^2.
-    moments : (3, n - 5) array
-        Derivatives of L, M, N, as in `coefficients_from_physics`.
-
-    Raises
-    ------
-    ValueError
-        If no positive definite inertia tensor has these rate-product coefficients.
-    """
-    a = np.asarray(coefficients, dtype=np.float64)
-    a12, a23, a25 = a[0, 1], a[1, 2], a[1, 4]
-    # With c = Iz/Iy, Ix/Iy = c - A23 and Ixz/Iy = A25, the equation of A12 is
-    # (A12 + 1) c^2 - (A12 A23 + 1) c + A25^2 (1 - A12) = 0.
-    candidates = [
-        Inertia(iy * (c - a23), iy, iy * c, iy * a25)
-        for c in np.roots([a12 + 1.0, -(a12 * a23 + 1.0), a25**2 * (1.0 - a12)])
-        if np.isreal(c) and c > 0.0 and c > a23 and c * (c - a23) > a25**2
-    ]
-    if not candidates:
-        raise ValueError(
-            f"no rigid body has A12 = {a12:g}, A23 = {a23:g}, A25 = {a25:g}: "
-            "each must lie within -1 ... 1 and together give positive inertias"
-        )
-    inertia = min(
-        candidates,
-        key=lambda body: float(np.abs(product_coefficients(body) - a[:, PRODUCT_COLUMNS]).sum()),
-    )
-    return inertia, inertia.tensor() @ a[:, FIRST_MOMENT_COLUMN:]
 
 
 def full_moments(structure: Structure, **derivatives: float) -> FloatArray:

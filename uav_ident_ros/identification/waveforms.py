@@ -55,12 +55,6 @@ class Multisine:
         waves = np.cos(np.multiply.outer(t, omega) + self.phases)
         return np.asarray(waves.sum(axis=-1) / self.peak)
 
-    @property
-    def relative_peak_factor(self) -> float:
-        """Peak-to-peak over 2 sqrt(2) rms: one for a single sine."""
-        signal = _period(self.harmonics, self.phases)
-        return float(np.ptp(signal) / (2.0 * np.sqrt(2.0) * np.sqrt(np.mean(signal**2))))
-
 
 def _period(harmonics: Sequence[int], phases: FloatArray) -> FloatArray:
     """One period of the sum of unit cosines, by inverse FFT."""

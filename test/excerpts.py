@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parts of the committed bags, changed on the way, and replays of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from uav_ident_ros.bags.reading import Bag, Message
+from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+
+ROOT = Path(__file__).parent.parent
+BAGS = ROOT / "bags"
+IMU, ACTUATORS = "/imu/data", "/actuators"
+SECOND_NS = 1_000_000_000
+PARAMETERS = BAGS / "multisine" / "identifier.yaml"
+
+Entry = tuple[str, int, Any]
+"""Topic, log time (ns) and message."""
+
+
+def same(topic: str, log_ns: int, message: Any) -> list[Entry]:
+    return [(topic, log_ns, message)]
+
+
+def excerpt(
+    target: Path,
+    seconds: float,
+    source: str = "multisine",
+    change: Callable[[str, int, Any], list[Entry]] = same,
+    begin: float = 0.0,
+) -> Path:
+    """Copy a part of a committed bag; `change` gives what is written for each message."""
+    with Bag(BAGS / source) as bag, BagWriter(target) as writer:
+        decoders = {topic: bag.decoder(topic) for topic in (IMU, ACTUATORS)}
+        announced: set[str] = set()
+        first_ns = bag.start_ns + round(begin * SECOND_NS)
+        for topic, log_ns, data in bag.messages([IMU, ACTUATORS]):
+            if not first_ns <= log_ns <= first_ns + round(seconds * SECOND_NS):
+                continue
+            for name, at, message in change(topic, log_ns, decoders[topic](data)):
+                if name not in announced:
+                    announced.add(name)
+                    writer.topic(name, message.__msgtype__)
+                writer.write(name, at, message)
+    return target
+
+
+def parameters(name: str = "multisine", **changes: Any) -> dict[str, Any]:
+    """Parameters beside a committed bag, with changes (``__`` for the dots)."""
+    values = load_parameters(BAGS / name / "identifier.yaml", "identifier")
+    return values | {key.replace("__", "."): value for key, value in changes.items()}
+
+
+def replayed_run(
+    bag: Path,
+    values: dict[str, Any],
+    wrap: Callable[[Iterable[Message]], Iterable[Message]] = lambda messages: messages,
+) -> OfflineRun:
+    """The run of the identifier over a bag."""
+    with Bag(bag) as opened:
+        run = OfflineRun(choose_inputs(opened, values))
+        run.run(opened, lambda messages, total: wrap(messages))
+    return run
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
