@@ -40,7 +40,7 @@ from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
-from uav_ident_ros.simulation.live_aircraft import LiveAircraft
+from uav_ident_ros.simulation.live import LiveAircraft
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
 

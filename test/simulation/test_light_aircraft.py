@@ -75,7 +75,7 @@ def test_a_reversed_rudder_yaws_the_other_way() -> None:
 
 
 def test_impossible_flights_are_refused() -> None:
-    with pytest.raises(SimulationError, match="whole fraction"):
+    with pytest.raises(SimulationError, match="no whole number"):
         fly(LightFlight((), 1.0, actuator_rate=60.0))
     with pytest.raises(SimulationError, match="lost"):
         fly(LightFlight((Segment("doublet", amplitudes={"da": 1.5}, unit=2.0),), 10.0))

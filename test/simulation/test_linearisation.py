@@ -11,7 +11,7 @@ pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 from uav_ident_ros.simulation.aircraft import COLUMN
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.linearisation import linearise, linearise_cruise, named_modes
-from uav_ident_ros.simulation.live_aircraft import LiveAircraft
+from uav_ident_ros.simulation.live import LiveAircraft
 from uav_ident_ros.simulation.noise import Sensors
 
 SENSORS = Sensors(rate=100.0)

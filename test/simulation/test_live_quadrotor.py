@@ -17,7 +17,7 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
-from uav_ident_ros.simulation.live_quadrotor import LiveQuadrotor
+from uav_ident_ros.simulation.live import LiveQuadrotor
 from uav_ident_ros.simulation.noise import Sensors
 
 FILES = Path(__file__).resolve().parents[2] / "config" / "closed_loop"

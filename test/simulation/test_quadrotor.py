@@ -95,7 +95,7 @@ def test_a_lost_one_ends_the_flight_with_a_word() -> None:
     wild = (Segment("multisine", amplitudes={"da": 0.9}),)
     with pytest.raises(SimulationError, match="lost at"):
         fly(QuadrotorFlight(wild, 20.0, delay=0.2))
-    with pytest.raises(SimulationError, match=r"delay 0\.0005 is no whole number"):
+    with pytest.raises(SimulationError, match=r"delay 0\.0005 s is no whole number"):
         QuadrotorFlight((), 1.0, delay=0.0005)
 
 

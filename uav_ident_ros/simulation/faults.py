@@ -99,7 +99,32 @@ def _within(text: str, low: float, high: float) -> float:
     return value
 
 
-class Faults:
+class Schedule:
+    """Faults that come at a time of their own.
+
+    Parameters
+    ----------
+    scheduled : sequence of Fault
+        What comes, in any order.
+    """
+
+    def __init__(self, scheduled: Sequence[Fault]) -> None:
+        self._scheduled = sorted(scheduled, key=lambda fault: fault.time)
+
+    def due(self, time: float) -> list[Fault]:
+        """Apply what is scheduled until `time` (s) and return it."""
+        found = []
+        while self._scheduled and self._scheduled[0].time <= time:
+            found.append(self._scheduled.pop(0))
+            self.apply(found[-1])
+        return found
+
+    def apply(self, fault: Fault) -> None:
+        """Let it happen now: see the vehicle's own."""
+        raise NotImplementedError
+
+
+class Faults(Schedule):
     """State of an aircraft's faults.
 
     Parameters
@@ -117,19 +142,10 @@ class Faults:
     def __init__(
         self, aircraft: Aircraft, trim: FloatArray, seed: int = 0, scheduled: Sequence[Fault] = ()
     ) -> None:
+        super().__init__(scheduled)
         self._aircraft, self._trim, self._seed = aircraft, trim, seed
-        self._scheduled = sorted(scheduled, key=lambda fault: fault.time)
         self._effect = np.ones(4)
         self._jammed = np.full(4, np.nan)
-        self._ballasts: list[int] = []
-
-    def due(self, time: float) -> list[Fault]:
-        """Apply what is scheduled until `time` (s) and return it."""
-        found = []
-        while self._scheduled and self._scheduled[0].time <= time:
-            found.append(self._scheduled.pop(0))
-            self.apply(found[-1])
-        return found
 
     def apply(self, fault: Fault) -> None:
         """Let it happen now.

@@ -3,27 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
 from uav_ident_ros.simulation.channels import PLAIN, ChannelSet
 from uav_ident_ros.simulation.errors import SimulationError
 
 IntArray = NDArray[np.int64]
-
-__all__ = [
-    "EPOCH_NS",
-    "GRAVITY",
-    "CoefficientChange",
-    "Flight",
-    "IntArray",
-    "SimulationError",
-    "stamps",
-]
 
 GRAVITY = 9.80665
 """Standard gravity, m/s^2."""
@@ -32,9 +23,40 @@ EPOCH_NS = 1_700_000_000 * 10**9
 """Stamp of the first sample of every simulated flight, ns (14 November 2023)."""
 
 
+STEP_TOLERANCE = 1e-6
+"""Largest distance of a time from the simulation's grid, in steps."""
+
+TIME_TOLERANCE = 1e-9
+"""A change this close to a step happens at it, s."""
+
+
 def stamps(seconds: FloatArray) -> IntArray:
     """Stamps, ns, of times after the first sample of a flight, s."""
     return EPOCH_NS + np.asarray(np.rint(seconds * 1e9), dtype=np.int64)
+
+
+def whole_steps(time: float, rate: float, what: str) -> int:
+    """Return how many simulation steps a time (s) has, at a rate (Hz).
+
+    Raises
+    ------
+    SimulationError
+        If it is no whole number of them; the message names `what`.
+    """
+    steps = time * rate
+    if not (steps >= 0.0 and abs(steps - round(steps)) < STEP_TOLERANCE * max(1.0, steps)):
+        raise SimulationError(f"{what} is no whole number of simulation steps of {1e3 / rate:g} ms")
+    return round(steps)
+
+
+def effect_of(changes: Sequence[CoefficientChange], time: float) -> FloatArray:
+    """Effect of each input at `time` (s), relative to the start, shape (4,)."""
+    effect = np.ones(len(INPUTS))
+    for change in changes:
+        if change.time <= time + TIME_TOLERANCE:
+            for name, factor in change.factors.items():
+                effect[INPUTS.index(name)] *= factor
+    return effect
 
 
 @dataclass(frozen=True)

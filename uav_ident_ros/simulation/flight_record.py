@@ -11,7 +11,7 @@ import numpy as np
 
 from uav_ident_ros.client.coefficients import Coefficients
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.live_aircraft import Sample
+from uav_ident_ros.simulation.live import Sample
 
 
 @dataclass

@@ -20,10 +20,17 @@ from uav_ident_ros.simulation.aircraft import (
 )
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import CoefficientChange, Flight, IntArray, stamps
+from uav_ident_ros.simulation.flight import (
+    STEP_TOLERANCE,
+    CoefficientChange,
+    Flight,
+    IntArray,
+    effect_of,
+    stamps,
+    whole_steps,
+)
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
-from uav_ident_ros.simulation.plant import GRID_TOLERANCE
 
 SETTLING_TIME = 20.0
 """Time on the autopilot before the record begins, s."""
@@ -36,9 +43,6 @@ ROLL_TIME = 4.0
 
 MAX_BANK = 60.0
 """Largest bank angle that the autopilot is asked for, deg."""
-
-TIME_TOLERANCE = 1e-9
-"""A change this close to a step happens at it, s."""
 
 LARGEST_UPSET = math.radians(80.0)
 """Roll or pitch angle at which a flight counts as lost, rad."""
@@ -94,22 +98,6 @@ def _bank_reference(spec: AircraftFlight, t: float) -> float:
     return math.radians(spec.bank) * (last + (side - last) * blend)
 
 
-def _effect(spec: AircraftFlight, t: float) -> FloatArray:
-    """Effect of each input about trim at time t, shape (4,)."""
-    effect = np.ones(len(INPUTS))
-    for change in spec.changes:
-        if change.time <= t + TIME_TOLERANCE:
-            for name, factor in change.factors.items():
-                effect[INPUTS.index(name)] *= factor
-    return effect
-
-
-def _whole(value: float, what: str) -> int:
-    if abs(value - round(value)) > GRID_TOLERANCE * max(1.0, value):
-        raise SimulationError(f"{what} is no whole number of simulation steps")
-    return round(value)
-
-
 def fly(spec: AircraftFlight, name: str = "") -> Flight:
     """Fly a JSBSim aircraft on a simple autopilot.
 
@@ -126,10 +114,11 @@ def fly(spec: AircraftFlight, name: str = "") -> Flight:
         If JSBSim is not installed, or the aircraft cannot be trimmed or is lost.
     """
     aircraft = Aircraft(spec.aircraft, spec.rate, spec.speed)
-    every = _whole(spec.rate / spec.actuator_rate, f"actuator rate {spec.actuator_rate:g} Hz")
-    delay = _whole(spec.delay * spec.rate, f"delay {spec.delay:g} s")
+    interval, named = 1.0 / spec.actuator_rate, f"actuator rate {spec.actuator_rate:g} Hz"
+    every = whole_steps(interval, spec.rate, named)
+    delay = whole_steps(spec.delay, spec.rate, f"delay {spec.delay:g} s")
     first = -round(SETTLING_TIME * spec.actuator_rate) * every
-    last = math.floor(spec.duration * spec.rate + GRID_TOLERANCE)
+    last = math.floor(spec.duration * spec.rate + STEP_TOLERANCE)
     steps = np.arange(first, last + 1)
     command_steps = steps[::every]
     excitation = sample_inputs(spec.segments, command_steps / spec.rate)
@@ -138,7 +127,7 @@ def fly(spec: AircraftFlight, name: str = "") -> Flight:
     autopilot = Autopilot(aircraft.airframe, aircraft.surfaces, signals[COLUMN["pitch"]])
     commands = np.tile(aircraft.surfaces, (len(command_steps), 1))
     trim, record, altitude = aircraft.surfaces, [], signals[COLUMN["altitude"]] * FOOT
-    acting, last_effect = -1, _effect(spec, -math.inf)
+    acting, last_effect = -1, effect_of(spec.changes, -math.inf)
     for k, step in enumerate(steps.tolist()):
         t = step / spec.rate
         if step == 0:
@@ -151,7 +140,7 @@ def fly(spec: AircraftFlight, name: str = "") -> Flight:
             commands[k // every] = aircraft.clip(wanted + excitation[k // every])
             _check_attitude(spec, signals, t)
         due = max(0, k - delay) // every
-        effect = _effect(spec, t)
+        effect = effect_of(spec.changes, t)
         if due != acting or np.any(effect != last_effect):
             acting, last_effect = due, effect
             aircraft.set_surfaces(trim + effect * (commands[due] - trim))

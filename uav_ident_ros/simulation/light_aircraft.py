@@ -18,7 +18,14 @@ import numpy as np
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import GRAVITY, CoefficientChange, Flight, stamps
+from uav_ident_ros.simulation.flight import (
+    GRAVITY,
+    CoefficientChange,
+    Flight,
+    effect_of,
+    stamps,
+    whole_steps,
+)
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
 
 SPEED = 20.0
@@ -76,15 +83,6 @@ class LightFlight:
     seed: int = 0  # Seed of the wind
     truth: Mapping[str, float] = field(default_factory=lambda: dict(TRUTH))
 
-    def effect(self, time: float) -> FloatArray:
-        """Effect of each input at `time` (s), relative to the truth, shape (4,)."""
-        effect = np.ones(len(INPUTS))
-        for change in self.changes:
-            if change.time <= time:
-                for name, factor in change.factors.items():
-                    effect[INPUTS.index(name)] *= factor
-        return effect
-
 
 State = tuple[float, float, float, float, float, float, float, float, float]
 """Rates p q r (rad/s), speed u v w through the air (m/s), roll and pitch (rad), altitude (m)."""
@@ -96,13 +94,10 @@ def fly(spec: LightFlight, name: str = "light_aircraft") -> Flight:
     Raises
     ------
     SimulationError
-        If the actuator rate is no whole fraction of the rate, or the aircraft is lost.
+        If the actuator rate does not divide the rate, or the aircraft is lost.
     """
-    every = round(spec.rate / spec.actuator_rate)
-    if every < 1 or abs(every * spec.actuator_rate - spec.rate) > 1e-6 * spec.rate:
-        raise SimulationError(
-            f"actuator rate {spec.actuator_rate:g} Hz is no whole fraction of {spec.rate:g} Hz"
-        )
+    named = f"actuator rate {spec.actuator_rate:g} Hz"
+    every = whole_steps(1.0 / spec.actuator_rate, spec.rate, named)
     count = round(spec.duration * spec.rate) + 1
     excitation = sample_inputs(spec.segments, np.arange(0, count, every) / spec.rate)
     record, commands, surfaces = _integrate(spec, count, every, excitation)
@@ -144,12 +139,12 @@ def _integrate(
     commands = np.zeros_like(excitation)
     record, surfaces = np.empty((count, 15)), np.empty((count, len(INPUTS)))
     switches = sorted(change.time for change in spec.changes)
-    effect = spec.effect(0.0)
+    effect = effect_of(spec.changes, 0.0)
     for k in range(count):
         t = k * h
         if switches and t >= switches[0]:
             switches.pop(0)
-            effect = spec.effect(t)
+            effect = effect_of(spec.changes, t)
         if k % every == 0:
             commands[k // every] = _autopilot(spec, state, t) + excitation[k // every]
         due = k - delay

@@ -29,6 +29,7 @@ from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import (
     GRAVITY,
+    STEP_TOLERANCE,
     CoefficientChange,
     Flight,
     changed_coefficients,
@@ -42,9 +43,6 @@ DEFAULT_TRIM = (0.0, 0.0, 0.0, 0.5)
 
 MAX_SUBSTEPS = 200
 """Substeps per sample tried in search of a grid that fits the actuator rate and the delay."""
-
-GRID_TOLERANCE = 1e-6
-"""Largest distance of a switching time from the grid, in steps."""
 
 BLOCK_SECONDS = 10.0
 """Flight time whose disturbance and inputs are laid out in memory at once."""
@@ -130,16 +128,16 @@ class _Grid:
 
 
 def _make_grid(spec: PlantFlight) -> _Grid:
-    samples = math.floor(spec.duration * spec.rate + GRID_TOLERANCE) + 1
+    samples = math.floor(spec.duration * spec.rate + STEP_TOLERANCE) + 1
     if samples < 2:
         raise SimulationError(
             f"a duration of {spec.duration} s holds no two samples at {spec.rate} Hz"
         )
-    first = max(1, math.ceil(1.0 / (spec.rate * spec.max_step) - GRID_TOLERANCE))
+    first = max(1, math.ceil(1.0 / (spec.rate * spec.max_step) - STEP_TOLERANCE))
     for substeps in range(first, first + MAX_SUBSTEPS):
         fine = spec.rate * substeps
         offsets = (fine / spec.actuator_rate, fine * spec.delay)
-        if all(abs(v - round(v)) < GRID_TOLERANCE for v in offsets):
+        if all(abs(v - round(v)) < STEP_TOLERANCE for v in offsets):
             every, delay = (round(v) for v in offsets)
             commands = np.arange(0, (samples - 1) * substeps + 1, every)
             return _Grid(1.0 / fine, substeps, samples, commands, delay)

@@ -47,8 +47,7 @@ from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.flight_record import FlightRecord
-from uav_ident_ros.simulation.live_aircraft import LiveAircraft, Sample
-from uav_ident_ros.simulation.live_quadrotor import LiveQuadrotor
+from uav_ident_ros.simulation.live import Live, LiveAircraft, LiveQuadrotor, Sample
 from uav_ident_ros.simulation.noise import FRAME_IDS, FRD_TO_FLU, Sensors
 
 PATIENCE = 5.0
@@ -125,7 +124,7 @@ class PlantNode(Node):
         )
         faults = [parse_fault(text) for text in self._value("faults") if text]
         name, delay, seed = (self._value(key) for key in ("aircraft", "delay", "seed"))
-        self._aircraft: LiveAircraft | LiveQuadrotor
+        self._aircraft: Live
         if name == QUADROTOR:
             self._aircraft = LiveQuadrotor(sensors, delay, faults, seed)
         else:

@@ -26,7 +26,7 @@ from uav_ident_ros.simulation.faults import SURFACE_NAMES
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
-from uav_ident_ros.simulation.live_aircraft import LiveAircraft
+from uav_ident_ros.simulation.live import LiveAircraft
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.recording import parameters
 

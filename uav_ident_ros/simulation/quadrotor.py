@@ -20,7 +20,7 @@ from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import GRAVITY, Flight, stamps
+from uav_ident_ros.simulation.flight import GRAVITY, Flight, stamps, whole_steps
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
 
 SIDES = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
@@ -234,15 +234,9 @@ class QuadrotorFlight:
         for name in ("duration", "rate", "actuator_rate", "time_constant"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SimulationError(f"{name} is {getattr(self, name)}: it must be positive")
-        for name, steps in (
-            ("actuator_rate", self.rate / self.actuator_rate),
-            ("delay", self.delay * self.rate),
-        ):
-            if not (steps >= 0.0 and abs(steps - round(steps)) < 1e-6):
-                raise SimulationError(
-                    f"{name} {getattr(self, name):g} is no whole number of simulation steps of "
-                    f"{1.0 / self.rate:g} s"
-                )
+        named = f"actuator rate {self.actuator_rate:g} Hz"
+        whole_steps(1.0 / self.actuator_rate, self.rate, named)
+        whole_steps(self.delay, self.rate, f"delay {self.delay:g} s")
 
 
 def fly(spec: QuadrotorFlight, name: str = "quadrotor") -> Flight:

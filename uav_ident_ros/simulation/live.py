@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Vehicles that others fly: commands in, Imu samples out, one interval at a time."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, settle
+from uav_ident_ros.simulation.channels import QUADROTOR
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, Faults, Schedule
+from uav_ident_ros.simulation.flight import whole_steps
+from uav_ident_ros.simulation.noise import Sensors
+from uav_ident_ros.simulation.quadrotor import Body, Hold, Quadrotor
+
+SIMULATION_RATE = 1000.0
+"""Rate of the simulation, Hz."""
+
+SPEED_GAIN = 0.05
+"""Throttle per m/s of speed error: slow, and strong enough for climbs of a few degrees."""
+
+LARGEST_UPSET = math.radians(85.0)
+"""Roll or pitch angle at which the flight counts as lost, rad."""
+
+RANDOM_STREAM = 200
+"""First of the random streams of a vehicle in the loop: none that a recorded flight uses."""
+
+STILL = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What happened and what the Imu measured of it; aircraft axes (FRD), SI units."""
+
+    time: float  # After the first sample, s
+    rates: FloatArray  # (3,) True p, q, r, rad/s
+    # measured_rates, measured_force: (3,) With bias and noise: rad/s, m/s^2
+    measured_rates: FloatArray
+    measured_force: FloatArray
+    attitude: FloatArray  # (3,) True roll, pitch, yaw, rad
+    surfaces: FloatArray  # (4,) Where elevator, rudder, aileron (rad) and throttle are
+
+
+class Live:
+    """A vehicle in the loop; what it is like is up to `LiveAircraft` and `LiveQuadrotor`.
+
+    Parameters
+    ----------
+    sensors : Sensors
+        Rate of the samples, noise and bias.
+    delay : float
+        From a sample to the surface or motor that its command moves, s.
+    seed : int
+        Seed of the noise.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the `outputs`.
+    faults : Schedule
+        What has gone wrong with it.
+    trim : (4,) array
+        Elevator, rudder, aileron (rad) and throttle of the steady flight that it starts in.
+    outputs : (4,) array
+        What the actuators were told last, within their limits. The throttle is its own: it holds
+        airspeed or height.
+
+    Raises
+    ------
+    SimulationError
+        If it cannot be flown, or a rate or the delay is no whole number of simulation steps.
+    """
+
+    names: tuple[str, ...]
+    faults: Schedule
+    trim: FloatArray
+    outputs: FloatArray
+    _acting: FloatArray
+
+    def __init__(self, sensors: Sensors, delay: float, seed: int) -> None:
+        self._substeps = whole_steps(
+            1.0 / sensors.rate, SIMULATION_RATE, f"Imu rate {sensors.rate:g} Hz"
+        )
+        self._delay = whole_steps(delay, SIMULATION_RATE, f"delay {delay:g} s")
+        self._sensors = sensors
+        self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(2)]
+        self._step = 0
+        self._underway: deque[tuple[int, FloatArray]] = deque()
+
+    def _answer(self, surfaces: FloatArray | None) -> FloatArray:
+        """Return the outputs for elevator, rudder, aileron, rad; None: the last ones hold."""
+        raise NotImplementedError
+
+    def _fly(self, acting: FloatArray, moved: bool) -> None:
+        """Fly one step of the simulation; `moved` says that something may have changed."""
+        raise NotImplementedError
+
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return rates, specific force, attitude and surfaces."""
+        raise NotImplementedError
+
+    def command(self, surfaces: FloatArray | None) -> None:
+        """Answer the newest sample.
+
+        Parameters
+        ----------
+        surfaces : (3,) array or None
+            Elevator, rudder, aileron, rad; None where no answer came: the last one holds.
+        """
+        self.outputs = self._answer(surfaces)
+        self._underway.append((self._step + self._delay, self.outputs))
+
+    def advance(self) -> list[Fault]:
+        """Fly on to the next sample; return the faults that came at their time.
+
+        Raises
+        ------
+        SimulationError
+            If it is lost.
+        """
+        faults = self.faults.due(self.time)
+        moved = True  # a fault may have moved them
+        for _ in range(self._substeps):
+            while self._underway and self._underway[0][0] <= self._step:
+                self._acting, moved = self._underway.popleft()[1], True
+            self._fly(self._acting, moved)
+            moved = False
+            self._step += 1
+        for name, angle in zip(("roll", "pitch"), self._state()[2].tolist(), strict=False):
+            if not abs(angle) < LARGEST_UPSET:  # NaN fails too
+                raise SimulationError(f"the vehicle is lost at {self.time:.1f} s: its {name}")
+        return faults
+
+    @property
+    def time(self) -> float:
+        """Time of the newest sample, s after the first."""
+        return self._step / SIMULATION_RATE
+
+    def sample(self) -> Sample:
+        """Measure it as it is; to be called once for each sample."""
+        rates, force, attitude, surfaces = self._state()
+        gyro, accelerometer = (rng.standard_normal(3) for rng in self._noise)
+        sensors = self._sensors
+        return Sample(
+            time=self.time,
+            rates=rates,
+            measured_rates=rates + np.asarray(sensors.gyro_bias) + sensors.gyro_noise * gyro,
+            measured_force=force + sensors.accelerometer_noise * accelerometer,
+            attitude=attitude,
+            surfaces=surfaces,
+        )
+
+
+class LiveAircraft(Live):
+    """A JSBSim aircraft in the loop.
+
+    Parameters
+    ----------
+    name : str
+        As in `uav_ident_ros.simulation.airframe`.
+    sensors, delay, seed
+        As in `Live`.
+    faults : sequence of Fault
+        Those that come at a time of their own.
+    speed : float, optional
+        True airspeed in place of the aircraft's own, m/s.
+
+    Attributes
+    ----------
+    aircraft : Aircraft
+        JSBSim's aircraft.
+    """
+
+    names = SURFACE_NAMES
+
+    def __init__(
+        self,
+        name: str,
+        sensors: Sensors,
+        delay: float = 0.0,
+        faults: Sequence[Fault] = (),
+        seed: int = 0,
+        speed: float | None = None,
+    ) -> None:
+        super().__init__(sensors, delay, seed)
+        self.aircraft = Aircraft(name, SIMULATION_RATE, speed)
+        self._signals = settle(self.aircraft)
+        self.trim = self.outputs = self._acting = self.aircraft.surfaces
+        self._airspeed = self._signals[COLUMN["airspeed"]]
+        self.faults: Faults = Faults(self.aircraft, self.trim, seed, faults)
+
+    def _answer(self, surfaces: FloatArray | None) -> FloatArray:
+        slow = (self._airspeed - self._signals[COLUMN["airspeed"]]) * FOOT
+        told = self.outputs[:3] if surfaces is None else surfaces
+        return self.aircraft.clip(np.append(told, self.trim[3] + SPEED_GAIN * slow))
+
+    def _fly(self, acting: FloatArray, moved: bool) -> None:
+        if moved:
+            self.aircraft.set_surfaces(self.faults.surfaces(acting))
+        self._signals = self.aircraft.step()
+
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        signals = self.aircraft.to_si(np.array(self._signals))
+        attitude, surfaces = (
+            signals[[COLUMN[name] for name in names]]
+            for names in (("roll", "pitch", "yaw"), SURFACE_NAMES)
+        )
+        return signals[0:3], signals[6:9], attitude, surfaces
+
+
+class LiveQuadrotor(Live):
+    """A quadrotor in the loop, commanded as an aircraft is.
+
+    Elevator, rudder and aileron stand for pitch, yaw and roll: it mixes them into its motors, and
+    holds its height itself. Parameters are those of `LiveAircraft`.
+    """
+
+    names = QUADROTOR.names
+
+    def __init__(
+        self, sensors: Sensors, delay: float = 0.0, faults: Sequence[Fault] = (), seed: int = 0
+    ) -> None:
+        super().__init__(sensors, delay, seed)
+        self._craft, self._hold = Quadrotor(Body()), Hold()
+        self.trim = np.array([0.0, 0.0, 0.0, self._craft.body.hover])
+        self._told: FloatArray = self.trim[:3]
+        self.outputs = self._acting = QUADROTOR.trim(self.trim)
+        self.faults = MotorFaults(self._craft, faults)
+
+    def _answer(self, surfaces: FloatArray | None) -> FloatArray:
+        self._told = self._told if surfaces is None else surfaces
+        inputs = np.append(self._told, self._hold.inputs(self._craft)[3])
+        return np.clip(QUADROTOR.raw(inputs, self.trim), 0.0, 1.0)
+
+    def _fly(self, acting: FloatArray, moved: bool) -> None:
+        self._craft.step(acting.tolist(), 1.0 / SIMULATION_RATE, STILL)
+
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        craft = self._craft
+        craft.look(STILL)
+        surfaces = QUADROTOR.inputs(np.array(craft.speeds), self.trim) + self.trim
+        return np.array(craft.rates), np.array(craft.force), np.array(craft.angles), surfaces
+
+
+class MotorFaults(Schedule):
+    """State of a quadrotor's faults: what is left of each motor's thrust.
+
+    Parameters
+    ----------
+    craft : Quadrotor
+        Whose motors they are.
+    scheduled : sequence of Fault
+        Those that come at a time of their own.
+    """
+
+    def __init__(self, craft: Quadrotor, scheduled: Sequence[Fault]) -> None:
+        super().__init__(scheduled)
+        self._craft = craft
+        for fault in scheduled:
+            _motor(fault)
+
+    def apply(self, fault: Fault) -> None:
+        """Let it happen now.
+
+        Raises
+        ------
+        SimulationError
+            If it is none of a motor's.
+        """
+        motor = _motor(fault)
+        if motor is None:
+            self._craft.effect = [1.0] * len(QUADROTOR.names)
+        else:
+            self._craft.effect[motor] = fault.value or 0.0
+
+
+def _motor(fault: Fault) -> int | None:
+    """Return the motor of a fault; None if all are repaired."""
+    if fault.kind == "repaired":
+        return None
+    if fault.kind != "effect" or fault.what not in QUADROTOR.names:
+        raise SimulationError(
+            f"fault '{fault.what} {fault.kind}': a quadrotor knows 'MOTOR effect FACTOR', of "
+            f"{', '.join(QUADROTOR.names)}, and 'repaired'"
+        )
+    return QUADROTOR.names.index(fault.what)
