@@ -102,7 +102,7 @@ def test_everything_fits_on_80_columns_and_24_lines(structure: str, scale: float
             for k, v in STATUS.items()
             if not k.startswith(("airspeed", "armed", "rates: dropped: "))
         }
-        result.diagnosed("converged", few | {"rates: dropped": "0"})
+        result.diagnosed("converged", few | {"rates: dropped": "0", "structure": structure})
     shown = text(result).splitlines()
     assert len(shown) <= 24
     assert max(map(len, shown)) <= 80
@@ -241,6 +241,24 @@ def test_terminals_without_unicode_get_other_signs() -> None:
     assert "↗" in text(result, 120)
     assert "p      +1.000 0.010  100 /" in text(result, 120, encoding="ascii")
     text(result, 120, encoding="ascii").encode("ascii")
+
+
+def test_modes_are_those_of_the_published_coefficients() -> None:
+    structure = STRUCTURES["flight_dynamics"]
+    known = {
+        "pdot/p": -9.0, "pdot/beta": -25.0, "qdot/q": -6.0, "qdot/alpha": -40.0, "rdot/r": -1.8,
+        "rdot/beta": 12.0, "ay/beta": -12.0, "az/alpha": -100.0, "state/airspeed": 20.0,
+    }  # fmt: skip
+    result, names = Heard("/identifier"), entry_names(structure)
+    values = [known.get(name, 0.0) for name in names]
+    result.coefficients_named(SECOND_NS, names, values, [0.0] * len(names))
+    assert result.modes() == []  # the structure is not known yet
+    result.diagnosed("converged", {"structure": structure.name})
+    # the characteristic polynomial of q and alpha: s^2 + (6 + 5) s + 6 * 5 + 40
+    assert "modes     short period 8.4 ζ.66, " in text(result)
+    assert result.modes()[0].frequency == pytest.approx(math.sqrt(70.0), rel=1e-3)
+    result.coefficients_named(2 * SECOND_NS, names, [0.0] * len(names), [0.0] * len(names))
+    assert "modes" not in text(result)
 
 
 def test_states_are_shown_and_are_no_coefficients() -> None:

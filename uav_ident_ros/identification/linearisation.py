@@ -170,6 +170,19 @@ def modes(
     return found
 
 
+def level_modes(
+    structure: Structure, values: FloatArray, sigma: FloatArray, airspeed: float
+) -> list[Mode]:
+    """Return the modes in level flight at an airspeed, m/s; none of a model that is none yet."""
+    if not airspeed > 0.0:
+        return []
+    try:
+        with np.errstate(all="ignore"):
+            return modes(structure, values, sigma, Condition(airspeed))
+    except np.linalg.LinAlgError:
+        return []
+
+
 def _spread_of(
     structure: Structure, values: FloatArray, sigma: FloatArray, condition: Condition
 ) -> FloatArray:

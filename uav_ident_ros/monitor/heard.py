@@ -9,6 +9,10 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from uav_ident_ros.identification.linearisation import Mode, level_modes
+from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME
 from uav_ident_ros.messages.types import NS_PER_S
 
@@ -174,6 +178,18 @@ class Heard:
         """States of the model beside the rates, rad and m/s, by name; empty if it has none."""
         entries = self._entries()
         return {k.removeprefix(STATE): v for k, v in entries.items() if k.startswith(STATE)}
+
+    def modes(self) -> list[Mode]:
+        """Return the modes of the model in level flight; none without flow angles."""
+        structure, airspeed = STRUCTURES.get(self.status.values.get("structure", "")), "airspeed"
+        if structure is None or airspeed not in self.states:
+            return []
+        values = np.zeros(structure.mask.shape)
+        sigma = np.zeros(structure.mask.shape)
+        for coefficient in self.coefficients():
+            index = structure.index(coefficient.name)
+            values[index], sigma[index] = coefficient.value, coefficient.sigma
+        return level_modes(structure, values, sigma, self.states[airspeed])
 
     def fit_of(self, row: str) -> tuple[float | None, float | None]:
         """Return the running fit of a moment equation and that of holding its rate, percent.

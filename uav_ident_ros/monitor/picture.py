@@ -16,6 +16,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from uav_ident_ros.identification.linearisation import Mode
 from uav_ident_ros.identification.settings import SupervisionSettings
 from uav_ident_ros.monitor.heard import Coefficient, Heard
 
@@ -65,9 +66,10 @@ class Glyphs:
     # usable, unusable: Verdict on a row
     usable: str = "✓"
     unusable: str = "✗"
+    damping: str = "ζ"
 
 
-ASCII = Glyphs("/", "\\", "-", "_.-~^", "+", "x")
+ASCII = Glyphs("/", "\\", "-", "_.-~^", "+", "x", "z")
 """For terminals without UTF-8."""
 
 
@@ -85,7 +87,7 @@ def picture(heard: Heard, console: Console) -> RenderableType:
         _side_by_side(rows, width, console.width),
         "",
         *_inputs(heard),
-        *_foot(heard),
+        *_foot(heard, glyphs),
     )
 
 
@@ -253,27 +255,36 @@ def _state(name: str, value: float) -> str:
     return f"{name} {math.degrees(value):+.1f}°"
 
 
-def _foot(heard: Heard) -> Iterator[Text]:
-    """Yield the state of the model, the delay, the ticks and what is collinear."""
+def _mode(mode: Mode, glyphs: Glyphs) -> str:
+    """Return a mode: natural frequency, rad/s, and damping ratio, or time constant."""
+    if math.isfinite(mode.frequency):
+        damping = f"{mode.damping:.2f}".replace("0.", ".", 1)
+        return f"{mode.name} {mode.frequency:.2g} {glyphs.damping}{damping}"
+    return f"{mode.name} {mode.time_constant:.2g} s"
+
+
+def _foot(heard: Heard, glyphs: Glyphs) -> Iterator[Text]:
+    """Yield the state of the model, its modes, the delay, the ticks and what is collinear."""
     status = heard.status
     if heard.states:
         shown = ", ".join(_state(name, value) for name, value in heard.states.items())
         yield Text.assemble(f"{'state':<10}", shown, no_wrap=True)
+    if modes := heard.modes():
+        shown = ", ".join(_mode(mode, glyphs) for mode in modes)
+        yield Text(f"{'modes':<10}{shown}", no_wrap=True)
+    yield from _excitation(status.group("excite"))
     delay = status.number("delay [s]")
+    ticks = status.group("ticks")
+    line = Text(no_wrap=True)
     if delay is not None:
         confidence = status.values.get("delay confidence", "")
-        yield Text.assemble(
-            f"{'delay':<10}",
-            (f"{1e3 * delay:.0f} ms", "bold"),
-            f"  {CONFIDENCE.get(confidence, confidence)}",
-            no_wrap=True,
-        )
-    yield from _excitation(status.group("excite"))
-    ticks = status.group("ticks")
+        line.append(f"{'delay':<10}").append(f"{1e3 * delay:.0f} ms", "bold")
+        line.append(f"  {CONFIDENCE.get(confidence, confidence)}  ")
     if "count" in ticks:
         cost = ticks.get("update time p99 [ms]")
-        update = f"  update {cost} ms (p99)" if cost else ""
-        yield Text(f"{'ticks':<10}{ticks['count']}{update}", no_wrap=True)
+        line.append(f"{'ticks':<10}{ticks['count']}{f'  update {cost} ms (p99)' if cost else ''}")
+    if line:
+        yield line
     apart = status.values.get("not told apart", "nothing")
     if apart != "nothing":
         yield Text.assemble(("not told apart: ", "yellow"), apart, no_wrap=True)

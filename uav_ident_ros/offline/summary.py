@@ -8,9 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-import numpy as np
-
-from uav_ident_ros.identification.linearisation import Condition, Mode, modes
+from uav_ident_ros.identification.linearisation import Mode, level_modes
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.messages.streams import STREAMS
@@ -58,13 +56,8 @@ class Replayed:
     def modes(self) -> list[Mode]:
         """Return the modes of the model, level at the airspeed flown; none without flow angles."""
         last = self.run.estimates[-1]
-        if last.flow is None or not last.flow.airspeed > 0.0:
-            return []
-        condition = Condition(last.flow.airspeed)
-        try:
-            return modes(self.run.structure, last.coefficients, last.sigma, condition)
-        except np.linalg.LinAlgError:
-            return []  # a model of so short a flight that it is none
+        airspeed = last.flow.airspeed if last.flow is not None else 0.0
+        return level_modes(self.run.structure, last.coefficients, last.sigma, airspeed)
 
 
 def summarise(replayed: Replayed) -> dict[str, Any]:

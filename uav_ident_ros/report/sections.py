@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from uav_ident_ros.files.truth_file import read_truth
-from uav_ident_ros.identification.linearisation import Condition, modes
+from uav_ident_ros.identification.linearisation import level_modes
 from uav_ident_ros.offline.journal import bag_files
 from uav_ident_ros.report import diagrams, tables
 from uav_ident_ros.report.analysis import spectra
@@ -136,21 +134,16 @@ _INPUTS_TEXT = (
 def _modes_section(flight: Flight) -> Iterator[Section]:
     """Yield the modes of the last model; nothing for a structure without flow angles."""
     last = flight.estimates[-1]
-    if last.flow is None or not last.flow.airspeed > 0.0:
-        return
-    condition = Condition(last.flow.airspeed, roll=last.flow.roll, pitch=last.flow.pitch)
-    try:
-        found = modes(flight.structure, last.coefficients, last.sigma, condition)
-    except np.linalg.LinAlgError:
-        return  # a model of so short a flight that it is none
+    airspeed = last.flow.airspeed if last.flow is not None else 0.0
+    found = level_modes(flight.structure, last.coefficients, last.sigma, airspeed)
     if found:
         charts = [diagrams.mode_chart(found)]
         yield Section("modes", "Modes", [_MODES_TEXT], [tables.modes_table(found)], charts)
 
 
 _MODES_TEXT = (
-    "The identified model, linearised at the airspeed and the attitude of the last tick, without "
-    "rates. The coefficients count as independent in the standard deviations."
+    "The identified model, linearised in level flight at the airspeed of the last tick. The "
+    "coefficients count as independent in the standard deviations."
 )
 
 

@@ -199,7 +199,7 @@ def modes_table(found: Sequence[Mode]) -> Table:
         ]
         rows.append(Row(mode.name, cells))
     head = ("mode", "frequency [rad/s]", "damping ratio", "time constant [s]")
-    return Table("Modes at the condition of the last tick", head, rows, "short")
+    return Table("Modes in level flight", head, rows, "short")
 
 
 def messages_table(summary: Mapping[str, Any]) -> Table:
