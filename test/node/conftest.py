@@ -1,29 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node under test: its own process, its own saved coefficients."""
+"""The node under test: its own process, its own saved coefficients, and a player beside it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 from node_process import NodeProcess, StartNode
 from recordings import MakePlayer, Recording
 
+from uav_ident_ros.domain import own_domain
 from uav_ident_ros.player import Player
 
-
-@pytest.fixture
-def ros_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the nodes of one test keep their coefficients: none starts from another test's."""
-    home = tmp_path / "ros_home"
-    monkeypatch.setenv("ROS_HOME", str(home))
-    return home
+Fly = Callable[..., tuple[NodeProcess, Player]]
 
 
-@pytest.fixture
-def start_node(ros_home: Path) -> Iterator[StartNode]:
-    """Start the node; it is ended after the test."""
+@contextmanager
+def starting(home: Path) -> Iterator[StartNode]:
+    """Start nodes in a domain of their own, with their coefficients in `home`; end them all."""
     started: list[NodeProcess] = []
 
     def start(
@@ -39,25 +35,68 @@ def start_node(ros_home: Path) -> Iterator[StartNode]:
             ros += ["-p", f"{name}:={value}"]
         if sim_time:
             ros += ["-p", "use_sim_time:=true"]
-        node = NodeProcess([*ros, *arguments])
-        started.append(node)
-        return node
+        started.append(NodeProcess([*ros, *arguments], home))
+        return started[-1]
 
-    yield start
+    with own_domain():
+        yield start
     for node in started:
         print(node.log)  # pytest shows it if the test failed
         node.kill()
 
 
+@contextmanager
+def flying(home: Path) -> Iterator[Fly]:
+    """Start nodes, each with a player that it listens to."""
+    with starting(home) as start, ExitStack() as players:
+
+        def fly(
+            flight: Recording, *, clock: bool | None = None, sim_time: bool = False, **options: str
+        ) -> tuple[NodeProcess, Player]:
+            node = start(parameter_file=flight.parameter_file, sim_time=sim_time, **options)
+            player = Player(flight.classes, clock=sim_time if clock is None else clock)
+            players.callback(player.close)
+            player.wait_for_node()
+            return node, player
+
+        yield fly
+
+
+@pytest.fixture
+def ros_home(tmp_path: Path) -> Path:
+    """Where the nodes of one test keep their coefficients: none starts from another test's."""
+    return tmp_path / "ros_home"
+
+
+@pytest.fixture
+def start_node(ros_home: Path) -> Iterator[StartNode]:
+    """Start the node; it is ended after the test."""
+    with starting(ros_home) as start:
+        yield start
+
+
+@pytest.fixture
+def fly(ros_home: Path) -> Iterator[Fly]:
+    """Start the node with the parameters of a recording, and a player for it."""
+    with flying(ros_home) as start:
+        yield start
+
+
+@pytest.fixture(scope="module")
+def shared_fly(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fly]:
+    """The same, for all tests of a file."""
+    with flying(tmp_path_factory.mktemp("shared")) as start:
+        yield start
+
+
 @pytest.fixture
 def make_player() -> Iterator[MakePlayer]:
     """Make a player for a recording; it leaves the graph after the test."""
-    made: list[Player] = []
+    with ExitStack() as players:
 
-    def make(flight: Recording, **options: object) -> Player:
-        made.append(Player(flight.classes, **options))
-        return made[-1]
+        def make(flight: Recording, **options: object) -> Player:
+            player = Player(flight.classes, **options)
+            players.callback(player.close)
+            return player
 
-    yield make
-    for player in made:
-        player.close()
+        yield make

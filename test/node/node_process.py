@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -20,11 +21,12 @@ a machine with much other work may need them."""
 class NodeProcess:
     """`identifier` as a process of its own."""
 
-    def __init__(self, arguments: list[str]) -> None:
+    def __init__(self, arguments: list[str], home: Path | None = None) -> None:
         self._errors = tempfile.TemporaryFile(mode="w+")  # noqa: SIM115  (closed in `kill`)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "uav_ident_ros.node", *arguments],
             cwd=ROOT,
+            env={**os.environ, **({"ROS_HOME": str(home)} if home else {})},
             stdout=self._errors,
             stderr=subprocess.STDOUT,
         )

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 from node_process import ROOT
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
 
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import BagWriter
@@ -52,6 +54,41 @@ def recording(name: str, seconds: float) -> Recording:
         end_ns = bag.start_ns + int(seconds * 1e9)
         messages = [m for m in bag.messages(TOPICS) if m.log_ns <= end_ns]
     return Recording(messages, types, folder / "identifier.yaml")
+
+
+def part(flight: Recording, begin: float, end: float) -> list[Message]:
+    """Messages between two times after the start of a recording, s."""
+    start_ns = flight.messages[0].log_ns
+    return [m for m in flight.messages if begin <= (m.log_ns - start_ns) * 1e-9 < end]
+
+
+def call(player: Player, kind: Any, service: str, **request: object) -> Any:
+    """Call a service of the node, and return its answer."""
+    name = f"{NODE}/{service}"
+    client = player.node.create_client(kind, name)
+    player.wait_until(client.service_is_ready, f"service '{name}'")
+    future = client.call_async(kind.Request(**request))
+    player.wait_until(future.done, f"an answer of '{name}'")
+    player.node.destroy_client(client)
+    return future.result()
+
+
+def change(player: Player, values: dict[str, object]) -> None:
+    """Set parameters of the node while it runs."""
+    named = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    answer = call(player, SetParametersAtomically, "set_parameters_atomically", parameters=named)
+    assert answer.result.successful, answer.result.reason
+
+
+def shown(player: Player) -> dict[str, str]:
+    """What the diagnostics say of all that has been played."""
+    wait_for_status(player)
+    return {entry.key: entry.value for entry in player.outputs.status[-1].values}
+
+
+def wait_for_words(player: Player, words: str) -> None:
+    """Wait until the diagnostics have said the words."""
+    player.wait_until(lambda: any(words in s.message for s in player.outputs.status), words)
 
 
 def write_bag(flight: Recording, folder: Path) -> Path:
@@ -98,12 +135,3 @@ def joined(named: Iterable, predicted: Iterable, error: Iterable) -> TickValues:
         for tick, v in vectors.items():
             ticks[tick] += (v.x, v.y, v.z)
     return ticks
-
-
-def call(player: Player, kind: Any, service: str, request: Any) -> Any:
-    """Call a service of the node."""
-    client = player.node.create_client(kind, service)
-    player.wait_until(client.service_is_ready, f"service '{service}'")
-    future = client.call_async(request)
-    player.wait_until(future.done, f"an answer of '{service}'")
-    return future.result()

@@ -9,28 +9,23 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from node_process import ROOT
 from recordings import recording, write_bag
 
+from uav_ident_ros.demo import main
+
 PNG = b"\x89PNG"
-
-
-def demo(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "uav_ident_ros.demo", *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=300.0,
-        check=False,
-    )
 
 
 def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_path: Path) -> None:
     flight = recording("multisine", 10.0)
     bag = write_bag(flight, tmp_path / "short")
     shutil.copy(flight.parameter_file, bag)
-    run = demo(str(bag), "--speed", "4", "--output", str(tmp_path))
+    command = [sys.executable, "-m", "uav_ident_ros.demo", str(bag), "--speed", "4"]
+    run = subprocess.run(
+        [*command, "--output", str(tmp_path)], capture_output=True, text=True, timeout=300.0
+    )
     assert run.returncode == 0, run.stderr
     fits = re.findall(
         r"^identified model, 1 s(.*)\n +holding the rates(.*)$", run.stdout, re.MULTILINE
@@ -44,13 +39,22 @@ def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_pa
     assert re.search(r"^/identifier  (learning|converged)  ", run.stdout, re.MULTILINE)
 
 
-def test_wrong_input_is_refused_in_one_line(tmp_path: Path) -> None:
-    for arguments, said in (
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
         (("none",), "bag 'none' does not exist"),
         (("--speed", "9"), "0.1 to 5"),
         ((str(ROOT / "bags" / "multisine"), "--params-file", "none.yaml"), "does not exist"),
-    ):
-        run = demo(*arguments, "--output", str(tmp_path))
-        assert run.returncode == 2
-        assert said in run.stderr
-        assert run.stderr.count("\n") == 1
+    ],
+)
+def test_wrong_input_is_refused_in_one_line(
+    arguments: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status = main([*arguments, "--output", str(tmp_path)])
+    except SystemExit as ended:
+        status = ended.code
+    assert status == 2
+    printed = capsys.readouterr()
+    assert said in printed.err
+    assert printed.err.count("\n") == 1

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from node_process import StartNode
+from conftest import Fly
 from rclpy.serialization import serialize_message
-from recordings import NODE, MakePlayer, Recording, published, recording, replayed
+from recordings import NODE, Recording, call, change, part, published, recording, replayed, shown
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
@@ -30,14 +29,9 @@ PARAMETERS = {
 }
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def flight() -> Recording:
     return recording("multisine", 8.0)
-
-
-def part(flight: Recording, begin: float, end: float) -> list[Message]:
-    start_ns = flight.messages[0].log_ns
-    return [m for m in flight.messages if begin <= (m.log_ns - start_ns) * 1e-9 < end]
 
 
 def listen(player: Player) -> list[JointState]:
@@ -47,43 +41,24 @@ def listen(player: Player) -> list[JointState]:
     return heard
 
 
-def excite(player: Player, on: bool) -> Any:
-    client = player.node.create_client(SetBool, f"{NODE}/excite")
-    player.wait_until(client.service_is_ready, "service 'excite'")
-    future = client.call_async(SetBool.Request(data=on))
-    player.wait_until(future.done, "an answer of 'excite'")
-    return future.result()
-
-
 def positions(messages: list[JointState]) -> np.ndarray:
     return np.array([message.position for message in messages]).reshape(-1, len(INPUTS))
 
 
-def shown(player: Player) -> dict[str, str]:
-    """What the next diagnostics say."""
-    count = len(player.outputs.status)
-    player.wait_until(lambda: len(player.outputs.status) > count + 1, "diagnostics")
-    return {entry.key: entry.value for entry in player.outputs.status[-1].values}
-
-
-@pytest.fixture
-def player(flight: Recording, start_node: StartNode, make_player: MakePlayer) -> Player:
-    start_node(parameter_file=flight.parameter_file, parameters=PARAMETERS, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
-    return player
+@pytest.fixture(scope="module")
+def player(flight: Recording, shared_fly: Fly) -> Player:
+    """A player for a node that starts cold whenever the recording starts again."""
+    return shared_fly(flight, parameters=PARAMETERS, sim_time=True)[1]
 
 
 def test_a_run_is_asked_for_tick_by_tick_and_aborted_at_once(
     flight: Recording, player: Player
 ) -> None:
     heard = listen(player)
-    answer = excite(player, True)
-    assert not answer.success and "not started: there are no ticks" in answer.message
     player.play_in_step(part(flight, 0.0, 2.0))
     heard.clear()
-    assert excite(player, True).success
-    assert not excite(player, True).success
+    assert call(player, SetBool, "excite", data=True).success
+    assert not call(player, SetBool, "excite", data=True).success
     player.play_in_step(part(flight, 2.0, 5.0))
     stamps = [stamp_ns(m.header.stamp) for m in heard]
     assert {tuple(m.name) for m in heard} == {INPUTS}
@@ -99,7 +74,7 @@ def test_a_run_is_asked_for_tick_by_tick_and_aborted_at_once(
     assert {"excite: not known yet", "excite: until known [s]"} <= values.keys()
 
     heard.clear()
-    answer = excite(player, False)
+    answer = call(player, SetBool, "excite", data=False)
     assert answer.success and answer.message == "excitation is zero"
     player.wait_until(lambda: len(heard) > 0, "zero")
     assert stamp_ns(heard[0].header.stamp) < stamps[-1]  # what lies ahead is called off
@@ -112,7 +87,7 @@ def test_a_run_is_asked_for_tick_by_tick_and_aborted_at_once(
 def test_a_run_is_aborted_when_the_inputs_fail(flight: Recording, player: Player) -> None:
     heard = listen(player)
     player.play_in_step(part(flight, 0.0, 2.0))
-    assert excite(player, True).success
+    assert call(player, SetBool, "excite", data=True).success
     now_ns = part(flight, 0.0, 2.0)[-1].log_ns + 100 * MS
     for k in range(90):  # time goes on, nothing else
         player.send_clock(now_ns + k * 10 * MS)
@@ -123,39 +98,22 @@ def test_a_run_is_aborted_when_the_inputs_fail(flight: Recording, player: Player
 
 
 def test_a_run_is_aborted_at_the_first_tick_beyond_a_limit(
-    flight: Recording, start_node: StartNode, make_player: MakePlayer
+    flight: Recording, player: Player
 ) -> None:
-    parameters = {**PARAMETERS, "excitation.max_rate": "0.2"}
-    start_node(parameter_file=flight.parameter_file, parameters=parameters, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
     heard = listen(player)
-    player.play_in_step(part(flight, 0.0, 1.5))  # nothing moves before two seconds
-    assert excite(player, True).success
-    player.play_in_step(part(flight, 1.5, 4.0))
+    change(player, {"excitation.max_rate": 0.2})
+    try:
+        player.play_in_step(part(flight, 0.0, 1.5))  # nothing moves before two seconds
+        assert call(player, SetBool, "excite", data=True).success
+        player.play_in_step(part(flight, 1.5, 4.0))
+    finally:
+        change(player, {"excitation.max_rate": 50.0})
     assert "rad/s: the limit is 0.2" in shown(player)["excite: last run"]
     asked = positions(heard)
     moving = np.flatnonzero(asked.any(axis=1))
     assert len(moving) > 0 and not asked[moving[-1] + 1 :].any()
     end = stamp_ns(heard[moving[-1] + 1].header.stamp)
     assert end == stamp_ns(heard[moving[-1]].header.stamp) + 50 * MS - 150 * MS  # the next tick
-
-
-def test_a_probe_says_what_the_inputs_do(
-    flight: Recording, start_node: StartNode, make_player: MakePlayer
-) -> None:
-    parameters = {**PARAMETERS, "excitation.form": "probe", "excitation.band": "[1.0, 5.0]"}
-    start_node(parameter_file=flight.parameter_file, parameters=parameters, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
-    player.play_in_step(part(flight, 0.0, 2.0))
-    assert excite(player, True).success
-    player.play_in_step(part(flight, 2.0, 8.0))
-    values = shown(player)
-    assert values["excite: last run"].startswith("complete")
-    assert values["excite: effect of da"].startswith("pdot/da = ")
-    assert float(values["excite: effect of da"].split()[2]) > 0.0
-    assert float(values["excite: effect of de"].split()[2]) < 0.0
 
 
 def test_a_replay_of_the_flight_reads_what_the_node_asked_for(
@@ -165,7 +123,7 @@ def test_a_replay_of_the_flight_reads_what_the_node_asked_for(
     heard = listen(player)
     player.play_in_step(part(flight, 0.0, 2.0))
     live = published(player.outputs)
-    assert excite(player, True).success
+    assert call(player, SetBool, "excite", data=True).success
     player.play_in_step(part(flight, 2.0, 8.0))
     live |= published(player.outputs)
     topic = f"{NODE}/excitation"
@@ -182,16 +140,27 @@ def test_a_replay_of_the_flight_reads_what_the_node_asked_for(
     assert {t: offline[t] for t in common} == {t: live[t] for t in common}
 
 
-def test_ticks_too_slow_for_the_signal_are_refused(
-    start_node: StartNode, make_player: MakePlayer
+def test_a_probe_says_what_the_inputs_do(flight: Recording, player: Player) -> None:
+    player.play_in_step(part(flight, 0.0, 2.0))
+    call(player, SetBool, "excite", data=False)
+    change(player, {"excitation.form": "probe", "excitation.band": [1.0, 5.0]})
+    assert call(player, SetBool, "excite", data=True).success
+    player.play_in_step(part(flight, 2.0, 8.0))
+    values = shown(player)
+    assert values["excite: last run"].startswith("complete")
+    assert values["excite: effect of da"].startswith("pdot/da = ")
+    assert float(values["excite: effect of da"].split()[2]) > 0.0
+    assert float(values["excite: effect of de"].split()[2]) < 0.0
+
+
+def test_without_ticks_and_with_ticks_too_slow_for_the_signal_it_is_refused(
+    flight: Recording, fly: Fly
 ) -> None:
     assert slowest_ticks(3.0) == 12.0  # four in a cycle
     assert slowest_ticks(1.0) == 2.0 / EXCITATION_TIMEOUT  # one may be lost
-    flight = recording("multisine", 2.0)
-    parameters = {**PARAMETERS, "update_rate": "10.0"}
-    start_node(parameter_file=flight.parameter_file, parameters=parameters, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
-    player.play_in_step(flight.messages)
-    answer = excite(player, True)
+    _, player = fly(flight, parameters={**PARAMETERS, "update_rate": "10.0"}, sim_time=True)
+    answer = call(player, SetBool, "excite", data=True)
+    assert not answer.success and "not started: there are no ticks" in answer.message
+    player.play_in_step(part(flight, 0.0, 2.0))
+    answer = call(player, SetBool, "excite", data=True)
     assert not answer.success and answer.message.endswith("need 12 Hz")

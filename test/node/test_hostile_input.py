@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from node_process import StartNode
+from conftest import Fly
 from rclpy.serialization import deserialize_message, serialize_message
 from recordings import (
     ACTUATORS_TOPIC,
     RATES_TOPIC,
-    MakePlayer,
     Recording,
     published,
     recording,
     replayed,
     wait_for_status,
+    wait_for_words,
 )
 
 from uav_ident_ros.bags.reading import Message
@@ -136,11 +136,10 @@ def drops(player: Player, stream: str) -> dict[str, int]:
 
 
 def test_bad_messages_leave_no_trace_in_the_estimate(
-    flight: Recording, start_node: StartNode, make_player: MakePlayer, tmp_path: Path
+    flight: Recording, fly: Fly, tmp_path: Path
 ) -> None:
-    node = start_node(parameter_file=flight.parameter_file)
-    player = make_player(flight, clock=False)
-    player.wait_for_node()
+    """On system time, with the events executor: the same to the bit as a replay, too."""
+    node, player = fly(flight)
     played = list(with_bad_messages(flight))
     player.play_in_step([message for message, _ in played])
     wait_for_status(player)
@@ -154,12 +153,10 @@ def test_bad_messages_leave_no_trace_in_the_estimate(
     assert f"'{ACTUATORS_TOPIC}': message dropped: 'position' has 2 values" in node.log
 
 
-def test_a_flood_of_bad_messages_is_named_once_and_counted(
-    flight: Recording, start_node: StartNode, make_player: MakePlayer
+def test_a_flood_of_bad_messages_is_named_once_and_a_frame_that_contradicts_is_a_fault(
+    flight: Recording, fly: Fly
 ) -> None:
-    node = start_node(parameter_file=flight.parameter_file)
-    player = make_player(flight, clock=False)
-    player.wait_for_node()
+    node, player = fly(flight)
     for number in range(FLOOD):
         player.send(RATES_TOPIC, UNDECODABLE)
         player.send(ACTUATORS_TOPIC, UNDECODABLE)
@@ -176,25 +173,12 @@ def test_a_flood_of_bad_messages_is_named_once_and_counted(
     assert node.log.count(f"'{RATES_TOPIC}': message dropped: it cannot be decoded") <= 3
     player.play_in_step(flight.messages[:1000])
     assert player.outputs.named
-
-
-def test_frame_that_contradicts_the_convention_is_a_fault(
-    flight: Recording, start_node: StartNode, make_player: MakePlayer
-) -> None:
-    start_node(parameter_file=flight.parameter_file)
-    player = make_player(flight, clock=False)
-    player.wait_for_node()
+    player.outputs.clear()
     for message in flight.messages[:50]:
         if message.topic == RATES_TOPIC:
             imu = deserialize_message(message.data, flight.classes[RATES_TOPIC])
             imu.header.frame_id = "base_link_frd"
             player.send(RATES_TOPIC, imu)
-    player.wait_until(
-        lambda: any(
-            s.message.startswith("fault: ") and "'base_link_frd' contradicts" in s.message
-            for s in player.outputs.status
-        ),
-        "the fault",
-    )
+    wait_for_words(player, "fault: the Imu's frame_id 'base_link_frd' contradicts")
     assert drops(player, "rates")["wrong frame"] > 0
     assert player.outputs.named == []

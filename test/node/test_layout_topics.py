@@ -14,10 +14,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from conftest import Fly
 from diagnostic_msgs.msg import DiagnosticArray
-from node_process import ROOT, StartNode
+from node_process import ROOT
 from rclpy.serialization import deserialize_message
-from recordings import NODE, RATES_TOPIC, MakePlayer, recording
+from recordings import NODE, RATES_TOPIC, recording
 from sensor_msgs.msg import JointState
 
 from uav_ident_ros.player import Player
@@ -108,14 +109,10 @@ def foxglove_curves() -> dict[str, str]:
 
 
 @pytest.fixture
-def messages(start_node: StartNode, make_player: MakePlayer) -> dict[str, Any]:
+def messages(fly: Fly) -> dict[str, Any]:
     """What the node publishes for a flight, in the structure that the layouts are made for."""
     flight = recording(FLIGHT, SECONDS)
-    start_node(
-        parameter_file=flight.parameter_file, parameters={"structure": STRUCTURE}, sim_time=True
-    )
-    player = make_player(flight)
-    player.wait_for_node()
+    _, player = fly(flight, parameters={"structure": STRUCTURE}, sim_time=True)
     player.play_in_step(flight.messages)
     player.wait_until(
         lambda: any("delay [s]" in {v.key for v in s.values} for s in player.outputs.status[-1:]),

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy.logging
-from node_process import StartNode, wait_for
-from recordings import NODE, MakePlayer, Recording, call, recording
+from conftest import Fly
+from node_process import wait_for
+from recordings import NODE, call, recording
 from std_srvs.srv import Trigger
 
 from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
@@ -273,61 +274,39 @@ def test_a_second_writer_of_the_file_is_noticed(tmp_path: Path) -> None:
 # --- through the node --------------------------------------------------------------------------
 
 
-@pytest.fixture
-def flight() -> Recording:
-    return recording("multisine", 5.0)
-
-
-def test_the_node_goes_on_where_it_was_ended(
-    flight: Recording, start_node: StartNode, make_player: MakePlayer, ros_home: Path
+def test_the_node_starts_cold_beside_a_damaged_file_and_goes_on_where_it_was_ended(
+    fly: Fly, ros_home: Path
 ) -> None:
-    initial = ros_home / "initial.yaml"
-    write(initial, coefficients(0.5))
-    node = start_node(parameter_file=flight.parameter_file)
-    player = make_player(flight, clock=False)
-    player.wait_for_node()
-    player.play_in_step(flight.messages)
-    learned = player.outputs.coefficients[-1].data
-    assert node.end(signal.SIGTERM) == 0
-    path = ros_home / "uav_ident_ros" / "identifier.yaml"
-    assert f"saved to '{path}'" in node.log
-    parameters = {"initial_coefficients_file": str(initial)}
-    again = start_node(parameter_file=flight.parameter_file, parameters=parameters)
-    other = make_player(flight, clock=False)
-    other.wait_for_node()
-    assert f"started from '{path}', saved" in again.log
-    other.play_in_step(flight.messages[:1500])
-    assert other.outputs.coefficients[0].data == learned, "the state file wins"
-    assert call(other, Trigger, f"{NODE}/reset", Trigger.Request()).success
-    other.play_in_step(flight.messages[:1500])
-    mask = STRUCTURE.mask.ravel()
-    assert (np.array(other.outputs.coefficients[0].data)[mask] == 0.5).all()
-
-
-def test_the_node_starts_cold_beside_a_damaged_file(
-    flight: Recording, start_node: StartNode, make_player: MakePlayer, ros_home: Path
-) -> None:
+    flight = recording("multisine", 5.0)
     path = ros_home / "uav_ident_ros" / "identifier.yaml"
     path.parent.mkdir(parents=True)
     path.write_text("format: uav_ident_ros/coefficients\nversion: 1\nstruct")
-    node = start_node(parameter_file=flight.parameter_file)
-    player = make_player(flight, clock=False)
-    player.wait_for_node()
+    node, player = fly(flight)
     assert f"starting cold: coefficients file '{path}': line 3" in node.log
-    player.play_in_step(flight.messages[:1500])
+    player.play_in_step(flight.messages)
     assert not np.any(player.outputs.coefficients[0].data)
-    assert node.end(signal.SIGINT) == 0
+    learned = player.outputs.coefficients[-1].data
+    assert node.end(signal.SIGTERM) == 0
+    assert f"saved to '{path}'" in node.log
     assert path.with_name("identifier.yaml.refused").exists()
 
-
-def test_without_a_state_file_nothing_is_written_or_read(
-    flight: Recording, start_node: StartNode, make_player: MakePlayer, ros_home: Path
-) -> None:
-    node = start_node(parameter_file=flight.parameter_file, parameters={"state_file": "none"})
-    player = make_player(flight, clock=False)
-    player.wait_for_node()
+    initial = ros_home / "initial.yaml"
+    write(initial, coefficients(0.5))
+    node, player = fly(flight, parameters={"initial_coefficients_file": str(initial)})
+    assert f"started from '{path}', saved" in node.log
     player.play_in_step(flight.messages[:1500])
-    answer = call(player, Trigger, f"{NODE}/save", Trigger.Request())
+    assert player.outputs.coefficients[0].data == learned, "the state file wins"
+    assert call(player, Trigger, "reset").success
+    player.play_in_step(flight.messages[:1500])
+    mask = STRUCTURE.mask.ravel()
+    assert (np.array(player.outputs.coefficients[0].data)[mask] == 0.5).all()
+
+
+def test_without_a_state_file_nothing_is_written_or_read(fly: Fly, ros_home: Path) -> None:
+    flight = recording("multisine", 5.0)
+    node, player = fly(flight, parameters={"state_file": "none"})
+    player.play_in_step(flight.messages[:1500])
+    answer = call(player, Trigger, "save")
     assert not answer.success
     assert "'state_file' is 'none'" in answer.message
     assert node.end(signal.SIGINT) == 0

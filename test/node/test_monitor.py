@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import itertools
 import os
 import pty
 import re
@@ -20,9 +19,11 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from conftest import Fly
 from node_process import PATIENCE, ROOT, StartNode
-from recordings import MakePlayer, Recording, recording
+from recordings import Recording, change, part, recording
 
+from uav_ident_ros.monitor.cli import parser
 from uav_ident_ros.player import Player
 
 MONITOR = [sys.executable, "-m", "uav_ident_ros.monitor.cli"]
@@ -33,6 +34,8 @@ WITHOUT_RICH = [
     "import importlib.util, sys; importlib.util.find_spec = lambda name: None\n"
     "from uav_ident_ros.monitor.cli import main; sys.exit(main())",
 ]
+
+ENDINGS = (signal.SIGINT, signal.SIGTERM)
 
 StartMonitor = Callable[..., subprocess.Popen[str]]
 
@@ -65,16 +68,6 @@ def start_monitor() -> Iterator[StartMonitor]:
         process.communicate()
 
 
-def parts(flight: Recording, *ends: float) -> list[list]:
-    """The messages of a recording, cut at times after its start, s."""
-    start_ns = flight.messages[0].log_ns
-    edges = [start_ns + round(1e9 * end) for end in (0.0, *ends)]
-    return [
-        [m for m in flight.messages if begin <= m.log_ns < end]
-        for begin, end in itertools.pairwise(edges)
-    ]
-
-
 def play_while(player: Player, messages: list, process: subprocess.Popen[str]) -> None:
     """Play in real time until a process ends, or the messages do."""
 
@@ -86,19 +79,31 @@ def play_while(player: Player, messages: list, process: subprocess.Popen[str]) -
         player.play(messages, on_time=look)
 
 
-def test_once_shows_what_may_be_used_and_what_is_of_the_past(
-    start_node: StartNode, make_player: MakePlayer, start_monitor: StartMonitor
+def test_a_flight_before_it_converges_after_it_and_when_it_is_over(
+    fly: Fly, start_monitor: StartMonitor
 ) -> None:
-    flight = recording("multisine", 25.0)
-    start_node(parameter_file=flight.parameter_file, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
-    converging, flying = parts(flight, 10.0, 25.0)
-    player.play_in_step(converging)
-    monitor = start_monitor("--once", "--timeout", "60", "--node", "/identifier")
-    play_while(player, flying, monitor)
-    shown, errors = monitor.communicate(timeout=PATIENCE)
-    assert monitor.returncode == 0, shown + errors
+    flight = recording("multisine", 40.0)
+    _, player = fly(flight, sim_time=True)
+
+    def once(begin: float, *arguments: str) -> tuple[int, str]:
+        """Let the monitor hear the flight from a time on, s; its status and what it shows."""
+        monitor = start_monitor("--once", *arguments)
+        play_while(player, part(flight, begin, 40.0), monitor)
+        shown, errors = monitor.communicate(timeout=PATIENCE)
+        assert "Traceback" not in errors
+        return monitor.returncode, shown
+
+    change(player, {"supervision.min_fit": 99.5})
+    player.play_in_step(part(flight, 0.0, 10.0))
+    status, shown = once(10.0, "--timeout", "60", "--node", "/identifier")
+    assert status == 1
+    assert shown.startswith("/identifier  learning  not usable  tick ")
+    assert "needed: 100 %" in shown
+
+    change(player, {"supervision.min_fit": -20.0})
+    player.play_in_step(part(flight, 0.0, 10.0))
+    status, shown = once(10.0, "--timeout", "60", "--node", "/identifier")
+    assert status == 0
     assert shown.startswith("/identifier  converged  usable  tick ")
     newest = player.outputs.named[-1]
     value = dict(zip(newest.name, newest.position, strict=True))["pdot/da"]
@@ -106,6 +111,30 @@ def test_once_shows_what_may_be_used_and_what_is_of_the_past(
     assert float(row[0]) == pytest.approx(value, rel=0.05)
     assert float(row[1]) > 0.0
     assert re.search(r"rates +/imu/data +\d+\.\d Hz +age \d", shown)
+
+    monitors = {ending: start_monitor("--node", "identifier/") for ending in ENDINGS}
+    ticks: dict[signal.Signals, list[float]] = {ending: [] for ending in ENDINGS}
+
+    def read(ending: signal.Signals) -> None:
+        for line in monitors[ending].stdout or ():
+            ticks[ending].extend(float(t) for t in re.findall(r"  tick ([\d.]+) s$", line))
+            if len(ticks[ending]) >= 3:
+                monitors[ending].send_signal(ending)
+
+    readers = [threading.Thread(target=read, args=(ending,)) for ending in ENDINGS]
+    for reader in readers:
+        reader.start()
+    player.play_in_step(part(flight, 0.0, 2.0))
+    for monitor in monitors.values():
+        play_while(player, part(flight, player_time(player, flight), 40.0), monitor)
+    for reader in readers:
+        reader.join(PATIENCE)
+    for ending, monitor in monitors.items():
+        assert len(ticks[ending]) >= 3
+        assert ticks[ending] == sorted(set(ticks[ending]))
+        assert monitor.wait(PATIENCE) == 0
+        assert monitor.stderr is not None
+        assert "Traceback" not in monitor.stderr.read()
 
     player.spin_for(2.5)  # silence: what was usable is so no more
     monitor = start_monitor("--once", "--timeout", "3")
@@ -115,25 +144,9 @@ def test_once_shows_what_may_be_used_and_what_is_of_the_past(
     assert "none since" in shown
 
 
-def test_once_tells_why_coefficients_may_not_be_used(
-    start_node: StartNode, make_player: MakePlayer, start_monitor: StartMonitor
-) -> None:
-    flight = recording("multisine", 25.0)
-    start_node(
-        parameter_file=flight.parameter_file,
-        parameters={"supervision.min_fit": "99.5"},
-        sim_time=True,
-    )
-    player = make_player(flight)
-    player.wait_for_node()
-    learning, flying = parts(flight, 10.0, 25.0)
-    player.play_in_step(learning)
-    monitor = start_monitor("--once", "--timeout", "60", "--node", "/identifier")
-    play_while(player, flying, monitor)
-    shown, errors = monitor.communicate(timeout=PATIENCE)
-    assert monitor.returncode == 1, errors
-    assert shown.startswith("/identifier  learning  not usable  tick ")
-    assert "needed: 100 %" in shown
+def player_time(player: Player, flight: Recording) -> float:
+    """How far a recording has been played, s."""
+    return (player.outputs.newest_ns - flight.messages[0].log_ns) * 1e-9
 
 
 def test_once_says_when_there_is_nothing_to_hear(start_monitor: StartMonitor) -> None:
@@ -170,52 +183,6 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
     assert monitor.returncode == 1, errors
     assert shown.startswith("/two/identifier  waiting  not usable  no tick yet")
     assert "no message on '/two/imu/data' yet" in shown
-
-
-@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
-def test_blocks_of_text_on_a_pipe_until_it_is_ended(
-    start_node: StartNode,
-    make_player: MakePlayer,
-    start_monitor: StartMonitor,
-    ending: signal.Signals,
-) -> None:
-    flight = recording("multisine", 30.0)
-    start_node(parameter_file=flight.parameter_file, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
-    monitor = start_monitor("--node", "identifier/")
-    assert monitor.stdout is not None
-    ticks: list[float] = []
-
-    def read() -> None:
-        for line in monitor.stdout or ():
-            ticks.extend(float(t) for t in re.findall(r"  tick ([\d.]+) s$", line))
-            if len(ticks) >= 3:
-                monitor.send_signal(ending)
-
-    reader = threading.Thread(target=read)
-    reader.start()
-    play_while(player, flight.messages, monitor)
-    reader.join(PATIENCE)
-    assert len(ticks) >= 3
-    assert ticks == sorted(set(ticks))
-    assert monitor.wait(PATIENCE) == 0
-    assert monitor.stderr is not None
-    assert "Traceback" not in monitor.stderr.read()
-
-
-def test_a_reader_that_goes_away_is_no_error(
-    start_node: StartNode, start_monitor: StartMonitor
-) -> None:
-    start_node()
-    monitor = start_monitor("--plain", "--node", "/identifier")
-    assert monitor.stdout is not None
-    assert monitor.stdout.readline().startswith("/identifier")
-    monitor.stdout.close()
-    assert monitor.wait(PATIENCE) == 0
-    assert monitor.stderr is not None
-    assert monitor.stderr.read() == ""
-    monitor.stdout = None
 
 
 class Terminal:
@@ -263,11 +230,14 @@ def on_terminal() -> Iterator[Callable[[list[str]], Terminal]]:
         terminal.close()
 
 
-def test_the_terminal_is_drawn_in_place_and_given_back(
-    start_node: StartNode, on_terminal: Callable[[list[str]], Terminal]
+def test_it_waits_for_a_node_draws_it_in_place_and_gives_the_terminal_back(
+    start_node: StartNode,
+    start_monitor: StartMonitor,
+    on_terminal: Callable[[list[str]], Terminal],
 ) -> None:
+    terminal = on_terminal(MONITOR)
+    assert terminal.read_until("looking for an identifier")
     start_node()
-    terminal = on_terminal([*MONITOR, "--node", "/identifier"])
     assert terminal.read_until("no message on '/imu/data' yet")
     assert "\x1b[?1049h" in terminal.received  # the alternate screen, without a cursor
     assert "\x1b[?25l" in terminal.received
@@ -278,7 +248,17 @@ def test_the_terminal_is_drawn_in_place_and_given_back(
     assert "\x1b[?25h" in terminal.received
     assert "Traceback" not in terminal.received
     frame = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "\n", terminal.received)
-    assert max(len(line) for line in frame.splitlines()) <= 80
+    drawn = frame[frame.index("/identifier") :]
+    assert max(len(line) for line in drawn.splitlines()) <= 80
+
+    monitor = start_monitor("--plain", "--node", "/identifier")
+    assert monitor.stdout is not None
+    assert monitor.stdout.readline().startswith("/identifier")
+    monitor.stdout.close()  # a reader that goes away is no error
+    assert monitor.wait(PATIENCE) == 0
+    assert monitor.stderr is not None
+    assert monitor.stderr.read() == ""
+    monitor.stdout = None
 
 
 def test_without_rich_it_says_what_to_install() -> None:
@@ -286,15 +266,6 @@ def test_without_rich_it_says_what_to_install() -> None:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "'rich' is not installed: python3-rich from apt" in done.stderr
-
-
-def test_it_waits_for_a_node_that_is_not_there_yet(
-    start_node: StartNode, on_terminal: Callable[[list[str]], Terminal]
-) -> None:
-    terminal = on_terminal([*MONITOR, "--plain"])
-    assert terminal.read_until("looking for an identifier")
-    start_node()
-    assert terminal.read_until("/identifier  waiting  not usable")
 
 
 @pytest.mark.parametrize(
@@ -307,11 +278,12 @@ def test_it_waits_for_a_node_that_is_not_there_yet(
     ],
 )
 def test_a_wrong_command_line_is_one_line(
-    start_monitor: StartMonitor, arguments: tuple[str, ...], said: str
+    arguments: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monitor = start_monitor(*arguments)
-    shown, errors = monitor.communicate(timeout=PATIENCE)
-    assert monitor.returncode == 2
-    assert shown == ""
-    assert errors.count("\n") == 1
-    assert said in errors
+    with pytest.raises(SystemExit) as ended:
+        parser().parse_args(arguments)
+    assert ended.value.code == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert said in printed.err

@@ -3,18 +3,33 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from node_process import StartNode
-from recordings import MakePlayer, published, recording, replayed, wait_for_status, write_bag
+from conftest import Fly
+from node_process import NodeProcess, StartNode
+from recordings import (
+    NODE,
+    MakePlayer,
+    Recording,
+    part,
+    published,
+    recording,
+    replayed,
+    wait_for_status,
+    wait_for_words,
+    write_bag,
+)
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.offline.run import OfflineRun, choose_inputs
-from uav_ident_ros.player import stamp_ns
+from uav_ident_ros.player import Player, stamp_ns
 
 ON_TIME = 2e-3
 """How late the player may be, s rms: a machine too busy for real time says nothing."""
@@ -22,69 +37,119 @@ ON_TIME = 2e-3
 ATTEMPTS = 3
 
 
-def test_same_to_the_bit_as_replay_with_clock(
-    start_node: StartNode, make_player: MakePlayer, tmp_path: Path
+@pytest.fixture(scope="module")
+def flight() -> Recording:
+    return recording("multisine", 20.0)
+
+
+@pytest.fixture(scope="module")
+def shared(flight: Recording, shared_fly: Fly) -> tuple[NodeProcess, Player]:
+    """A node, and a player for it; whenever /clock jumps back it starts cold."""
+    return shared_fly(flight, sim_time=True)
+
+
+def test_same_to_the_bit_as_replay(
+    flight: Recording, shared: tuple[NodeProcess, Player], tmp_path: Path
 ) -> None:
-    """Stamped actuators, every message delivered: every value of every tick is the same."""
-    flight = recording("multisine", 20.0)
-    start_node(parameter_file=flight.parameter_file, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
+    """Stamped actuators, every message delivered: every value of every tick is the same.
+
+    The same on system time, without a clock: test_hostile_input.py.
+    """
+    _, player = shared
     player.play_in_step(flight.messages)
     offline = replayed(flight, tmp_path)
     assert len(offline) > 380
     assert published(player.outputs) == offline
 
 
-def test_same_to_the_bit_as_replay_without_clock(
-    start_node: StartNode, make_player: MakePlayer, tmp_path: Path
+def test_looped_bag_starts_cold_every_time(
+    flight: Recording, shared: tuple[NodeProcess, Player]
 ) -> None:
-    """Stamps rule, not the clock: the same on system time (and on the events executor)."""
-    flight = recording("multisine", 8.0)
-    start_node(parameter_file=flight.parameter_file)
-    player = make_player(flight, clock=False)
-    player.wait_for_node()
-    player.play_in_step(flight.messages)
-    offline = replayed(flight, tmp_path)
-    assert len(offline) > 140
-    assert published(player.outputs) == offline
+    node, player = shared
+    player.play_in_step(part(flight, 0.0, 5.0))
+    first = published(player.outputs)
+    player.play_in_step(part(flight, 0.0, 5.0))
+    assert "/clock jumped by -5." in node.log
+    assert "starting cold" in node.log
+    assert len(first) > 80
+    assert published(player.outputs) == first
 
 
-def test_dense_coefficients_are_those_published_by_name(
-    start_node: StartNode, make_player: MakePlayer
+def test_jump_ahead_keeps_the_coefficients(
+    flight: Recording, shared: tuple[NodeProcess, Player]
 ) -> None:
-    flight = recording("multisine", 3.0)
-    start_node(parameter_file=flight.parameter_file, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
-    player.play_in_step(flight.messages)
-    dense, named = player.outputs.coefficients[-1], player.outputs.named[-1]
-    rows = dense.layout.dim[0].label.split(",")
-    columns = dense.layout.dim[1].label.split(",")
-    matrix = np.array(dense.data).reshape(len(rows), len(columns))
-    found = {
-        f"{row}/{column}": matrix[i, j]
-        for i, row in enumerate(rows)
-        for j, column in enumerate(columns)
-        if f"{row}/{column}" in named.name
-    }
-    assert found == {
-        name: value
-        for name, value in zip(named.name, named.position, strict=True)
-        if name.startswith(tuple(rows))
-    }
+    node, player = shared
+    player.play_in_step(part(flight, 0.0, 5.0))
+    learned = player.outputs.coefficients[-1].data
+    player.play_in_step(part(flight, 9.0, 12.0))
+    assert "filters restart, the coefficients stay" in node.log
+    assert player.outputs.coefficients[0].data == learned
+    assert player.outputs.coefficients[-1].data != learned
+
+
+class Cdr:
+    """Reader of little-endian XCDR1, by `struct` and docs/controllers.md alone."""
+
+    def __init__(self, data: bytes) -> None:
+        assert data[:2] == b"\x00\x01"
+        self._body, self._at = data[4:], 0
+
+    def number(self, form: str) -> float | int:
+        size = struct.calcsize(form)
+        self._at = (self._at + size - 1) // size * size  # aligned to its own size
+        (value,) = struct.unpack_from("<" + form, self._body, self._at)
+        self._at += size
+        return value
+
+    def string(self) -> str:
+        length = self.number("I")  # the closing zero counts
+        text = self._body[self._at : self._at + length - 1].decode()
+        self._at += length
+        return text
+
+    def doubles(self) -> list[float]:
+        return [self.number("d") for _ in range(self.number("I"))]
+
+
+def test_both_topics_are_read_from_their_bytes_as_a_microcontroller_does(
+    flight: Recording, shared: tuple[NodeProcess, Player]
+) -> None:
+    _, player = shared
+    player.play_in_step(part(flight, 0.0, 1.0))
+    raw: dict[str, list[bytes]] = {"coefficients_named": [], "coefficients": []}
+    for topic, kind in (("coefficients_named", JointState), ("coefficients", Float64MultiArray)):
+        player.node.create_subscription(kind, f"{NODE}/{topic}", raw[topic].append, 100, raw=True)
+    player.play_in_step(part(flight, 1.0, 4.0))
+
+    decoded = player.outputs.named[-1]
+    cdr = Cdr(raw["coefficients_named"][-1])
+    assert cdr.number("i") * 10**9 + cdr.number("I") == stamp_ns(decoded.header.stamp)
+    assert cdr.string() == ""  # frame_id
+    names = [cdr.string() for _ in range(cdr.number("I"))]
+    position, velocity, effort = cdr.doubles(), cdr.doubles(), cdr.doubles()
+    assert names == list(decoded.name)
+    assert (position, velocity, effort) == (list(decoded.position), [], list(decoded.effort))
     verdicts = [f"verdict/usable{row}" for row in ("", "/pdot", "/qdot", "/rdot")]
-    assert named.name[-7:] == ["fit/p", "fit/q", "fit/r", *verdicts]
+    assert names[-7:] == ["fit/p", "fit/q", "fit/r", *verdicts]
+    assert set(position[-4:]) <= {0.0, 1.0}
+
+    cdr = Cdr(raw["coefficients"][-1])
+    dimensions = [(cdr.string(), cdr.number("I"), cdr.number("I")) for _ in range(cdr.number("I"))]
+    assert cdr.number("I") == 0  # data_offset
+    data = cdr.doubles()
+    (rows, n_rows, size), (columns, n, stride) = dimensions
+    assert (rows.split(",")[:3], n_rows) == (["pdot", "qdot", "rdot"], len(rows.split(",")))
+    assert (size, stride, len(data)) == (n_rows * n, n, n_rows * n)
+    value = dict(zip(names, position, strict=True))
+    for row, line in zip(rows.split(","), np.array(data).reshape(n_rows, n), strict=True):
+        for label, coefficient in zip(columns.split(","), line, strict=True):
+            assert coefficient == value.get(f"{row}/{label}", 0.0)
 
 
-def test_unstamped_actuators_at_real_time_fit_within_a_point(
-    start_node: StartNode, make_player: MakePlayer, tmp_path: Path
-) -> None:
+def test_unstamped_actuators_at_real_time_fit_within_a_point(fly: Fly, tmp_path: Path) -> None:
     """Stamped on arrival by /clock at 100 Hz, the inputs are a few milliseconds off."""
     flight = recording("pulses", 20.0)
-    start_node(parameter_file=flight.parameter_file, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
+    _, player = fly(flight, sim_time=True)
     for _ in range(ATTEMPTS):
         player.outputs.clear()
         late = player.play(flight.messages)  # again from the start: the node starts cold
@@ -110,43 +175,9 @@ def test_unstamped_actuators_at_real_time_fit_within_a_point(
     assert np.abs(run.score()["last_40_percent"].model - offline).max() < 1.0
 
 
-def test_looped_bag_starts_cold_every_time(start_node: StartNode, make_player: MakePlayer) -> None:
-    flight = recording("multisine", 5.0)
-    node = start_node(parameter_file=flight.parameter_file, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
-    player.play_in_step(flight.messages)
-    first = published(player.outputs)
-    player.play_in_step(flight.messages)
-    assert "/clock jumped by -5." in node.log
-    assert "starting cold" in node.log
-    assert len(first) > 80
-    assert published(player.outputs) == first
-
-
-def test_jump_ahead_keeps_the_coefficients(start_node: StartNode, make_player: MakePlayer) -> None:
-    flight = recording("multisine", 12.0)
-    start_ns = flight.messages[0].log_ns
-    before = [m for m in flight.messages if m.log_ns < start_ns + int(5e9)]
-    after = [m for m in flight.messages if m.log_ns > start_ns + int(9e9)]
-    node = start_node(parameter_file=flight.parameter_file, sim_time=True)
-    player = make_player(flight)
-    player.wait_for_node()
-    player.play_in_step(before)
-    learned = player.outputs.coefficients[-1].data
-    player.play_in_step(after)
-    assert "filters restart, the coefficients stay" in node.log
-    assert player.outputs.coefficients[0].data == learned
-    assert player.outputs.coefficients[-1].data != learned
-
-
-def test_bag_played_without_clock_is_a_fault_that_says_so(
-    start_node: StartNode, make_player: MakePlayer
-) -> None:
+def test_bag_played_without_clock_is_a_fault_that_says_so(fly: Fly) -> None:
     flight = recording("pulses", 3.0)
-    node = start_node(parameter_file=flight.parameter_file)
-    player = make_player(flight, clock=False)
-    player.wait_for_node()
+    node, player = fly(flight)
     player.play(flight.messages)
     wait_for_status(player)
     faults = [s for s in player.outputs.status if s.message.startswith("fault: ")]
@@ -164,9 +195,6 @@ def test_simulated_time_without_clock_is_reported(
     flight = recording("pulses", 0.5)
     node = start_node(parameter_file=flight.parameter_file, sim_time=True)
     player = make_player(flight, clock=False)
-    player.wait_until(
-        lambda: any("nothing arrives on /clock" in s.message for s in player.outputs.status),
-        "a status about /clock",
-    )
+    wait_for_words(player, "nothing arrives on /clock")
     assert "nothing arrives on /clock" in node.log
     assert player.outputs.named == []

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import signal
 import subprocess
@@ -33,67 +34,61 @@ WRONG_PARAMETERS = [
     ("initial_coefficients_file:=none.yaml", "'none.yaml': there is no such file"),
 ]
 
+WRONG_FILES = [
+    (FILE + "    actuators: {trim: [1, 0.5]}\n", "line 3: the values of a list"),
+    (FILE + "    update_rate: 20\n", "that is an integer: write 20.0"),
+    (FILE + "    imu: {typ: sensor_msgs/msg/Imu}\n", "did you mean 'imu.type'?"),
+    ("{", "line 1"),
+    (
+        "/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n",
+        "has nothing for node '/identifier': its sections are /uav_ident; write '/identifier:'",
+    ),
+]
 
-def refused(*arguments: str) -> str:
-    """Run the node; check that it refuses in one line with status 2, and return the line."""
+REFUSALS = """
+import contextlib, io, json, sys
+from uav_ident_ros.node.__main__ import main
+found = []
+for arguments in json.load(sys.stdin):
+    said, printed = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(printed):
+        status = main(["identifier", *arguments])
+    found.append((status, said.getvalue(), printed.getvalue()))
+json.dump(found, sys.stdout)
+"""
+
+
+def test_what_is_wrong_at_the_start_is_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
+    """Parameters, parameter files, stray arguments: status 2, and one line."""
+    cases = [(["--ros-args", "-p", given], said) for given, said in WRONG_PARAMETERS]
+    for number, (text, said) in enumerate(WRONG_FILES):
+        path = tmp_path / f"{number}.yaml"
+        path.write_text(text, encoding="utf-8")
+        cases.append((["--ros-args", "--params-file", str(path)], said))
+    cases += [
+        (["--ros-args", "--params-file", "none.yaml"], "'none.yaml': does not exist"),
+        (["flight.yaml"], "--ros-args --params-file FILE"),
+    ]
+    dumped = tmp_path / "dumped.yaml"  # as `ros2 param dump` of a node in no namespace writes it
+    dumped.write_text("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
+    arguments = ["--ros-args", "--params-file", str(dumped), "-r", "__ns:=/drone1"]
+    cases.append((arguments, "has nothing for node '/drone1/identifier'"))
     run = subprocess.run(
-        [sys.executable, "-m", "uav_ident_ros.node", *arguments],
+        [sys.executable, "-c", REFUSALS],
         cwd=ROOT,
+        input=json.dumps([arguments for arguments, _ in cases]),
         capture_output=True,
         text=True,
         timeout=PATIENCE,
-        check=False,
+        check=True,
     )
-    assert run.returncode == 2, run.stderr
-    assert run.stderr.startswith("identifier: ")
-    assert run.stderr.count("\n") == 1
-    assert run.stdout == ""
-    return run.stderr
-
-
-@pytest.mark.parametrize(("given", "said"), WRONG_PARAMETERS)
-def test_wrong_parameter_is_refused_with_the_fix(given: str, said: str) -> None:
-    assert said in refused("--ros-args", "-p", given)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (FILE + "    actuators: {trim: [1, 0.5]}\n", "line 3: the values of a list"),
-        (FILE + "    update_rate: 20\n", "that is an integer: write 20.0"),
-        (FILE + "    imu: {typ: sensor_msgs/msg/Imu}\n", "did you mean 'imu.type'?"),
-        ("{", "line 1"),
-        (
-            "/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n",
-            "has nothing for node '/identifier': its sections are /uav_ident; write '/identifier:'",
-        ),
-    ],
-)
-def test_wrong_parameter_file_is_refused(text: str, said: str, tmp_path: Path) -> None:
-    path = tmp_path / "wrong.yaml"
-    path.write_text(text, encoding="utf-8")
-    assert said in refused("--ros-args", "--params-file", str(path))
-
-
-def test_missing_parameter_file_and_stray_argument_are_refused() -> None:
-    assert "'none.yaml': does not exist" in refused("--ros-args", "--params-file", "none.yaml")
-    assert "--ros-args --params-file FILE" in refused("flight.yaml")
-
-
-def test_a_section_without_the_namespace_is_refused(tmp_path: Path) -> None:
-    """As `ros2 param dump` of a node in no namespace writes it."""
-    path = tmp_path / "dumped.yaml"
-    path.write_text("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
-    said = refused("--ros-args", "--params-file", str(path), "-r", "__ns:=/drone1")
-    assert "has nothing for node '/drone1/identifier'" in said
-
-
-def test_it_says_which_section_its_parameters_are_of(start_node: StartNode, tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text("/**/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
-    node = start_node(parameter_file=path)
-    assert wait_for(lambda: f"parameters of '{path}', section /**/identifier" in node.log), node.log
-    assert wait_for(lambda: "'airspeed.reference' is the default, 20 m/s" in node.log)
+    assert run.stderr == "", "rcl says nothing by itself"
+    for (arguments, wanted), (status, said, printed) in zip(
+        cases, json.loads(run.stdout), strict=True
+    ):
+        assert (status, printed) == (2, ""), arguments
+        assert said.startswith("identifier: ") and said.count("\n") == 1, arguments
+        assert wanted in said
 
 
 @pytest.mark.parametrize(
@@ -150,11 +145,17 @@ def handled(pid: int, number: signal.Signals) -> bool:
     return caught is not None and bool(int(caught[1], 16) >> (number - 1) & 1)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_signal_ends_it_cleanly(start_node: StartNode, number: int) -> None:
-    node = start_node()
+def test_the_end_of_the_terminal_ends_it_and_its_parameters_sections_are_named(
+    start_node: StartNode, tmp_path: Path
+) -> None:
+    """SIGTERM and SIGINT: test_memory.py."""
+    path = tmp_path / "mine.yaml"
+    path.write_text("/**/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
+    node = start_node(parameter_file=path)
+    assert wait_for(lambda: f"parameters of '{path}', section /**/identifier" in node.log), node.log
+    assert wait_for(lambda: "'airspeed.reference' is the default, 20 m/s" in node.log)
     assert wait_for(lambda: "no message on '/imu/data' yet" in node.log), node.log
-    assert node.end(number) == 0
+    assert node.end(signal.SIGHUP) == 0
     assert "Traceback" not in node.log
 
 

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-from node_process import StartNode
+from conftest import Fly
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from recordings import NODE, MakePlayer, call, published, recording, replayed
+from recordings import call, published, recording, replayed
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Setting, Settings, declarations
@@ -39,23 +38,15 @@ def set_all(player: Player, settings: list[Setting], values: dict[str, Any]) -> 
     for setting in settings:
         value = values[setting.name]
         parameter = Parameter(setting.name, PARAMETER_TYPES[setting.type], value)
-        request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
-        (result,) = call(player, SetParameters, f"{NODE}/set_parameters", request).results
+        message = parameter.to_parameter_msg()
+        (result,) = call(player, SetParameters, "set_parameters", parameters=[message]).results
         assert result.successful, (setting.name, result.reason)
 
 
-@pytest.fixture
-def player(make_player: MakePlayer) -> Player:
-    return make_player(recording("multisine", 1.0), clock=False)
-
-
-def test_what_needs_no_restart_changes_no_bit(
-    start_node: StartNode, player: Player, tmp_path: Path
-) -> None:
+def test_what_needs_no_restart_changes_no_bit(fly: Fly, tmp_path: Path) -> None:
     """Thresholds, the signal to inject, how often it saves: set them all, and the model goes on."""
     flight = recording("multisine", 16.0)
-    start_node(parameter_file=flight.parameter_file)
-    player.wait_for_node()
+    _, player = fly(flight)
     half = len(flight.messages) // 2
     player.play_in_step(flight.messages[:half])
     ticks = published(player.outputs)
@@ -66,19 +57,16 @@ def test_what_needs_no_restart_changes_no_bit(
     assert ticks | published(player.outputs) == replayed(flight, tmp_path)
 
 
-def test_every_change_is_followed_and_the_fit_recovers(
-    start_node: StartNode, player: Player
-) -> None:
+def test_every_change_is_followed_and_the_fit_recovers(fly: Fly) -> None:
     """Each a little wrong, one after the other; then all set back, and the fit is as before."""
     flight = recording("multisine", 40.0)
-    start_node(parameter_file=flight.parameter_file)
-    player.wait_for_node()
+    _, player = fly(flight)
     before = Settings.from_values(load_parameters(flight.parameter_file, "identifier")).values()
     changes = [s for s in CHANGEABLE if s.restarts or s.name in LEARNING]
     seconds = np.cumsum([12.0, *[2.0] * len(changes), 12.0])
     ends = flight.messages[0].log_ns + np.round(1e9 * seconds).astype(int)
 
-    def fly(part: int) -> tuple[list[int], list[dict[str, float]]]:
+    def play(part: int) -> tuple[list[int], list[dict[str, float]]]:
         """Stamps, ns, and what is published with each."""
         begin = ends[part - 1] if part else 0
         player.play_in_step([m for m in flight.messages if begin < m.log_ns <= ends[part]])
@@ -87,12 +75,12 @@ def test_every_change_is_followed_and_the_fit_recovers(
         assert set(np.diff(stamps)) == {TICK_NS}, "no tick is missed"
         return stamps, [dict(zip(m.name, m.position, strict=True)) for m in named]
 
-    stamps, values = fly(0)
+    stamps, values = play(0)
     fit = np.array([values[-1][f"fit/{axis}"] for axis in "pqr"])
     for part, setting in enumerate(changes, start=1):
         set_all(player, [setting], {setting.name: other(setting, before[setting.name])})
         last_ns, last = stamps[-1], values[-1]
-        stamps, values = fly(part)
+        stamps, values = play(part)
         if setting.restarts:
             assert stamps[0] - last_ns <= 4 * TICK_NS, setting.name
             kept = [name for name in last if "dot/" in name and "usable" not in name]
@@ -100,6 +88,6 @@ def test_every_change_is_followed_and_the_fit_recovers(
         else:
             assert stamps[0] - last_ns == TICK_NS, setting.name
     set_all(player, changes, {setting.name: before[setting.name] for setting in changes})
-    _, values = fly(len(changes) + 1)
+    _, values = play(len(changes) + 1)
     again = np.array([values[-1][f"fit/{axis}"] for axis in "pqr"])
     assert (again > fit - 2.0).all(), (fit, again)
