@@ -121,9 +121,16 @@ def test_it_fits_the_window_and_asks_for_nothing(
     urls = [request["params"]["request"]["url"] for request in requests]
     assert urls[0] == report.as_uri()
     assert all(url.startswith("data:") for url in urls[1:])
+    count = browser.value("document.querySelectorAll('nav a').length")
+    assert count == browser.value("document.querySelectorAll('section > h2').length")
+    for k in range(count):  # the contents lead to the headings
+        browser.value(f"document.querySelectorAll('nav a')[{k}].click()")
+        assert browser.value("document.querySelector(':target').tagName") == "SECTION"
 
 
-def test_a_drag_in_one_chart_moves_all(browser: Browser, report: Path) -> None:
+def test_a_drag_in_one_chart_moves_all_and_a_line_tells_its_values(
+    browser: Browser, report: Path
+) -> None:
     open_page(browser, report, DESK)
     whole = x_ranges(browser)
     assert len({tuple(span) for span in whole.values()}) == 1
@@ -146,10 +153,7 @@ def test_a_drag_in_one_chart_moves_all(browser: Browser, report: Path) -> None:
     assert len({tuple(span) for span in moved.values()}) == 1
     width = near["rates-p"][1] - near["rates-p"][0]
     assert moved["rates-p"][1] - moved["rates-p"][0] == pytest.approx(width)
-
-
-def test_the_hand_on_a_line_reads_time_and_value(browser: Browser, report: Path) -> None:
-    open_page(browser, report, DESK)
+    # the hand on a line reads time and value
     x, y = middle_of(browser, "rates-q")
     move(browser, "mouseMoved", x - 5.0, y)
     move(browser, "mouseMoved", x, y)
@@ -168,17 +172,9 @@ def test_the_night_is_dark(browser: Browser, report: Path) -> None:
     assert brightness("dark") < 150 < 600 < brightness("light")
 
 
-def test_headings_can_be_reached_from_the_contents(browser: Browser, report: Path) -> None:
-    open_page(browser, report, DESK)
-    count = browser.value("document.querySelectorAll('nav a').length")
-    assert count == browser.value("document.querySelectorAll('section > h2').length")
-    for k in range(count):
-        browser.value(f"document.querySelectorAll('nav a')[{k}].click()")
-        target = browser.value("document.querySelector(':target').tagName")
-        assert target == "SECTION"
-
-
-def test_no_chart_is_cut_in_print_and_nothing_is_left_out(browser: Browser, report: Path) -> None:
+def test_print_is_a_handful_of_a4_with_whole_charts_and_nothing_left_out(
+    browser: Browser, report: Path
+) -> None:
     open_page(browser, report, DESK)
     browser.call("Emulation.setEmulatedMedia", media="print", features=[])
     browser.call(
@@ -194,10 +190,7 @@ def test_no_chart_is_cut_in_print_and_nothing_is_left_out(browser: Browser, repo
     folded = "document.querySelector('details table').getBoundingClientRect().height"
     assert browser.value(folded) > 500.0
     assert browser.value("getComputedStyle(document.querySelector('nav')).display") == "none"
-
-
-def test_the_printed_pages_are_a4_and_a_handful(browser: Browser, report: Path) -> None:
-    open_page(browser, report, DESK)
+    browser.call("Emulation.clearDeviceMetricsOverride")
     printed = browser.pdf()
     assert printed.startswith(b"%PDF-")
     assert 5 <= len(re.findall(rb"/Type\s*/Page\b", printed)) <= 14

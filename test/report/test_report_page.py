@@ -24,7 +24,6 @@ from uav_ident_ros.offline import main
 from uav_ident_ros.report.tables import coefficients_table, verdict_of
 
 BAGS = Path(__file__).parents[2] / "bags"
-REAL_FLIGHT = BAGS.parent.parent / "shared" / "bags" / "thor75_auto"
 SECOND_NS = 1_000_000_000
 LARGEST_FILE = 3_000_000
 """Bytes: small enough for an e-mail."""
@@ -149,13 +148,8 @@ def test_coefficients_that_go_together_are_shown(page: Node) -> None:
     rows = {
         row[0].text: row[1:] for row in table(page, "Correlation of the coefficients of q").rows()
     }
-    names = [h.text for h in table(page, "Correlation of the coefficients of q").all("thead")]
-    assert "pr" in names[0]
-    for cells in rows.values():
-        for cell in cells:
-            assert exact(cell) is None or -1.0 <= exact(cell) <= 1.0
     # pitch damping and elevator power are told from one flight, not each from its own
-    assert abs(exact(rows["de"][3])) > 0.3
+    assert 0.3 < abs(exact(rows["de"][3])) <= 1.0
 
 
 @pytest.mark.parametrize(
@@ -180,20 +174,11 @@ def test_cards_show_the_fit_beside_holding(page: Node, summary: dict[str, Any]) 
     fit = summary["prediction_fit"]["last_40_percent"]
     cards = list(page.one("ul", class_="cards").all("li"))
     for axis, card in zip("pqr", cards, strict=True):
-        assert [exact(part) for part in card.all("span") if part.attributes.get("class")][:1] == [
-            fit["model"][axis]
-        ]
+        assert fit["model"][axis] in [exact(part) for part in card.all("span")]
         assert exact(card.one("span", class_="beside")) == fit["hold"][axis]
-
-
-def test_one_tick_ahead_is_better_than_holding(page: Node) -> None:
     rows = {row[0].text: row[1:] for row in table(page, "Last 40 %").rows()}
-    model, hold = (
-        rows["one tick (0.05 s) ahead"],
-        rows["holding the rates for one tick"],
-    )
-    for a, b in zip(model, hold, strict=True):
-        assert exact(a) > exact(b)
+    one, hold = rows["one tick (0.05 s) ahead"], rows["holding the rates for one tick"]
+    assert all(exact(a) > exact(b) for a, b in zip(one, hold, strict=True))
 
 
 def test_verdict_and_advice_are_those_of_the_summary(page: Node, summary: dict[str, Any]) -> None:
@@ -204,15 +189,6 @@ def test_verdict_and_advice_are_those_of_the_summary(page: Node, summary: dict[s
     said[:0] = [first.text.removeprefix("First: ") for first in verdict.all("p", class_="first")]
     expected = [entry["text"] for entry in summary["advice"]] + summary["notes"]
     assert [text.lower() for text in said] == [f"{text.lower()}." for text in expected]
-
-
-def test_the_first_cause_stands_alone(tmp_path: Path) -> None:
-    page = report_of(excerpt(tmp_path / "bag", 1.5), tmp_path / "out")
-    verdict = page.one("div", class_="verdict")
-    assert verdict.one("p", class_="first").text.startswith("First: The aircraft hardly flew")
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert [a["name"] for a in summary["advice"]] == ["never_flew", "short_flight"]
-    assert verdict.one("ol").text.strip().startswith("2 s are a short flight")
 
 
 def test_messages_and_settings_are_those_of_the_summary(
@@ -263,26 +239,12 @@ def test_names_on_the_page_are_unique_and_what_is_referred_to_exists(page: Node)
     assert referred <= set(names)
 
 
-def test_colours_have_names(page: Node) -> None:
+def test_colours_have_names_and_it_is_small(page: Node, replayed: Path) -> None:
     style = page.one("style").text
-    used = {
-        shade
-        for n in page.all()
-        for shade in re.findall(r"var\(--(\w+)\)", n.attributes.get("style", ""))
-    }
-    used |= set(re.findall(r"var\(--(\w+)\)", style))
+    styles = [style, *(n.attributes.get("style", "") for n in page.all())]
+    used = {shade for text in styles for shade in re.findall(r"var\(--(\w+)\)", text)}
     assert used <= set(re.findall(r"--(\w+):", style)) | {"share", "hold"}
-
-
-def test_it_is_small(replayed: Path) -> None:
     assert (replayed / "report.html").stat().st_size < LARGEST_FILE
-
-
-def test_the_same_bag_gives_the_same_bytes(replayed: Path, tmp_path: Path) -> None:
-    bag = BAGS / "c172p"
-    parameters = ["--params-file", str(bag / "identifier.yaml")]
-    assert main([str(bag), *parameters, "--output", str(tmp_path), "--report"]) == 0
-    assert (tmp_path / "report.html").read_bytes() == (replayed / "report.html").read_bytes()
 
 
 # --- other flights ---------------------------------------------------------------------------
@@ -312,39 +274,27 @@ def report_of(bag: Path, output: Path) -> Node:
     return parse((output / "report.html").read_text(encoding="utf-8"))
 
 
-def test_a_flight_too_short_to_judge_has_a_report_too(tmp_path: Path) -> None:
-    page = report_of(excerpt(tmp_path / "bag", 1.5), tmp_path / "out")
-    assert page.one("div", class_="verdict").one("strong").text.startswith("Not usable: ")
+def test_a_flight_too_short_to_judge_and_oddly_named_has_a_report_too(tmp_path: Path) -> None:
+    name = "a <b> & \"c\" 'd'"
+    page = report_of(excerpt(tmp_path / name, 1.5), tmp_path / "out")
+    assert page.one("h1").text == name
+    assert [b.text for b in page.all("b")] == ["First:"]
+    verdict = page.one("div", class_="verdict")
+    assert verdict.one("strong").text.startswith("Not usable: ")
+    assert verdict.one("p", class_="first").text.startswith("First: The aircraft hardly flew")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [a["name"] for a in summary["advice"]] == ["never_flew", "short_flight"]
+    assert verdict.one("ol").text.strip().startswith("2 s are a short flight")
     assert all(exact(cell) is None for cell in table(page, "After 30 s").rows()[0][1:])
     shown = charts(page)
     assert "rates-p" in shown
-    assert "spectra-rates" not in shown
-    assert "whiteness" not in shown
-    assert "delay-curve" not in shown
+    assert not {"spectra-rates", "whiteness", "delay-curve"} & set(shown)
     assert page.one("section", id="delay").one("p").text.startswith("Too little")
 
 
 def test_two_time_bases_are_shown_one_after_the_other(tmp_path: Path) -> None:
     output = tmp_path / "out"
-    page = report_of(excerpt(tmp_path / "bag", 40.0, jump_ns=86_400 * SECOND_NS), output)
+    page = report_of(excerpt(tmp_path / "bag", 12.0, jump_ns=86_400 * SECOND_NS), output)
     text = "".join(script.text for script in page.all("script"))
     (end,) = {float(found) for found in re.findall(r'"bounds":\[0\.0,([\d.]+)\]', text)}
-    assert 35.0 <= end <= 45.0
-
-
-def test_any_name_of_a_bag_is_text(tmp_path: Path) -> None:
-    name = "a <b> & \"c\" 'd'"
-    page = report_of(excerpt(tmp_path / name, 3.0), tmp_path / "out")
-    assert page.one("h1").text == name
-    assert [b.text for b in page.all("b")] == ["First:"]
-
-
-@pytest.mark.skipif(not REAL_FLIGHT.exists(), reason="recorded flights are not here")
-def test_a_real_flight_has_a_report(tmp_path: Path) -> None:
-    assert main([str(REAL_FLIGHT), "--output", str(tmp_path), "--report"]) in (0, 1)
-    page = parse((tmp_path / "report.html").read_text(encoding="utf-8"))
-    assert set(charts(page)) <= set(CHARTS)
-    (line,) = [p.text for p in page.all("p") if p.text.startswith("Least residual at")]
-    delay = float(re.findall(r"at (\d+) ms", line)[0])
-    assert 50.0 <= delay <= 90.0
-    assert (tmp_path / "report.html").stat().st_size < LARGEST_FILE
+    assert 11.0 <= end <= 14.0
