@@ -3,18 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 from node_process import NodeProcess, StartNode
-from recordings import MakePlayer, Recording
+from recordings import Fly, MakePlayer, Recording
 
 from uav_ident_ros.domain import own_domain
 from uav_ident_ros.player import Player
-
-Fly = Callable[..., tuple[NodeProcess, Player]]
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from node_process import ROOT
+from node_process import ROOT, NodeProcess
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 
@@ -26,6 +26,7 @@ TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC)
 NODE = "/identifier"
 
 MakePlayer = Callable[..., Player]
+Fly = Callable[..., tuple[NodeProcess, Player]]
 
 TickValues = dict[int, tuple[float, ...]]
 """Everything published for a tick, by its stamp in ns."""

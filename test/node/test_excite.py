@@ -8,9 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Fly
 from rclpy.serialization import serialize_message
-from recordings import NODE, Recording, call, change, part, published, recording, replayed, shown
+from recordings import (
+    NODE,
+    Fly,
+    Recording,
+    call,
+    change,
+    part,
+    published,
+    recording,
+    replayed,
+    shown,
+)
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Fly
 from rclpy.serialization import deserialize_message, serialize_message
 from recordings import (
     ACTUATORS_TOPIC,
     RATES_TOPIC,
+    Fly,
     Recording,
     published,
     recording,

@@ -14,11 +14,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from conftest import Fly
 from diagnostic_msgs.msg import DiagnosticArray
 from node_process import ROOT
 from rclpy.serialization import deserialize_message
-from recordings import NODE, RATES_TOPIC, recording
+from recordings import NODE, RATES_TOPIC, Fly, recording
 from sensor_msgs.msg import JointState
 
 from uav_ident_ros.player import Player

@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy.logging
-from conftest import Fly
 from node_process import wait_for
-from recordings import NODE, call, recording
+from recordings import NODE, Fly, call, recording
 from std_srvs.srv import Trigger
 
 from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients

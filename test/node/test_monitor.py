@@ -19,9 +19,8 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from conftest import Fly
 from node_process import PATIENCE, ROOT, StartNode
-from recordings import Recording, change, part, recording
+from recordings import Fly, Recording, change, part, recording
 
 from uav_ident_ros.monitor.cli import parser
 from uav_ident_ros.player import Player

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Fly
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from recordings import (
     ACTUATORS_TOPIC,
     NODE,
     RATES_TOPIC,
+    Fly,
     Recording,
     call,
     part,

@@ -8,10 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from conftest import Fly
 from geometry_msgs.msg import TwistStamped
 from rclpy.serialization import serialize_message
-from recordings import part, recording, shown, wait_for_words
+from recordings import Fly, part, recording, shown, wait_for_words
 from std_msgs.msg import Bool, Float64
 
 from uav_ident_ros.bags.reading import Message

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Fly
 from node_process import NodeProcess, StartNode
 from recordings import (
     NODE,
+    Fly,
     MakePlayer,
     Recording,
     part,

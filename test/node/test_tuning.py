@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from conftest import Fly
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from recordings import call, published, recording, replayed
+from recordings import Fly, call, published, recording, replayed
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Setting, Settings, declarations
