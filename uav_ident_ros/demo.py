@@ -19,9 +19,10 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from uav_ident_ros.bags.reading import Bag, BagError, Message
+from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c
 from uav_ident_ros.domain import own_domain
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.settings import SettingsError
@@ -37,7 +38,6 @@ from uav_ident_ros.share import shared
 
 NODE_NAME = "/identifier"
 
-USAGE_ERROR = 2
 FAILED = 1
 INTERRUPTED = 130
 
@@ -140,16 +140,9 @@ def running_node(flight: Flight, log: Path) -> Iterator[subprocess.Popen[bytes]]
 # --- command line -----------------------------------------------------------------------------
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(USAGE_ERROR, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    result = _Parser(
+    result = OneLineParser(
         prog="demo",
         description="Play a recorded flight to the identifier, live, watch it learn, and "
         "leave its picture and report.",
@@ -255,15 +248,10 @@ def play(flight: Flight, speed: float, log: Path) -> bool:
         return heard.tick is not None
 
 
-def _interrupt(*_: object) -> NoReturn:
-    """End on SIGTERM as on Ctrl-C: the node must not be left behind."""
-    raise KeyboardInterrupt
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the demonstration; the return value is the exit status."""
     options = parser().parse_args(arguments)
-    signal.signal(signal.SIGTERM, _interrupt)
+    end_as_on_ctrl_c()
     try:
         with own_domain(options.domain), tempfile.TemporaryDirectory() as logs:
             os.environ["ROS_LOG_DIR"] = logs

@@ -9,10 +9,10 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
+from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser
 from uav_ident_ros.import_logs import blackbox, dataflash, px4_log
 from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
 from uav_ident_ros.import_logs.flight_log import (
@@ -25,8 +25,8 @@ from uav_ident_ros.import_logs.flight_log import (
 )
 from uav_ident_ros.import_logs.stamps import describe, doubts
 
-DAMAGED, USAGE_ERROR = 1, 2
-"""Exit status if a part of the log could not be read, and for bad input."""
+DAMAGED = 1
+"""Exit status if a part of the log could not be read."""
 
 WIDTH = 100
 
@@ -47,16 +47,9 @@ a column map, for a table with the columns t, p, q ...:
 {textwrap.indent(EXAMPLE, "  ")}"""
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser whose complaint is one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(USAGE_ERROR, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    result = _Parser(
+    result = OneLineParser(
         prog="import_log",
         description=_DESCRIPTION,
         epilog=_EPILOG,

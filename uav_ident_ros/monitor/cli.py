@@ -7,16 +7,15 @@ import argparse
 import importlib.util
 import math
 import os
-import signal
 import sys
 from typing import NoReturn
 
+from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c
 from uav_ident_ros.monitor.heard import Heard
 from uav_ident_ros.monitor.listener import Listener
 
 USABLE = 0
 NOT_USABLE = 1
-USAGE_ERROR = 2
 NOTHING_HEARD = 3
 """Exit statuses of ``--once``; the view itself ends with 0."""
 
@@ -37,16 +36,9 @@ class MonitorError(Exception):
     """There is not exactly one identifier to watch; the message says what there is."""
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(USAGE_ERROR, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    result = _Parser(
+    result = OneLineParser(
         prog="monitor",
         description="Watch a running identifier: coefficients with sigma, t-ratio and trend, "
         "fit, state, verdict, inputs and delay. Ctrl-C ends it.",
@@ -144,18 +136,13 @@ def _wait_for(listener: Listener, node: str | None) -> Heard:
     return listener.listen(_the_one(found))
 
 
-def _interrupt(*_: object) -> NoReturn:
-    """End on SIGTERM as on Ctrl-C: the terminal must be given back."""
-    raise KeyboardInterrupt
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the monitor; the return value is the exit status."""
     options = parser().parse_args(arguments)
     if importlib.util.find_spec("rich") is None:
         print(NO_RICH, file=sys.stderr)
         return USAGE_ERROR
-    signal.signal(signal.SIGTERM, _interrupt)
+    end_as_on_ctrl_c()
     listener = Listener()
     try:
         if options.once:

@@ -6,8 +6,8 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
-from typing import NoReturn
 
+from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.messages.streams import STREAMS, Stream
 from uav_ident_ros.offline.status import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 
@@ -33,16 +33,9 @@ examples:
 """
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(NO_RESULT, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    result = _Parser(
+    result = OneLineParser(
         prog="replay",
         description=DESCRIPTION,
         epilog=EXIT_STATUS,

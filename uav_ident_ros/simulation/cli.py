@@ -8,8 +8,9 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
+from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.channels import CHANNEL_SETS
@@ -50,16 +51,9 @@ examples:
 """
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser whose complaint is one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(BAD_ARGUMENTS, f"{self.prog}: {message} (see {self.prog} --help)\n")
-
-
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    parser = _Parser(
+    parser = OneLineParser(
         prog="simulate",
         description=_DESCRIPTION,
         epilog=_EPILOG,

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands have in common: complaints of one line, and an end by a signal."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from typing import NoReturn
+
+USAGE_ERROR = 2
+"""Exit status for a wrong command line or bad input."""
+
+
+class OneLineParser(argparse.ArgumentParser):
+    """A parser whose complaint is one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with the complaint, and where to look."""
+        self.exit(USAGE_ERROR, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def _interrupt(*_: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def end_as_on_ctrl_c() -> None:
+    """Let SIGTERM do what Ctrl-C does: children and the terminal must not be left behind."""
+    signal.signal(signal.SIGTERM, _interrupt)
