@@ -101,6 +101,18 @@ def parameters(folder: Path) -> dict[str, Any]:
     return dict(load_parameters(folder / "identifier.yaml", "/identifier"))
 
 
+def mixing(values: dict[str, Any]) -> np.ndarray:
+    """Mixing matrix of parameters, (4, channels)."""
+    return np.array([values[f"actuators.mixing.{u}"] for u in ("de", "dr", "da", "dth")])
+
+
+def imported(log: Path, capsys: Any, *options: str) -> tuple[Contents, dict[str, Any], str]:
+    """Import a log; return what is in the bag, the parameters and what was said."""
+    folder = log.parent / "bag"
+    said = run([str(log), "--output", str(folder), *options], capsys)
+    return contents(folder), parameters(folder), said
+
+
 @dataclass
 class Result:
     """Coefficients at the end of a replay, their sigma, (3, n), and what was dropped."""

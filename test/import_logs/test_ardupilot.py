@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataflash_writing import OLD_FORMATS, DataflashWriter
-from imported import contents, parameters, refusal, run
+from imported import contents, mixing, parameters, refusal, run
+from imported import imported as import_of
 
 from uav_ident_ros.simulation.channels import QUADROTOR
 
@@ -50,13 +51,7 @@ def write(tmp_path: Path, rows: list, values: dict[str, float]) -> Path:
 
 
 def imported(tmp_path: Path, capsys, rows: list, values: dict[str, float], *options: str):
-    log = write(tmp_path, rows, values)
-    said = run([str(log), "--output", str(tmp_path / "bag"), *options], capsys)
-    return contents(tmp_path / "bag"), parameters(tmp_path / "bag"), " ".join(said.split())
-
-
-def mixing(values: dict) -> np.ndarray:
-    return np.array([values[f"actuators.mixing.{u}"] for u in ("de", "dr", "da", "dth")])
+    return import_of(write(tmp_path, rows, values), capsys, *options)
 
 
 # --- outputs ------------------------------------------------------------------------------------

@@ -7,17 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from imported import contents, parameters, refusal, replayed, run
+from imported import contents, mixing, parameters, refusal, replayed, run
+from imported import imported as import_of
 from pyulog.ulog2csv import convert_ulog2csv
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
 from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.import_logs.orientation import quaternions
 from uav_ident_ros.simulation.channels import ELEVON, QUADROTOR
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared" / "logs" / "px4_quad_sample.ulg"
 
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 START, STEP = 100_000_000_000, 5_000_000
 COUNT = 400
 IMU_NS = START + STEP * np.arange(COUNT)
@@ -44,14 +47,7 @@ def combined() -> dict:
 
 
 def imported(tmp_path: Path, capsys, topics: dict, values: dict, *options: str):
-    """Write a log, import it; return what is in the bag, the parameters and what was said."""
-    log = write_ulog(tmp_path / "flight.ulg", topics, values)
-    said = run([str(log), "--output", str(tmp_path / "bag"), *options], capsys)
-    return contents(tmp_path / "bag"), parameters(tmp_path / "bag"), " ".join(said.split())
-
-
-def mixing(values: dict) -> np.ndarray:
-    return np.array([values[f"actuators.mixing.{u}"] for u in ("de", "dr", "da", "dth")])
+    return import_of(write_ulog(tmp_path / "flight.ulg", topics, values), capsys, *options)
 
 
 # --- channels -----------------------------------------------------------------------------------
@@ -63,24 +59,13 @@ def test_rotors_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:
     }
     bag, values, said = imported(tmp_path, capsys, topics, QUAD_X)
     assert bag.names == values["actuators.channels"] == ["motor_1", "motor_2", "motor_3", "motor_4"]
-    np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
+    ready = load_parameters(CONFIG / "px4_quadrotor.yaml", "/identifier")
+    for mixed in (mixing(values), mixing(ready)):
+        np.testing.assert_allclose(mixed, QUADROTOR.mixing, atol=1e-12)
     np.testing.assert_allclose(values["actuators.trim"], np.median(bag.actuators, axis=0))
     assert values["structure"] == "augmented"  # no wings: no angle of attack
     assert "4 rotors" in said
     assert "da (right wing down) = -0.5 motor_1 +0.5 motor_2 +0.5 motor_3 -0.5 motor_4" in said
-
-
-def test_the_ready_configuration_of_the_same_vehicle_mixes_alike(tmp_path: Path, capsys) -> None:
-    from uav_ident_ros.files.parameter_file import load_parameters
-
-    topics = combined() | {
-        ("actuator_motors", 0): commands(COMMAND_NS, padded(0.5 + 0.1 * noise(4), 12), "control")
-    }
-    _, values, _ = imported(tmp_path, capsys, topics, QUAD_X)
-    ready = load_parameters(
-        Path(__file__).resolve().parents[2] / "config" / "px4_quadrotor.yaml", "/identifier"
-    )
-    np.testing.assert_allclose(mixing(values), mixing(dict(ready)), atol=1e-12)
 
 
 def test_elevons_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:

@@ -18,7 +18,6 @@ from imported import contents, refusal, run
 from pyulog import ULog
 from ulog_writing import commands, sensor_combined, write_ulog
 
-from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.import_logs.cli import DAMAGED
 from uav_ident_ros.import_logs.dataflash import HEADER, read_dataflash
 from uav_ident_ros.import_logs.px4_log import MAGIC, SYNC, read_ulog, title_of
@@ -44,29 +43,40 @@ def plane_log(tmp_path: Path, *left_out: str) -> Path:
     return writer.write(tmp_path / "plane.bin")
 
 
+def ulog(tmp_path: Path, *left_out: str) -> Path:
+    topics = {key: columns for key, columns in GOOD.items() if key[0] not in left_out}
+    return write_ulog(tmp_path / "good.ulg", topics, {})
+
+
+KINDS = pytest.mark.parametrize("write", [ulog, plane_log])
+
+
+def spoilt(path: Path, content: bytes) -> str:
+    path.write_bytes(content)
+    return str(path)
+
+
 # --- files --------------------------------------------------------------------------------------
 
 
-def test_no_file(tmp_path: Path, capsys, out) -> None:
-    assert "'nowhere.ulg' cannot be read: No such file" in refusal(["nowhere.ulg", *out], capsys)
-
-
-def test_a_folder(tmp_path: Path, capsys, out) -> None:
-    assert "has no table of ulog2csv, as LOG_sensor_combined_0.csv" in refusal(
-        [str(tmp_path), *out], capsys
-    )
-
-
-@pytest.mark.parametrize("name", ["flight.ulg", "flight.bin", "flight.csv"])
-def test_an_empty_file(tmp_path: Path, capsys, out, name: str) -> None:
-    (tmp_path / name).write_bytes(b"")
-    assert f"{name}' is empty" in refusal([str(tmp_path / name), *out], capsys)
-
-
-@pytest.mark.parametrize("name", ["flight.ulg", "flight.bin"])
-def test_a_foreign_file(tmp_path: Path, capsys, out, name: str) -> None:
-    (tmp_path / name).write_bytes(bytes(range(256)) * 40)
-    assert "of no known kind" in refusal([str(tmp_path / name), *out], capsys)
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("nowhere.ulg", None, "nowhere.ulg' cannot be read: No such file"),
+        ("", None, "has no table of ulog2csv, as LOG_sensor_combined_0.csv"),
+        ("flight.ulg", b"", "flight.ulg' is empty"),
+        ("flight.bin", b"", "flight.bin' is empty"),
+        ("flight.csv", b"", "flight.csv' is empty"),
+        ("flight.ulg", bytes(range(256)) * 40, "of no known kind"),
+        ("flight.bin", bytes(range(256)) * 40, "of no known kind"),
+        ("short.ulg", MAGIC + b"\1" + bytes(2), "short.ulg' is no readable ULog file"),
+        ("short.ulg", MAGIC + b"\1" + bytes(8), "it has no messages at all"),
+    ],
+)
+def test_files_that_are_no_log(tmp_path: Path, capsys, out, name: str, content, words) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    assert words in refusal([str(tmp_path / name), *out], capsys)
 
 
 def test_what_is_no_file_on_a_disk(tmp_path: Path, capsys, out) -> None:
@@ -77,7 +87,7 @@ def test_what_is_no_file_on_a_disk(tmp_path: Path, capsys, out) -> None:
 
 def test_nothing_half_written_stays_behind(tmp_path: Path, capsys, out) -> None:
     """A limit on the size of files fails the writing in the middle of the bag."""
-    log = write_ulog(tmp_path / "good.ulg", GOOD, {})
+    log = ulog(tmp_path)
     program = (
         "import resource, signal, sys\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
@@ -96,62 +106,72 @@ def test_nothing_half_written_stays_behind(tmp_path: Path, capsys, out) -> None:
 
 def test_the_output_is_not_overwritten(tmp_path: Path, capsys, out) -> None:
     (tmp_path / "bag").mkdir()
-    log = write_ulog(tmp_path / "good.ulg", GOOD, {})
+    log = ulog(tmp_path)
     assert "exists already" in refusal([str(log), *out], capsys)
     assert not list((tmp_path / "bag").iterdir())
+
+
+# --- both kinds ---------------------------------------------------------------------------------
+
+
+@KINDS
+def test_a_log_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out, write) -> None:
+    whole = write(tmp_path).read_bytes()
+    cut = spoilt(write(tmp_path), whole[: len(whole) // 2 + 5])
+    assert "cut off at its end" in run([cut, *out], capsys)
+    found = contents(tmp_path / "bag")
+    np.testing.assert_array_equal(found.imu_t_ns, IMU_NS[: len(found.imu_t_ns)])
+    assert 700 < len(found.imu_t_ns) < 1300
+
+
+@KINDS
+def test_a_whole_log_is_not_called_damaged(tmp_path: Path, capsys, out, write) -> None:
+    said = run([str(write(tmp_path)), *out], capsys)
+    assert "cut off" not in said
+    assert "damaged" not in said
+
+
+@KINDS
+def test_a_log_with_garbage_inside_says_so(tmp_path: Path, capsys, out, write) -> None:
+    path = write(tmp_path)
+    whole = bytearray(path.read_bytes())
+    middle = len(whole) // 2
+    whole[middle : middle + 1000] = np.random.default_rng(5).bytes(1000)
+    said = run([spoilt(path, whole), *out], capsys, DAMAGED)
+    (lost,) = re.findall(r"the file is damaged: (\d+) of \d+ bytes \(.* %\) in 1 place", said)
+    assert 900 < int(lost) < 1200  # not to the next sync, of which there is none here
+    assert len(contents(tmp_path / "bag").imu_t_ns) > len(IMU_NS) - 40
+    assert "# Damaged:" in (tmp_path / "bag" / "identifier.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("write", "left_out", "said"),
+    [
+        (ulog, "sensor_combined", "has no rates .*it has vehicle_torque_setpoint"),
+        (ulog, "vehicle_torque_setpoint", "has no actuators .*it has sensor_combined"),
+        (plane_log, "IMU", "has no rates .*it has .*PARM"),
+        (plane_log, "RCOU", "has no actuators .*it has .*PARM"),
+    ],
+)
+def test_a_log_without_one_of_both(tmp_path: Path, capsys, out, write, left_out, said) -> None:
+    assert re.search(said, refusal([str(write(tmp_path, left_out)), *out], capsys))
 
 
 # --- ULog ---------------------------------------------------------------------------------------
 
 
-def test_a_ulog_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out) -> None:
-    whole = write_ulog(tmp_path / "good.ulg", GOOD, {}).read_bytes()
-    cut = tmp_path / "cut.ulg"
-    cut.write_bytes(whole[: len(whole) // 2 + 5])
-    said = run([str(cut), *out], capsys)
-    assert "cut off at its end" in said
-    found = contents(tmp_path / "bag")
-    np.testing.assert_array_equal(found.imu_t_ns, IMU_NS[: len(found.imu_t_ns)])
-    assert 800 < len(found.imu_t_ns) < 1200
-
-
-def test_a_whole_ulog_is_not_called_damaged(tmp_path: Path, capsys, out) -> None:
-    said = run([str(write_ulog(tmp_path / "good.ulg", GOOD, {})), *out], capsys)
-    assert "cut off" not in said
-    assert "damaged" not in said
-
-
-@pytest.mark.parametrize("size", [10, 16])
-def test_a_ulog_with_nothing_but_a_header(tmp_path: Path, capsys, out, size: int) -> None:
-    whole = write_ulog(tmp_path / "good.ulg", GOOD, {}).read_bytes()
-    (tmp_path / "short.ulg").write_bytes(whole[:size])
-    said = refusal([str(tmp_path / "short.ulg"), *out], capsys)
-    assert "short.ulg'" in said
-    assert "no readable ULog file" in said or "no messages at all" in said
-
-
-def test_a_ulog_with_garbage_inside_says_so(tmp_path: Path, capsys, out) -> None:
-    whole = bytearray(write_ulog(tmp_path / "good.ulg", GOOD, {}).read_bytes())
-    middle = len(whole) // 2
-    whole[middle : middle + 2000] = np.random.default_rng(5).bytes(2000)
-    (tmp_path / "bad.ulg").write_bytes(whole)
-    said = run([str(tmp_path / "bad.ulg"), *out], capsys, DAMAGED)
-    (lost,) = re.findall(r"the file is damaged: (\d+) of \d+ bytes \(.* %\) in 1 place", said)
-    assert 1900 < int(lost) < 2200  # not to the next sync, of which there is none here
-    assert len(contents(tmp_path / "bag").imu_t_ns) > len(IMU_NS) - 60
-
-
 @pytest.mark.parametrize("part", ["size", "type", "topic", "stamp"])
-def test_one_damaged_byte_costs_one_sample(tmp_path: Path, capsys, out, part: str) -> None:
-    path = write_ulog(tmp_path / "good.ulg", GOOD, {})
+def test_one_damaged_byte_of_a_ulog_costs_one_sample(
+    tmp_path: Path, capsys, out, part: str
+) -> None:
+    path = ulog(tmp_path)
     whole = bytearray(path.read_bytes())
     size = struct.calcsize("<Q3fIi3f") + 5
     header = (size - 3).to_bytes(2, "little") + b"D\0\0"
     place = whole.index(header, len(whole) // 2)
     at, value = {"size": (0, 9), "type": (2, 0), "topic": (3, 1), "stamp": (11, 0x55)}[part]
     whole[place + at] = value
-    (tmp_path / "bad.ulg").write_bytes(whole)
-    said = run([str(tmp_path / "bad.ulg"), *out], capsys, DAMAGED)
+    said = run([spoilt(path, whole), *out], capsys, DAMAGED)
     found = contents(tmp_path / "bag")
     assert len(found.imu_t_ns) == len(IMU_NS) - 1
     assert set(found.imu_t_ns) < set(IMU_NS)
@@ -230,26 +250,15 @@ def test_a_ulog_with_a_stamp_that_no_clock_gave(tmp_path: Path, capsys, out) -> 
     assert found.log_ns[-1] == IMU_NS[-1]
 
 
-def test_a_ulog_without_gyro_or_actuators(tmp_path: Path, capsys, out) -> None:
-    for key, what in (
-        (("sensor_combined", 0), "rates"),
-        (("vehicle_torque_setpoint", 0), "actuators"),
-    ):
-        log = write_ulog(tmp_path / "part.ulg", {k: v for k, v in GOOD.items() if k != key}, {})
-        said = refusal([str(log), *out], capsys)
-        assert f"has no {what}" in said
-        other = next(k for k in GOOD if k != key)[0]
-        assert f"it has {other}" in said
-
-
 def test_topics_that_are_none(tmp_path: Path, capsys, out) -> None:
-    log = str(write_ulog(tmp_path / "good.ulg", GOOD, {}))
-    said = refusal([log, "--rates-topic", "sensor_mag", *out], capsys)
-    assert "there are sensor_combined, sensor_gyro, vehicle_angular_velocity" in said
-    said = refusal([log, "--actuators-topic", "servos", *out], capsys)
-    assert "actuator_motors" in said
-    said = refusal([log, "--actuators-topic", "actuator_controls_0", *out], capsys)
-    assert "has no actuators (actuator_controls_0)" in said
+    log = str(ulog(tmp_path))
+    for option, name, said in (
+        ("rates", "sensor_mag", "there are sensor_combined, sensor_gyro, vehicle_angular_velocity"),
+        ("actuators", "servos", "actuator_motors"),
+        ("actuators", "actuator_controls_0", "has no actuators (actuator_controls_0)"),
+    ):
+        assert said in refusal([log, f"--{option}-topic", name, *out], capsys)
+    assert "has no airspeed" in refusal([log, "--airspeed", *out], capsys)
 
 
 def test_motors_without_geometry_are_refused_on_request_and_passed_over_else(
@@ -270,36 +279,13 @@ def test_motors_that_were_never_on(tmp_path: Path, capsys, out) -> None:
     assert "hold no value throughout" in refusal([str(log), *out], capsys)
 
 
-def test_an_airspeed_that_is_not_there(tmp_path: Path, capsys, out) -> None:
-    log = write_ulog(tmp_path / "good.ulg", GOOD, {})
-    assert "has no airspeed" in refusal([str(log), "--airspeed", *out], capsys)
-
-
 # --- dataflash ----------------------------------------------------------------------------------
 
 
-def test_a_dataflash_log_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out) -> None:
-    whole = plane_log(tmp_path).read_bytes()
-    (tmp_path / "cut.bin").write_bytes(whole[: len(whole) // 2 + 5])
-    assert "cut off at its end" in run([str(tmp_path / "cut.bin"), *out], capsys)
-    found = contents(tmp_path / "bag")
-    np.testing.assert_array_equal(found.imu_t_ns, IMU_NS[: len(found.imu_t_ns)])
-    assert 700 < len(found.imu_t_ns) < 1300
-
-
-def test_a_dataflash_log_with_garbage_inside_says_so(tmp_path: Path, capsys, out) -> None:
-    whole = bytearray(plane_log(tmp_path).read_bytes())
-    middle = len(whole) // 2
-    whole[middle : middle + 1000] = bytes(1000)
-    (tmp_path / "bad.bin").write_bytes(whole)
-    said = run([str(tmp_path / "bad.bin"), *out], capsys, DAMAGED)
-    assert re.search(r"the file is damaged: \d{3,4} of \d+ bytes \(.* %\) in 1 place", said)
-    assert len(contents(tmp_path / "bag").imu_t_ns) > len(IMU_NS) - 30
-    assert "# Damaged:" in (tmp_path / "bag" / "identifier.yaml").read_text()
-
-
 @pytest.mark.parametrize("part", ["header", "type", "known type", "stamp"])
-def test_one_damaged_byte_costs_one_message(tmp_path: Path, capsys, out, part: str) -> None:
+def test_one_damaged_byte_of_a_bin_costs_one_message(
+    tmp_path: Path, capsys, out, part: str
+) -> None:
     """pymavlink's index stops at it, and with it went the rest of the log."""
     whole = bytearray(plane_log(tmp_path).read_bytes())
     reader = read_dataflash(tmp_path / "plane.bin", ("IMU", "RCOU"))
@@ -314,8 +300,7 @@ def test_one_damaged_byte_costs_one_message(tmp_path: Path, capsys, out, part: s
         "stamp": (9, 0x55),
     }[part]
     whole[place + at] = value
-    (tmp_path / "bad.bin").write_bytes(whole)
-    said = run([str(tmp_path / "bad.bin"), *out], capsys, DAMAGED)
+    said = run([spoilt(tmp_path / "plane.bin", whole), *out], capsys, DAMAGED)
     found = contents(tmp_path / "bag")
     assert len(found.imu_t_ns) == len(IMU_NS) - 1
     assert set(found.imu_t_ns) < set(IMU_NS)
@@ -355,21 +340,6 @@ def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
             for field in wanted[0].get_fieldnames():
                 values = [getattr(m, field) for m in wanted]
                 np.testing.assert_array_equal(ours.columns[field], values, err_msg=field)
-
-
-def test_a_whole_dataflash_log_is_not_called_damaged(tmp_path: Path, capsys, out) -> None:
-    said = run([str(plane_log(tmp_path)), *out], capsys)
-    assert "cut off" not in said
-    assert "damaged" not in said
-
-
-@pytest.mark.parametrize(("left_out", "what"), [("IMU", "rates"), ("RCOU", "actuators")])
-def test_a_dataflash_log_without_one_of_both(
-    tmp_path: Path, capsys, out, left_out: str, what: str
-) -> None:
-    said = refusal([str(plane_log(tmp_path, left_out)), *out], capsys)
-    assert f"has no {what}" in said
-    assert "it has" in said and "PARM" in said
 
 
 def test_outputs_without_functions(tmp_path: Path, capsys, out) -> None:
@@ -474,15 +444,3 @@ def test_the_example_of_the_help_is_a_good_map(tmp_path: Path) -> None:
 
     (tmp_path / "columns.yaml").write_text(EXAMPLE, encoding="utf-8")
     assert load_column_map(tmp_path / "columns.yaml").airspeed == "tas"
-
-
-def test_every_message_type_and_default_is_one_the_settings_know() -> None:
-    from uav_ident_ros.import_logs import writing
-
-    Settings.from_values(
-        {
-            "imu.type": writing.IMU_TYPE,
-            "actuators.type": writing.ACTUATORS_TYPE,
-            "airspeed.type": writing.AIRSPEED_TYPE,
-        }
-    )

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataflash_writing import DataflashWriter
-from imported import contents, flight, parameters, replayed, run
+from imported import Result, contents, flight, mixing, parameters, replayed, run
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
 from uav_ident_ros.offline import main as replay
@@ -83,9 +83,15 @@ def same_inputs(folder: Path, trim: dict[str, float]) -> dict:
     return values
 
 
-def original(measured: Measurements, folder: Path):
+def original(measured: Measurements, folder: Path) -> Result:
     write_bag(measured, folder)
     return replayed(folder, original_parameters(measured))
+
+
+@pytest.fixture(scope="module")
+def expected(measured: Measurements, tmp_path_factory: pytest.TempPathFactory) -> Result:
+    """What the flight itself gives, without a log."""
+    return original(measured, tmp_path_factory.mktemp("original") / "bag")
 
 
 def assert_same_rates(measured: Measurements, imported, dtype: type) -> None:
@@ -111,7 +117,7 @@ TO_FRD = np.array([1.0, -1.0, -1.0])
 TRIM_MOTOR = {"motor_1": 0.5, "elevator": 0.0, "rudder": 0.0, "aileron": 0.0}
 
 
-def test_new_px4_log(tmp_path: Path, measured: Measurements, capsys) -> None:
+def test_new_px4_log(tmp_path: Path, measured: Measurements, expected: Result, capsys) -> None:
     log = write_ulog(tmp_path / "new.ulg", allocated(measured), FIXED_WING)
     said = run([str(log), "--output", str(tmp_path / "new")], capsys)
     imported = contents(tmp_path / "new")
@@ -122,21 +128,10 @@ def test_new_px4_log(tmp_path: Path, measured: Measurements, capsys) -> None:
     np.testing.assert_array_equal(imported.actuators, raw[:, [3, 0, 1, 2]])
     assert "0.30 ms after the gyro sample" in said
     found = replayed(tmp_path / "new", same_inputs(tmp_path / "new", TRIM_MOTOR))
-    assert_same_coefficients(found, original(measured, tmp_path / "original"), 1e-3)
+    assert_same_coefficients(found, expected, 1e-3)
 
 
-def test_the_generated_parameters_need_no_help(tmp_path: Path, measured, capsys) -> None:
-    """As a user runs it: the delay estimated, the trim the median of the flight."""
-    log = write_ulog(tmp_path / "new.ulg", allocated(measured), FIXED_WING)
-    run([str(log), "--output", str(tmp_path / "new")], capsys)
-    found = replayed(tmp_path / "new", parameters(tmp_path / "new"))
-    truth = measured.flight.coefficients
-    powers = [found.names.index(name) for name in ("pdot/da", "qdot/de", "rdot/dr")]
-    where = tuple(np.array([found.free[i] for i in powers]).T)
-    np.testing.assert_allclose(found.values[where], truth[where], rtol=0.1)
-
-
-def test_old_px4_log(tmp_path: Path, measured: Measurements, capsys) -> None:
+def test_old_px4_log(tmp_path: Path, measured: Measurements, expected: Result, capsys) -> None:
     values = (measured.actuators * PLAIN_SIGNS)[:, [2, 0, 1, 3]]
     controls = np.hstack([values, np.zeros((len(values), 4))])
     topics = px4_topics(measured, ("actuator_controls_0", controls, "control"))
@@ -148,7 +143,7 @@ def test_old_px4_log(tmp_path: Path, measured: Measurements, capsys) -> None:
     assert parameters(tmp_path / "old")["actuators.channels"] == ["roll", "pitch", "yaw", "thrust"]
     trim = {"roll": 0.0, "pitch": 0.0, "yaw": 0.0, "thrust": 0.5}
     found = replayed(tmp_path / "old", same_inputs(tmp_path / "old", trim))
-    assert_same_coefficients(found, original(measured, tmp_path / "original"), 1e-3)
+    assert_same_coefficients(found, expected, 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -175,9 +170,11 @@ def test_px4_setpoints_stand_in_for_thinned_out_actuators(
     assert " ".join(said.split()).count(f"{thinned[0]} is logged at 10 Hz only") == 1
     imported = contents(tmp_path / "default")
     np.testing.assert_array_equal(imported.actuators[:, :3], torque.astype(np.float32))
-    trim = {"roll_torque": 0.0, "pitch_torque": 0.0, "yaw_torque": 0.0, "thrust_x": 0.5}
-    found = replayed(tmp_path / "default", same_inputs(tmp_path / "default", trim))
-    assert_same_coefficients(found, original(measured, tmp_path / "original"), 1e-3)
+    values = parameters(tmp_path / "default")
+    assert values["actuators.channels"] == ["roll_torque", "pitch_torque", "yaw_torque", "thrust_x"]
+    np.testing.assert_array_equal(
+        mixing(values), [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
+    )
 
 
 def test_ardupilot_log(tmp_path: Path, capsys) -> None:
@@ -247,7 +244,7 @@ channels:
 """
 
 
-def test_table(tmp_path: Path, measured: Measurements, capsys) -> None:
+def test_table(tmp_path: Path, measured: Measurements, expected: Result, capsys) -> None:
     """Decimals hold everything: the same to the bit, nanoseconds since 1970 included."""
     table = csv_of(measured, tmp_path / "flight.csv")
     (tmp_path / "columns.yaml").write_text(COLUMNS, encoding="utf-8")
@@ -260,7 +257,6 @@ def test_table(tmp_path: Path, measured: Measurements, capsys) -> None:
     trim = {"elevator": 0.0, "rudder": 0.0, "aileron": 0.0, "throttle": 0.5}
     values = same_inputs(tmp_path / "table", trim)
     found = replayed(tmp_path / "table", values)
-    expected = original(measured, tmp_path / "original")
     np.testing.assert_array_equal(found.values, expected.values)
     np.testing.assert_array_equal(found.sigma, expected.sigma)
 

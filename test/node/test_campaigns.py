@@ -48,7 +48,7 @@ def test_a_node_ended_by_signals_has_saved_what_it_learned() -> None:
     assert verdict == signals.GOOD
 
 
-@pytest.mark.parametrize("sim_time", [False, True], ids=["system-time", "simulated-time"])
+@pytest.mark.parametrize("sim_time", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_nothing_that_a_graph_can_do_brings_the_node_down(
     sim_time: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
