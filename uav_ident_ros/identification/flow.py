@@ -26,6 +26,7 @@ from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     FLOW_FORCES,
     INPUTS,
+    RATE_COLUMNS,
     FloatArray,
     Structure,
 )
@@ -162,12 +163,12 @@ class FlowObserver:
         directions = _gravity(force, x, v)
         if block.restarted:
             self._restart(directions, told)
-        bias = coefficients[5:7, CONSTANT_COLUMN].tolist()
+        missing = [coefficients[5:7, j].tolist() for j in (RATE_COLUMNS.start, CONSTANT_COLUMN)]
         angles, downs = [tuple(self.angles)], [self.down]
         rows = zip(dts, x, force.tolist(), told.tolist(), directions, strict=True)
         for dt, rates, sample, angle, (m, weight) in rows:
             self._turn(dt, rates, m, ATTITUDE_GAIN * weight)
-            self._follow_angles(dt, rates, sample, angle, v, bias)
+            self._follow_angles(dt, rates, sample, angle, v, missing)
             angles.append(tuple(self.angles))
             downs.append(self.down)
         return _signals(plan, angles, downs, v)
@@ -211,12 +212,14 @@ class FlowObserver:
         force: list[float],
         told: list[float],
         v: float,
-        bias: list[float],
+        missing: list[list[float]],
     ) -> None:
         """Move the flow angles on, exactly for signals that are constant over `dt`."""
         keep = np.exp(-self._rate * dt)
+        by_p, bias = missing
         for k, turning in ((0, -rates[2]), (1, rates[1])):
-            rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v + bias[k]
+            rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v
+            rate += by_p[k] * rates[0] + bias[k]
             aim = told[k] + rate / self._rate
             self.angles[k] = float(aim + keep * (self.angles[k] - aim))
 

@@ -90,7 +90,9 @@ def linearise(
         row = structure.row_labels.index(force)
         a[3 + k, 3 + k] = values[row, structure.column(angle)] / condition.airspeed
         b[3 + k] = values[row, INPUT_COLUMNS] / condition.airspeed
-    a[3, 2], a[4, 1] = -1.0, 1.0
+        a[3 + k, :3] = values[row + len(FLOW_FORCES), RATE_COLUMNS]
+    a[3, 2] -= 1.0
+    a[4, 1] += 1.0
     sine, cosine = math.sin(condition.roll), math.cos(condition.roll)
     lift = GRAVITY * math.cos(condition.pitch) / condition.airspeed
     a[3, 5], a[4, 5] = lift * cosine, -lift * sine

@@ -34,6 +34,7 @@ from uav_ident_ros.identification.structure import (
     EXOGENOUS_COLUMNS,
     INPUT_COLUMNS,
     LAST_COLUMNS,
+    RATE_COLUMNS,
     STATE_COLUMNS,
     FloatArray,
     Structure,
@@ -143,6 +144,7 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
     beta_column, alpha_column = range(LAST_COLUMNS.start, LAST_COLUMNS.stop)
     l_beta, n_beta, y_beta = (rows[i][beta_column] for i in (0, 2, 3))
     m_alpha, z_alpha = (rows[i][alpha_column] for i in (1, 4))
+    beta_p = rows[5][RATE_COLUMNS.start]
 
     def derivative(state: State, drive: Any) -> State:
         p, q, r, beta, alpha, dx, dy, dz = state
@@ -154,7 +156,7 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
             pdot + l_beta * beta,
             qdot + m_alpha * alpha,
             rdot + n_beta * beta,
-            (ay + GRAVITY * dy) * per_speed - r + drive[5] - leak * beta,
+            (ay + GRAVITY * dy) * per_speed - r + beta_p * p + drive[5] - leak * beta,
             (az + GRAVITY * dz) * per_speed + q + drive[6] - leak * alpha,
             dy * r - dz * q + drive[8] - leak * dx,
             dz * p - dx * r + drive[9] - leak * dy,

@@ -58,6 +58,10 @@ KINEMATIC_SIGMA = 0.3
 """Prior standard deviation of what the kinematics of the flow angles miss, rad/s: a bias of the
 accelerometer of a tenth of gravity at 3 m/s."""
 
+ANGLE_OF_ATTACK_SIGMA = 0.2
+"""Prior standard deviation of ``betadot/p``, rad: the angle between the roll axis and the flow, at
+most the wing's at the stall."""
+
 RESUMED_WIDENING = 3.0
 """Standard deviations of saved coefficients count so many times on a warm start: they hold for
 the flight that they were learned in."""
@@ -133,6 +137,7 @@ def weak_sigma(structure: Structure) -> FloatArray:
             sigma[structure.index(name)] = SURFACE_FORCE_SIGMA
         for name in ("betadot/1", "alphadot/1"):
             sigma[structure.index(name)] = KINEMATIC_SIGMA
+        sigma[structure.index("betadot/p")] = ANGLE_OF_ATTACK_SIGMA
     return sigma
 
 

@@ -8,7 +8,7 @@ differentiated (Young 1981; Garnier and Wang 2008, ch. 1).
 With sideslip and angle of attack the moment rows are regressed on ay and az, which stand for them
 (``beta = (ay - Y_dr dr) / Y_beta``), and each force row on the kinematics of its angle::
 
-    s H ay = Y_beta H[-r + (ay + g d_y) / V] + Y_dr s H dr + Y_beta b
+    s H ay = Y_beta H[-r + (ay + g d_y) / V] + Y_dr s H dr + Y_beta (c H p + b)
     s H az = Z_alpha H[q + (az + g d_z) / V] + Z_de s H de + Z_alpha a
 """
 
@@ -87,7 +87,10 @@ def layout(structure: Structure) -> Layout:
                 [
                     (size + k, (i, structure.column(angle))),
                     (size + 2 + k, (i, structure.column(surface))),
-                    (CONSTANT_COLUMN, (i + len(FLOW_FORCES), CONSTANT_COLUMN)),
+                    *(
+                        (int(j), (i + len(FLOW_FORCES), int(j)))
+                        for j in np.flatnonzero(structure.mask[i + len(FLOW_FORCES)])
+                    ),
                 ]
             )
         size += 2 * len(FLOW_FORCES)

@@ -27,7 +27,8 @@ FORCE_ROWS = ("ay", "az")
 """Force rows: specific forces along y and z, m/s^2."""
 
 KINEMATIC_ROWS = ("betadot", "alphadot")
-"""What the kinematics of sideslip and angle of attack miss, rad/s: biases of the sensors."""
+"""What the kinematics of sideslip and angle of attack miss, rad/s: biases of the sensors, and in
+sideslip the part of a roll that the wing's angle of attack turns into it."""
 
 INPUTS = ("de", "dr", "da", "dth")
 """Input labels, in the order of f(x, u): elevator, rudder, aileron, throttle."""
@@ -75,7 +76,7 @@ _BASELINE_ROWS = (
 _THROTTLE_COUPLING = (("dth",), (), ("dth",))
 _AUGMENTATION = ((CONSTANT, "ay"), (CONSTANT, "az"), (CONSTANT, "ay"))
 _FLOW = ((CONSTANT, "beta"), (CONSTANT, "alpha"), (CONSTANT, "beta"))
-_FORCES = (("dr", "beta"), ("de", "alpha"), (CONSTANT,), (CONSTANT,))
+_FORCES = (("dr", "beta"), ("de", "alpha"), ("p", CONSTANT), (CONSTANT,))
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,7 @@ STRUCTURES = {
             _with(_BASELINE_ROWS, _THROTTLE_COUPLING, _AUGMENTATION),
         ),
         # Sideslip and angle of attack as states: 26 coefficients of the moments, 4 of the
-        # forces, 2 of the kinematics.
+        # forces, 3 of the kinematics.
         Structure(
             "flight_dynamics",
             FLIGHT_REGRESSORS,

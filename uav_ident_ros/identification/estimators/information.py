@@ -51,9 +51,6 @@ COLLINEAR_EIGENVALUE = 0.02
 """Eigenvalue of the scaled information below which its direction is unknown; 1 if all
 regressors are uncorrelated."""
 
-BIAS_ENTRY = 2
-"""Entry of the kinematic bias in a force row, after the slopes of angle and surface."""
-
 COLLINEAR_SHARE = 0.4
 """Component of the eigenvector from which a regressor belongs to the group."""
 
@@ -217,7 +214,7 @@ class Information:
         rows, k = layout.rows, layout.width
         self._i, self._j = layout.place[..., 0], layout.place[..., 1]
         self._flow = _flow_places(structure, layout)
-        self._biases = _bias_places(structure)
+        self._kinematic = _kinematic_places(structure, layout)
         self.start = start
         self.sums = Sums.nothing(rows, k)
         self.variance: FloatArray = np.full(rows, FIRST_RESIDUAL_VARIANCE)
@@ -356,8 +353,8 @@ class Information:
             transform[row, angle, angle] = 1.0 / values[i, c]
             if surface is not None:
                 transform[row, surface, angle] = -values[i, s] / values[i, c]
-        for row, constant, i, c in self._biases:
-            transform[row, constant, constant] = values[i, c]
+        for row, entry, i, c in self._kinematic:
+            transform[row, entry, entry] = values[i, c]
         return transform
 
     def _sigma(self, covariance: FloatArray, linear: FloatArray) -> FloatArray:
@@ -455,10 +452,15 @@ def _flow_places(
     return places
 
 
-def _bias_places(structure: Structure) -> list[tuple[int, int, int, int]]:
-    """Where the kinematic biases stand: row, entry, and row and column of the force's slope."""
+def _kinematic_places(structure: Structure, layout: Layout) -> list[tuple[int, int, int, int]]:
+    """Where what the kinematics miss stands: row, entry, and row and column of the force's slope.
+
+    A force row is regressed on it times the force's slope.
+    """
     places = []
     for angle, force, _ in FLOW_FORCES if structure.has_flow else ():
         row = structure.row_labels.index(force)
-        places.append((row, BIAS_ENTRY, row, structure.column(angle)))
+        for entry in np.flatnonzero(layout.used[row]).tolist():
+            if layout.place[row, entry, 0] != row:
+                places.append((row, entry, row, structure.column(angle)))
     return places
