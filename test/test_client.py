@@ -215,7 +215,8 @@ def test_linearisation_is_the_derivative() -> None:
 FLIGHT_VALUES = {
     **{name: value for name, value in VALUES.items() if not name.endswith(("/ay", "/az"))},
     "pdot/beta": -14.0, "qdot/alpha": -30.0, "rdot/beta": 5.0, "ay/beta": -12.0, "ay/dr": 4.0,
-    "az/alpha": -90.0, "az/de": -6.0, "betadot/p": 0.05, "betadot/1": 0.02, "alphadot/1": -0.01,
+    "ay/p": -0.2, "ay/r": 0.5, "az/alpha": -90.0, "az/de": -6.0,
+    "betadot/p": 0.05, "betadot/1": 0.02, "alphadot/1": -0.01,
 }  # fmt: skip
 
 

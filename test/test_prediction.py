@@ -58,7 +58,7 @@ def true_coefficients(structure: Structure) -> Array:
             "pdot/1": 0.02, "qdot/1": 3.6, "rdot/1": 0.01, "pdot/beta": -12.0,
             "qdot/alpha": -30.0, "rdot/beta": 14.0, "pdot/dth": 0.2, "rdot/dth": -0.1,
             "ay/beta": -12.0, "ay/dr": 3.0, "az/alpha": -80.0, "az/de": -6.0,
-            "betadot/p": 0.07, "betadot/1": 0.02, "alphadot/1": -0.03,
+            "betadot/p": 0.07, "ay/p": -0.2, "ay/r": 0.5, "betadot/1": 0.02, "alphadot/1": -0.03,
         }.items():  # fmt: skip
             a[structure.index(name)] = value
     return a

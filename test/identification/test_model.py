@@ -33,7 +33,7 @@ def coefficients() -> FloatArray:
         **TRUTH, "pdot/qr": -0.7, "pdot/pq": 0.1, "qdot/pr": 0.85, "qdot/pp": -0.1, "qdot/rr": 0.1,
         "rdot/pq": -0.25, "rdot/qr": 0.2, "pdot/dth": 0.5, "qdot/dth": -1.0, "rdot/dth": -0.5,
         "pdot/1": 0.1, "qdot/1": 2.0, "rdot/1": -0.1, "betadot/1": 0.02, "alphadot/1": -0.03,
-        "betadot/p": 0.07,
+        "betadot/p": 0.07, "ay/p": -0.25, "ay/r": 0.6,
     }.items():  # fmt: skip
         values[FLIGHT.index(name)] = value
     return values

@@ -15,7 +15,7 @@ from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
         ("baseline", 12, 18),
         ("throttle_coupled", 12, 20),
         ("augmented", 15, 26),
-        ("flight_dynamics", 15, 33),
+        ("flight_dynamics", 15, 35),
     ],
 )
 def test_sizes(name: str, regressors: int, coefficients: int) -> None:
@@ -60,7 +60,8 @@ def test_flow_angles_have_rows_for_their_forces_and_kinematics() -> None:
         "pdot/beta", "qdot/alpha", "rdot/beta",
     }  # fmt: skip
     assert forces == (
-        "ay/dr", "ay/beta", "az/de", "az/alpha", "betadot/p", "betadot/1", "alphadot/1",
+        "ay/p", "ay/r", "ay/dr", "ay/beta", "az/de", "az/alpha",
+        "betadot/p", "betadot/1", "alphadot/1",
     )  # fmt: skip
     f = structure.regressor(np.zeros(3), np.zeros(4), np.array([0.1, -0.2]))
     assert f[structure.column("beta")] == 0.1

@@ -50,6 +50,8 @@ MEANINGS: Mapping[str, str] = {
     "pdot/beta": "dihedral effect",
     "qdot/alpha": "pitch stiffness",
     "rdot/beta": "weathercock stability",
+    "ay/p": "side force due to roll rate",
+    "ay/r": "side force due to yaw rate",
     "ay/dr": "side force due to rudder",
     "ay/beta": "side force due to sideslip",
     "az/de": "lift due to elevator",

@@ -24,8 +24,7 @@ from uav_ident_ros.identification.model import (
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
-    FLOW_FORCES,
-    INPUTS,
+    INPUT_COLUMNS,
     RATE_COLUMNS,
     FloatArray,
     Structure,
@@ -101,15 +100,7 @@ class FlowObserver:
     def __init__(self, structure: Structure, cutoff: float, reference: float) -> None:
         self._rate = cutoff
         self._reference = reference
-        self._places = [
-            (
-                structure.row_labels.index(force),
-                structure.column(angle),
-                structure.column(surface),
-                INPUTS.index(surface),
-            )
-            for angle, force, surface in FLOW_FORCES
-        ]
+        self._rows = structure.flow
         self.angles = [0.0, 0.0]
         self.down: Vector = (0.0, 0.0, 1.0)
         self._bias: Vector = (0.0, 0.0, 0.0)
@@ -126,8 +117,8 @@ class FlowObserver:
         roll, pitch = self.attitude
         beta, alpha = self.angles
         beta_share, alpha_share = (
-            abs(float(sigma[row, column] / coefficients[row, column]))
-            for row, column, _, _ in self._places
+            abs(float(sigma[rows.force, rows.angle] / coefficients[rows.force, rows.angle]))
+            for rows in self._rows
         )
         return FlowState(
             beta=beta,
@@ -157,9 +148,10 @@ class FlowObserver:
         self._speed = v
         plan = plan_steps(len(block.u), block.h)
         dts = (plan.cells * block.h).tolist()
-        x = plan.means(0.5 * (block.x[:-1] + block.x[1:])).tolist()
+        rates = plan.means(0.5 * (block.x[:-1] + block.x[1:]))
+        x = rates.tolist()
         force = plan.means(0.5 * (block.specific_force[:-1] + block.specific_force[1:]))
-        told = self._told(force, plan.means(block.u), coefficients)
+        told = self._told(force, np.hstack((rates, plan.means(block.u))), coefficients)
         directions = _gravity(force, x, v)
         if block.restarted:
             self._restart(directions, told)
@@ -173,11 +165,12 @@ class FlowObserver:
             downs.append(self.down)
         return _signals(plan, angles, downs, v)
 
-    def _told(self, force: FloatArray, u: FloatArray, a: FloatArray) -> FloatArray:
+    def _told(self, force: FloatArray, rates_inputs: FloatArray, a: FloatArray) -> FloatArray:
         """Flow angles at which the force rows give the measured forces, shape (s, 2), rad."""
+        columns = slice(RATE_COLUMNS.start, INPUT_COLUMNS.stop)
         angles = [
-            (force[:, 1 + k] - a[row, surface] * u[:, j]) / a[row, angle]
-            for k, (row, angle, surface, j) in enumerate(self._places)
+            (force[:, 1 + k] - rates_inputs @ a[rows.force, columns]) / a[rows.force, rows.angle]
+            for k, rows in enumerate(self._rows)
         ]
         return np.asarray(np.clip(np.stack(angles, axis=1), -LARGEST_ANGLE, LARGEST_ANGLE))
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import (
-    FLOW_FORCES,
     INPUT_COLUMNS,
     LAST_COLUMNS,
     PRODUCT_COLUMNS,
@@ -86,11 +85,11 @@ def linearise(
     a[:3, :3] = rates
     a[:3, 3:5] = moments[:, LAST_COLUMNS]
     b[:3] = moments[:, INPUT_COLUMNS]
-    for k, (angle, force, _) in enumerate(FLOW_FORCES):
-        row = structure.row_labels.index(force)
-        a[3 + k, 3 + k] = values[row, structure.column(angle)] / condition.airspeed
-        b[3 + k] = values[row, INPUT_COLUMNS] / condition.airspeed
-        a[3 + k, :3] = values[row + len(FLOW_FORCES), RATE_COLUMNS]
+    for k, flow in enumerate(structure.flow):
+        force, missing = values[flow.force] / condition.airspeed, values[flow.kinematics]
+        a[3 + k, :3] = force[RATE_COLUMNS] + missing[RATE_COLUMNS]
+        a[3 + k, 3 + k] = force[flow.angle]
+        b[3 + k] = force[INPUT_COLUMNS]
     a[3, 2] -= 1.0
     a[4, 1] += 1.0
     sine, cosine = math.sin(condition.roll), math.cos(condition.roll)

@@ -144,13 +144,15 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
     beta_column, alpha_column = range(LAST_COLUMNS.start, LAST_COLUMNS.stop)
     l_beta, n_beta, y_beta = (rows[i][beta_column] for i in (0, 2, 3))
     m_alpha, z_alpha = (rows[i][alpha_column] for i in (1, 4))
-    beta_p = rows[5][RATE_COLUMNS.start]
+    p_column, _, r_column = range(RATE_COLUMNS.start, RATE_COLUMNS.stop)
+    y_p, y_r = rows[3][p_column], rows[3][r_column]
+    beta_p = rows[5][p_column]
 
     def derivative(state: State, drive: Any) -> State:
         p, q, r, beta, alpha, dx, dy, dz = state
         pdot, qdot, rdot = moments(state[:3], drive)
         per_speed = drive[7]
-        ay = y_beta * beta + drive[3]
+        ay = y_beta * beta + y_p * p + y_r * r + drive[3]
         az = z_alpha * alpha + drive[4]
         return [
             pdot + l_beta * beta,
@@ -186,20 +188,18 @@ def diverged(state: FloatArray) -> bool:
 def with_measured_force(coefficients: FloatArray, structure: Structure) -> FloatArray:
     """Return the moment rows with ay and az in the place of beta and alpha, shape (..., 3, n).
 
-    ``beta = (ay - Y_dr dr) / Y_beta`` put into the rows, and alpha likewise: what a structure
-    with flow angles says where the forces are measured. Others are returned as they are.
+    ``beta = (ay - Y_p p - Y_r r - Y_dr dr) / Y_beta`` put into the rows, and alpha likewise: what a
+    structure with flow angles says where the forces are measured. Others are returned as they are.
     """
     if not structure.has_flow:
         return coefficients
     moments = coefficients[..., :3, :].copy()
-    for (i, surface), column in zip(
-        ((3, "dr"), (4, "de")), range(LAST_COLUMNS.start, LAST_COLUMNS.stop), strict=True
-    ):
-        slope = coefficients[..., i, column, None]
-        share = moments[..., column] / np.where(slope == 0.0, np.inf, slope)
-        moments[..., column] = share
-        j = structure.column(surface)
-        moments[..., j] -= share * coefficients[..., i, j, None]
+    for flow in structure.flow:
+        force = coefficients[..., flow.force, :]
+        slope = force[..., flow.angle, None]
+        share = moments[..., flow.angle] / np.where(slope == 0.0, np.inf, slope)
+        moments -= share[..., None] * force[..., None, :]
+        moments[..., flow.angle] = share
     return np.asarray(moments)
 
 

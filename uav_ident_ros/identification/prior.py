@@ -17,6 +17,7 @@ from uav_ident_ros.identification.settings import (
 from uav_ident_ros.identification.structure import (
     CONSTANT,
     FLOW_ANGLES,
+    INPUT_COLUMNS,
     INPUTS,
     LAST_COLUMNS,
     PRODUCT_COLUMNS,
@@ -57,6 +58,10 @@ SURFACE_FORCE_SIGMA = 100.0
 KINEMATIC_SIGMA = 0.3
 """Prior standard deviation of what the kinematics of the flow angles miss, rad/s: a bias of the
 accelerometer of a tenth of gravity at 3 m/s."""
+
+TAIL_TIME = 0.1
+"""Prior standard deviation of ``ay/p`` and ``ay/r`` relative to ``ay/beta``, s: a rate of turn
+changes the sideslip of the fin by its arm over the airspeed."""
 
 ANGLE_OF_ATTACK_SIGMA = 0.2
 """Prior standard deviation of ``betadot/p``, rad: the angle between the roll axis and the flow, at
@@ -133,8 +138,13 @@ def weak_sigma(structure: Structure) -> FloatArray:
     if structure.has_flow:
         for name in ("ay/beta", "az/alpha"):
             sigma[structure.index(name)] = abs(first_values(structure)[structure.index(name)])
-        for name in ("ay/dr", "az/de"):
-            sigma[structure.index(name)] = SURFACE_FORCE_SIGMA
+        for flow in structure.flow:
+            others = list(flow.others)
+            sigma[flow.force, others] = SURFACE_FORCE_SIGMA
+            rates = [j for j in others if j < INPUT_COLUMNS.start]
+            sigma[flow.force, rates] = TAIL_TIME * abs(
+                first_values(structure)[flow.force, flow.angle]
+            )
         for name in ("betadot/1", "alphadot/1"):
             sigma[structure.index(name)] = KINEMATIC_SIGMA
         sigma[structure.index("betadot/p")] = ANGLE_OF_ATTACK_SIGMA

@@ -5,10 +5,11 @@ State-variable filter: with the same low-pass H(s) on every regressor and s H(s)
 ``s H x = A H f(x, u)`` holds exactly for every plant of the structure, and nothing is ever
 differentiated (Young 1981; Garnier and Wang 2008, ch. 1).
 
-With sideslip and angle of attack the moment rows are regressed on ay and az, which stand for them
-(``beta = (ay - Y_dr dr) / Y_beta``), and each force row on the kinematics of its angle::
+With sideslip and angle of attack the moment rows are regressed on ay and az, which stand for them,
+``beta = (ay - Y_p p - Y_r r - Y_dr dr) / Y_beta``, and each force row on the kinematics of its
+angle::
 
-    s H ay = Y_beta H[-r + (ay + g d_y) / V] + Y_dr s H dr + Y_beta (c H p + b)
+    s H ay = Y_beta H[-r + (ay + g d_y) / V] + s H (Y_p p + Y_r r + Y_dr dr) + Y_beta (c H p + b)
     s H az = Z_alpha H[q + (az + g d_z) / V] + Z_de s H de + Z_alpha a
 """
 
@@ -26,10 +27,10 @@ from uav_ident_ros.identification.model import GRAVITY, FlowSignals
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
-    FLOW_FORCES,
     INPUT_COLUMNS,
     INPUTS,
     LAST_COLUMNS,
+    RATE_COLUMNS,
     STATE_COLUMNS,
     BoolArray,
     FloatArray,
@@ -40,16 +41,14 @@ NEGLIGIBLE = 1e-30
 """Magnitude below which a signal counts as zero, SI: no sensor resolves it, and the square of
 its square must be a number still."""
 
-_SURFACES = [INPUTS.index(surface) for _, _, surface in FLOW_FORCES]
-
 
 @dataclass(frozen=True)
 class Layout:
     """Rows and columns of the regression problem of a structure.
 
     Without flow angles they are those of the structure. With them ay, az stand where the
-    structure has beta, alpha, and four columns follow: the kinematics of both angles, and the
-    derivatives of the surfaces that add to their forces.
+    structure has beta, alpha, and more columns follow: the kinematics of both angles, and the
+    derivatives of the rates and the surfaces that add to their forces.
 
     Parameters
     ----------
@@ -75,25 +74,28 @@ class Layout:
         return self.index.shape[1]
 
 
+def differentiated_columns(structure: Structure) -> list[int]:
+    """Columns of rates and inputs whose derivatives the force rows are regressed on, in order."""
+    return sorted({j for flow in structure.flow for j in flow.others})
+
+
 @lru_cache(maxsize=16)
 def layout(structure: Structure) -> Layout:
     """Return the layout of the regression problem of a structure."""
     rows = [[(j, (i, j)) for j in np.flatnonzero(row)] for i, row in enumerate(structure.mask[:3])]
     size = structure.size
     if structure.has_flow:
-        for k, (angle, force, surface) in enumerate(FLOW_FORCES):
-            i = structure.row_labels.index(force)
+        differentiated = differentiated_columns(structure)
+        for k, flow in enumerate(structure.flow):
+            first = size + len(structure.flow)
             rows.append(
                 [
-                    (size + k, (i, structure.column(angle))),
-                    (size + 2 + k, (i, structure.column(surface))),
-                    *(
-                        (int(j), (i + len(FLOW_FORCES), int(j)))
-                        for j in np.flatnonzero(structure.mask[i + len(FLOW_FORCES)])
-                    ),
+                    (size + k, (flow.force, flow.angle)),
+                    *((first + differentiated.index(j), (flow.force, j)) for j in flow.others),
+                    *((j, (flow.kinematics, j)) for j in flow.missing),
                 ]
             )
-        size += 2 * len(FLOW_FORCES)
+        size += len(structure.flow) + len(differentiated)
     width = max(len(row) for row in rows)
     index = np.zeros((len(rows), width), dtype=np.intp)
     place = np.zeros((len(rows), width, 2), dtype=np.intp)
@@ -175,11 +177,14 @@ class StateVariableFilter:
         )
         n = structure.size
         self._cutoff = cutoff
+        columns = differentiated_columns(structure)
+        self._rates = [j for j in columns if j < INPUT_COLUMNS.start]
+        self._surfaces = [j - INPUT_COLUMNS.start for j in columns if j >= INPUT_COLUMNS.start]
         # what is differentiated (rates, with flow angles also ay, az and their surfaces), f, and
         # what differs in z
-        self._y = 7 if structure.has_flow else 3
-        self._f = n + (2 if structure.has_flow else 0)
-        self._z = INPUT_COLUMNS.stop + (4 if structure.has_flow else 0)
+        self._y = 5 + len(self._surfaces) if structure.has_flow else 3
+        self._f = n + len(structure.flow)
+        self._z = INPUT_COLUMNS.stop + 2 * len(structure.flow)
         self._filter = BlockFilter(low_pass(cutoff, h), self._y + self._f + self._z)
 
     def apply(
@@ -219,7 +224,10 @@ class StateVariableFilter:
             self._filter.state = np.zeros((2, left.shape[1]))
             self._filter.state[0, : self._y] = left[0, : self._y]
         states = without_negligible(self._filter.apply(left, right))
-        return self._regression(states, block, flow, injected=driven_by is not None)
+        injected = driven_by is not None
+        if flow is None:
+            return self._moments(states, block, injected=injected)
+        return self._with_forces(states, block, flow, scale, injected=injected)
 
     def _edges(
         self,
@@ -249,7 +257,7 @@ class StateVariableFilter:
             edges[:, 3:5] = block.force
             f[:, n:] = _turning(block.x, block.force, flow.down, flow.airspeed)
             left, right = edges[:-1].copy(), edges[1:].copy()
-            left[:, 5:7] = right[:, 5:7] = block.u[:, _SURFACES]
+            left[:, 5 : self._y] = right[:, 5 : self._y] = block.u[:, self._surfaces]
             first = self._y + self._f + INPUT_COLUMNS.stop
             for side, states in ((left, model_states[:-1]), (right, model_states[1:])):
                 force = _model_force(states, driven_by, coefficients)
@@ -269,37 +277,55 @@ class StateVariableFilter:
         f[:, :kept] *= scale[:kept]
         z[:, : INPUT_COLUMNS.stop] *= scale[: INPUT_COLUMNS.stop]
         if self._structure.has_flow:
-            edge[:, 5:7] *= scale[INPUT_COLUMNS][_SURFACES]
+            edge[:, 5 : self._y] *= scale[INPUT_COLUMNS][self._surfaces]
             f[:, -2:] *= scale[-1]
             z[:, -2:] *= scale[-1]
 
-    def _regression(
-        self, states: FloatArray, block: Block, flow: FlowSignals | None, *, injected: bool
-    ) -> Regression:
-        """Regression problem from the filters' states: outputs and their derivatives."""
+    def _moments(self, states: FloatArray, block: Block, *, injected: bool) -> Regression:
+        """Regression problem of the moments alone, from the filters' states."""
         low, slope = states
         f = low[:, self._y : self._y + self._f]
-        z_part = low[:, self._y + self._f :]
-        known = INPUT_COLUMNS.stop
-        if flow is None:
-            y, z = slope[:, :3], f.copy()
-        else:
-            y, surfaces = slope[:, :5], slope[:, 5:7]
-            f = np.concatenate((f, surfaces), axis=1)
-            z = f.copy()
-            z[:, LAST_COLUMNS] = z_part[:, known : known + 2]
-            z[:, -4:-2] = z_part[:, known + 2 :]
-            if injected:
-                first = self._y + self._f + INPUT_COLUMNS.start
-                z[:, -2:] = slope[:, [first + j for j in _SURFACES]]
-        z[:, :known] = z_part[:, :known]
+        z = f.copy()
+        z[:, : INPUT_COLUMNS.stop] = low[:, self._y + self._f :]
+        y = slope[:, :3]
         if self._corrects_lever:
-            f, y = f.copy(), y.copy()
+            f = f.copy()
+            f[:, LAST_COLUMNS] -= y @ self._lever.T
+        return Regression(y, f, z, block.h, block.restarted, injected)
+
+    def _with_forces(
+        self,
+        states: FloatArray,
+        block: Block,
+        flow: FlowSignals,
+        scale: FloatArray | None,
+        *,
+        injected: bool,
+    ) -> Regression:
+        """Regression problem of moments and forces, from the filters' states."""
+        low, slope = states
+        n, known = self._structure.size, INPUT_COLUMNS.stop
+        kinematics = slice(n, n + 2)
+        rates = slice(n + 2, n + 2 + len(self._rates))
+        low_z, slope_z = low[:, self._y + self._f :], slope[:, self._y + self._f :]
+        y = slope[:, :5]
+        turning = slope[:, [j - RATE_COLUMNS.start for j in self._rates]]
+        if scale is not None:
+            turning = turning * scale[self._rates]
+        f = np.concatenate((low[:, self._y : self._y + self._f], turning, slope[:, 5 : self._y]), 1)
+        z = f.copy()
+        z[:, :known] = low_z[:, :known]
+        z[:, LAST_COLUMNS] = low_z[:, known : known + 2]
+        z[:, kinematics] = low_z[:, known + 2 :]
+        z[:, rates] = slope_z[:, self._rates]
+        if injected:
+            z[:, rates.stop :] = slope_z[:, [INPUT_COLUMNS.start + j for j in self._surfaces]]
+        if self._corrects_lever:
+            y = y.copy()
             offset = y[:, :3] @ self._lever.T
             f[:, LAST_COLUMNS] -= offset
-            if flow is not None:
-                f[:, -4:-2] -= offset / flow.airspeed
-                y[:, 3:] -= self._jerk(low, slope, block) @ self._lever.T
+            f[:, kinematics] -= offset / flow.airspeed
+            y[:, 3:] -= self._jerk(low, slope, block) @ self._lever.T
         return Regression(y, f, z, block.h, block.restarted, injected)
 
     def _jerk(self, low: FloatArray, slope: FloatArray, block: Block) -> FloatArray:
@@ -318,7 +344,8 @@ def _turning(x: FloatArray, force: FloatArray, down: FloatArray, v: float) -> Fl
 
 def _model_force(states: FloatArray, u: FloatArray, a: FloatArray) -> FloatArray:
     """Specific forces ay, az that the model makes, shape (m, 2), m/s^2."""
-    force = u @ a[3:5, INPUT_COLUMNS].T
+    force: FloatArray = u @ a[3:5, INPUT_COLUMNS].T
+    force += states[:, :3] @ a[3:5, RATE_COLUMNS].T
     force += states[:, 3:5] * a[[3, 4], [LAST_COLUMNS.start, LAST_COLUMNS.start + 1]]
     return force
 

@@ -63,8 +63,8 @@ LAST_COLUMNS = slice(CONSTANT_COLUMN + 1, CONSTANT_COLUMN + 3)
 EXOGENOUS_COLUMNS = slice(INPUT_COLUMNS.start, None)
 """Inputs and, in the augmented structure, the constant and the specific forces."""
 
-FLOW_FORCES = tuple(zip(FLOW_ANGLES, FORCE_ROWS, ("dr", "de"), strict=True))
-"""Which force each flow angle makes, and the surface that adds to it."""
+FLOW_FORCES = tuple(zip(FLOW_ANGLES, FORCE_ROWS, KINEMATIC_ROWS, strict=True))
+"""Which force each flow angle makes, and the row of its kinematics."""
 
 _FIRST_FACTOR = np.array([RATES.index(product[0]) for product in RATE_PRODUCTS])
 _SECOND_FACTOR = np.array([RATES.index(product[1]) for product in RATE_PRODUCTS])
@@ -76,7 +76,33 @@ _BASELINE_ROWS = (
 _THROTTLE_COUPLING = (("dth",), (), ("dth",))
 _AUGMENTATION = ((CONSTANT, "ay"), (CONSTANT, "az"), (CONSTANT, "ay"))
 _FLOW = ((CONSTANT, "beta"), (CONSTANT, "alpha"), (CONSTANT, "beta"))
-_FORCES = (("dr", "beta"), ("de", "alpha"), ("p", CONSTANT), (CONSTANT,))
+# The side force of a turn is as large as that of a sideslip; without it yaw damping
+# comes out a third too small. That of the tail in a pull-up is a hundredth of the lift slope, and
+# an instrument more than az/alpha needs biases it (docs/decisions.md).
+_FORCES = (("p", "r", "dr", "beta"), ("de", "alpha"), ("p", CONSTANT), (CONSTANT,))
+
+
+@dataclass(frozen=True)
+class FlowRows:
+    """Where a flow angle stands in a structure.
+
+    Parameters
+    ----------
+    force, angle : int
+        Row of the force that the angle makes, and the angle's column.
+    others : tuple of int
+        Columns of what else makes that force: rates, a surface.
+    kinematics : int
+        Row of what the angle's kinematics miss.
+    missing : tuple of int
+        Its columns.
+    """
+
+    force: int
+    angle: int
+    others: tuple[int, ...]
+    kinematics: int
+    missing: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -135,6 +161,18 @@ class Structure:
                 mask[i, self.regressors.index(label)] = True
         mask.flags.writeable = False
         return mask
+
+    @cached_property
+    def flow(self) -> tuple[FlowRows, ...]:
+        """Rows and columns of both flow angles; none without them."""
+        found = []
+        for angle, force, kinematics in FLOW_FORCES if self.has_flow else ():
+            row, column = self.row_labels.index(force), self.column(angle)
+            missing = self.row_labels.index(kinematics)
+            made_by, missed = (np.flatnonzero(self.mask[i]).tolist() for i in (row, missing))
+            made_by.remove(column)
+            found.append(FlowRows(row, column, tuple(made_by), missing, tuple(missed)))
+        return tuple(found)
 
     @cached_property
     def constants(self) -> BoolArray:
@@ -216,7 +254,7 @@ STRUCTURES = {
             AUGMENTED_REGRESSORS,
             _with(_BASELINE_ROWS, _THROTTLE_COUPLING, _AUGMENTATION),
         ),
-        # Sideslip and angle of attack as states: 26 coefficients of the moments, 4 of the
+        # Sideslip and angle of attack as states: 26 coefficients of the moments, 6 of the
         # forces, 3 of the kinematics.
         Structure(
             "flight_dynamics",

@@ -21,9 +21,9 @@ import numpy as np
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Layout
 from uav_ident_ros.identification.structure import (
-    FLOW_FORCES,
     BoolArray,
     FloatArray,
+    FlowRows,
     Structure,
 )
 
@@ -213,8 +213,8 @@ class Information:
         self._unit_time = correlation_time
         rows, k = layout.rows, layout.width
         self._i, self._j = layout.place[..., 0], layout.place[..., 1]
-        self._flow = _flow_places(structure, layout)
-        self._kinematic = _kinematic_places(structure, layout)
+        self._flow = _flow_entries(structure, layout)
+        self._kinematic = _kinematic_entries(structure, layout)
         self.start = start
         self.sums = Sums.nothing(rows, k)
         self.variance: FloatArray = np.full(rows, FIRST_RESIDUAL_VARIANCE)
@@ -349,12 +349,13 @@ class Information:
         """Matrices T from the structure's coefficients to the linear ones, (rows, k, k)."""
         rows, k = self.layout.rows, self.layout.width
         transform = np.broadcast_to(np.eye(k), (rows, k, k)).copy()
-        for row, angle, surface, i, c, s in self._flow:
-            transform[row, angle, angle] = 1.0 / values[i, c]
-            if surface is not None:
-                transform[row, surface, angle] = -values[i, s] / values[i, c]
-        for row, entry, i, c in self._kinematic:
-            transform[row, entry, entry] = values[i, c]
+        for at in self._flow:
+            force = values[at.rows.force]
+            transform[at.row, at.angle, at.angle] = 1.0 / force[at.rows.angle]
+            for entry, column in at.others:
+                transform[at.row, entry, at.angle] = -force[column] / force[at.rows.angle]
+        for at_rows, entry in self._kinematic:
+            transform[at_rows.force, entry, entry] = values[at_rows.force, at_rows.angle]
         return transform
 
     def _sigma(self, covariance: FloatArray, linear: FloatArray) -> FloatArray:
@@ -365,11 +366,10 @@ class Information:
         """
         variance = np.maximum(np.einsum("ijj->ij", covariance), 0.0)
         out = self._place(variance, np.zeros_like(self._start.values))
-        for row, angle, surface, i, c, s in self._flow:
-            share = linear[row, angle] ** 2
-            out[row, c] += share * out[i, c]
-            if surface is not None:
-                out[row, s] += share * out[i, s]
+        for at in self._flow:
+            share, force = linear[at.row, at.angle] ** 2, out[at.rows.force]
+            for column in (at.rows.angle, *(column for _, column in at.others)):
+                out[at.row, column] += share * force[column]
         return np.where(self._start.free, np.sqrt(out), self._start.sigma)
 
     def _place(self, entries: FloatArray, out: FloatArray) -> FloatArray:
@@ -431,36 +431,43 @@ class Information:
         return found
 
 
-def _flow_places(
-    structure: Structure, layout: Layout
-) -> list[tuple[int, int, int | None, int, int, int]]:
-    """Where flow angles stand in the moment rows.
+@dataclass(frozen=True)
+class FlowEntries:
+    """Where a flow angle stands in a moment row of the regression problem.
 
-    Each with its row, the entries of angle and surface, and of its force row in the structure the
-    row and the columns of angle and surface.
+    Parameters
+    ----------
+    row, angle : int
+        Row, and entry of the angle.
+    others : tuple of (int, int)
+        Entry of each thing that adds to the angle's force, and its column in the structure.
+    rows : FlowRows
+        Where the angle stands in the structure.
     """
+
+    row: int
+    angle: int
+    others: tuple[tuple[int, int], ...]
+    rows: FlowRows
+
+
+def _flow_entries(structure: Structure, layout: Layout) -> list[FlowEntries]:
+    """Return where flow angles stand in the moment rows."""
     places = []
-    for angle, force, surface in FLOW_FORCES if structure.has_flow else ():
-        c, s = structure.column(angle), structure.column(surface)
+    for rows in structure.flow:
         for row in range(3):
             columns = layout.index[row][layout.used[row]].tolist()
-            if c in columns:
-                entry = columns.index(s) if s in columns else None
-                places.append(
-                    (row, columns.index(c), entry, structure.row_labels.index(force), c, s)
-                )
+            if rows.angle in columns:
+                others = [(columns.index(j), j) for j in rows.others if j in columns]
+                places.append(FlowEntries(row, columns.index(rows.angle), tuple(others), rows))
     return places
 
 
-def _kinematic_places(structure: Structure, layout: Layout) -> list[tuple[int, int, int, int]]:
-    """Where what the kinematics miss stands: row, entry, and row and column of the force's slope.
-
-    A force row is regressed on it times the force's slope.
-    """
-    places = []
-    for angle, force, _ in FLOW_FORCES if structure.has_flow else ():
-        row = structure.row_labels.index(force)
-        for entry in np.flatnonzero(layout.used[row]).tolist():
-            if layout.place[row, entry, 0] != row:
-                places.append((row, entry, row, structure.column(angle)))
-    return places
+def _kinematic_entries(structure: Structure, layout: Layout) -> list[tuple[FlowRows, int]]:
+    """Entries of the force rows that are about what the kinematics miss."""
+    return [
+        (rows, entry)
+        for rows in structure.flow
+        for entry in np.flatnonzero(layout.used[rows.force]).tolist()
+        if layout.place[rows.force, entry, 0] == rows.kinematics
+    ]
