@@ -271,5 +271,6 @@ def test_states_are_shown_and_are_no_coefficients() -> None:
     assert [c.name for c in result.coefficients()] == names
     shown = text(result)
     assert "state     alpha +5.7°, airspeed 19.5 m/s" in shown
-    assert re.search(r"^ay +biases\nbeta  -16.000 0.100 .*betadot/1  +\+0.200", shown, re.MULTILINE)
+    row = r"^ay +kinematics\nbeta  -16.000 0.100 .*betadot/1  +\+0.200"
+    assert re.search(row, shown, re.MULTILINE)
     assert re.search(r"^pdot ✓ +qdot  +rdot$", shown, re.MULTILINE)

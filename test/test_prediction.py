@@ -279,10 +279,9 @@ def predicted(
             return motion(structure, a, state, u, force_at(t0))
         last = force_at(at)
         if structure is FLIGHT:  # the flow angles at which the rows give the measured forces
-            dr, de = u[1], u[0]
-            ay, az = last
-            y, z = (dict(zip(structure.regressors, a[i], strict=True)) for i in (3, 4))
-            last = np.array([(ay - y["dr"] * dr) / y["beta"], (az - z["de"] * de) / z["alpha"]])
+            without = a @ structure.regressor(state, u)
+            slopes = [a[structure.index(name)] for name in ("ay/beta", "az/alpha")]
+            last = (last - without[3:5]) / slopes
         return a[:3] @ structure.regressor(state, u, last)
 
     state = np.array([np.interp(t0, t, column) for column in record.rates.T])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uav_ident_ros.identification.linearisation import Mode, level_modes
-from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.structure import KINEMATIC_ROWS, STRUCTURES
 from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME
 from uav_ident_ros.messages.types import NS_PER_S
 
@@ -212,10 +212,10 @@ class Heard:
         """Whether a row is a moment equation, which has a fit."""
         return row in AXIS_OF
 
-    def is_single(self, row: str) -> bool:
-        """Whether a row is no moment equation and has one coefficient: a bias."""
-        names = [name for name in self._names if name.startswith(f"{row}/")]
-        return row not in AXIS_OF and len(names) == 1
+    @staticmethod
+    def is_kinematic(row: str) -> bool:
+        """Whether a row is what the kinematics of a flow angle miss."""
+        return row in KINEMATIC_ROWS
 
     def usable_row(self, row: str) -> bool | None:
         """Return the verdict on a row; None if the node gives none."""

@@ -78,14 +78,13 @@ def picture(heard: Heard, console: Console) -> RenderableType:
     glyphs = ASCII if console.options.ascii_only else Glyphs()
     sparks = console.width >= AXES * (COLUMN_WIDTH + SPARKS + GAP) - GAP
     width = COLUMN_WIDTH + SPARKS if sparks else COLUMN_WIDTH
-    rows = [_row(heard, row, glyphs, sparks) for row in heard.rows() if not heard.is_single(row)]
-    if any(map(heard.is_single, heard.rows())):
-        rows.append(_singles(heard))
+    rows = [_row(heard, row, glyphs, sparks) for row in heard.rows() if not heard.is_kinematic(row)]
+    if any(map(heard.is_kinematic, heard.rows())):
+        rows.append(_kinematics(heard))
     return Group(
         *_head(heard),
         "",
         _side_by_side(rows, width, console.width),
-        "",
         *_inputs(heard),
         *_foot(heard, glyphs),
     )
@@ -98,8 +97,6 @@ def _side_by_side(parts: Sequence[RenderableType], width: int, whole: int) -> Ta
     for _ in range(count):
         table.add_column(width=width, no_wrap=True)
     for first in range(0, len(parts), count):
-        if first:
-            table.add_row("")
         table.add_row(*parts[first : first + count])
     return table
 
@@ -156,14 +153,14 @@ def _row(heard: Heard, row: str, glyphs: Glyphs, sparks: bool) -> RenderableType
     return Group(head, *fit, table)
 
 
-def _singles(heard: Heard) -> Table:
-    """Return the rows that have one coefficient, by its full name, without trend."""
+def _kinematics(heard: Heard) -> Table:
+    """Return what the kinematics miss, by its full name, without trend."""
     table = Table.grid(padding=(0, GAP, 0, 0))
     for cell, width in enumerate((LONGEST_NAME, *CELL_WIDTHS[1:3])):
         table.add_column(justify="right" if cell else "left", width=width, no_wrap=True)
-    table.add_row(Text("biases", "bold"))
+    table.add_row(Text("kinematics", "bold"))
     for coefficient in heard.coefficients():
-        if heard.is_single(coefficient.name.partition("/")[0]):
+        if heard.is_kinematic(coefficient.name.partition("/")[0]):
             value, sigma = _value(coefficient.value), _sigma(coefficient.sigma)
             table.add_row(coefficient.name, value, sigma)
     return table
