@@ -223,7 +223,7 @@ def _mode(name: str, value: complex, slope: NDArray[np.complex128], spread: Floa
         )
     size = abs(value)
     by_size = (value.real * slope.real + value.imag * slope.imag) / size
-    by_damping = -slope.real / size + value.real * by_size / size**2
+    by_damping = -slope.real / size + (value.real / size) * (by_size / size)
     return Mode(
         name,
         value,
