@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from plants import DT_NS, START, STEP, coefficients, controller, flown
 
-from uav_ident_ros.client import CoefficientSource
-from uav_ident_ros.control import Law
+from uav_ident_ros.client import Coefficients, CoefficientSource
+from uav_ident_ros.control import Effectiveness, Law
 from uav_ident_ros.control.pid import PidGains, PidLaw
+from uav_ident_ros.control.sideslip import SIDESLIP_RATE, yaw_for_roll
 from uav_ident_ros.control.smoothing import Smoother
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
 
 LAWS = pytest.mark.parametrize("law", list(Law))
 
@@ -49,6 +51,43 @@ def test_a_dead_surface_leaves_the_other_axes_whole(law: Law, lost: int) -> None
     axis = {0: 1, 1: 2, 2: 0}[lost]
     others = [i for i in range(3) if i != axis]
     np.testing.assert_allclose(rates[-1, others], STEP[others], atol=0.01)
+
+
+def test_a_dead_axis_is_known_and_told_from_a_weak_one() -> None:
+    def swaying(t: float) -> FloatArray:
+        return STEP * np.sin(2.0 * t)
+
+    for factor, dead in ((0.0, True), (0.5, False), (1.0, False)):
+        effect = np.array([1.0, 1.0, factor, 1.0])
+        flying, _ = controller()
+        flown(flying, effect, swaying, seconds=6.0, noise=0.002)
+        assert flying.effectiveness.dead.tolist() == [dead, False, False]
+
+
+def test_what_is_repaired_is_alive_again() -> None:
+    effect, x, found = coefficients().values[:, INPUT_COLUMNS], np.zeros(3), []
+    measured = Effectiveness()
+    for k in range(1200):
+        acting = 0.05 * np.sin(np.array([2.0, 3.0, 2.5, 0.0]) * 0.01 * k)
+        alive = np.array([1.0, 1.0, 0.0 if 300 <= k < 700 else 1.0, 1.0])
+        x = x + 0.01 * (effect @ (alive * acting) - 3.0 * x)
+        measured.update(x, effect, acting, 0.01)
+        found.append(bool(measured.dead[0]))
+    assert [found[k] for k in (299, 690, 1199)] == [False, True, False]
+
+
+def test_yawing_rolls_by_the_dihedral_and_by_the_rudder_that_holds_it() -> None:
+    structure = STRUCTURES["flight_dynamics"]
+    assert yaw_for_roll(coefficients()) == 0.0  # a structure without sideslip
+    values = np.zeros(structure.mask.shape)
+    for name, value in {
+        "pdot/beta": -14.0, "pdot/dr": 3.0, "rdot/beta": 4.0, "rdot/dr": -4.0
+    }.items():  # fmt: skip
+        values[structure.index(name)] = value
+    aircraft = Coefficients(structure, values, np.zeros_like(values))
+    assert yaw_for_roll(aircraft) == pytest.approx(SIDESLIP_RATE / 11.0)
+    values[structure.index("rdot/beta")] = -4.0  # it would not stay in a sideslip
+    assert yaw_for_roll(aircraft) == 0.0
 
 
 def test_after_a_gap_it_starts_afresh() -> None:

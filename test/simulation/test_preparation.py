@@ -66,3 +66,12 @@ def test_a_reversed_aileron_is_survived_and_a_fixed_law_is_lost(small: Prepared)
     assert adaptive.error(8.0, 12.0)[0] < 6.0
     assert fixed.lost is not None and fixed.time[-1] < fixed.lost
     assert np.isnan(fixed.error(11.0, 12.0)).all()
+
+
+def test_a_jammed_aileron_is_survived_by_sideslip_and_a_fixed_law_is_lost() -> None:
+    light = prepare("c172p", time=40.0)
+    mission = Mission(14.0, ("5: aileron jams 0.06",), seed=1)
+    adaptive = fly_loop(light, mission, make(light))
+    fixed = fly_loop(light, mission, make(light, adaptive=False))
+    assert adaptive.lost is None and adaptive.error(5.0, 14.0)[1] < 2.0
+    assert fixed.lost is not None

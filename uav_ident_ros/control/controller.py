@@ -8,12 +8,13 @@ from enum import Enum
 import numpy as np
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, History
-from uav_ident_ros.control.choice import AxisChoice, Effect
+from uav_ident_ros.control.choice import IDENTIFIED, AxisChoice, Effect
 from uav_ident_ros.control.effectiveness import Effectiveness
 from uav_ident_ros.control.incremental import GAINS, IncrementalLaw
 from uav_ident_ros.control.inversion import GAINS as INVERSION_GAINS
 from uav_ident_ros.control.inversion import InversionLaw
 from uav_ident_ros.control.reference import Gains
+from uav_ident_ros.control.sideslip import yaw_for_roll
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 MAX_INTERVAL = 0.1
@@ -75,6 +76,7 @@ class RateController:
         limits[:, INPUTS.index("dth")] = 0.0
         self._source = source
         self._choice = AxisChoice(source, nominal, limits, adaptive)
+        self._adaptive, self._yaw_for_roll = adaptive, yaw_for_roll(nominal)
         self._delay_ns = round(delay * 1e9)
         self._last_ns = 0
         self.effectiveness = Effectiveness()
@@ -104,7 +106,9 @@ class RateController:
             self.effectiveness.update(x, self.effect.values, acting, dt)
         self.effect = self._choice.update(t_ns, self.effectiveness)
         if isinstance(self._law, IncrementalLaw):
-            u = self._law.update(dt, self.effect.values, x, reference, acting)
+            dead = self.effectiveness.dead[0] and self.effect.sources[0] != IDENTIFIED
+            yaw = self._yaw_for_roll if dead and self._adaptive else 0.0
+            u = self._law.update(dt, self.effect.values, x, reference, acting, yaw)
         else:
             model = self._source.model(t_ns)
             u = self._law.update(dt, model, self.effect.values, x, reference, acting)

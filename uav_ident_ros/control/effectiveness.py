@@ -39,6 +39,9 @@ SURE = 22.0
 at once (6 of 7) reach 8, an aileron that loses half of its effect 7; a reversed one passes it in a
 tenth of a second."""
 
+DEAD, ALIVE = 0.3, 0.5
+"""Factor below which an effect is lost, and above which a lost one is back, both by two sigma."""
+
 UNKNOWN = 1e3
 """Standard deviation of g where nothing was measured."""
 
@@ -50,6 +53,8 @@ class Effectiveness:
     ----------
     factor, sigma : (3,) arrays
         g of roll, pitch, yaw, and its standard deviation.
+    dead : (3,) bool array
+        Axes whose inputs surely did nothing when they last moved.
     """
 
     def __init__(self) -> None:
@@ -65,6 +70,7 @@ class Effectiveness:
         self._slope = np.zeros(3)
         self.factor = np.ones(3)
         self.sigma = np.full(3, UNKNOWN)
+        self.dead: BoolArray = np.zeros(3, dtype=bool)
         self._doubt = np.zeros(3)
         self._noise = np.zeros(3)
 
@@ -143,3 +149,5 @@ class Effectiveness:
         sigma = np.sqrt(variance * c / safe * (2.0 / BANDWIDTH))
         self.factor = np.where(good, g, 1.0)
         self.sigma = np.where(good, np.minimum(sigma, UNKNOWN), UNKNOWN)
+        least, most = self.factor - 2.0 * self.sigma, self.factor + 2.0 * self.sigma
+        self.dead = np.where(self.dead, least < ALIVE, most < DEAD)

@@ -19,8 +19,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from uav_ident_ros.control.allocation import allocate
 from uav_ident_ros.control.reference import Gains, ReferenceModel
+from uav_ident_ros.control.sideslip import LARGEST_YAW_RATE
 from uav_ident_ros.control.smoothing import Smoother
 from uav_ident_ros.identification.structure import FloatArray
 
@@ -49,6 +52,7 @@ class IncrementalLaw:
         x: FloatArray,
         reference: FloatArray,
         acting: FloatArray,
+        yaw_for_roll: float = 0.0,
     ) -> FloatArray:
         """Return de, dr, da, dth, deviations from trim.
 
@@ -62,8 +66,12 @@ class IncrementalLaw:
             Measured and wanted p, q, r, rad/s, FRD.
         acting : (4,) array
             The inputs that act now: those commanded one delay ago.
+        yaw_for_roll : float
+            Yaw rate that makes up for missing roll acceleration, s: see `sideslip`.
         """
         self._rates.update(x, dt)
         self._inputs.update(acting, dt)
         missing = self._reference.wanted(dt, x, reference) - self._rates.slope
+        yaw = np.clip(yaw_for_roll * missing[0], -LARGEST_YAW_RATE, LARGEST_YAW_RATE)
+        missing[2] += self.gains.rate[2] * yaw
         return allocate(effect, effect @ self._inputs.value + missing, self.limits, self.scale)
