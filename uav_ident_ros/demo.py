@@ -203,17 +203,12 @@ def run_demo(options: argparse.Namespace) -> int:
     return FAILED if status == NO_RESULT else 0
 
 
-def play(flight: Flight, speed: float, log: Path) -> bool:
+def play(
+    flight: Flight,  # The flight
+    speed: float,  # Times real time
+    log: Path,  # Where the node's output goes
+) -> bool:
     """Play a flight to a node and show what it publishes; return whether it published.
-
-    Parameters
-    ----------
-    flight : Flight
-        The flight.
-    speed : float
-        Times real time.
-    log : Path
-        Where the node's output goes.
 
     Raises
     ------

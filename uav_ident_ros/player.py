@@ -104,26 +104,14 @@ def to_stamp(t_ns: int) -> Time:
 
 
 class Player:
-    """Publishes recorded messages and /clock, and listens to the node.
-
-    Parameters
-    ----------
-    topics : mapping of str to type
-        Topics to publish and their message classes.
-    node_name : str
-        Full name of the node that listens.
-    domain_id : int, optional
-        ROS domain; the environment's if left out.
-    clock : bool
-        Whether to publish /clock.
-    """
+    """Publishes recorded messages and /clock, and listens to the node."""
 
     def __init__(
         self,
-        topics: dict[str, type],
-        node_name: str = "/identifier",
-        domain_id: int | None = None,
-        clock: bool = True,
+        topics: dict[str, type],  # Topics to publish and their message classes
+        node_name: str = "/identifier",  # Full name of the node that listens
+        domain_id: int | None = None,  # ROS domain; the environment's if left out
+        clock: bool = True,  # Whether to publish /clock
     ) -> None:
         self.outputs = Outputs()
         self._node_name = node_name
@@ -251,25 +239,16 @@ class Player:
 
     def play(
         self,
-        messages: Sequence[Message],
+        messages: Sequence[Message],  # In log-time order
         *,
-        speed: float = 1.0,
+        speed: float = 1.0,  # 1 for real time
+        # Called with the log time (ns) about every 10 ms of it
         on_time: Callable[[int], None] | None = None,
+        # Whether to wait for the node where it does not keep up, so that a busy machine plays
+        # slower and loses nothing
         in_step: bool = False,
     ) -> float:
         """Play at `speed` times real time, in log-time order.
-
-        Parameters
-        ----------
-        messages : sequence of Message
-            In log-time order.
-        speed : float
-            1 for real time.
-        on_time : callable, optional
-            Called with the log time (ns) about every 10 ms of it.
-        in_step : bool
-            Whether to wait for the node where it does not keep up, so that a busy machine plays
-            slower and loses nothing.
 
         Returns
         -------

@@ -68,15 +68,11 @@ TYPES = (
 GYRO_FIELDS, FORCE_FIELDS = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
 
 
-def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
+def read_ardupilot(
+    path: Path,  # Dataflash file
+    choice: Choice,  # What to take in place of the best
+) -> FlightLog:
     """Read an ArduPilot dataflash log.
-
-    Parameters
-    ----------
-    path : Path
-        Dataflash file.
-    choice : Choice
-        What to take in place of the best.
 
     Raises
     ------

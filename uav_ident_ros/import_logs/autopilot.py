@@ -27,29 +27,15 @@ NO_FORCE = "there is no accelerometer at a useful rate: ay and az are zero"
 
 
 def find_messages(
-    log: Log,
-    what: str,
-    names: Collection[str],
-    wanted: str | None,
-    instance: int,
+    log: Log,  # The log
+    what: str,  # What they hold: ``rates`` and so on
+    names: Collection[str],  # The kinds that can be read
+    wanted: str | None,  # The only kind to look for
+    instance: int,  # Which of several sensors or sets of commands
+    # Name and instance to the messages, None if the log has none
     find: Callable[[str, int], Messages | None],
 ) -> dict[str, Messages]:
     """Find the messages asked for, or all kinds that would do, by name in the order of `names`.
-
-    Parameters
-    ----------
-    log : Log
-        The log.
-    what : str
-        What they hold: ``rates`` and so on.
-    names : collection of str
-        The kinds that can be read.
-    wanted : str, optional
-        The only kind to look for.
-    instance : int
-        Which of several sensors or sets of commands.
-    find : callable
-        Name and instance to the messages, None if the log has none.
 
     Raises
     ------
@@ -74,29 +60,17 @@ def find_messages(
 
 
 def choose(
+    # Stamps, ns, and rate, Hz, by name, in the order of preference
     streams: Mapping[str, tuple[TimeArray, float]],
-    flight: Stretches,
-    findings: Findings,
-    setting: str,
-    before_mixer: Collection[str] = (),
+    flight: Stretches,  # Stretches of flight, ns; empty for the whole log
+    findings: Findings,  # Gets what there is to say
+    setting: str,  # The autopilot's parameter that says what is logged
+    before_mixer: Collection[str] = (),  # Those of the names that are commands before the mixer
 ) -> str:
     """Name the messages to take: of those that are fast enough, the first that cover the flight.
 
     If none are, the fastest that cover it. What there is to choose from is said, and why
     what stands nearer to the sensor or the actuators is passed over.
-
-    Parameters
-    ----------
-    streams : mapping
-        Stamps, ns, and rate, Hz, by name, in the order of preference.
-    flight : sequence of pairs
-        Stretches of flight, ns; empty for the whole log.
-    findings : Findings
-        Gets what there is to say.
-    setting : str
-        The autopilot's parameter that says what is logged.
-    before_mixer : collection of str
-        Those of the names that are commands before the mixer.
     """
     every = [t_ns for t_ns, _ in streams.values()]
     whole_log = (min(int(t_ns.min()) for t_ns in every), max(int(t_ns.max()) for t_ns in every))

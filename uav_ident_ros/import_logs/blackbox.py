@@ -33,15 +33,11 @@ GYROS = ("gyroUnfilt", "gyroADC")
 """Fields of the rates, the preferred first: as sampled, and behind the filters."""
 
 
-def read_blackbox(path: Path, choice: Choice) -> FlightLog:
+def read_blackbox(
+    path: Path,  # Blackbox file
+    choice: Choice,  # What to take in place of the best: there is no choice
+) -> FlightLog:
     """Read the longest log of a file.
-
-    Parameters
-    ----------
-    path : Path
-        Blackbox file.
-    choice : Choice
-        What to take in place of the best: there is no choice.
 
     Raises
     ------

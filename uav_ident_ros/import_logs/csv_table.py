@@ -31,18 +31,14 @@ EMPTY = ("", "nan", "NaN", "NA", "null")
 """Cells without a value: the stream has no sample in this row."""
 
 
-def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
+def read_csv(
+    path: Path,  # Table with a header line
+    columns: ColumnMap,  # What its columns mean
+) -> FlightLog:
     """Read a table.
 
     A row gives a sample of the rates if it has all three, one of the actuators if it has any
     channel, and so on: streams of different rates fit into one table with empty cells.
-
-    Parameters
-    ----------
-    path : Path
-        Table with a header line.
-    columns : ColumnMap
-        What its columns mean.
 
     Raises
     ------

@@ -22,17 +22,14 @@ SAMPLED = ("timestamp_sample", "SampleUS")
 
 
 class Messages:
-    """All messages of one kind and instance: PX4's topics, ArduPilot's types.
+    """All messages of one kind and instance: PX4's topics, ArduPilot's types."""
 
-    Parameters
-    ----------
-    name : str
-        The kind, with ``[i]`` behind it for an instance beyond the first.
-    columns : dict
-        Array by field name; an entry of an array field is ``field[0]`` and so on.
-    """
-
-    def __init__(self, name: str, columns: dict[str, Column]) -> None:
+    def __init__(
+        self,
+        name: str,  # The kind, with ``[i]`` behind it for an instance beyond the first
+        # Array by field name; an entry of an array field is ``field[0]`` and so on
+        columns: dict[str, Column],
+    ) -> None:
         self.name = name
         self.columns = columns
 

@@ -30,20 +30,13 @@ def _positive_zero(value: float) -> float:
 
 
 def rotor_effects(
-    positions: FloatArray, moment_ratios: Sequence[float], thrusts: Sequence[float]
+    positions: FloatArray,  # (N, 2) Forward and right of the centre, in any unit
+    # Yawing moment per thrust: positive for a rotor that turns counter-clockwise from above, whose
+    # reaction yaws the vehicle right
+    moment_ratios: Sequence[float],
+    thrusts: Sequence[float],  # Relative thrust at full command
 ) -> list[Effect]:
-    """Effects of the upward rotors of a multirotor, each row of the mixing in a fixed range.
-
-    Parameters
-    ----------
-    positions : (N, 2) array
-        Forward and right of the centre, in any unit.
-    moment_ratios : sequence of N floats
-        Yawing moment per thrust: positive for a rotor that turns counter-clockwise from above,
-        whose reaction yaws the vehicle right.
-    thrusts : sequence of N floats
-        Relative thrust at full command.
-    """
+    """Effects of the upward rotors of a multirotor, each row of the mixing in a fixed range."""
     thrust = np.asarray(thrusts, dtype=float)
     forward, right = positions.T
     rows = np.array([forward, moment_ratios, -right]) * thrust  # pitch up, yaw right, roll right

@@ -27,15 +27,11 @@ def describe_rotation(number: int) -> str:
     return " ".join(f"{axis} {angle:g} deg" for axis, angle in named if angle) or "none"
 
 
-def board_to_body(number: int, offsets: tuple[float, float, float]) -> FloatArray | None:
+def board_to_body(
+    number: int,  # Number of the list
+    offsets: tuple[float, float, float],  # Fine roll, pitch, yaw applied after it, deg
+) -> FloatArray | None:
     """Rotation matrix from the board's axes to the body's, shape (3, 3).
-
-    Parameters
-    ----------
-    number : int
-        Number of the list.
-    offsets : tuple of 3 floats
-        Fine roll, pitch, yaw applied after it, deg.
 
     Returns
     -------

@@ -71,15 +71,11 @@ EXPLAINING = (*IMPORTED, "IMU_", "MC_", "FW_", "SDLOG_", "SYS_AUTOSTART", "MAV_T
 """... and of those that matter to what comes of it: filters, gains, what is logged."""
 
 
-def read_px4(path: Path, choice: Choice) -> FlightLog:
+def read_px4(
+    path: Path,  # ULog file, or a folder that ulog2csv has written
+    choice: Choice,  # What to take in place of the best
+) -> FlightLog:
     """Read a PX4 log.
-
-    Parameters
-    ----------
-    path : Path
-        ULog file, or a folder that ulog2csv has written.
-    choice : Choice
-        What to take in place of the best.
 
     Raises
     ------

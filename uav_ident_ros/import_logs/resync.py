@@ -61,18 +61,13 @@ def walk(log: Format, start: int, end: int) -> list[Gap]:
     return gaps
 
 
-def loss_in_words(gaps: Sequence[Gap], size: int, stamped: Sequence[tuple[int, int]]) -> str:
-    """Say how much could not be read.
-
-    Parameters
-    ----------
-    gaps : sequence of pairs
-        The gaps.
-    size : int
-        Bytes of the file.
-    stamped : sequence of pairs
-        Place and stamp, ns, of messages, in the order of the file: tells how long the gaps are.
-    """
+def loss_in_words(
+    gaps: Sequence[Gap],  # The gaps
+    size: int,  # Bytes of the file
+    # Place and stamp, ns, of messages, in the order of the file: tells how long the gaps are
+    stamped: Sequence[tuple[int, int]],
+) -> str:
+    """Say how much could not be read."""
     lost = sum(end - begin for begin, end in gaps)
     places = [place for place, _ in stamped]
     lost_ns = 0

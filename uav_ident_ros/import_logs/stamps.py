@@ -118,21 +118,12 @@ def coverage(t_ns: TimeArray, stretches: Stretches, hold_ns: int = LONGEST_HOLD_
 
 
 def intervals(
-    t_ns: TimeArray, active: BoolArray, end_ns: int, start_ns: int | None = None
+    t_ns: TimeArray,  # (k,) Stamps of the state, ns
+    active: BoolArray,  # (k,) Whether it holds
+    end_ns: int,  # End of the log, ns
+    start_ns: int | None = None,  # Start of the log: the first value counts from there
 ) -> list[tuple[int, int]]:
-    """Stretches in which a logged state holds; each value counts until the next.
-
-    Parameters
-    ----------
-    t_ns : (k,) int array
-        Stamps of the state, ns.
-    active : (k,) bool array
-        Whether it holds.
-    end_ns : int
-        End of the log, ns.
-    start_ns : int, optional
-        Start of the log: the first value counts from there.
-    """
+    """Stretches in which a logged state holds; each value counts until the next."""
     result: list[tuple[int, int]] = []
     stamps = [int(t) for t in t_ns]
     if stamps and start_ns is not None:
@@ -148,17 +139,13 @@ def intervals(
 
 
 def join(
-    first: tuple[TimeArray, FloatArray], second: tuple[TimeArray, FloatArray]
+    first: tuple[TimeArray, FloatArray],  # first, second: (k,) Stamps, ns, rising, and values
+    second: tuple[TimeArray, FloatArray],
 ) -> tuple[TimeArray, FloatArray]:
     """Put two streams side by side; each value is held until its stream's next.
 
     Stamps of one controller cycle (closer than `JOIN_NS`) become one, the later. Before the
     first sample of a stream its values are NaN.
-
-    Parameters
-    ----------
-    first, second : pair of (k,) int array and (k, C) array
-        Stamps, ns, rising, and values.
 
     Returns
     -------

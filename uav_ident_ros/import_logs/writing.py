@@ -68,17 +68,12 @@ COMMENT_WIDTH = 96
 Entry = tuple[int, str, Any]
 
 
-def write_import(log: FlightLog, folder: Path, parameters: dict[str, Any]) -> Path:
+def write_import(
+    log: FlightLog,  # The log
+    folder: Path,  # Folder of the new bag; must not exist
+    parameters: dict[str, Any],  # What `fitting_parameters` gives for it
+) -> Path:
     """Write the bag and the parameter file.
-
-    Parameters
-    ----------
-    log : FlightLog
-        The log.
-    folder : Path
-        Folder of the new bag; must not exist.
-    parameters : dict
-        What `fitting_parameters` gives for it.
 
     Returns
     -------
@@ -219,18 +214,12 @@ def used_channels(log: FlightLog) -> list[tuple[int, Channel]]:
     return [(i, c) for i, c in enumerate(log.actuators.channels) if any(c.effect)]
 
 
-def fitting_parameters(log: FlightLog, trim: str, use_airspeed: bool) -> dict[str, Any]:
-    """Return parameters of the identifier that fit the bag, by dotted name.
-
-    Parameters
-    ----------
-    log : FlightLog
-        The log.
-    trim : str
-        One of `flight_log.TRIMS`.
-    use_airspeed : bool
-        Switch the scaling with the airspeed on.
-    """
+def fitting_parameters(
+    log: FlightLog,  # The log
+    trim: str,  # One of `flight_log.TRIMS`
+    use_airspeed: bool,  # Switch the scaling with the airspeed on
+) -> dict[str, Any]:
+    """Return parameters of the identifier that fit the bag, by dotted name."""
     channels = [channel for _, channel in used_channels(log)]
     values: dict[str, Any] = {
         "imu.type": IMU_TYPE,

@@ -18,21 +18,14 @@ class Arrivals(Generic[Values]):
     It counts from when it arrives. Where the Imu's stamps are far from that, as those of an
     autopilot that counts from its start, it counts from just after the Imu's newest sample; what
     came before there was any, from just after the first to be looked at.
-
-    Parameters
-    ----------
-    identifier : OnlineIdentifier
-        Knows the Imu's stamps.
-    add : callable
-        Stamp, ns, and values to the identifier; returns why it dropped them, or None.
-    say : callable, optional
-        Told once, in s, how far the arrival of a message is from the Imu's stamps.
     """
 
     def __init__(
         self,
-        identifier: OnlineIdentifier,
+        identifier: OnlineIdentifier,  # Knows the Imu's stamps
+        # Stamp, ns, and values to the identifier; returns why it dropped them, or None
         add: Callable[[int, Values], Drop | None],
+        # Told once, in s, how far the arrival of a message is from the Imu's stamps
         say: Callable[[float], None] | None = None,
     ) -> None:
         self._identifier = identifier
@@ -43,18 +36,13 @@ class Arrivals(Generic[Values]):
         self._after_ns = 0
         self._place = 0
 
-    def add(self, stamp_ns: int | None, arrival_ns: int, values: Values) -> Drop | None:
-        """Take values of a message; return why not, or None.
-
-        Parameters
-        ----------
-        stamp_ns : int or None
-            Its own time, ns; None if it carries none.
-        arrival_ns : int
-            When it arrived, by the node's clock, ns.
-        values
-            What `add` takes.
-        """
+    def add(
+        self,
+        stamp_ns: int | None,  # Its own time, ns; None if it carries none
+        arrival_ns: int,  # When it arrived, by the node's clock, ns
+        values: Values,  # What `add` takes
+    ) -> Drop | None:
+        """Take values of a message; return why not, or None."""
         if stamp_ns is not None:
             return self._add(stamp_ns, values)
         newest_ns = self._identifier.newest_ns

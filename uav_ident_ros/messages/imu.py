@@ -25,13 +25,11 @@ _IMU_PREFIX_SIZE = 12
 _CDR_ALIGNMENT = 8
 
 
-def decode_imu_cdr(data: bytes) -> RatesReading | None:
+def decode_imu_cdr(
+    # Serialized sensor_msgs/msg/Imu with its encapsulation header (XCDR1, either byte order)
+    data: bytes,
+) -> RatesReading | None:
     """Read an Imu message from its CDR bytes, several times faster than a decoder in Python.
-
-    Parameters
-    ----------
-    data : bytes
-        Serialized sensor_msgs/msg/Imu with its encapsulation header (XCDR1, either byte order).
 
     Returns
     -------

@@ -35,17 +35,13 @@ class MessageTypeError(Exception):
 
 
 class ChannelError(ValueError):
-    """A message does not hold what the settings say; the message says why.
+    """A message does not hold what the settings say; the message says why."""
 
-    Parameters
-    ----------
-    message : str
-        What is wrong and what would be right.
-    reason : str
-        What it is counted under.
-    """
-
-    def __init__(self, message: str, reason: str = "wrong channels") -> None:
+    def __init__(
+        self,
+        message: str,  # What is wrong and what would be right
+        reason: str = "wrong channels",  # What it is counted under
+    ) -> None:
         super().__init__(message)
         self.reason = reason
 
@@ -258,11 +254,6 @@ def read_excitation(message: Any) -> tuple[int, tuple[float, ...]]:
 class ActuatorReader:
     """Reads the configured channels from actuator messages.
 
-    Parameters
-    ----------
-    settings : ActuatorSettings
-        Type, field and channels.
-
     Attributes
     ----------
     field : str
@@ -274,7 +265,10 @@ class ActuatorReader:
         If the type has no such array field, or channels are named and the type names none.
     """
 
-    def __init__(self, settings: ActuatorSettings) -> None:
+    def __init__(
+        self,
+        settings: ActuatorSettings,  # Type, field and channels
+    ) -> None:
         adapter = ACTUATORS[settings.type]
         self._read = adapter.read
         self.field = settings.field or adapter.fields[0]
@@ -343,11 +337,6 @@ def _listed(items: Sequence[object]) -> str:
 class RatesReader:
     """Reads rates messages, and holds their axes against the settings.
 
-    Parameters
-    ----------
-    settings : ImuSettings
-        Type and convention.
-
     Attributes
     ----------
     frame_id : str or None
@@ -356,7 +345,10 @@ class RatesReader:
         How their axes contradict the settings; empty if they do not.
     """
 
-    def __init__(self, settings: ImuSettings) -> None:
+    def __init__(
+        self,
+        settings: ImuSettings,  # Type and convention
+    ) -> None:
         self._settings = settings
         self._read = RATES[settings.type].read
         self.frame_id: str | None = None
@@ -386,18 +378,12 @@ class RatesReader:
         return reading.stamp_ns, (reading.rates, reading.specific_force)
 
 
-def frame_fault(convention: str, frame_id: str, msgtype: str) -> str:
-    """Say how a message's axes contradict the configured convention; empty if they do not.
-
-    Parameters
-    ----------
-    convention : str
-        Setting ``imu.convention``: ``flu`` or ``frd``.
-    frame_id : str
-        Frame of the message's header.
-    msgtype : str
-        Type of the rates topic.
-    """
+def frame_fault(
+    convention: str,  # Setting ``imu.convention``: ``flu`` or ``frd``
+    frame_id: str,  # Frame of the message's header
+    msgtype: str,  # Type of the rates topic
+) -> str:
+    """Say how a message's axes contradict the configured convention; empty if they do not."""
     if convention == "frd":
         return ""
     if frame_id.endswith(("_frd", "_ned")):
@@ -413,13 +399,10 @@ def frame_fault(convention: str, frame_id: str, msgtype: str) -> str:
 # --- message classes -------------------------------------------------------------------------
 
 
-def import_type(name: str) -> Any:
+def import_type(
+    name: str,  # ``package/msg/Type``
+) -> Any:
     """Import a message class by its name.
-
-    Parameters
-    ----------
-    name : str
-        ``package/msg/Type``.
 
     Raises
     ------

@@ -94,13 +94,6 @@ class Status:
 class Heard:
     """Gathers what one identifier publishes.
 
-    Parameters
-    ----------
-    node : str
-        Full name of the node.
-    clock : callable
-        Monotonic seconds, for ages.
-
     Attributes
     ----------
     status : Status
@@ -111,7 +104,11 @@ class Heard:
         Nodes that publish under this name; more than one is a mistake.
     """
 
-    def __init__(self, node: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        node: str,  # Full name of the node
+        clock: Callable[[], float] = time.monotonic,  # Monotonic seconds, for ages
+    ) -> None:
         self.node = node
         self.status = Status()
         self.ticks = 0

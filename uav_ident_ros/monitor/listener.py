@@ -68,14 +68,11 @@ class Listener:
             and self._node.count_publishers(topic) > 0
         )
 
-    def find(self, timeout: float) -> list[str]:
-        """Look for identifiers until some have been found, and those beside them.
-
-        Parameters
-        ----------
-        timeout : float
-            Seconds to look at most; the list is empty if there is none by then.
-        """
+    def find(
+        self,
+        timeout: float,  # Seconds to look at most; the list is empty if there is none by then
+    ) -> list[str]:
+        """Look for identifiers until some have been found, and those beside them."""
         end = time.monotonic() + timeout
         while not self.identifiers():
             if time.monotonic() > end:
@@ -84,14 +81,11 @@ class Listener:
         self.spin(SETTLE)
         return self.identifiers()
 
-    def listen(self, node: str) -> Heard:
-        """Begin to listen to an identifier.
-
-        Parameters
-        ----------
-        node : str
-            Its full name.
-        """
+    def listen(
+        self,
+        node: str,  # Its full name
+    ) -> Heard:
+        """Begin to listen to an identifier."""
         heard = Heard(node)
         self._node.create_subscription(
             JointState,

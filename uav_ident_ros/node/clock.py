@@ -13,17 +13,14 @@ STEPS = 3
 
 
 class ClockWatch:
-    """Watches the node's clock under simulated time.
+    """Watches the node's clock under simulated time."""
 
-    Parameters
-    ----------
-    time_jump : float
-        Step of /clock from which on it counts as a jump, s.
-    update_rate : float
-        Ticks per second: jumps in a row have less than a second of ticks between them.
-    """
-
-    def __init__(self, time_jump: float, update_rate: float) -> None:
+    def __init__(
+        self,
+        time_jump: float,  # Step of /clock from which on it counts as a jump, s
+        # Ticks per second: jumps in a row have less than a second of ticks between them
+        update_rate: float,
+    ) -> None:
         self._time_jump = time_jump
         self._few_ticks = update_rate
         self._now_ns = 0

@@ -35,17 +35,13 @@ _LEVELS = {
 
 
 class InputMonitor:
-    """Counts the messages of one input.
+    """Counts the messages of one input."""
 
-    Parameters
-    ----------
-    topic : str
-        Resolved name of the topic.
-    type_name : str
-        Message type, as in the parameter.
-    """
-
-    def __init__(self, topic: str, type_name: str) -> None:
+    def __init__(
+        self,
+        topic: str,  # Resolved name of the topic
+        type_name: str,  # Message type, as in the parameter
+    ) -> None:
         self.topic = topic
         self.type_name = type_name
         self.received = 0
@@ -83,14 +79,12 @@ class InputMonitor:
         """Return what was refused here or dropped by the identifier, by reason."""
         return self.refused + Counter({drop.value: n for drop, n in dropped.items()})
 
-    def values(self, dropped: Mapping[Drop, int]) -> Iterator[tuple[str, str]]:
-        """Yield what is to be shown, each with its label.
-
-        Parameters
-        ----------
-        dropped : mapping
-            Samples that the identifier dropped, by reason; added to those refused here.
-        """
+    def values(
+        self,
+        # Samples that the identifier dropped, by reason; added to those refused here
+        dropped: Mapping[Drop, int],
+    ) -> Iterator[tuple[str, str]]:
+        """Yield what is to be shown, each with its label."""
         drops = self.drops(dropped)
         age = self.age()
         yield "topic", self.topic
@@ -105,15 +99,12 @@ class InputMonitor:
 
 
 class TickMeter:
-    """Durations of the last ticks, how old they were, and how regularly the timer fired.
+    """Durations of the last ticks, how old they were, and how regularly the timer fired."""
 
-    Parameters
-    ----------
-    period : float
-        Interval that the timer should keep, s.
-    """
-
-    def __init__(self, period: float) -> None:
+    def __init__(
+        self,
+        period: float,  # Interval that the timer should keep, s
+    ) -> None:
         self.count = 0
         self._period = period
         self._ages: deque[float] = deque(maxlen=TICKS_KEPT)
@@ -171,24 +162,13 @@ def level_of(state: str) -> bytes:
 
 
 def status(
-    name: str,
-    state: str,
-    reason: str,
+    name: str,  # Full name of the node
+    state: str,  # The state word
+    reason: str,  # Why it is in it; may be empty
+    # Label of a group, or '' for none, to its labelled values
     groups: Mapping[str, Iterable[tuple[str, str]]],
 ) -> DiagnosticStatus:
-    """Build the node's diagnostic status.
-
-    Parameters
-    ----------
-    name : str
-        Full name of the node.
-    state : str
-        The state word.
-    reason : str
-        Why it is in it; may be empty.
-    groups : mapping
-        Label of a group, or '' for none, to its labelled values.
-    """
+    """Build the node's diagnostic status."""
     values = [
         KeyValue(key=f"{group}: {key}" if group else key, value=value)
         for group, entries in groups.items()

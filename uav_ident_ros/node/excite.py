@@ -38,20 +38,15 @@ def slowest_ticks(highest: float) -> float:
 
 
 class Excite:
-    """Starts and ends runs of excitation, and publishes what they ask for.
+    """Starts and ends runs of excitation, and publishes what they ask for."""
 
-    Parameters
-    ----------
-    node : Node
-        Owner of the publisher.
-    identifier : OnlineIdentifier
-        Knows the flight. It is told what is published, unless somebody else says what is
-        injected.
-    told : callable
-        Whether anybody publishes what is injected.
-    """
-
-    def __init__(self, node: Node, identifier: OnlineIdentifier, told: Callable[[], bool]) -> None:
+    def __init__(
+        self,
+        node: Node,  # Owner of the publisher
+        # Knows the flight. It is told what is published, unless somebody else says what is injected
+        identifier: OnlineIdentifier,
+        told: Callable[[], bool],  # Whether anybody publishes what is injected
+    ) -> None:
         self._identifier = identifier
         self._told = told
         self._log = node.get_logger()

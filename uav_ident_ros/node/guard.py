@@ -19,11 +19,6 @@ R = TypeVar("R")
 class Guard:
     """Wraps callbacks so that their errors are told instead of ending the node.
 
-    Parameters
-    ----------
-    errors : Throttle
-        Takes the errors, with where they arose.
-
     Attributes
     ----------
     count : int
@@ -32,23 +27,21 @@ class Guard:
         The last one, in a sentence; empty if there was none.
     """
 
-    def __init__(self, errors: Throttle) -> None:
+    def __init__(
+        self,
+        errors: Throttle,  # Takes the errors, with where they arose
+    ) -> None:
         self._errors = errors
         self.count = 0
         self.problem = ""
 
     def __call__(
-        self, callback: Callable[P, R], otherwise: Callable[..., R] | None = None
+        self,
+        callback: Callable[P, R],  # What may fail
+        # Called with the same arguments after a failure; its value is returned
+        otherwise: Callable[..., R] | None = None,
     ) -> Callable[P, R | None]:
-        """Return `callback`, guarded.
-
-        Parameters
-        ----------
-        callback : callable
-            What may fail.
-        otherwise : callable, optional
-            Called with the same arguments after a failure; its value is returned.
-        """
+        """Return `callback`, guarded."""
 
         @functools.wraps(callback)
         def guarded(*args: P.args, **kwargs: P.kwargs) -> R | None:

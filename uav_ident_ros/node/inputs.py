@@ -47,17 +47,6 @@ class Inputs:
     As bytes, a message that cannot be decoded is refused like any other bad one; decoded by rclpy,
     it would end the node.
 
-    Parameters
-    ----------
-    node : Node
-        Owner of the subscriptions; its clock stamps messages that carry no time.
-    identifier : OnlineIdentifier
-        Takes the samples.
-    warnings : Throttle
-        Takes what was refused, and why.
-    guard : Guard
-        Takes errors that nobody foresaw.
-
     Attributes
     ----------
     monitors : dict
@@ -67,7 +56,11 @@ class Inputs:
     """
 
     def __init__(
-        self, node: Node, identifier: OnlineIdentifier, warnings: Throttle, guard: Guard
+        self,
+        node: Node,  # Owner of the subscriptions; its clock stamps messages that carry no time
+        identifier: OnlineIdentifier,  # Takes the samples
+        warnings: Throttle,  # Takes what was refused, and why
+        guard: Guard,  # Takes errors that nobody foresaw
     ) -> None:
         self._node, self._identifier, self._warnings = node, identifier, warnings
         self._waiting: list[tuple[Callable[[bytes, int], object], bytes, int]] = []

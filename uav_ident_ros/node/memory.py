@@ -44,16 +44,11 @@ SHORTEST_PERIOD = 1.0
 """Shortest interval between two files that are written by themselves, s."""
 
 
-def state_path(settings: Settings, node_name: str) -> Path | None:
-    """Return where a node keeps its coefficients; None if it keeps none.
-
-    Parameters
-    ----------
-    settings : Settings
-        ``state_file`` may name the place.
-    node_name : str
-        Full name of the node: two vehicles never share a file by themselves.
-    """
+def state_path(
+    settings: Settings,  # ``state_file`` may name the place
+    node_name: str,  # Full name of the node: two vehicles never share a file by themselves
+) -> Path | None:
+    """Return where a node keeps its coefficients; None if it keeps none."""
     if settings.state_file == NO_FILE:
         return None
     if settings.state_file:
@@ -72,17 +67,13 @@ class Recalled:
     age: timedelta
 
 
-def recall(path: Path, settings: Settings, now: datetime) -> Recalled | None:
+def recall(
+    path: Path,  # The file
+    settings: Settings,  # What it must fit
+    # Time of the computer, with its zone. Message time may be simulated: it tells no age
+    now: datetime,
+) -> Recalled | None:
     """Read a state file and check that it is of this aircraft and not too old.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    settings : Settings
-        What it must fit.
-    now : datetime
-        Time of the computer, with its zone. Message time may be simulated: it tells no age.
 
     Returns
     -------
@@ -137,18 +128,14 @@ class Memory:
 
     It is written when asked for, at the end, and at intervals while the coefficients are
     usable. Coefficients that are not usable never replace usable ones by themselves.
-
-    Parameters
-    ----------
-    identifier : OnlineIdentifier
-        Whose coefficients are kept.
-    node_name : str
-        Full name of the node.
-    log : RcutilsLogger
-        Takes what is read, refused and written.
     """
 
-    def __init__(self, identifier: OnlineIdentifier, node_name: str, log: RcutilsLogger) -> None:
+    def __init__(
+        self,
+        identifier: OnlineIdentifier,  # Whose coefficients are kept
+        node_name: str,  # Full name of the node
+        log: RcutilsLogger,  # Takes what is read, refused and written
+    ) -> None:
         self._identifier = identifier
         self._log = log
         path = state_path(identifier.settings, node_name)
@@ -212,16 +199,12 @@ class Memory:
         self.look()
         return done, line
 
-    def attend(self, estimate: Estimate | None, now: float) -> None:
-        """Save usable coefficients when it is time; to be called about once a second.
-
-        Parameters
-        ----------
-        estimate : Estimate or None
-            The newest.
-        now : float
-            Monotonic time, s.
-        """
+    def attend(
+        self,
+        estimate: Estimate | None,  # The newest
+        now: float,  # Monotonic time, s
+    ) -> None:
+        """Save usable coefficients when it is time; to be called about once a second."""
         self.look()
         period = self._identifier.settings.save_period
         if self._saver is None or period == 0.0 or estimate is None or not estimate.usable:

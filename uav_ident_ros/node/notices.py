@@ -13,22 +13,13 @@ REPEAT_AFTER = 5.0
 
 
 class Throttle:
-    """Passes a repeated notice on at once, then at most every few seconds, with its count.
-
-    Parameters
-    ----------
-    say : callable
-        Takes the line, ``logger.warning`` for example.
-    repeat_after : float
-        Seconds until the same notice may be given again.
-    clock : callable
-        Monotonic seconds; not the node's clock, which may stand still.
-    """
+    """Passes a repeated notice on at once, then at most every few seconds, with its count."""
 
     def __init__(
         self,
-        say: Callable[[str], object],
-        repeat_after: float = REPEAT_AFTER,
+        say: Callable[[str], object],  # Takes the line, ``logger.warning`` for example
+        repeat_after: float = REPEAT_AFTER,  # Seconds until the same notice may be given again
+        # Monotonic seconds; not the node's clock, which may stand still
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._say = say
@@ -37,16 +28,12 @@ class Throttle:
         self._said: dict[tuple[str, ...], float] = {}
         self._kept: Counter[tuple[str, ...]] = Counter()
 
-    def notice(self, key: tuple[str, ...], line: Callable[[], str]) -> None:
-        """Give the notice `key`, or count it.
-
-        Parameters
-        ----------
-        key : tuple of str
-            What counts as the same notice, such as (topic, reason).
-        line : callable
-            Makes the line; called only if it is said.
-        """
+    def notice(
+        self,
+        key: tuple[str, ...],  # What counts as the same notice, such as (topic, reason)
+        line: Callable[[], str],  # Makes the line; called only if it is said
+    ) -> None:
+        """Give the notice `key`, or count it."""
         now = self._clock()
         last = self._said.get(key)
         if last is not None and now - last < self._repeat_after:

@@ -30,17 +30,13 @@ RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Outputs:
-    """Publishes estimates.
+    """Publishes estimates."""
 
-    Parameters
-    ----------
-    node : Node
-        Owner of the publishers.
-    structure : Structure
-        Structure of the estimates.
-    """
-
-    def __init__(self, node: Node, structure: Structure) -> None:
+    def __init__(
+        self,
+        node: Node,  # Owner of the publishers
+        structure: Structure,  # Structure of the estimates
+    ) -> None:
         self._structure = structure
         create = node.create_publisher
         self._named = create(JointState, "~/coefficients_named", LATCHED)
@@ -51,16 +47,12 @@ class Outputs:
             dim=[MultiArrayDimension(**d._asdict()) for d in coefficients_layout(structure)]
         )
 
-    def publish(self, estimate: Estimate, frame_id: str) -> None:
-        """Publish an estimate on every topic, stamped with its tick.
-
-        Parameters
-        ----------
-        estimate : Estimate
-            What to publish.
-        frame_id : str
-            Frame of its rates: that of the Imu's messages.
-        """
+    def publish(
+        self,
+        estimate: Estimate,  # What to publish
+        frame_id: str,  # Frame of its rates: that of the Imu's messages
+    ) -> None:
+        """Publish an estimate on every topic, stamped with its tick."""
         stamp = Time(sec=estimate.t_ns // NS_PER_S, nanosec=estimate.t_ns % NS_PER_S)
         names, positions, efforts = named_entries(estimate, self._structure)
         self._named.publish(

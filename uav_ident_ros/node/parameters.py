@@ -57,15 +57,12 @@ MAX_DEPTH = 100_000
 """Longest queue that makes sense, messages."""
 
 
-def settings_of(node: Node, topics: Sequence[str]) -> Settings:
+def settings_of(
+    node: Node,  # A node whose settings are not declared yet
+    # Names of the topics that it subscribes to, as in the code: their QoS may be overridden
+    topics: Sequence[str],
+) -> Settings:
     """Build the settings from what the command line and the parameter files give to `node`.
-
-    Parameters
-    ----------
-    node : Node
-        A node whose settings are not declared yet.
-    topics : sequence of str
-        Names of the topics that it subscribes to, as in the code: their QoS may be overridden.
 
     Raises
     ------
@@ -193,18 +190,14 @@ class Changes:
 
     The node's services run between its ticks, and so does what is done here. Parameters that
     are set atomically come together, and are judged and applied as one.
-
-    Parameters
-    ----------
-    node : Node
-        Its parameters are declared.
-    settings : Settings
-        The settings in use.
-    apply : callable
-        Takes the settings after a change.
     """
 
-    def __init__(self, node: Node, settings: Settings, apply: Callable[[Settings], object]) -> None:
+    def __init__(
+        self,
+        node: Node,  # Its parameters are declared
+        settings: Settings,  # The settings in use
+        apply: Callable[[Settings], object],  # Takes the settings after a change
+    ) -> None:
         self._settings = settings
         self._apply = apply
         self._log = node.get_logger()

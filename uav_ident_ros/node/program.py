@@ -22,31 +22,16 @@ AnyNode = TypeVar("AnyNode", bound=Node)
 
 
 def run(
-    name: str,
-    make: Callable[[], AnyNode],
+    name: str,  # Of the program, for what it says before there is a node
+    make: Callable[[], AnyNode],  # Makes the node, or raises one of `REFUSALS`
+    # Lets the node work until the ending is asked for; returns the exit status
     work: Callable[[AnyNode, Ending], int],
     *,
-    argv: Sequence[str],
-    ending: Ending,
-    usage: str,
+    argv: Sequence[str],  # Command line, the program's name first
+    ending: Ending,  # Takes the signals; made before the imports, which take a second
+    usage: str,  # What ``--help`` prints
 ) -> int:
-    """Run a node as a program; return its exit status: 2 if it was started wrongly.
-
-    Parameters
-    ----------
-    name : str
-        Of the program, for what it says before there is a node.
-    make : callable
-        Makes the node, or raises one of `REFUSALS`.
-    work : callable
-        Lets the node work until the ending is asked for; returns the exit status.
-    argv : sequence of str
-        Command line, the program's name first.
-    ending : Ending
-        Takes the signals; made before the imports, which take a second.
-    usage : str
-        What ``--help`` prints.
-    """
+    """Run a node as a program; return its exit status: 2 if it was started wrongly."""
     if {"-h", "--help"} & set(argv[1:]):
         print(usage)
         return 0

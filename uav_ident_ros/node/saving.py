@@ -22,11 +22,6 @@ ASIDE = ".refused"
 class Saver:
     """Writes coefficients to a file, one at a time.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its folder is made.
-
     Attributes
     ----------
     written : CoefficientSet or None
@@ -37,7 +32,10 @@ class Saver:
         Whether somebody else wrote the file since this saver looked at it or wrote it.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self,
+        path: Path,  # The file; its folder is made
+    ) -> None:
         self.path = path
         self.written: CoefficientSet | None = None
         self.set_aside = False

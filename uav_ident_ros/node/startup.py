@@ -52,13 +52,10 @@ REFUSALS = (
 """What a wrong command line, parameter or file raises before the node runs."""
 
 
-def start(argv: Sequence[str]) -> None:
+def start(
+    argv: Sequence[str],  # Program name and arguments
+) -> None:
     """Initialise ROS with the command line; signals stay with the program's `Ending`.
-
-    Parameters
-    ----------
-    argv : sequence of str
-        Program name and arguments.
 
     Raises
     ------
@@ -79,15 +76,11 @@ def start(argv: Sequence[str]) -> None:
     rclpy.logging.set_logger_level("rcl", LoggingSeverity.UNSET)
 
 
-def parameter_sources(argv: Sequence[str], node: str) -> Iterator[str]:
+def parameter_sources(
+    argv: Sequence[str],  # The command line
+    node: str,  # Full name of the node
+) -> Iterator[str]:
     """Yield a line for each parameter file of the command line: which sections are for `node`.
-
-    Parameters
-    ----------
-    argv : sequence of str
-        The command line.
-    node : str
-        Full name of the node.
 
     Raises
     ------
@@ -101,16 +94,11 @@ def parameter_sources(argv: Sequence[str], node: str) -> Iterator[str]:
                 yield f"parameters of '{path}', section {', '.join(sections)}"
 
 
-def explain(error: Exception, argv: Sequence[str]) -> str:
-    """Say in one line what is wrong and what would be right.
-
-    Parameters
-    ----------
-    error : Exception
-        One of `REFUSALS`.
-    argv : sequence of str
-        The command line: it names the parameter files.
-    """
+def explain(
+    error: Exception,  # One of `REFUSALS`
+    argv: Sequence[str],  # The command line: it names the parameter files
+) -> str:
+    """Say in one line what is wrong and what would be right."""
     if isinstance(error, rclpy_implementation.UnknownROSArgsError):
         return f"unknown ROS arguments {error}"
     if isinstance(error, rclpy_implementation.RCLError):

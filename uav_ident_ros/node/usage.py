@@ -31,18 +31,12 @@ def identifier_usage() -> str:
     return "\n".join((HEAD, *map(_entry, declarations())))
 
 
-def node_usage(name: str, text: str, parameters: Mapping[str, Any]) -> str:
-    """Return the text of another node of this package.
-
-    Parameters
-    ----------
-    name : str
-        Of the program.
-    text : str
-        What it does; the docstring of its module.
-    parameters : mapping
-        Names and defaults.
-    """
+def node_usage(
+    name: str,  # Of the program
+    text: str,  # What it does; the docstring of its module
+    parameters: Mapping[str, Any],  # Names and defaults
+) -> str:
+    """Return the text of another node of this package."""
     head = f"usage: {name} {ROS_ARGUMENTS}\n\n{text.strip()}\n\nparameters, with their defaults:"
     return "\n".join((head, *(f"  {key} = {_written(value)}" for key, value in parameters.items())))
 

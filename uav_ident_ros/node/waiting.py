@@ -45,17 +45,6 @@ _AWAITED = {stream.name: stream for stream in STREAMS if stream.setting}
 class Waiting:
     """Looks once a second for what keeps the node from an estimate.
 
-    Parameters
-    ----------
-    node : Node
-        Knows the graph.
-    identifier : OnlineIdentifier
-        Knows the drops, and the newest stamp.
-    monitors : mapping
-        Counts of the subscriptions, by stream.
-    clock : ClockWatch
-        Knows whether /clock moves.
-
     Attributes
     ----------
     imu_moves : bool
@@ -65,10 +54,10 @@ class Waiting:
 
     def __init__(
         self,
-        node: Node,
-        identifier: OnlineIdentifier,
-        monitors: Mapping[str, InputMonitor],
-        clock: ClockWatch,
+        node: Node,  # Knows the graph
+        identifier: OnlineIdentifier,  # Knows the drops, and the newest stamp
+        monitors: Mapping[str, InputMonitor],  # Counts of the subscriptions, by stream
+        clock: ClockWatch,  # Knows whether /clock moves
     ) -> None:
         self._node = node
         self._identifier = identifier
@@ -81,14 +70,11 @@ class Waiting:
         self.imu_moves = False
         self._lost = dict.fromkeys(self._monitors, "")
 
-    def reason(self, ticks: int) -> str:
-        """Return what is missed, and what to do; empty if nothing is.
-
-        Parameters
-        ----------
-        ticks : int
-            Ticks computed since the start.
-        """
+    def reason(
+        self,
+        ticks: int,  # Ticks computed since the start
+    ) -> str:
+        """Return what is missed, and what to do; empty if nothing is."""
         now = time.monotonic()
         if ticks != self._ticks[0]:
             self._ticks = (ticks, now)

@@ -188,13 +188,11 @@ def tells_delays_apart(residual: FloatArray) -> bool:
     return bool(delay_rise(residual)[0].max() > SMALLEST_RISE)
 
 
-def delay_rise(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+def delay_rise(
+    # (J, 3) Residual sums of squares of pdot, qdot, rdot at J delays, positive
+    residual: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
     """Return by how many percent, root mean square, residuals are above the least.
-
-    Parameters
-    ----------
-    residual : (J, 3) array
-        Residual sums of squares of pdot, qdot, rdot at J delays, positive.
 
     Returns
     -------
@@ -208,20 +206,13 @@ def delay_rise(residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     return 100.0 * (root / root.min(axis=0) - 1.0), 100.0 * (mean / mean.min() - 1.0)
 
 
-def delay_chart(delays: FloatArray, residual: FloatArray, in_use: float, text: str) -> Chart:
-    """Return how well every delay of the inputs explains the flight.
-
-    Parameters
-    ----------
-    delays : (J,) array
-        Delays tried, s.
-    residual : (J, 3) array
-        Residual sums of squares of pdot, qdot, rdot with them, positive.
-    in_use : float
-        Delay that the identifier ended with, s.
-    text : str
-        The finding in words.
-    """
+def delay_chart(
+    delays: FloatArray,  # (J,) Delays tried, s
+    residual: FloatArray,  # (J, 3) Residual sums of squares of pdot, qdot, rdot with them, positive
+    in_use: float,  # Delay that the identifier ended with, s
+    text: str,  # The finding in words
+) -> Chart:
+    """Return how well every delay of the inputs explains the flight."""
     rows, together = delay_rise(residual)
     top = max(min(1.05 * float(rows.max()), LARGEST_RISE), SMALLEST_RISE)
     chart = plain_figure(230, "residual above its least [%]", y_range=(0.0, top))

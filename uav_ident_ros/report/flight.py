@@ -25,15 +25,13 @@ AXES = ("p", "q", "r")
 
 
 class Clock:
-    """Seconds since the first rates, over every time base of the flight.
+    """Seconds since the first rates, over every time base of the flight."""
 
-    Parameters
-    ----------
-    spans : dict
-        First and last stamp of each time base, ns, by its number.
-    """
-
-    def __init__(self, spans: dict[int, tuple[int, int]]) -> None:
+    def __init__(
+        self,
+        # First and last stamp of each time base, ns, by its number
+        spans: dict[int, tuple[int, int]],
+    ) -> None:
         self._origin: dict[int, tuple[int, float]] = {}
         self.restarts: list[float] = []
         """Where a new time base begins, s."""

@@ -27,22 +27,13 @@ _NAMES = re.compile(r'(?<=")(?:p\d{4,}|[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{1
 
 
 def write_report(
-    path: Path, bag: Path, run: OfflineRun, summary: Mapping[str, Any], evidence: Evidence
+    path: Path,  # The file; its folder exists
+    bag: Path,  # The bag that was replayed
+    run: OfflineRun,  # The replay, with at least one estimate
+    summary: Mapping[str, Any],  # Content of its summary.json
+    evidence: Evidence,  # What the flight measures of itself
 ) -> None:
     """Write the report of a replay.
-
-    Parameters
-    ----------
-    path : Path
-        The file; its folder exists.
-    bag : Path
-        The bag that was replayed.
-    run : OfflineRun
-        The replay, with at least one estimate.
-    summary : mapping
-        Content of its summary.json.
-    evidence : Evidence
-        What the flight measures of itself.
 
     Raises
     ------

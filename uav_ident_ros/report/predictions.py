@@ -53,16 +53,11 @@ class Predictions:
         return model, hold
 
 
-def predict(flight: Flight, horizon: float) -> Predictions:
-    """Run the model of every tick for `horizon` s.
-
-    Parameters
-    ----------
-    flight : Flight
-        The flight.
-    horizon : float
-        How far ahead, s.
-    """
+def predict(
+    flight: Flight,  # The flight
+    horizon: float,  # How far ahead, s
+) -> Predictions:
+    """Run the model of every tick for `horizon` s."""
     horizon_ns = round(horizon / NS)
     parts = [_of_stretch(flight, part, horizon_ns) for part in flight.stretches]
     t, predicted, measured, before = (np.concatenate(column) for column in zip(*parts, strict=True))

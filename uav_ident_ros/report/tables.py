@@ -99,18 +99,12 @@ def coefficients_table(summary: Mapping[str, Any], truth: Truth) -> Table:
     return Table("Coefficients, SI units, body axes FRD", head, rows)
 
 
-def fit_tables(summary: Mapping[str, Any], tick: Predictions, end: float) -> Iterator[Table]:
-    """Yield the fits of the summary, for each selection of windows.
-
-    Parameters
-    ----------
-    summary : mapping
-        Content of summary.json.
-    tick : Predictions
-        Predictions over one tick, shown beside the last part of the flight.
-    end : float
-        End of the flight, s.
-    """
+def fit_tables(
+    summary: Mapping[str, Any],  # Content of summary.json
+    tick: Predictions,  # Predictions over one tick, shown beside the last part of the flight
+    end: float,  # End of the flight, s
+) -> Iterator[Table]:
+    """Yield the fits of the summary, for each selection of windows."""
     captions = {"last_40_percent": "Last 40 % of the flight", "after_30_s": "After 30 s"}
     for windows, fit in summary["prediction_fit"].items():
         rows = [

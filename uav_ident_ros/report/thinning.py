@@ -14,20 +14,12 @@ LONGEST_GAP = 0.5
 
 
 def thin(
-    t: FloatArray, columns: Mapping[str, FloatArray], bins: int, gap: float = LONGEST_GAP
+    t: FloatArray,  # (k,) Times, s, rising
+    columns: Mapping[str, FloatArray],  # Names and values, (k,) each
+    bins: int,  # Bins over the whole time; no more than twice as many samples stay as they are
+    gap: float = LONGEST_GAP,  # Time without samples from which the lines are broken, s
 ) -> dict[str, FloatArray]:
     """Keep the smallest and the largest value of every column in every bin of time.
-
-    Parameters
-    ----------
-    t : (k,) array
-        Times, s, rising.
-    columns : mapping
-        Names and values, (k,) each.
-    bins : int
-        Bins over the whole time; no more than twice as many samples stay as they are.
-    gap : float
-        Time without samples from which the lines are broken, s.
 
     Returns
     -------

@@ -92,17 +92,13 @@ def plain_figure(height: int, unit: str = "", **options: Any) -> Any:
 
 
 class Timeline:
-    """Makes charts that share their time axis.
+    """Makes charts that share their time axis."""
 
-    Parameters
-    ----------
-    span : (float, float)
-        First and last time, s.
-    restarts : sequence of float
-        Where a new time base begins, s.
-    """
-
-    def __init__(self, span: tuple[float, float], restarts: Sequence[float]) -> None:
+    def __init__(
+        self,
+        span: tuple[float, float],  # First and last time, s
+        restarts: Sequence[float],  # Where a new time base begins, s
+    ) -> None:
         self.span = span
         self._restarts = restarts
         self._range = Range1d(*span, bounds=span)
