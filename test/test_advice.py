@@ -67,7 +67,7 @@ def good() -> Evidence:
         input_spread=np.full(4, 0.1),
         imu_rate=200.0,
         actuator_rate=50.0,
-        delay=DelayEstimate(0.03, 0.003, 0.5, 0.5, "sure"),
+        delay=DelayEstimate(0.03, 0.003, 0.03, 0.003, 10.0),
         delay_in_use=0.03,
         streams={"rates": Refusals(10_000, {})},
     )
@@ -135,7 +135,7 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     ),
     "delay not sure": (
         "wrong_delay",
-        {"delay": replace(SURE, confidence="low"), "delay_in_use": 0.2},
+        {"delay": replace(SURE, rise=1.0), "delay_in_use": 0.2},
         {"delay": SURE, "delay_in_use": 0.2},
         "170 ms too long",
     ),

@@ -38,7 +38,7 @@ def blocks(
     for k in range(0, len(u) - cells + 1, cells):
         edges = slice(k, k + cells + 1)
         own = slice(k, k + cells)
-        yield Block(t_ns[edges], h, x[edges], u[own], None, force[edges], k == 0)
+        yield Block(t_ns[edges], h, x[edges], u[own], force[edges], k == 0)
 
 
 def observed(

@@ -118,7 +118,7 @@ def block_of(u: FloatArray, h: float, *, restarted: bool = True) -> tuple[Block,
     m = len(u)
     t_ns = np.rint(np.arange(m + 1) * h * 1e9).astype(np.int64)
     x = np.tile(START[:3], (m + 1, 1))
-    block = Block(t_ns, h, x, u, None, np.zeros((m + 1, 3)), restarted)
+    block = Block(t_ns, h, x, u, np.zeros((m + 1, 3)), restarted)
     whole = np.tile(with_down(START), (m + 1, 1))
     return block, FlowSignals(whole[:, 3:5], whole[:, 5:], SPEED)
 

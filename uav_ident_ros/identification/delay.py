@@ -1,376 +1,465 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transport delay of the inputs, estimated from the flight itself.
+"""How late the inputs act, from the flight itself: the delay whose model predicts best.
 
-A bank of delays: for each, the equation ``y = A f`` is solved by least squares with the inputs
-that much later, and the one with the smallest residual is right. A delayed input through a
-filter is the filtered input, delayed: one filter and a memory serve the whole bank, and the
-part of the information that does not depend on the delay is shared.
+A bank of light models, one for each delay and servo lag, learns from the same flight by least
+squares and predicts it freely, a second at a time and out of sample. The residual of least squares
+finds the delay of whoever answers the aircraft, an autopilot; prediction finds the aircraft's, and
+where nobody moves the inputs on purpose all delays predict alike. Delay and lag do so, too: the
+delay that goes with the lag in use is told well, the split only in calm air.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from uav_ident_ros.identification.regression import StateVariableFilter
+from uav_ident_ros.identification.model import GRAVITY, FlowSignals
+from uav_ident_ros.identification.prior import LIFT_SLOPE, SIDE_FORCE_SLOPE
+from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.sampling import Block
-from uav_ident_ros.identification.structure import (
-    INPUT_COLUMNS,
-    RATE_COLUMNS,
-    STRUCTURES,
-    FloatArray,
-)
+from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
 
-LARGEST_DELAY = 0.3
-"""Longest delay of the bank, s."""
+STEP = 0.025
+"""Step of the bank and of its models, s: the cost is smooth over three of them."""
 
-STEP = 0.01
-"""Step of the bank, s; the minimum is interpolated between steps."""
+EARLY = 2
+"""Steps by which the bank goes below no delay at all, so that none is a minimum, too."""
 
-CUTOFF = 25.0
-"""Cut-off of the bank's filter, rad/s: above the estimator's, since it is the fast part of the
-response that tells a delay from a slower aircraft."""
+LAGS = (0.0, 0.06, 0.12)
+"""Servo lags of the bank, beyond the one in use, s."""
 
-SETTLING = 8.0
-"""Time in which the filter forgets its start, in units of 1 / cut-off."""
+LAG_MEMORY = 20
+"""Steps after which a lag has forgotten: four of the longest."""
 
-SAMPLE_TIME = 0.01
-"""Filtered signals are taken this often, s: at the cut-off above, more adds nothing."""
+WINDOW, WINDOWS = 40, 5
+"""Steps of a prediction, 1 s, and predictions of a block."""
 
-CHUNK_TIME = 1.0
-"""The bank is evaluated this often, s. Scores of chunks count as independent."""
+SAMPLE = 4
+"""Steps over which the equation of motion is integrated, 0.1 s, for a sample of the regression."""
 
-MEMORY_TIME = 120.0
-"""Time constant of forgetting, s: a delay does not change, but a flight condition does."""
+LEARNING_BLOCKS = 2
+"""Blocks that are learned from before predictions count."""
 
-WIDEST_CELL = 0.1
-"""Width of the cells from which a bank has too few delays to find a minimum among them, s."""
+MEMORY = 120.0
+"""Time constant of forgetting of the models, s."""
 
-SHORTEST_RECORD = 10.0
-"""Learning time before which no delay is believed, s."""
+BLOCKS = 60
+"""Blocks that are judged, the newest: five minutes."""
 
-NEIGHBOURHOOD = 0.06
-"""Distance at which a wrong delay must show in the residual, s."""
+FEWEST_BLOCKS = 4
+"""Blocks from which their spread tells anything."""
 
-SURE_SIGMA = 0.008
-"""Standard deviation below which the delay counts as known, s."""
+RIDGE = 0.01
+"""Residual variance times its correlation time that weighs the prior of the models, rad^2/s^3."""
 
-SURE_DROP = 0.1
-"""Relative drop of the residual variance, against both delays `NEIGHBOURHOOD` away, from
-which the delay counts as known."""
+ALIKE = 0.035
+"""Relative difference of the squared error at which two lags predict alike: a point of the fit.
+Least squares in gusts turns some of a lag into slower damping."""
 
-RATE_LAGS = (0.05, 0.1, 0.2)
-"""Delays of the rates that stand for what an autopilot's answers are made of, s."""
+APART = 3
+"""Steps at which a wrong delay must predict worse."""
 
-SURE_NOVELTY = 0.1
-"""Relative drop of the residual variance, when the inputs join the rates and their past, from
-which the inputs are more than an autopilot's answers to gusts. Such answers tell of the autopilot:
-they reach 0.05 where nothing excites, excitation 0.2 and more."""
+SURE_RISE = 4.0
+"""By how many of its standard deviations it must; an autopilot's answers alone reach 3.5."""
 
-SYSTEMATIC_ERROR = 0.002
-"""What no formula sees: gyro noise in the regressors makes the delay come out a little low (1 to
-4 ms on flights of known delay), s. Gusts do the same, and more: 4 ms at 0.3 rad/s^2, 10 ms in
-moderate turbulence, half of 60 ms where gusts of 1 rad/s^2 move the aircraft as much as its
-surfaces do. Least squares takes a gust's decay for the aircraft's."""
+SURE_SIGMA = 0.012
+"""Standard deviation up to which a delay counts as known, s: off by more it costs the fit."""
+
+SYSTEMATIC_ERROR = 0.005
+"""What blocks do not tell, s: noise in the regressors, inputs held between samples."""
 
 SMALLEST_MOVE = 0.005
 """The delay in use moves by no less than this, s: the fit is flat about the right one."""
 
-AGREEING_ESTIMATES = 3
-"""So many estimates in a row must ask for another delay before it is used."""
-
-SAME_INTERVAL = 0.01
-"""Relative change of the sample interval up to which a bank keeps what it has learned."""
+CONTRADICTED = 0.05
+"""Error of the delay in use from which no model can be right, s: a control derivative is off by a
+quarter and more."""
 
 KEPT_WEIGHT = 0.02
 """What was learned with another delay counts for so much: it is biased, by tens of percent for
 60 ms, but holds the coefficients until there are new data."""
 
-_RIDGE = 1e-9
-_STRUCTURE = STRUCTURES["augmented"]
-_INPUTS = np.arange(INPUT_COLUMNS.start, INPUT_COLUMNS.stop)
-_RATES = RATE_COLUMNS  # also within the shared columns, which begin alike
-_SHARED = np.setdiff1d(np.arange(_STRUCTURE.size), _INPUTS)
+_RUDDER, _ELEVATOR = INPUTS.index("dr"), INPUTS.index("de")
+_SURFACES = (_RUDDER, _ELEVATOR)
+# Regressors of the moments: p q r, inputs, constant, ay az.
+_INPUTS, _CONSTANT, _FORCES = slice(3, 7), 7, slice(8, 10)
+_PRECISION = RIDGE / np.array([30.0] * 3 + [1000.0] * 4 + [30.0] + [10.0] * 2) ** 2
+_LEAST_SLOPES = 0.1 * np.array([SIDE_FORCE_SLOPE, LIFT_SLOPE])
 
 
 @dataclass(frozen=True)
 class DelayEstimate:
-    """What the flight says about the delay.
+    """What the flight says about the delay."""
 
-    Parameters
-    ----------
-    delay : float
-        Best delay, s.
-    sigma : float
-        Its standard deviation, s; inf while there is none.
-    drop : float
-        By how much the residual variance (the product of the three rows') is below that at
-        the delays `NEIGHBOURHOOD` away, relative, the smaller of the two; 0 if the flight does
-        not tell delays apart.
-    novelty : float
-        By how much the residual variance falls when the inputs are added to the rates and their
-        past, relative; 0 if the inputs are a function of the rates.
-    confidence : str
-        ``none`` (no data), ``low`` or ``sure``.
-    """
+    delay: float = 0.0  # That goes with the lag in use, s
+    sigma: float = math.inf  # Its standard deviation, s
+    total: float = 0.0  # Delay and lag together, whatever the lag, s
+    total_sigma: float = math.inf  # Its standard deviation, s
+    rise: float = 0.0  # Of the prediction error to wrong delays, in its standard deviations
 
-    delay: float
-    sigma: float
-    drop: float
-    novelty: float
-    confidence: str
+    @property
+    def sure(self) -> bool:
+        """Whether the delay is known."""
+        return self.sigma <= SURE_SIGMA and self.rise >= SURE_RISE
+
+    @property
+    def total_sure(self) -> bool:
+        """Whether the sum of delay and lag is known, too."""
+        return self.sure and self.total_sigma <= SURE_SIGMA
+
+    @property
+    def confidence(self) -> str:
+        """The same in a word: ``none`` (no data), ``low`` or ``sure``."""
+        return "sure" if self.sure else "low" if math.isfinite(self.sigma) else "none"
+
+    def off(self, delay: float) -> float:
+        """By how much a delay in use is too short, s; 0 where it is not known to be wrong."""
+        off = self.delay - delay
+        return off if self.sure and abs(off) > max(SMALLEST_MOVE, 2.0 * self.sigma) else 0.0
+
+    def contradiction(self, delay: float) -> str:
+        """Return why no model can be right with a delay in use, s; empty if it can."""
+        off = self.off(delay)
+        if abs(off) < CONTRADICTED:
+            return ""
+        word = "later" if off > 0.0 else "earlier"
+        return (
+            f"the inputs act {1e3 * abs(off):.0f} ms {word} than 'actuators.delay' and "
+            f"'actuators.time_constant' say: a delay of {self.delay:.3f} s predicts best"
+        )
 
 
-NO_ESTIMATE = DelayEstimate(0.0, math.inf, 0.0, 0.0, "none")
+NO_ESTIMATE = DelayEstimate()
+
+
+@dataclass(frozen=True)
+class _Signals:
+    """A block on the bank's grid: W windows of N steps."""
+
+    x: FloatArray  # Rates at the edges of the steps, (W, N + 1, 3)
+    force: FloatArray  # ay and az there, (W, N + 1, 2)
+    down: FloatArray  # y and z of the unit vector that points down, (W, N + 1, 2)
+    airspeed: float
+    u: FloatArray  # Means of the inputs over steps, from the earliest that matters, (M, 4)
 
 
 class DelayBank:
-    """Least squares at every delay of the bank.
+    """Light models, one for each delay and lag, and how well each has predicted.
 
     Parameters
     ----------
-    h : float
-        Width of the cells, s.
-    lever_arm : (3,) array
-        Position of the accelerometer from the centre of gravity, m, FRD.
-
-    Attributes
-    ----------
-    delays : (J,) array
-        The delays, s.
-    residual : (J, 3) array
-        Residual sum of squares of pdot, qdot, rdot at each delay, as of the last evaluation; zero
-        before.
-    estimate : DelayEstimate
-        Outcome of the last evaluation.
+    longest : float
+        Longest delay that is plausible, s.
+    lag : float
+        Servo lag in use, s.
     """
 
-    def __init__(self, h: float, lever_arm: FloatArray) -> None:
-        self._filter = StateVariableFilter(_STRUCTURE, CUTOFF, h, lever_arm)
-        self.h = h
-        stride = max(1, round(STEP / h))
-        self._lags = np.arange(0, round(LARGEST_DELAY / h) + 1, stride)
-        self.delays: FloatArray = self._lags * h
-        self._every = max(1, round(SAMPLE_TIME / h))
-        self._chunk = max(1, round(CHUNK_TIME / h))
-        self._rate_lags = np.array([round(lag / h) for lag in RATE_LAGS])
-        count, common = len(self._lags), len(_SHARED) + 3 + 3 * len(RATE_LAGS)
-        # Columns: the shared regressors, the accelerations, the rates' past.
-        self._common: FloatArray = np.zeros((common, common))
-        self._cross: FloatArray = np.zeros((count, common, 4))
-        self._own: FloatArray = np.zeros((count, 4, 4))
-        self._weight = 0.0
-        self._score = self._score_squared = self._scores = 0.0
-        self._signals: list[FloatArray] = []
-        self._length = 0
-        self.residual: FloatArray = np.zeros((count, 3))
+    def __init__(self, longest: float, lag: float = 0.0) -> None:
+        self._lag = lag
+        self._back = round(longest / STEP)
+        self.delays: FloatArray = STEP * np.arange(-EARLY, self._back + 1)
+        count = len(self.delays)
+        self._models = [_Models(count) for _ in LAGS]
+        steps = WINDOW * np.arange(WINDOWS)[:, None] + np.arange(-1, WINDOW + 1)
+        first = self._back + 1 + EARLY - np.arange(count)
+        self._pick = first[:, None, None] + steps  # (J, W, N + 2): one more step on both sides
+        self._errors: deque[FloatArray] = deque(maxlen=BLOCKS)
+        self._block: Iterator[FloatArray | None] | None = None
+        self._found: list[FloatArray | None] = []
         self.estimate = NO_ESTIMATE
+        self._delay_ns = 0
         self.restart()
 
     def restart(self) -> None:
         """Begin a new stretch of signals; what was learned stays."""
-        self._signals.clear()
-        self._length = 0
-        self._history: FloatArray = np.zeros((int(self._lags[-1]), 18))
-        # The filters' start-up differs between the delays until it has died away.
-        self._settling = len(self._history) + round(SETTLING / CUTOFF / self.h)
+        self._parts: list[tuple[TimeArray, FloatArray, FloatArray]] = []
+        self._first: int | None = None
 
-    def add(self, block: Block) -> bool:
-        """Take the signals of a block; say whether the bank was evaluated.
+    @property
+    def errors(self) -> FloatArray:
+        """Squared prediction errors of p, q, r at each delay, with the lag in use, (J, 3)."""
+        shape = (len(LAGS), len(self.delays), 3)
+        return np.asarray(sum(self._errors, np.zeros(shape))[0])
+
+    def add(self, block: Block, flow: FlowSignals | None, delay: float) -> bool:
+        """Take a block; say whether there is a new estimate.
 
         Parameters
         ----------
         block : Block
-            Signals, with the inputs not delayed.
+            Signals.
+        flow : FlowSignals or None
+            Attitude and airspeed; without them the forces are left out.
+        delay : float
+            Delay that the block's inputs have, s.
         """
-        assert block.u_undelayed is not None
-        if block.restarted:
+        delay_ns = round(delay / NS)
+        edges = block.t_ns
+        if self._parts and (self._parts[-1][0][-1] != edges[0] or delay_ns != self._delay_ns):
             self.restart()
-        data = self._filter.apply(replace(block, u=block.u_undelayed), block.x)
-        self._signals.append(np.hstack([data.f[:, _SHARED], data.y, data.f[:, _INPUTS]]))
-        self._length += len(data.y)
-        if self._length < self._chunk:
+        self._delay_ns, self._airspeed = delay_ns, 1.0 if flow is None else flow.airspeed
+        others = np.zeros((len(edges), 4))
+        if flow is not None:
+            others = np.hstack((block.force, flow.down[:, 1:]))
+        start = round(self.delays[-1] / NS) + round((LAG_MEMORY + 1) * STEP / NS) - delay_ns
+        if self._first is None:
+            self._first = int(edges[0]) + max(start, 0)
+        self._parts.append((edges, np.hstack((block.x, others)), block.u))
+        renewed = self._work()
+        length = round((WINDOW * WINDOWS + EARLY + 1) * STEP / NS)
+        while edges[-1] - max(delay_ns, 0) >= self._first + length:
+            while self._block is not None:
+                renewed = self._work() or renewed
+            self._block = self._judge_models(self._signals(self._first))
+            self._first += WINDOW * WINDOWS * round(STEP / NS)
+            keep = self._first - max(start, 0)
+            self._parts = [part for part in self._parts if part[0][-1] >= keep]
+        return renewed
+
+    def _signals(self, first: int) -> _Signals:
+        """Resample what was gathered from `first`, ns, on."""
+        edges = np.concatenate([self._parts[0][0][:1], *(part[0][1:] for part in self._parts)])
+        values = np.concatenate([self._parts[0][1][:1], *(part[1][1:] for part in self._parts)])
+        u = np.concatenate([part[2] for part in self._parts])
+        t = (edges - first) * NS
+        grid = STEP * np.arange(WINDOW * WINDOWS + 1)
+        signals = _interpolate(grid, t, values)
+        added = np.vstack((np.zeros(len(INPUTS)), np.cumsum(u * np.diff(t)[:, None], axis=0)))
+        before = self._back + LAG_MEMORY + 1
+        grid = STEP * np.arange(-before, WINDOW * WINDOWS + EARLY + 2)
+        means = np.diff(_interpolate(grid, t - self._delay_ns * NS, added), axis=0) / STEP
+        places = WINDOW * np.arange(WINDOWS)[:, None] + np.arange(WINDOW + 1)
+        x, force, down = np.split(signals[places], [3, 5], axis=2)
+        return _Signals(x, force, down, self._airspeed, means)
+
+    def _work(self) -> bool:
+        """Do one part of what is to be done for a block; say whether it was the last."""
+        if self._block is None:
             return False
-        self._absorb(np.concatenate(self._signals))
-        self._signals.clear()
-        self._length = 0
+        try:
+            self._found.append(next(self._block))
+            return False
+        except StopIteration:
+            self._block = None
+        found, self._found = [e for e in self._found if e is not None], []
+        if len(found) < len(LAGS):
+            return False
+        self._errors.append(np.stack(found))
+        if len(self._errors) >= FEWEST_BLOCKS:
+            self.estimate = judge(np.stack(self._errors), self.delays, self._lag)
         return True
 
-    def _absorb(self, signals: FloatArray) -> None:
-        before = len(self._history)
-        signals = np.concatenate([self._history, signals])
-        self._history = signals[-before:]
-        new = len(signals) - before
-        first = min(self._settling, new)
-        self._settling -= first
-        ends = np.arange(before + first, len(signals), self._every)
-        if not len(ends):
-            return
-        past = [signals[ends - lag, _RATES] for lag in self._rate_lags]
-        common = np.hstack([signals[ends, :-4], *past])
-        delayed = signals[ends - self._lags[:, None], -4:]
-        keep = math.exp(-new * self.h / MEMORY_TIME)
-        self._common = keep * self._common + common.T @ common
-        self._cross = keep * self._cross + common.T @ delayed
-        self._own = keep * self._own + delayed.transpose(0, 2, 1) @ delayed
-        self._weight = keep * self._weight + len(ends)
-        self._evaluate(common, delayed, keep)
-
-    def _solve(self) -> tuple[FloatArray, FloatArray]:
-        """Coefficients (J, 3, n) and residual sums of squares (J, 3) of all J delays."""
-        shared, count = len(_SHARED), len(self._lags)
-        coefficients = np.zeros((count, 3, shared + 4))
-        residual = np.empty((count, 3))
-        for i, mask in enumerate(_STRUCTURE.mask):
-            rows = np.flatnonzero(mask[_SHARED])
-            own = np.flatnonzero(mask[_INPUTS])
-            k = len(rows)
-            matrix = np.empty((count, k + len(own), k + len(own)))
-            matrix[:, :k, :k] = self._common[np.ix_(rows, rows)]
-            matrix[:, :k, k:] = self._cross[:, rows[:, None], own]
-            matrix[:, k:, :k] = matrix[:, :k, k:].transpose(0, 2, 1)
-            matrix[:, k:, k:] = self._own[:, own[:, None], own]
-            vector = np.empty((count, k + len(own)))
-            vector[:, :k] = self._common[rows, shared + i]
-            vector[:, k:] = self._cross[:, shared + i, own]
-            diagonal = np.einsum("ijj->ij", matrix)
-            diagonal += _RIDGE * diagonal
-            diagonal[diagonal == 0.0] = 1.0
-            a = np.linalg.solve(matrix, vector[:, :, None])[:, :, 0]
-            coefficients[:, i, np.concatenate([rows, shared + own])] = a
-            total = self._common[shared + i, shared + i]
-            residual[:, i] = np.maximum(total - (a * vector).sum(axis=1), _RIDGE * total)
-        return coefficients, residual
-
-    def _evaluate(self, common: FloatArray, delayed: FloatArray, keep: float) -> None:
-        """Find the best delay and say how sure it is."""
-        coefficients, residual = self._solve()
-        if not residual.all():
-            return  # a rate that has never moved
-        self.residual = residual
-        # Negative log-likelihood with the noise of each row unknown.
-        cost = 0.5 * self._weight * np.log(residual).sum(axis=1)
-        best = int(np.argmin(cost))
-        middle = min(max(best, 1), len(cost) - 2)
-        around = slice(middle - 1, middle + 2)
-        step = float(self.delays[1])
-        # About the minimum it is the residual, not its logarithm, that is a parabola.
-        low, here, high = (0.5 * self._weight * residual[around] / residual[best]).sum(axis=1)
-        curvature = float(low - 2.0 * here + high) / step**2
-        self._add_score(common, delayed, coefficients, residual[best], middle, keep)
-        if curvature <= 0.0:
-            self.estimate = DelayEstimate(float(self.delays[best]), math.inf, 0.0, 0.0, "low")
-            return
-        delay = float(self.delays[middle]) - 0.5 * float(high - low) / step / curvature
-        delay = min(max(delay, 0.0), float(self.delays[-1]))
-        spread = self._score_squared - self._score**2 / max(self._scores, 1.0)
-        sigma = math.hypot(math.sqrt(max(spread, 0.0)) / curvature, SYSTEMATIC_ERROR)
-        drop, novelty = self._drop(cost, best), self._novelty(best)
-        time = self._weight * self._every * self.h
-        sure = time >= SHORTEST_RECORD and sigma <= SURE_SIGMA
-        sure = sure and drop >= SURE_DROP and novelty >= SURE_NOVELTY
-        self.estimate = DelayEstimate(delay, sigma, drop, novelty, "sure" if sure else "low")
-
-    def _add_score(
-        self,
-        common: FloatArray,
-        delayed: FloatArray,
-        coefficients: FloatArray,
-        residual: FloatArray,
-        middle: int,
-        keep: float,
-    ) -> None:
-        """Add the chunk's slope of the cost about the delay in the `middle`."""
-        shared = len(_SHARED)
-        squares = []
-        for j in (middle - 1, middle + 1):
-            a = coefficients[j]
-            e = common[:, shared : shared + 3] - common[:, :shared] @ a[:, :shared].T
-            e -= delayed[j] @ a[:, shared:].T
-            squares.append((e**2).sum(axis=0))
-        slope = (squares[1] - squares[0]) / (2.0 * self.delays[1])
-        score = float((0.5 * self._weight * slope / residual).sum())
-        self._score = keep * self._score + score
-        self._score_squared = keep**2 * self._score_squared + score**2
-        self._scores = keep * self._scores + 1.0
-
-    def _drop(self, cost: FloatArray, best: int) -> float:
-        away = round(NEIGHBOURHOOD / float(self.delays[1]))
-        sides = [cost[j] for j in (best - away, best + away) if 0 <= j < len(cost)]
-        # The longest delay of the bank stands for all longer ones: it is no minimum.
-        rise = min(sides) - cost[best] if best < len(cost) - 1 else 0.0
-        return float(-math.expm1(-2.0 * rise / self._weight))
-
-    def _novelty(self, best: int) -> float:
-        """Share of the residual that the inputs explain and the rates' past does not."""
-        shared = len(_SHARED)
-        past = np.arange(shared + 3, len(self._common))
-        moments = np.block(
-            [[self._common, self._cross[best]], [self._cross[best].T, self._own[best]]]
-        )
-        left = 1.0
-        for i, mask in enumerate(_STRUCTURE.mask):
-            without = np.concatenate([np.flatnonzero(mask[_SHARED]), past])
-            inputs = len(self._common) + np.flatnonzero(mask[_INPUTS])
-            y = shared + i
-            with_inputs = _residual(moments, np.concatenate([without, inputs]), y)
-            left *= with_inputs / _residual(moments, without, y)
-        return float(1.0 - left)
+    def _judge_models(self, signals: _Signals) -> Iterator[FloatArray | None]:
+        """Yield the prediction errors of the models with each lag, (J, 3), and teach them."""
+        for lag, models in zip(LAGS, self._models, strict=True):
+            u = _lagged(signals.u, lag)[self._pick]
+            yield models.score(signals, u)
+            models.learn(signals, u)
+            yield None
 
 
-def _residual(moments: FloatArray, columns: NDArray[np.intp], y: int) -> float:
-    """Residual sum of squares of regressing column `y` on `columns`, from the moments."""
-    matrix, vector = moments[np.ix_(columns, columns)], moments[columns, y]
-    diagonal = np.einsum("ii->i", matrix)
-    diagonal += _RIDGE * diagonal
-    diagonal[diagonal == 0.0] = 1.0
-    total = float(moments[y, y])
-    return max(total - float(vector @ np.linalg.solve(matrix, vector)), _RIDGE * total)
+class _Models:
+    """Linear models of p q r and of what the flow adds to ay az, one for each of J delays."""
+
+    def __init__(self, count: int) -> None:
+        size = len(_PRECISION)
+        self._moments: FloatArray = np.zeros((count, size, size + 3))
+        self._forces: FloatArray = np.zeros((2, count, 3, 4))
+        self._blocks = 0
+
+    def score(self, signals: _Signals, u: FloatArray) -> FloatArray | None:
+        """Predict a block with what was learned before.
+
+        Parameters
+        ----------
+        signals : _Signals
+            The block.
+        u : (J, W, N + 2, 4) array
+            Inputs with each delay.
+
+        Returns
+        -------
+        (J, 3) array or None
+            Squared errors of p, q, r; None in the first blocks.
+        """
+        if self._blocks < LEARNING_BLOCKS:
+            return None
+        predicted = self._predict(signals, u)
+        errors = ((predicted - signals.x[:, 1:]) ** 2).sum(axis=2)
+        spread = (signals.x - signals.x.mean(axis=(0, 1))) ** 2
+        worst = np.maximum(spread.sum(axis=1), spread.sum(axis=(0, 1)) / WINDOWS)
+        # One that diverged has failed, no more.
+        return np.asarray(np.fmin(errors, worst).sum(axis=1))
+
+    def learn(self, signals: _Signals, u: FloatArray) -> None:
+        """Add a block to what the models are solved from; parameters as in `score`."""
+        self._blocks += 1
+        keep = math.exp(-WINDOW * WINDOWS * STEP / MEMORY)
+        x, force, v = signals.x, signals.force, signals.airspeed
+        turning = _means((force + GRAVITY * signals.down) / v + x[..., 2:0:-1] * (-1.0, 1.0))
+        count = len(u)
+        own = np.concatenate((_means(x), np.ones((*x.shape[:1], WINDOW // SAMPLE, 1)),
+                              _means(force)), axis=2)  # fmt: skip
+        steps = u[:, :, 1:-1].reshape(count, WINDOWS, WINDOW // SAMPLE, SAMPLE, -1)
+        f = np.empty((count, *own.shape[:2], len(_PRECISION)))
+        f[..., :3], f[..., _CONSTANT:] = own[..., :3], own[..., 3:]
+        f[..., _INPUTS] = np.add.reduce(steps, axis=3) / SAMPLE
+        self._moments = keep * self._moments + _products(f, _slopes(x))
+        edges = 0.5 * (u[:, :, 1:] + u[:, :, :-1])
+        for k, surface in enumerate(_SURFACES):
+            f = np.ones((count, *own.shape[:2], 3))
+            f[..., 0] = turning[..., k]
+            f[..., 1] = _slopes(edges[..., surface, None])[..., 0]
+            self._forces[k] = keep * self._forces[k] + _products(f, _slopes(force)[..., k, None])
+
+    def _predict(self, signals: _Signals, u: FloatArray) -> FloatArray:
+        """Rates after each step of each window, (J, W, N, 3), from the measured state."""
+        v = signals.airspeed
+        a = _solve(self._moments, _PRECISION)  # (J, 10, 3)
+        forces = _solve(self._forces, np.full(3, RIDGE))[..., 0]  # (2, J, 3)
+        slopes = np.minimum(forces[..., 0], _LEAST_SLOPES[:, None])
+        matrix, drive = np.zeros((len(u), 5, 5)), np.zeros((len(u), 4, 5))
+        matrix[:, :3, :3], matrix[:, 3:, :3] = a[:, :3], a[:, _FORCES]
+        matrix[:, 2, 3], matrix[:, 1, 4] = -slopes[0], slopes[1]
+        drive[..., :3] = a[:, _INPUTS]
+        start = np.empty((*u.shape[:2], 5))
+        start[..., :3] = signals.x[:, 0]
+        constant = np.empty((len(u), 5))
+        constant[:, :3], constant[:, 3:] = a[:, _CONSTANT], forces[..., 2].T
+        for k, surface in enumerate(_SURFACES):
+            own = forces[k, :, 1]
+            matrix[:, 3 + k, 3 + k] = slopes[k] / v
+            drive[:, surface, :3] += own[:, None] * a[:, _FORCES.start + k]
+            drive[:, surface, 3 + k] = own * slopes[k] / v
+            begun = signals.force[:, :SAMPLE, k].mean(axis=1)
+            start[..., 3 + k] = begun - own[:, None] * u[:, :, :2, surface].mean(axis=2)
+        flat = u[:, :, 1:-1].reshape(len(u), -1, u.shape[-1])
+        driven = (flat @ drive + constant[:, None]).reshape(*u.shape[:2], WINDOW, 5)
+        down = 0.5 * (signals.down[:, 1:] + signals.down[:, :-1]) * GRAVITY / v
+        driven[..., 3:] += slopes.T[:, None, None] * down
+        # The trapezoidal rule is stable whatever was learned of a stable aircraft.
+        half = 0.5 * STEP * matrix
+        after = np.linalg.inv(np.eye(5) - half)
+        on, driven = (np.eye(5) + half) @ after, STEP * driven @ after[:, None]
+        states = np.empty_like(driven)
+        for k in range(WINDOW):
+            start = start @ on + driven[:, :, k]
+            states[:, :, k] = start
+        return states[..., :3]
 
 
-class DelayTracker:
-    """The delay in use, moved when the bank is sure of another.
+def judge(errors: FloatArray, delays: FloatArray, lag: float = 0.0) -> DelayEstimate:
+    """Return the delay at which the models predicted best, and how sure that is.
+
+    Sigma is that of the jackknife over blocks, and half the difference of the flight's halves.
 
     Parameters
     ----------
-    delay : float
-        Delay to start with, s.
-    lever_arm : (3,) array
-        Position of the accelerometer from the centre of gravity, m, FRD.
-
-    Attributes
-    ----------
-    delay : float
-        Delay in use, s.
+    errors : (B, L, J, 3) array
+        Squared prediction errors of p, q, r in each block with each lag and delay.
+    delays : (J,) array
+        The delays, s.
+    lag : float
+        Servo lag in use, s, beyond which the bank's lags are.
     """
+    count, total = len(errors), errors.sum(axis=0)
+    halves = (errors[: count // 2].sum(axis=0), errors[count // 2 :].sum(axis=0))
+    sets = np.stack((total, *halves, *(total - errors)))
+    cost = np.log(sets).mean(axis=3)
+    _, least, inside = _vertices(cost, delays)
+    # It is the squared error, not its logarithm, that is a parabola.
+    best, _, _ = _vertices((sets / sets.min(axis=2, keepdims=True)).mean(axis=3), delays)
+    weight = np.where(inside, np.exp((least[:, :1] - least) / ALIKE), 0.0)
+    weight[:, 0] = np.where(inside.any(axis=1), weight[:, 0], 1.0)
+    weight /= weight.sum(axis=1, keepdims=True)
+    sums = best + LAGS
+    mean = (weight * sums).sum(axis=1)
+    between = float((weight[0] * (sums[0] - mean[0]) ** 2).sum())
+    found = np.stack((best[:, 0], mean), axis=1)
+    # The two, by the jackknife and by the halves.
+    variance = (count - 1) * found[3:].var(axis=0) + 0.25 * (found[1] - found[2]) ** 2
+    variance += SYSTEMATIC_ERROR**2
+    middle = int(np.argmin(cost[0, 0]))
+    sides = np.clip([middle - APART, middle + APART], 0, len(delays) - 1)
+    rises = cost[:, 0, sides] - cost[:, 0, [middle]]
+    spread = np.sqrt((count - 1) * rises[3:].var(axis=0)) + np.finfo(float).tiny
+    return DelayEstimate(
+        delay=max(float(found[0, 0]), 0.0),
+        sigma=math.sqrt(variance[0]),
+        total=max(float(mean[0]), 0.0) + lag,
+        total_sigma=math.sqrt(variance[1] + between),
+        rise=float((rises[0] / spread).min()) if inside[0, 0] else 0.0,
+    )
 
-    def __init__(self, delay: float, lever_arm: FloatArray) -> None:
-        self.delay = delay
-        self._arm = lever_arm
-        self._bank: DelayBank | None = None
-        self._agreeing = 0
 
-    @property
-    def estimate(self) -> DelayEstimate:
-        """What the flight says."""
-        return NO_ESTIMATE if self._bank is None else self._bank.estimate
+def _vertices(cost: FloatArray, delays: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Where parabolas through the least costs and their neighbours are least, and how much.
 
-    def add(self, block: Block) -> bool:
-        """Learn from a block; say whether the delay in use has moved."""
-        if block.h > WIDEST_CELL:
-            return False
-        if self._bank is None or abs(block.h / self._bank.h - 1.0) > SAME_INTERVAL:
-            self._bank = DelayBank(block.h, self._arm)
-        if not self._bank.add(block):
-            return False
-        found = self._bank.estimate
-        apart = abs(found.delay - self.delay) > max(SMALLEST_MOVE, 2.0 * found.sigma)
-        self._agreeing = self._agreeing + 1 if apart and found.confidence == "sure" else 0
-        if self._agreeing < AGREEING_ESTIMATES:
-            return False
-        self._agreeing = 0
-        self.delay = found.delay
-        return True
+    Parameters
+    ----------
+    cost : (..., J) array
+        Costs.
+    delays : (J,) array
+        Where they are, evenly spaced.
+
+    Returns
+    -------
+    tuple of (...) arrays
+        Delay, cost, and whether that is a minimum inside the range.
+    """
+    least = cost.argmin(axis=-1)
+    inside = (least > 0) & (least < len(delays) - 1)
+    middle = np.clip(least, 1, len(delays) - 2)
+    low, here, high = (
+        np.take_along_axis(cost, middle[..., None] + k, axis=-1)[..., 0] for k in (-1, 0, 1)
+    )
+    curvature = low - 2.0 * here + high
+    slope = 0.5 * (low - high)
+    off = np.divide(slope, curvature, out=np.zeros_like(slope), where=inside & (curvature > 0.0))
+    return delays[middle] + STEP * off, here - 0.5 * slope * off, inside
+
+
+def _interpolate(grid: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
+    """Columns of values at `t` on a grid."""
+    return np.stack([np.interp(grid, t, column) for column in values.T], axis=1)
+
+
+def _lagged(u: FloatArray, lag: float) -> FloatArray:
+    """Means over steps of inputs after a first-order lag; without its first `LAG_MEMORY` steps."""
+    if lag == 0.0:
+        return u[LAG_MEMORY:]
+    keep = math.exp(-STEP / lag)
+    mean = (1.0 - keep) * lag / STEP
+    weights = [1.0 - mean, *((1.0 - keep) * mean * keep ** np.arange(LAG_MEMORY))]
+    weights[-1] += 1.0 - sum(weights)
+    return np.stack([np.convolve(column, weights, "valid") for column in u.T], axis=1)
+
+
+def _means(edges: FloatArray) -> FloatArray:
+    """Means over the samples of values at the edges of steps, (W, N + 1, c)."""
+    middle = 0.5 * (edges[:, 1:] + edges[:, :-1])
+    shape = (len(edges), WINDOW // SAMPLE, SAMPLE, edges.shape[-1])
+    return np.asarray(middle.reshape(shape).mean(axis=2))
+
+
+def _slopes(edges: FloatArray) -> FloatArray:
+    """Rates of change over the samples of values at the edges of steps, (..., N + 1, c)."""
+    return np.asarray(np.diff(edges[..., ::SAMPLE, :], axis=-2) / (SAMPLE * STEP))
+
+
+def _products(f: FloatArray, y: FloatArray) -> FloatArray:
+    """Add up f f^T and f y^T side by side, (J, k, k + m), times the samples' time."""
+    left = f.reshape(len(f), -1, f.shape[-1])
+    right = np.broadcast_to(y, (*f.shape[:-1], y.shape[-1])).reshape(*left.shape[:2], -1)
+    both = np.concatenate((left, right), axis=2)
+    return np.asarray(SAMPLE * STEP * left.transpose(0, 2, 1) @ both)
+
+
+def _solve(sums: FloatArray, precision: FloatArray) -> FloatArray:
+    """Least squares of the sums of `_products`, with a prior about zero, (..., k, m)."""
+    k = len(precision)
+    return np.linalg.solve(sums[..., :k] + np.diag(precision), sums[..., k:])

@@ -15,7 +15,12 @@ from functools import partial
 
 import numpy as np
 
-from uav_ident_ros.identification.delay import KEPT_WEIGHT, NO_ESTIMATE, DelayTracker
+from uav_ident_ros.identification.delay import (
+    KEPT_WEIGHT,
+    NO_ESTIMATE,
+    DelayBank,
+    DelayEstimate,
+)
 from uav_ident_ros.identification.drops import (
     LARGEST_AIRSPEED,
     LARGEST_CHANNEL,
@@ -50,7 +55,7 @@ from uav_ident_ros.identification.settings import (
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
 from uav_ident_ros.identification.structure import INPUTS, ROWS, STRUCTURES, BoolArray, FloatArray
-from uav_ident_ros.identification.supervision import Change, State, Supervisor
+from uav_ident_ros.identification.supervision import Change, State, Supervisor, Verdict
 
 RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
 EXCITATION = "excitation"
@@ -166,10 +171,9 @@ class OnlineIdentifier:
         self._start = start
         self._estimator: Estimator = make_estimator(self.settings, self._start)
         self._speed = SpeedScaling(self.settings.airspeed, self.structure)
-        self._delay: DelayTracker | None = None
         self._sampler.delay = delay
-        if self.settings.actuators.estimate_delay:
-            self._delay = DelayTracker(self._sampler.delay, self._arm)
+        actuators = self.settings.actuators
+        self._delay = DelayBank(actuators.longest_delay, actuators.time_constant)
         self._model = IdentifiedModel(self.structure, self._arm)
         self._response = IdentifiedModel(self.structure, self._arm)
         self._since_injected = ANSWER_TIME
@@ -269,20 +273,35 @@ class OnlineIdentifier:
         return self._sampler.delay
 
     @property
+    def delay_estimate(self) -> DelayEstimate:
+        """What the flight says about the delay, whether it is used or not."""
+        return self._delay.estimate
+
+    @property
     def delay_sigma(self) -> float:
-        """Standard deviation of the estimated delay, s; inf where none is estimated."""
-        return (NO_ESTIMATE if self._delay is None else self._delay.estimate).sigma
+        """Standard deviation of the delay in use, s; inf where it is as set."""
+        return self.delay_estimate.sigma if self.settings.actuators.estimate_delay else np.inf
 
     @property
     def delay_confidence(self) -> str:
-        """Whether the flight shows the delay: ``none``, ``low`` or ``sure``."""
-        return (NO_ESTIMATE if self._delay is None else self._delay.estimate).confidence
+        """Whether the flight shows the delay: ``none`` (as set), ``low`` or ``sure``."""
+        estimated = self.settings.actuators.estimate_delay
+        return self.delay_estimate.confidence if estimated else NO_ESTIMATE.confidence
 
-    def _use_delay(self, delay: float) -> None:
-        """Pair rates and inputs anew; what was learned with another delay is biased."""
-        self._sampler.delay = delay
-        self._estimator.forget(KEPT_WEIGHT)
-        self._learned_time = 0.0
+    @property
+    def delay_curve(self) -> tuple[FloatArray, FloatArray]:
+        """Delays tried, (J,), s, and the squared prediction errors of p, q, r with them, (J, 3)."""
+        return self._delay.delays, self._delay.errors
+
+    def _heed_delay(self) -> None:
+        """Pair rates and inputs anew where the flight shows another delay.
+
+        What was learned with another delay is biased.
+        """
+        if self.settings.actuators.estimate_delay and self.delay_estimate.off(self.delay):
+            self._sampler.delay = self.delay_estimate.delay
+            self._estimator.forget(KEPT_WEIGHT)
+            self._learned_time = 0.0
 
     # -- what the flight has shown ---------------------------------------------------------
 
@@ -685,7 +704,7 @@ class OnlineIdentifier:
 
     def _filtered_tick(self) -> bool:
         """Learn from the blocks that this tick completes; return whether there were any."""
-        fed = moved = False
+        fed = renewed = False
         for block in self._sampler.blocks():
             self._look_for_accelerometer(block)
             coefficients = self._coefficients()
@@ -696,10 +715,11 @@ class OnlineIdentifier:
             else:
                 self.running_fit.add(block, flow, coefficients, saved)
             self._learn(block, flow, coefficients)
-            moved = (self._delay is not None and self._delay.add(block)) or moved
+            if not self._supervisor.closed:
+                renewed = self._delay.add(block, flow, self.delay) or renewed
             fed = True
-        if moved and self._delay is not None:
-            self._use_delay(self._delay.delay)
+        if renewed:
+            self._heed_delay()
         return fed
 
     def _look_for_accelerometer(self, block: Block) -> None:
@@ -812,6 +832,9 @@ class OnlineIdentifier:
         coefficients = self._coefficients()
         sigma = self._estimator.sigma * self._speed.scale
         verdict = self._supervisor.judge(t_ns * NS, coefficients, sigma, self.running_fit)
+        contradiction = self.delay_estimate.contradiction(self.delay)
+        if contradiction:
+            verdict = Verdict((contradiction, contradiction, contradiction))
         if self.settings.supervision.plausibility:
             self._plausibility.judge(coefficients, sigma)
         state, reason = self._waiting(fed) or self._supervisor.state(verdict)

@@ -52,8 +52,6 @@ class Block:
     h: float  # Cell width, s
     x: FloatArray  # (m + 1, 3) Rates p, q, r at the edges, rad/s
     u: FloatArray  # (m, 4) Means of de, dr, da, dth over the cells, delayed and lagged
-    # (m, 4) The same without the delay, for estimating it; None if it is not estimated
-    u_undelayed: FloatArray | None
     # (m + 1, 3) Specific forces ax, ay, az at the edges, m/s^2; ay, az less their centripetal part
     specific_force: FloatArray
     restarted: bool  # Whether the first edge does not continue the block before
@@ -72,14 +70,13 @@ class Block:
 
 
 def join(blocks: Sequence[Block]) -> Block:
-    """Make one block, without delayed inputs, of blocks that continue one another."""
+    """Make one block of blocks that continue one another."""
     first, rest = blocks[0], blocks[1:]
     return Block(
         np.concatenate([first.t_ns, *(block.t_ns[1:] for block in rest)]),
         first.h,
         np.concatenate([first.x, *(block.x[1:] for block in rest)]),
         np.concatenate([block.u for block in blocks]),
-        None,
         np.concatenate([first.specific_force, *(block.specific_force[1:] for block in rest)]),
         first.restarted,
         _join_excitation(blocks),
@@ -126,7 +123,6 @@ class Sampler:
         self.injected.clear()
         self.h_ns: int | None = None
         self._lag: ServoLag | None = None
-        self._undelayed_lag: ServoLag | None = None
         self._injected_lag: ServoLag | None = None
         self._stale_ns = self._timeout_ns
         self._calls = 0
@@ -187,7 +183,6 @@ class Sampler:
             interval = int(np.median(np.diff(self.rates.t)))
             self.h_ns = max(interval, FASTEST_CELL_NS)
             self._lag = ServoLag(self._actuators.time_constant, self.h_ns * NS)
-            self._undelayed_lag = ServoLag(self._actuators.time_constant, self.h_ns * NS)
             self._injected_lag = ServoLag(self._actuators.time_constant, self.h_ns * NS)
         if not len(self.raw_inputs.t):
             self.waiting_for = "actuators"
@@ -267,8 +262,7 @@ class Sampler:
         """
         if not self._linear:
             return last_ns
-        delay_ns = 0 if self._actuators.estimate_delay else self._delay_ns
-        newest = int(self.raw_inputs.t[-1]) + delay_ns
+        newest = int(self.raw_inputs.t[-1]) + self._delay_ns
         return min(last_ns, newest) if last_ns - newest <= self._stale_ns else last_ns
 
     def _inputs_known(self, edges: TimeArray, delay_ns: int) -> BoolArray:
@@ -290,11 +284,8 @@ class Sampler:
         if self._arm.any():
             force[:, 1:] -= centripetal(x, self._arm)
         u = self._input_means(edges - self._delay_ns, self._lag, restarted)
-        undelayed = None
-        if self._actuators.estimate_delay:
-            undelayed = self._input_means(edges, self._undelayed_lag, restarted)
         injected = self._injected_means(edges - self._delay_ns, restarted)
-        return Block(edges, self.h_ns * NS, x, u, undelayed, force, restarted, injected)
+        return Block(edges, self.h_ns * NS, x, u, force, restarted, injected)
 
     def _input_means(self, edges: TimeArray, lag: ServoLag | None, restarted: bool) -> FloatArray:
         """Cell means of the inputs after the servo lag, shape (m, 4)."""

@@ -318,8 +318,11 @@ class ActuatorSettings:
         "Transport delay from the channel's stamp to the surface. An unmodelled 50 ms costs more "
         "than any choice of estimator. Set it if it is known from a bench test or from replay.")
     estimate_delay: bool = _setting(False, text=
-        "Estimate the delay in flight, starting from 'actuators.delay'. Switch it on if the delay "
-        "is not known.")
+        "Use the delay with which the model predicts best, once the flight has shown it, starting "
+        "from 'actuators.delay'. Switch it on if the delay is not known.")
+    longest_delay: float = _setting(0.3, "s", (0.1, MAX_DELAY), restarts=True, text=
+        "Longest delay, beyond 'actuators.time_constant', that is looked for in flight. Raise it "
+        "for inputs that come over a slow link.")
     time_constant: float = _setting(0.0, "s", (0.0, 2.0), restarts=True, text=
         "First-order lag of the servos; 0 for none. Set it where the channels are commands, not "
         "positions.")

@@ -112,8 +112,8 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
 
 def wrong_delay(e: Evidence) -> Iterator[str]:
     """Say that the flight shows another delay than the one in use."""
-    off = e.delay.delay - e.delay_in_use
-    if e.delay.confidence != "sure" or abs(off) <= DELAY_OFF:
+    off = e.delay.off(e.delay_in_use)
+    if abs(off) <= DELAY_OFF:
         return
     if off > 0.0:
         found = f"the command seems to lead by {1e3 * off:.0f} ms"

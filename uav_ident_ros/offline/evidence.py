@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayBank, DelayEstimate
+from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayEstimate
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.regression import StateVariableFilter
@@ -29,8 +29,8 @@ from uav_ident_ros.offline.run import OfflineRun, Refusals, Stretch
 FULL = STRUCTURES["augmented"]
 FIT_WINDOWS = "last_40_percent"
 
-DELAY_BLOCK_TIME = 10.0
-"""The delays are compared this often, s: once a second, as in flight, takes ten times as long."""
+PIECE_TIME = 10.0
+"""Length of the pieces in which a flight is filtered once more, s."""
 
 ROW_FORCES: Mapping[str, str] = {"pdot": "ay", "qdot": "az", "rdot": "ay"}
 """The specific force that stands for the flow angle of each row."""
@@ -63,9 +63,9 @@ class Evidence:
     imu_rate: float
     actuator_rate: float
     delay: DelayEstimate = NO_ESTIMATE  # What the flight says about the delay
-    # Delays tried, (J,), s, and the rows' residual sums of squares with each, (J, 3); or empty
+    # Delays tried, (J,), s, and the squared prediction errors of p, q, r with each, (J, 3)
     delays: FloatArray = field(default_factory=lambda: np.zeros(0))
-    delay_residual: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    delay_errors: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     delay_in_use: float = 0.0  # Delay that the identifier ended with, s
     # For rows without their specific force: the share of what the row leaves unexplained that it
     # would explain
@@ -93,7 +93,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Measure a replay that has at least one estimate."""
     part = max(run.stretches(), key=lambda stretch: len(stretch.ticks))
     result = run.result()
-    bank, shares = _from_blocks(run, part)
+    delays, delay_errors = run.identifier.delay_curve
     return Evidence(
         settings=run.inputs.settings,
         structure=run.structure,
@@ -106,11 +106,11 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         input_spread=part.inputs.u.std(axis=0) if len(part.inputs.u) else np.zeros(len(INPUTS)),
         imu_rate=_rate(part.t_ns),
         actuator_rate=_rate(part.inputs.t_ns),
-        delay=NO_ESTIMATE if bank is None else bank.estimate,
-        delays=np.zeros(0) if bank is None else bank.delays,
-        delay_residual=np.zeros((0, 3)) if bank is None else bank.residual,
+        delay=run.identifier.delay_estimate,
+        delays=delays,
+        delay_errors=delay_errors,
         delay_in_use=run.identifier.delay,
-        force_share=shares,
+        force_share=_force_share(run, part),
         collinear=tuple(run.identifier.collinear()),
         correlations=run.identifier.correlations(),
         lost=lost_to(run.estimates),
@@ -152,25 +152,20 @@ def _rate(t_ns: TimeArray) -> float:
     return 1.0 / (float(np.median(np.diff(t_ns))) * NS) if len(t_ns) > 1 else 0.0
 
 
-def _from_blocks(run: OfflineRun, part: Stretch) -> tuple[DelayBank | None, dict[str, float]]:
-    """Compare the delays, and find what the forces that are no regressors would explain."""
+def _force_share(run: OfflineRun, part: Stretch) -> dict[str, float]:
+    """Find what the forces that are no regressors would explain."""
     settings = run.inputs.settings
-    arm = np.array(settings.imu.lever_arm)
-    bank: DelayBank | None = None
-    moments = _Moments(settings.filter.cutoff, arm) if run.structure.size < FULL.size else None
-    for block in _pieces(run.blocks(part), DELAY_BLOCK_TIME):
-        if bank is None:
-            bank = DelayBank(block.h, arm)
-        bank.add(block)
-        if moments is not None:
-            moments.add(block)
-    return bank, {} if moments is None else moments.force_share(run.structure)
+    if run.structure.size >= FULL.size:
+        return {}
+    moments = _Moments(settings.filter.cutoff, np.array(settings.imu.lever_arm))
+    for block in _pieces(run.blocks(part), PIECE_TIME):
+        moments.add(block)
+    return moments.force_share(run.structure)
 
 
 def _pieces(blocks: Iterator[Block], seconds: float) -> Iterator[Block]:
     """Cut blocks into pieces of some length."""
     for block in blocks:
-        assert block.u_undelayed is not None
         cells = max(1, round(seconds / block.h))
         for k in range(0, len(block.u), cells):
             inner, edges = slice(k, k + cells), slice(k, k + cells + 1)
@@ -179,7 +174,6 @@ def _pieces(blocks: Iterator[Block], seconds: float) -> Iterator[Block]:
                 t_ns=block.t_ns[edges],
                 x=block.x[edges],
                 u=block.u[inner],
-                u_undelayed=block.u_undelayed[inner],
                 specific_force=block.specific_force[edges],
                 restarted=block.restarted and k == 0,
             )

@@ -185,11 +185,10 @@ class OfflineRun:
     def blocks(self, part: Stretch) -> Iterator[Block]:
         """Yield the signals of a stretch on a uniform grid, a block for each part without gaps.
 
-        They are conditioned as in flight, with the trim and the delay of the stretch; the inputs
-        without the delay are there too.
+        They are conditioned as in flight, with the trim and the delay of the stretch.
         """
         settings = self.inputs.settings
-        actuators = replace(settings.actuators, estimate_delay=True, learn_trim_time=0.0)
+        actuators = replace(settings.actuators, learn_trim_time=0.0)
         sampler = Sampler(replace(settings, actuators=actuators))
         sampler.delay = part.inputs.delay
         sampler.input_map = self.identifier.input_map

@@ -181,41 +181,40 @@ def _span(values: FloatArray) -> tuple[float, float]:
     return low - room, high + room
 
 
-def tells_delays_apart(residual: FloatArray) -> bool:
-    """Whether there is a curve to draw; `residual` as in `delay_rise`, or empty."""
-    if not len(residual) or not (residual > 0.0).all():
+def tells_delays_apart(errors: FloatArray) -> bool:
+    """Whether there is a curve to draw; `errors` as in `delay_rise`, or empty."""
+    if not len(errors) or not (errors > 0.0).all():
         return False
-    return bool(delay_rise(residual)[0].max() > SMALLEST_RISE)
+    return bool(delay_rise(errors)[0].max() > SMALLEST_RISE)
 
 
 def delay_rise(
-    # (J, 3) Residual sums of squares of pdot, qdot, rdot at J delays, positive
-    residual: FloatArray,
+    errors: FloatArray,  # (J, 3) Squared prediction errors of p, q, r at J delays, positive
 ) -> tuple[FloatArray, FloatArray]:
-    """Return by how many percent, root mean square, residuals are above the least.
+    """Return by how many percent, root mean square, prediction errors are above the least.
 
     Returns
     -------
     rows : (J, 3) array
-        Of each row.
+        Of each axis.
     together : (J,) array
-        Of all rows, by their geometric mean: what the estimate of the delay goes by.
+        Of all axes, by their geometric mean: what the estimate of the delay goes by.
     """
-    root = np.sqrt(residual)
+    root = np.sqrt(errors)
     mean = np.exp(np.log(root).mean(axis=1))
     return 100.0 * (root / root.min(axis=0) - 1.0), 100.0 * (mean / mean.min() - 1.0)
 
 
 def delay_chart(
     delays: FloatArray,  # (J,) Delays tried, s
-    residual: FloatArray,  # (J, 3) Residual sums of squares of pdot, qdot, rdot with them, positive
+    errors: FloatArray,  # (J, 3) Squared prediction errors of p, q, r with them, positive
     in_use: float,  # Delay that the identifier ended with, s
     text: str,  # The finding in words
 ) -> Chart:
-    """Return how well every delay of the inputs explains the flight."""
-    rows, together = delay_rise(residual)
+    """Return how well models with every delay of the inputs predict."""
+    rows, together = delay_rise(errors)
     top = max(min(1.05 * float(rows.max()), LARGEST_RISE), SMALLEST_RISE)
-    chart = plain_figure(230, "residual above its least [%]", y_range=(0.0, top))
+    chart = plain_figure(230, "prediction error above its least [%]", y_range=(0.0, top))
     chart.xaxis.axis_label = "delay [ms]"
     lines = {**dict(zip(AXES, rows.T, strict=True)), "all": together}
     _lines(chart, 1e3 * delays, lines, "delay [ms]")
@@ -224,9 +223,9 @@ def delay_chart(
     )
     return Chart(
         "delay-curve",
-        "Residual over delay",
+        "Prediction error over delay",
         chart,
         text,
-        "How much worse the equations of motion are met when the inputs are taken that much later. "
+        "How much worse models predict the next second when the inputs are taken that much later. "
         "A sharp valley is a known delay, a flat one is not. The orange line is the delay in use.",
     )

@@ -148,12 +148,12 @@ _MODES_TEXT = (
 
 
 def _delay_section(evidence: Evidence) -> Section:
-    found, residual, in_use = evidence.delay, evidence.delay_residual, evidence.delay_in_use
-    if not diagrams.tells_delays_apart(residual):
+    found, errors, in_use = evidence.delay, evidence.delay_errors, evidence.delay_in_use
+    if not diagrams.tells_delays_apart(errors):
         return Section("delay", "Delay", ["Too little to tell delays apart."])
     text = (
-        f"Least residual at {1e3 * found.delay:.0f} ms, sigma {1e3 * found.sigma:.0f} ms, "
+        f"Best prediction at {1e3 * found.delay:.0f} ms, sigma {1e3 * found.sigma:.0f} ms, "
         f"confidence {found.confidence}; in use at the end: {1e3 * in_use:.0f} ms."
     )
-    chart = diagrams.delay_chart(evidence.delays, residual, in_use, text)
+    chart = diagrams.delay_chart(evidence.delays, errors, in_use, text)
     return Section("delay", "Delay", [text], charts=[chart])

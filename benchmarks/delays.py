@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Delay and servo lag found from the flight: ``python benchmarks/delays.py [--seeds N] [--sweep]``.
+
+Simulated flights of three aircraft, in the open and the closed loop, in gusts from none to strong,
+with every delay and lag, told neither; and flights on which nobody excites. Printed for each: the
+sum that was found, its sigma, and the largest error in sigmas of any estimate of the flight that
+was sure. With ``--sweep`` recorded flights: the free fits over 1 s with fixed delays, and with the
+delay estimated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # ten-by-ten matrices; before NumPy loads
+
+import cases
+import numpy as np
+import verdict_flights
+
+from uav_ident_ros.identification.delay import DelayBank, DelayEstimate
+from uav_ident_ros.identification.flow import FlowObserver
+from uav_ident_ros.identification.model import FlowSignals
+from uav_ident_ros.identification.prior import first_values
+from uav_ident_ros.identification.sampling import Block, Sampler
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.simulation import light_aircraft
+from uav_ident_ros.simulation.disturbance import ColouredNoise
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, fly
+from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT, vehicle
+
+DURATION = 90.0
+NOISY = Sensors(gyro_noise=0.02, accelerometer_noise=0.1, stamped=True)
+PEAKS = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
+LATE = ((0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.15, 0.0), (0.0, 0.06), (0.08, 0.06), (0.02, 0.12),
+        (0.15, 0.12))  # fmt: skip
+"""Delays and lags, s."""
+
+PIECE = 100
+"""Cells that the bank sees at a time: half a second or a second."""
+
+SWEEP = (0.0, 0.04, 0.08, 0.1, 0.12, 0.16)
+"""Fixed delays of the sweep over recorded flights, s."""
+
+
+class Result(NamedTuple):
+    """What came of one flight."""
+
+    name: str
+    excited: bool
+    true: float  # Delay and lag, s
+    estimate: DelayEstimate
+    worst: float  # Largest error of a sure estimate in its sigmas, any time
+
+
+def plant(
+    seed: int, delay: float, lag: float, gusts: float, closed: bool, excited: bool = True
+) -> Measurements:
+    """Fly the aircraft of the paper's structure."""
+    segments = (Segment("multisine", amplitudes=PEAKS, seed=seed),) if excited else ()
+    autopilot = Autopilot(**SMALL_UAV_AUTOPILOT) if closed else Autopilot()
+    flight = PlantFlight(
+        vehicle("small_uav"), segments=segments, duration=DURATION, rate=200.0, max_step=2.5e-3,
+        delay=delay, time_constant=lag, gusts=ColouredNoise(gusts, 0.3), autopilot=autopilot,
+        seed=seed,
+    )  # fmt: skip
+    return measure(fly(flight), NOISY, seed)
+
+
+def light(seed: int, delay: float, lag: float, gusts: float, **more: Any) -> Measurements:
+    """Fly the light aircraft on its autopilot, which turns."""
+    peaks = more.pop("peaks", verdict_flights.PEAKS)
+    segments = [Segment("multisine", 2.0, DURATION, peaks, seed=seed)] if peaks else []
+    flight = light_aircraft.LightFlight(
+        segments, DURATION, bank=20.0, gust=gusts, delay=delay, time_constant=lag, seed=seed, **more
+    )
+    return measure(light_aircraft.fly(flight), verdict_flights.SENSORS, seed)
+
+
+def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
+    """Yield name, whether it is excited and what flies it."""
+    for delay, lag in LATE:
+        name = f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms"
+        for gusts in (0.0, 0.5, 1.0):
+            yield (f"light, {name}, wind {gusts:g} m/s", True,
+                   partial(light, seed, delay, lag, gusts))  # fmt: skip
+        for gusts in (0.3, 1.0):
+            closed = gusts > 0.5 or lag > 0.0
+            yield (f"plant, {name}, gusts {gusts:g} rad/s^2", True,
+                   partial(plant, seed, delay, lag, gusts, closed))  # fmt: skip
+    for turbulence in (0, 3, 5):
+        for delay in (0.0, 0.06, 0.15):
+            yield (f"c172p, {1e3 * delay:.0f} ms, turbulence {turbulence}", True,
+                   partial(verdict_flights._fly, "c172p", seed, excitation=((2.0, 1e3),),
+                           duration=DURATION, wind=turbulence, delay=delay, bank=20.0))  # fmt: skip
+    for gusts in (0.3, 1.0):
+        yield (f"plant, feedback, gusts {gusts:g}", False,
+               partial(plant, seed, 0.06, 0.0, gusts, True, False))  # fmt: skip
+        yield (f"light, feedback, wind {gusts:g}", False,
+               partial(light, seed, 0.05, 0.0, gusts, peaks={}))  # fmt: skip
+        yield (f"light, stiff feedback, wind {gusts:g}", False,
+               partial(light, seed, 0.05, 0.0, gusts, peaks={}, roll_gust=0.5, roll_gain=0.8,
+                       yaw_damper=0.3))  # fmt: skip
+
+
+def judged(trial: tuple[str, bool, Any]) -> Result:
+    """Fly one, and let the bank see it as the identifier's sampler cuts it."""
+    name, excited, fly_it = trial
+    m: Measurements = fly_it()
+    true = m.flight.delay + m.flight.time_constant
+    structure = STRUCTURES["flight_dynamics"]
+    speed = 20.0 if m.flight.airspeed is None else float(np.mean(m.flight.airspeed))
+    untold = {"actuators.delay": 0.0, "actuators.time_constant": 0.0, "airspeed.reference": speed}
+    case = cases.measured(m, name, None)
+    sampler = Sampler(case.settings(untold))
+    sampler.rates.t, sampler.rates.v = case.imu_t_ns, np.hstack([case.rates, case.force])
+    sampler.raw_inputs.t, sampler.raw_inputs.v = case.actuator_t_ns, case.actuators
+    bank, observer = DelayBank(0.3), FlowObserver(structure, 15.0, speed)
+    worst = 0.0
+    for block in sampler.blocks():
+        flow = observer.follow(block, first_values(structure), None)
+        for k in range(0, len(block.u), PIECE):
+            if bank.add(*cut(block, flow, k, name), 0.0) and bank.estimate.total_sure:
+                off = abs(bank.estimate.total - true) / bank.estimate.total_sigma
+                worst = max(worst, off)
+    return Result(name, excited, true, bank.estimate, worst)
+
+
+def cut(block: Block, flow: FlowSignals, k: int, name: str) -> tuple[Block, FlowSignals | None]:
+    """Cut a piece of `PIECE` cells; the plant of the paper's structure has no flow."""
+    cells, edges = slice(k, k + PIECE), slice(k, k + PIECE + 1)
+    piece = replace(
+        block, t_ns=block.t_ns[edges], x=block.x[edges], u=block.u[cells],
+        specific_force=block.specific_force[edges], restarted=block.restarted and k == 0,
+    )  # fmt: skip
+    signals = FlowSignals(flow.angles[edges], flow.down[edges], flow.airspeed)
+    return piece, None if name.startswith("plant") else signals
+
+
+def line(r: Result) -> str:
+    """One flight in a line."""
+    e = r.estimate
+    word = "sure" if e.total_sure else "delay" if e.sure else "not known"
+    return (
+        f"{r.name:<36} true {1e3 * r.true:4.0f}  found {1e3 * e.total:4.0f} +- "
+        f"{1e3 * e.total_sigma:3.0f} ms  {word:<10} worst {r.worst:.1f} sigma"
+    )
+
+
+def summary(results: Sequence[Result]) -> Iterator[str]:
+    """Yield the figures of record."""
+    for excited in (True, False):
+        of = [r for r in results if r.excited == excited]
+        sure = [r for r in of if r.estimate.total_sure]
+        off = [1e3 * abs(r.estimate.total - r.true) for r in sure]
+        wrong = sum(r.worst > 3.0 for r in of)
+        beyond = sum(error > 15.0 for error in off)
+        yield (
+            f"{'excited' if excited else 'feedback alone'}: {len(of)} flights, sum known in "
+            f"{len(sure)}, delay with the lag in use in {sum(r.estimate.sure for r in of)}; "
+            f"error rms {np.sqrt(np.mean(np.square(off or [0.0]))):.1f} ms, largest "
+            f"{max(off, default=0.0):.1f}, beyond 15 ms {beyond}; "
+            f"ever sure and wrong by 3 sigma: {wrong}"
+        )
+
+
+def sweep(name: str) -> str:
+    """Free 1-s fits of a recorded flight with fixed delays, and with the delay estimated."""
+    parts = []
+    for delay in (*SWEEP, None):
+        values: dict[str, Any] = {"actuators.delay": delay or 0.0, "airspeed.reference": 17.0}
+        values["actuators.estimate_delay"] = delay is None
+        case = cases.recorded(name)
+        track = cases.identify(case, {"structure": "flight_dynamics", **values})
+        fit = " / ".join(f"{v:.0f}" for v in cases.score(case, track).free[0])
+        parts.append(
+            f"{1e3 * track.delay[-1]:.0f} ms{'' if delay is not None else ' found'}: {fit}"
+        )
+    return f"{name}: " + ", ".join(parts)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print what was found."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--sweep", action="store_true", help="recorded flights instead")
+    options = parser.parse_args(arguments)
+    with get_context("spawn").Pool(options.workers) as pool:
+        if options.sweep:
+            for text in pool.imap(sweep, filter(cases.is_recorded, cases.RECORDED_DELAY)):
+                print(text, flush=True)
+            return 0
+        results = []
+        todo = [trial for seed in range(1, options.seeds + 1) for trial in trials(seed)]
+        for result in pool.imap(judged, todo):
+            results.append(result)
+            print(line(result), flush=True)
+    print(*summary(results), sep="\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
