@@ -333,6 +333,7 @@ class Campaign:
         from uav_ident_ros.files.parameter_file import load_parameters
         from uav_ident_ros.offline.inputs import choose_inputs
         from uav_ident_ros.offline.run import OfflineRun
+        from uav_ident_ros.offline.ticks import Ticks
 
         self.listen(0.5)
         with Bag(BAG) as bag:
@@ -341,7 +342,9 @@ class Campaign:
             run.run(bag, lambda messages, _: messages)
         assert self._watch.coefficients is not None
         learned = self._watch.coefficients.reshape(run.structure.mask.shape)
-        run.estimates = [replace(e, coefficients=learned) for e in run.estimates]
+        run.estimates = Ticks(
+            run.structure, [replace(e, coefficients=learned) for e in run.estimates]
+        )
         return run.score()["last_40_percent"]
 
     # -- what is done to it ----------------------------------------------------------------

@@ -9,7 +9,8 @@ import pytest
 
 from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.offline.picture import COLOURS, MEASURED, PREDICTED, with_sigma
+from uav_ident_ros.offline.picture import with_sigma
+from uav_ident_ros.report.style import COLORS, REGRESSORS
 
 BAGS = Path(__file__).parents[1] / "bags"
 
@@ -29,7 +30,7 @@ def test_a_value_has_the_figures_of_its_sigma(value: float, sigma: float, text: 
 
 
 def test_no_two_things_share_a_colour() -> None:
-    colours = [MEASURED, PREDICTED, *COLOURS.values()]
+    colours = [COLORS["measured"], COLORS["ahead"], *REGRESSORS.values()]
     assert len(set(colours)) == len(colours)
 
 

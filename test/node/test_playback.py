@@ -29,6 +29,7 @@ from std_msgs.msg import Float64MultiArray
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.offline.ticks import Ticks
 from uav_ident_ros.player import Player, stamp_ns
 
 ON_TIME = 2e-3
@@ -169,9 +170,10 @@ def test_unstamped_actuators_at_real_time_fit_within_a_point(fly: Fly, tmp_path:
     missing = [e.t_ns for e in run.estimates if e.t_ns not in live]
     assert not missing
     shape = run.structure.mask.shape
-    run.estimates = [
-        replace(e, coefficients=np.array(live[e.t_ns]).reshape(shape)) for e in run.estimates
-    ]
+    run.estimates = Ticks(
+        run.structure,
+        [replace(e, coefficients=np.array(live[e.t_ns]).reshape(shape)) for e in run.estimates],
+    )
     assert np.abs(run.score()["last_40_percent"].model - offline).max() < 1.0
 
 

@@ -71,9 +71,9 @@ class Record:
 
     def of_era(self, era: int) -> tuple[TimeArray, FloatArray]:
         """Return stamps (k,), strictly rising, and values (k, width) of one time base."""
-        chosen = np.array(self._era) == era
-        values = np.array(self._values).reshape(-1, self._width)[chosen]
-        t_ns = np.array(self._t, dtype=np.int64)[chosen]
+        chosen = np.frombuffer(self._era, np.int64) == era
+        values = np.frombuffer(self._values).reshape(-1, self._width)[chosen]
+        t_ns = np.frombuffer(self._t, np.int64)[chosen]
         if (t_ns[1:] > t_ns[:-1]).all():
             return t_ns, values
         t_ns, first = np.unique(t_ns, return_index=True)

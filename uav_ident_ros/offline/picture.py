@@ -15,6 +15,7 @@ from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.report.flight import AXES, Flight, collect
 from uav_ident_ros.report.predictions import Predictions, predict
+from uav_ident_ros.report.style import COLORS, REGRESSORS
 
 SIZE = (13.0, 8.0)
 """Inches."""
@@ -32,14 +33,6 @@ HEADROOM = 1.3
 
 BAND = 2.0
 """Half width of the band around a coefficient, standard deviations."""
-
-MEASURED, PREDICTED = "tab:gray", "tab:red"
-
-COLOURS = {
-    "p": "tab:blue", "q": "tab:cyan", "r": "tab:green", "de": "tab:purple", "dr": "tab:brown",
-    "da": "tab:pink", "beta": "tab:olive", "alpha": "tab:orange",
-}  # fmt: skip
-"""Regressors that are drawn, each in one colour throughout."""
 
 
 class PictureError(Exception):
@@ -102,10 +95,10 @@ def _draw_rate(panel: Any, axis: int, ahead: Predictions) -> None:
     """Draw the end of the flight: the measurement wide, the prediction thin on top of it."""
     shown = ahead.t >= ahead.t.max(initial=0.0) - DETAIL
     t, measured = ahead.t[shown], ahead.measured[shown, axis]
-    panel.plot(t, measured, color=MEASURED, alpha=0.55, linewidth=3.5, label="measured")
+    panel.plot(t, measured, color=COLORS["measured"], alpha=0.55, linewidth=3.5, label="measured")
     panel.plot(
         t, ahead.predicted[shown, axis],
-        color=PREDICTED, linewidth=1.0, label=f"predicted {ahead.horizon:g} s before",
+        color=COLORS["ahead"], linewidth=1.0, label=f"predicted {ahead.horizon:g} s before",
     )  # fmt: skip
     # without samples, or at rest, there is no scale
     limit = HEADROOM * max(float(np.abs(measured).max(initial=0.0)), 1e-3)
@@ -117,18 +110,19 @@ def _draw_rate(panel: Any, axis: int, ahead: Predictions) -> None:
 def _draw_coefficients(panel: Any, row: int, flight: Flight, truth: Mapping[str, float]) -> None:
     """Draw the damping and control derivatives of a row, each with its band and its truth."""
     regressors = flight.structure.regressors
-    columns = [j for i, j in flight.structure.free if i == row and regressors[j] in COLOURS]
+    columns = [j for i, j in flight.structure.free if i == row and regressors[j] in REGRESSORS]
     # the first half is where they come from: noise, until they have settled
-    settled = flight.coefficients[len(flight.tick_t) // 2 :, row, columns]
+    histories = {j: flight.coefficient((row, j)) for j in columns}
+    settled = np.array([values[len(values) // 2 :] for values, _ in histories.values()])
     known = [truth[name] for j in columns if (name := f"{ROWS[row]}/{regressors[j]}") in truth]
     reach = np.array([0.0, *settled.ravel(), *known])
     low, high = float(reach.min()), float(reach.max())
     margin = (HEADROOM - 1.0) * max(high - low, 1e-3)
     panel.set_ylim(low - margin, high + margin)
     panel.grid(alpha=0.3)
-    for j in sorted(columns, key=lambda j: -flight.coefficients[-1, row, j]):
-        name, colour = f"{ROWS[row]}/{regressors[j]}", COLOURS[regressors[j]]
-        values, sigma = flight.coefficients[:, row, j], flight.sigma[:, row, j]
+    for j in sorted(columns, key=lambda j: -histories[j][0][-1]):
+        name, colour = f"{ROWS[row]}/{regressors[j]}", REGRESSORS[regressors[j]]
+        values, sigma = histories[j]
         panel.fill_between(
             flight.tick_t, values - BAND * sigma, values + BAND * sigma,
             where=BAND * sigma < high - low + margin, color=colour, alpha=0.25, linewidth=0.0,

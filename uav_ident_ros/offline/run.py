@@ -13,10 +13,11 @@ from itertools import islice
 import numpy as np
 
 from uav_ident_ros.bags.reading import Bag, Message
-from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.prediction import (
+    HORIZONS,
     Flown,
     InputSignal,
     PredictionFit,
@@ -30,11 +31,18 @@ from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.offline.inputs import Inputs, choose_inputs
 from uav_ident_ros.offline.intake import Intake, Refusals
+from uav_ident_ros.offline.ticks import Ticks
 
 __all__ = ["Inputs", "OfflineRun", "Refusals", "Stretch", "choose_inputs"]
 
 BATCH = 2048
 """Messages that are read at a time: enough to make the arrays of a batch worth their while."""
+
+BLOCK = 65_536
+"""Samples of an Imu that are conditioned at a time: some minutes, which take some ten MB."""
+
+PIECE = 4096
+"""Ticks that are predicted at a time: as many as the models that run side by side."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,7 @@ class Stretch:
 
     era: int  # Restarts of the time base before it
     flown: Flown  # What was measured on the time base; its inputs have the delay
-    ticks: list[Estimate]  # The estimates made with that delay
+    ticks: Ticks  # The estimates made with that delay
 
     @property
     def t_ns(self) -> TimeArray:
@@ -66,6 +74,29 @@ class Stretch:
         """Inputs on the time base, with the delay."""
         return self.flown.inputs
 
+    def pieces(self, horizon: float) -> Iterator[tuple[Flown, Ticks]]:
+        """Yield the ticks, some at a time, with what is needed to predict them `horizon` s ahead.
+
+        On a grid of its own each piece takes some MB; that of an hour would take hundreds.
+        """
+        ahead_ns = round(horizon * 1e9)
+        for first in range(0, len(self.ticks), PIECE):
+            ticks = self.ticks[first : first + PIECE]
+            stamps = ticks.stamps()
+            begin = np.searchsorted(self.t_ns, stamps[0], side="right") - 1
+            end = np.searchsorted(self.t_ns, stamps[-1] + ahead_ns) + 1
+            measured = slice(max(int(begin), 0), int(end))
+            force = self.force[measured]
+            yield (
+                replace(
+                    self.flown,
+                    t_ns=self.t_ns[measured],
+                    rates=self.rates[measured],
+                    force=force,
+                ),
+                ticks,
+            )
+
 
 class OfflineRun:
     """One pass of the identifier over the messages of a bag.
@@ -83,7 +114,7 @@ class OfflineRun:
         The pipeline.
     intake : Intake
         What became of the messages.
-    estimates : list of Estimate
+    estimates : Ticks
         One per tick, in order.
     """
 
@@ -91,7 +122,7 @@ class OfflineRun:
         self.inputs = inputs
         self.identifier = OnlineIdentifier(inputs.settings, initial)
         self.intake = Intake(inputs, self.identifier)
-        self.estimates: list[Estimate] = []
+        self.estimates = Ticks(self.identifier.structure)
         self._contexts: list[tuple[int, float]] = []  # time base and delay of each estimate
 
     @property
@@ -141,7 +172,9 @@ class OfflineRun:
             estimate = identifier.update(t_ns)
             if estimate is not None:
                 self.estimates.append(estimate)
-                self._contexts.append((self.intake.era, identifier.delay))
+                context = (self.intake.era, identifier.delay)
+                last = self._contexts[-1] if self._contexts else None
+                self._contexts.append(last if last == context else context)
 
     # -- results ---------------------------------------------------------------------------
 
@@ -166,24 +199,27 @@ class OfflineRun:
 
     def score(self) -> dict[str, PredictionFit]:
         """Return the score of record of the estimates."""
-        parts = list(self._window_errors())
-        first_ns = min(int(t[0]) for t, _ in parts)
-        last_ns = max(int(t[-1]) for t, _ in parts)
-        return score_windows(WindowErrors.join([e for _, e in parts]), first_ns, last_ns)
+        errors, ends = [], []
+        for part in self.stretches():
+            ends += [int(part.t_ns[0]), int(part.t_ns[-1])]
+            for flown, ticks in part.pieces(HORIZONS[-1]):
+                errors.append(window_errors(flown, Published.of(ticks, self.structure)))
+        return score_windows(WindowErrors.join(errors), min(ends), max(ends))
 
     def stretches(self) -> Iterator[Stretch]:
         """Yield what was measured and published on every time base, and with every delay."""
-        for context in sorted(set(self._contexts)):
+        arm = np.array(self.inputs.settings.imu.lever_arm)
+        contexts = sorted(set(self._contexts))
+        measured = {era: self.measured(era) for era in {era for era, _ in contexts}}
+        for context in contexts:
             era, delay = context
-            t_ns, rates, force = self.measured(era)
-            pairs = zip(self.estimates, self._contexts, strict=True)
-            ticks = [estimate for estimate, other in pairs if other == context]
-            arm = np.array(self.inputs.settings.imu.lever_arm)
+            t_ns, rates, force = measured[era]
+            which = [k for k, other in enumerate(self._contexts) if other == context]
             flown = Flown(t_ns, rates, self.input_signal(era, delay), force, arm)
-            yield Stretch(era, flown, ticks)
+            yield Stretch(era, flown, self.estimates.chosen(np.array(which, dtype=np.int64)))
 
     def blocks(self, part: Stretch) -> Iterator[Block]:
-        """Yield the signals of a stretch on a uniform grid, a block for each part without gaps.
+        """Yield the signals of a stretch on a uniform grid, in blocks of `BLOCK` samples at most.
 
         They are conditioned as in flight, with the trim and the delay of the stretch.
         """
@@ -192,12 +228,10 @@ class OfflineRun:
         sampler = Sampler(replace(settings, actuators=actuators))
         sampler.delay = part.inputs.delay
         sampler.input_map = self.identifier.input_map
-        sampler.rates.t, sampler.rates.v = self.intake.rates.of_era(part.era)
         sampler.raw_inputs.t, sampler.raw_inputs.v = self.intake.actuators.of_era(part.era)
-        yield from sampler.blocks()
-
-    def _window_errors(self) -> Iterator[tuple[TimeArray, WindowErrors]]:
-        """Stamps and windows of every stretch of the flight."""
-        for part in self.stretches():
-            published = Published.of(part.ticks, self.structure)
-            yield part.flown.t_ns, window_errors(part.flown, published)
+        t_ns, values = self.intake.rates.of_era(part.era)
+        for first in range(0, len(t_ns), BLOCK):
+            new = slice(first, first + BLOCK)
+            sampler.rates.t = np.concatenate([sampler.rates.t, t_ns[new]])
+            sampler.rates.v = np.concatenate([sampler.rates.v, values[new]])
+            yield from sampler.blocks()

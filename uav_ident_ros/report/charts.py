@@ -144,8 +144,8 @@ def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator
     kept = np.linspace(0, len(flight.tick_t) - 1, COEFFICIENT_POINTS).round().astype(int)
     kept = np.unique(kept)
     structure, t = flight.structure, flight.tick_t[kept]
-    for name, (i, j) in zip(structure.names, structure.free, strict=True):
-        value, sigma = flight.coefficients[kept, i, j], flight.sigma[kept, i, j]
+    for name, index in zip(structure.names, structure.free, strict=True):
+        value, sigma = (history[kept] for history in flight.coefficient(index))
         low, high = value - sigma, value + sigma
         true_t, true = truth.steps(name, flight.span[1])
         chart = line.figure("", 130)

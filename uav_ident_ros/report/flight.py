@@ -9,13 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.prediction import InputSignal
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.messages.published import entry_names, named_entries
-from uav_ident_ros.offline.run import OfflineRun, Stretch
+from uav_ident_ros.offline.run import BLOCK, OfflineRun, Stretch
+from uav_ident_ros.offline.ticks import Ticks
 
 PAUSE_BETWEEN = 1.0
 """Shown between two time bases, s: how far apart they really were is unknown or days."""
@@ -58,7 +58,7 @@ class Flight:
     settings: Settings
     stretches: Sequence[Stretch]  # The flight as the offline run gives it
     clock: Clock  # Time of the stamps, s
-    estimates: Sequence[Estimate]  # One per tick
+    estimates: Ticks  # One per tick
     tick_t: FloatArray  # (K,) Times of the ticks, s
 
     @cached_property
@@ -74,27 +74,21 @@ class Flight:
     @cached_property
     def rates(self) -> FloatArray:
         """Measured p, q, r, shape (N, 3)."""
-        return np.concatenate([part.rates for part in self.time_bases])
+        return _joined([part.rates for part in self.time_bases])
 
     @cached_property
     def force(self) -> FloatArray:
         """Measured ay, az, m/s^2, shape (N, 2)."""
-        return np.concatenate([part.force for part in self.time_bases])
+        return _joined([part.force for part in self.time_bases])
 
     @cached_property
     def u(self) -> FloatArray:
         """Inputs de, dr, da, dth at the gyro samples, delayed and lagged, shape (N, 4)."""
         return np.concatenate([_inputs_at(part.inputs, part.t_ns) for part in self.time_bases])
 
-    @cached_property
-    def coefficients(self) -> FloatArray:
-        """Coefficients of the ticks, shape (K, rows, n)."""
-        return np.array([estimate.coefficients for estimate in self.estimates])
-
-    @cached_property
-    def sigma(self) -> FloatArray:
-        """Their standard deviations, shape (K, rows, n)."""
-        return np.array([estimate.sigma for estimate in self.estimates])
+    def coefficient(self, index: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+        """Return a coefficient and its standard deviation over the ticks, (K,) each."""
+        return self.estimates.history(index)
 
     @cached_property
     def published(self) -> dict[str, FloatArray]:
@@ -124,22 +118,22 @@ class Flight:
         return 0.0, float(max(self.t[-1], self.tick_t[-1]))
 
 
+def _joined(parts: Sequence[FloatArray]) -> FloatArray:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
 def _inputs_at(inputs: InputSignal, t_ns: TimeArray) -> FloatArray:
     if not len(inputs.t_ns):
         return np.zeros((len(t_ns), 4))
-    return inputs.at(t_ns)
+    return np.concatenate([inputs.at(t_ns[k : k + BLOCK]) for k in range(0, len(t_ns), BLOCK)])
 
 
 def collect(name: str, run: OfflineRun) -> Flight:
     """Bring a finished run, with one estimate at least, onto one clock."""
     parts = list(run.stretches())
     clock = Clock({part.era: (int(part.t_ns[0]), int(part.t_ns[-1])) for part in parts})
-    ticks = [(part.era, estimate) for part in parts for estimate in part.ticks]
-    seconds = [
-        clock.seconds(part.era, np.array([e.t_ns for e in part.ticks], dtype=np.int64))
-        for part in parts
-    ]
-    tick_t = np.concatenate(seconds)
+    tick_t = np.concatenate([clock.seconds(part.era, part.ticks.stamps()) for part in parts])
+    places = np.concatenate([part.ticks.places for part in parts])
     # A delay that moves and comes back makes stretches that overlap.
     order = np.argsort(tick_t, kind="stable")
     return Flight(
@@ -148,6 +142,6 @@ def collect(name: str, run: OfflineRun) -> Flight:
         settings=run.inputs.settings,
         stretches=parts,
         clock=clock,
-        estimates=[ticks[i][1] for i in order],
+        estimates=run.estimates.chosen(places[order]),
         tick_t=tick_t[order],
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colours and what they mean, the same in every chart of the page."""
+"""Colours and what they mean, the same in every chart of the page and in the pictures."""
 
 from __future__ import annotations
 
@@ -26,3 +26,9 @@ SERIES = ("tick", "ahead", "truth", "fourth")
 
 DASHES = ("solid", "dashed", "dotdash", "dotted")
 """Their dashes: print may have no colours."""
+
+REGRESSORS = {
+    "p": "#0072b2", "q": "#56b4e9", "r": "#009e73", "de": "#a8588a", "dr": "#8c564b",
+    "da": "#cc79a7", "beta": "#8a8a00", "alpha": "#e69f00",
+}  # fmt: skip
+"""Regressors whose coefficients share a panel, each in one colour throughout."""
