@@ -6,8 +6,7 @@ from __future__ import annotations
 import pytest
 import rclpy
 
-from uav_ident_ros.node.guard import Guard
-from uav_ident_ros.node.notices import OnChange, Throttle, without_sources
+from uav_ident_ros.node.notices import Guard, OnChange, Throttle, without_sources
 
 
 def test_repeated_notice_is_counted_and_said_again_later() -> None:

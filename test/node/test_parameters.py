@@ -135,9 +135,8 @@ def test_qos_override_changes_the_subscription(context: Context, tmp_path: Path)
         encoding="utf-8",
     )
     from uav_ident_ros.identification.identifier import OnlineIdentifier
-    from uav_ident_ros.node.guard import Guard
     from uav_ident_ros.node.inputs import Inputs
-    from uav_ident_ros.node.notices import Throttle
+    from uav_ident_ros.node.notices import Guard, Throttle
 
     node = make_node(context, "--params-file", str(path))
     settings = settings_of(node, ("imu/data", "actuators"))

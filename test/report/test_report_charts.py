@@ -41,8 +41,7 @@ from uav_ident_ros.report.flight import Clock, Flight, collect
 from uav_ident_ros.report.page import _embed
 from uav_ident_ros.report.predictions import Predictions, predict
 from uav_ident_ros.report.style import COLORS, SERIES
-from uav_ident_ros.report.thinning import thin
-from uav_ident_ros.report.timeline import Chart, Timeline, columns
+from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
 
 BAGS = Path(__file__).parents[2] / "bags"
 Array = NDArray[np.float64]

@@ -7,10 +7,12 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 import textwrap
 from collections.abc import Iterator, Mapping
+from typing import Any
+
+import yaml
 
 from uav_ident_ros.identification.settings import Setting, Settings, Value, declarations
 
@@ -61,7 +63,7 @@ def _lines(values: Mapping[str, Value]) -> Iterator[str]:
             subsequent_indent=f"{indent}# ",
             break_on_hyphens=False,
         )
-        yield f"{indent}{leaf}: {_written(values[setting.name])}"
+        yield f"{indent}{leaf}: {written(values[setting.name])}"
 
 
 def _indent(depth: int) -> str:
@@ -75,22 +77,15 @@ def _comment(setting: Setting) -> str:
     return f"{setting.description} ({setting.unit})" if setting.unit else setting.description
 
 
-def _written(value: Value) -> str:
-    """Write a value so that rcl reads the right type."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, tuple):
-        return "[" + ", ".join(_written(entry) for entry in value) + "]"
-    # JSON is YAML but for characters beyond 16 bits: it writes them as two, which YAML forbids.
-    return _SURROGATES.sub(_escape, json.dumps(value))
-
-
-_SURROGATES = re.compile(r"\\u(d[89ab][0-9a-f]{2})\\u(d[c-f][0-9a-f]{2})")
-
-
-def _escape(pair: re.Match[str]) -> str:
-    high, low = (int(half, 16) for half in pair.groups())
-    return f"\\U{0x10000 + ((high - 0xD800) << 10) + (low - 0xDC00):08x}"
+def written(value: Value | list[Any]) -> str:
+    """Write a value so that rcl reads the right type: words in quotes, floats as floats."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(written, value))}]"
+    if isinstance(value, str):
+        return yaml.safe_dump(value, default_style='"', width=10_000).strip()
+    if isinstance(value, float):
+        return repr(value + 0.0)  # no -0.0
+    return json.dumps(value)
 
 
 if __name__ == "__main__":

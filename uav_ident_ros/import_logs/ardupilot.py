@@ -35,9 +35,8 @@ from uav_ident_ros.import_logs.flight_log import (
     ImportLogError,
     Rates,
 )
-from uav_ident_ros.import_logs.knowledge import table
+from uav_ident_ros.import_logs.knowledge import describe_rotation, quaternions, table
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.orientation import describe_rotation, quaternions
 from uav_ident_ros.import_logs.stamps import Stretches, hold, interpolate, intervals
 
 RAW, FILTERED = "GYR", "IMU"

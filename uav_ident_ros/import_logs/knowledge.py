@@ -1,17 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What autopilots' parameters mean: the YAML tables of this folder."""
+"""What autopilots' parameters mean: the YAML tables of this folder, mixers, board rotations.
+
+Signs as everywhere in the project: positive de pitches down, dr yaws left, da rolls right. The
+autopilots count pitch up and yaw right as positive. ``SENS_BOARD_ROT`` and ``AHRS_ORIENTATION`` are
+numbers of one list (MAVLink, MAV_SENSOR_ORIENTATION): roll, pitch, yaw of the board, in order.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import Any
 
+import numpy as np
 import yaml
 
+from uav_ident_ros.identification.frames import rotation
+from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import Effect
-from uav_ident_ros.import_logs.mixing import from_torques, on_a_circle, rotor_effects
+from uav_ident_ros.import_logs.stamps import interpolate
 
 SENSES = {"ccw": 1.0, "cw": -1.0}
 """Yawing moment per thrust, right positive, by the rotor's sense of rotation from above."""
@@ -37,3 +47,94 @@ def effects_of_arms(arms: Sequence[str]) -> list[Effect]:
     angles, senses = zip(*(arm.split() for arm in arms), strict=True)
     moments = [SENSES[sense] for sense in senses]
     return rotor_effects(on_a_circle([float(a) for a in angles]), moments, [1.0] * len(arms))
+
+
+ROTATION_RANGE = 2.0
+"""Sum of the weights' absolute values in de, dr, da of a multirotor: one is then half of the
+motors at full and half at nothing. As in config/px4_quadrotor.yaml."""
+
+
+def from_torques(roll: float, pitch: float, yaw: float, thrust: float = 0.0) -> Effect:
+    """Effect of an actuator with these shares in rolling right, pitching up, yawing right."""
+    return (_positive_zero(-pitch), _positive_zero(-yaw), _positive_zero(roll), thrust)
+
+
+def _positive_zero(value: float) -> float:
+    return value + 0.0
+
+
+def rotor_effects(
+    positions: FloatArray,  # (N, 2) Forward and right of the centre, in any unit
+    # Yawing moment per thrust: positive for a rotor that turns counter-clockwise from above, whose
+    # reaction yaws the vehicle right
+    moment_ratios: Sequence[float],
+    thrusts: Sequence[float],  # Relative thrust at full command
+) -> list[Effect]:
+    """Effects of the upward rotors of a multirotor, each row of the mixing in a fixed range."""
+    thrust = np.asarray(thrusts, dtype=float)
+    forward, right = positions.T
+    rows = np.array([forward, moment_ratios, -right]) * thrust  # pitch up, yaw right, roll right
+    rows[np.abs(rows) < 1e-9 * max(np.abs(rows).max(), 1e-9)] = 0.0
+    size = np.abs(rows).sum(axis=1, keepdims=True)
+    rows = ROTATION_RANGE * np.divide(rows, size, out=np.zeros_like(rows), where=size > 0.0)
+    collective = thrust / thrust.sum()
+    return [
+        from_torques(float(roll), float(pitch), float(yaw), float(share))
+        for pitch, yaw, roll, share in zip(*rows, collective, strict=True)
+    ]
+
+
+def on_a_circle(angles: Sequence[float]) -> FloatArray:
+    """Positions (N, 2), forward and right, of arms at angles clockwise from the nose, deg."""
+    return np.array([[math.cos(math.radians(a)), math.sin(math.radians(a))] for a in angles])
+
+
+def describe_rotation(number: int) -> str:
+    """Say what a number of the list means."""
+    angles = table("rotations").get(number)
+    if angles is None:
+        return f"rotation {number}"
+    named = zip(("roll", "pitch", "yaw"), angles, strict=True)
+    return " ".join(f"{axis} {angle:g} deg" for axis, angle in named if angle) or "none"
+
+
+def board_to_body(
+    number: int,  # Number of the list
+    offsets: tuple[float, float, float],  # Fine roll, pitch, yaw applied after it, deg
+) -> FloatArray | None:
+    """Rotation matrix from the board's axes to the body's, shape (3, 3).
+
+    Returns
+    -------
+    (3, 3) array or None
+        None if the number is not on the list.
+    """
+    listed = table("rotations").get(number)
+    if listed is None:
+        return None
+    coarse, fine = (
+        rotation(*(math.radians(angle) for angle in angles)) for angles in (listed, offsets)
+    )
+    return np.asarray(fine @ coarse)
+
+
+def quaternions(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return the unit quaternions x, y, z, w of Euler angles (rad), shape (n, 4)."""
+    (cr, sr), (cp, sp), (cy, sy) = (
+        (np.cos(angle / 2.0), np.sin(angle / 2.0)) for angle in (roll, pitch, yaw)
+    )
+    return np.column_stack(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
+
+
+def at_times(t_ns: TimeArray, samples_ns: TimeArray, quaternion: FloatArray) -> FloatArray:
+    """Return unit quaternions (k, 4) at other times (n,), joined along the shorter arcs."""
+    flips = np.cumprod(np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
+    joined = interpolate(t_ns, samples_ns, quaternion * np.append(1.0, flips)[:, None])
+    return np.asarray(joined / np.linalg.norm(joined, axis=1, keepdims=True))

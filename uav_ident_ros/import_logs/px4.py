@@ -32,9 +32,8 @@ from uav_ident_ros.import_logs.flight_log import (
     ImportLogError,
     Rates,
 )
-from uav_ident_ros.import_logs.knowledge import table
+from uav_ident_ros.import_logs.knowledge import board_to_body, describe_rotation, table
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.orientation import board_to_body, describe_rotation
 from uav_ident_ros.import_logs.px4_actuators import COMMANDS, hovers, read_actuators
 from uav_ident_ros.import_logs.px4_folder import read_folder
 from uav_ident_ros.import_logs.px4_log import read_ulog, title_of

@@ -26,9 +26,14 @@ from uav_ident_ros.import_logs.flight_log import (
     ImportLogError,
     unique_names,
 )
-from uav_ident_ros.import_logs.knowledge import effect_of, effects_of_arms, table
+from uav_ident_ros.import_logs.knowledge import (
+    effect_of,
+    effects_of_arms,
+    from_torques,
+    rotor_effects,
+    table,
+)
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.mixing import from_torques, rotor_effects
 from uav_ident_ros.import_logs.stamps import Stretches, join
 
 KNOWN = table("px4")

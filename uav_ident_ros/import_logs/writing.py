@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import heapq
-import json
 import shutil
 import textwrap
 from collections.abc import Iterator
@@ -15,11 +14,12 @@ import numpy as np
 
 from uav_ident_ros.bags.writing import BagWriteError, BagWriter, header, message_class, qos
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.files.parameter_template import written
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.import_logs.flight_log import Channel, Findings, FlightLog, printable
-from uav_ident_ros.import_logs.orientation import at_times
+from uav_ident_ros.import_logs.knowledge import at_times
 from uav_ident_ros.import_logs.stamps import coverage
 
 IMU_TOPIC, IMU_TYPE = "/imu/data", "sensor_msgs/msg/Imu"
@@ -298,7 +298,7 @@ def _parameter_text(log: FlightLog, parameters: dict[str, Any]) -> str:
         for sentence in sentences:
             lines += _comment(sentence, "- ", "  ")
     lines += ["/**:", "  ros__parameters:"]
-    lines += [f"    {name}: {_yaml(value)}" for name, value in parameters.items()]
+    lines += [f"    {name}: {written(value)}" for name, value in parameters.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -321,12 +321,3 @@ def _comment(text: str, first: str = "", other: str = "") -> list[str]:
         subsequent_indent=f"# {other}",
         break_on_hyphens=False,
     )
-
-
-def _yaml(value: Any) -> str:
-    """YAML that ROS's own parser reads with the right type: words in quotes, floats as floats."""
-    if isinstance(value, list):
-        return f"[{', '.join(_yaml(entry) for entry in value)}]"
-    if isinstance(value, float):
-        return repr(float(value) + 0.0)  # no -0.0
-    return json.dumps(value)

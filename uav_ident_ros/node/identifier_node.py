@@ -26,10 +26,9 @@ from uav_ident_ros.node import diagnostics
 from uav_ident_ros.node.clock import ClockWatch
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.excite import Excite
-from uav_ident_ros.node.guard import Guard
 from uav_ident_ros.node.inputs import Inputs
 from uav_ident_ros.node.memory import Memory
-from uav_ident_ros.node.notices import OnChange, Throttle
+from uav_ident_ros.node.notices import Guard, OnChange, Throttle
 from uav_ident_ros.node.outputs import RELIABLE, Outputs
 from uav_ident_ros.node.parameters import Changes, declare, settings_of
 from uav_ident_ros.node.program import spin

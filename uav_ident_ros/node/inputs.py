@@ -18,8 +18,7 @@ from uav_ident_ros.messages.imu import IMU_TYPE, decode_imu_cdr
 from uav_ident_ros.messages.streams import STREAMS, Stream
 from uav_ident_ros.messages.types import ChannelError, RatesReader, Reading, import_type
 from uav_ident_ros.node.diagnostics import InputMonitor
-from uav_ident_ros.node.guard import Guard
-from uav_ident_ros.node.notices import Throttle, without_sources
+from uav_ident_ros.node.notices import Guard, Throttle, without_sources
 
 LARGEST_INBOX = 200
 """Messages that may wait to be looked at: where the timer stands still, with /clock."""

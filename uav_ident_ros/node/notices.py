@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node says in its log: often enough to be seen, never a flood."""
+"""What the node says in its log: often enough to be seen, never a flood; unforeseen errors, too."""
 
 from __future__ import annotations
 
+import functools
 import re
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+import rclpy
 
 REPEAT_AFTER = 5.0
 """Seconds until the same notice may be given again."""
@@ -60,3 +65,55 @@ class OnChange:
 def without_sources(message: str) -> str:
     """Return what ROS says in one line, without where in its own sources it arose."""
     return " ".join(re.sub(r", at \S+:\d+", "", message).split())
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class Guard:
+    """Wraps callbacks so that their errors are told instead of ending the node.
+
+    Attributes
+    ----------
+    count : int
+        Errors so far.
+    problem : str
+        The last one, in a sentence; empty if there was none.
+    """
+
+    def __init__(
+        self,
+        errors: Throttle,  # Takes the errors, with where they arose
+    ) -> None:
+        self._errors = errors
+        self.count = 0
+        self.problem = ""
+
+    def __call__(
+        self,
+        callback: Callable[P, R],  # What may fail
+        # Called with the same arguments after a failure; its value is returned
+        otherwise: Callable[..., R] | None = None,
+    ) -> Callable[P, R | None]:
+        """Return `callback`, guarded."""
+
+        @functools.wraps(callback)
+        def guarded(*args: P.args, **kwargs: P.kwargs) -> R | None:
+            try:
+                return callback(*args, **kwargs)
+            except Exception as error:
+                if not rclpy.ok():
+                    raise  # the end of the program: no error
+                self._note(callback, error)
+            return None if otherwise is None else otherwise(*args, **kwargs)
+
+        return guarded
+
+    def _note(self, callback: Callable[..., object], error: Exception) -> None:
+        name = getattr(callback, "__name__", "callback").strip("_")
+        self.count += 1
+        self.problem = f"internal error in '{name}': {type(error).__name__}: {error}"
+        where = traceback.format_exc()
+        line = f"{self.problem}. The node goes on; please report this:\n{where}"
+        self._errors.notice((name, type(error).__name__), lambda: line)

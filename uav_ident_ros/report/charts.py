@@ -16,8 +16,7 @@ from uav_ident_ros.offline.evidence import reason_of
 from uav_ident_ros.report.flight import AXES, Flight
 from uav_ident_ros.report.predictions import Predictions
 from uav_ident_ros.report.style import COLORS
-from uav_ident_ros.report.thinning import thin
-from uav_ident_ros.report.timeline import Chart, Timeline, columns, value_range
+from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin, value_range
 
 RATE_BINS = (9.0, 15_000)
 """Bins of a line of gyro samples: for each second, and the most. A bin keeps two points."""

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import uav_ident_ros
 from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.linearisation import level_modes
 from uav_ident_ros.offline.journal import bag_files
@@ -22,7 +25,6 @@ from uav_ident_ros.report.charts import (
 )
 from uav_ident_ros.report.flight import AXES, Flight
 from uav_ident_ros.report.predictions import predict
-from uav_ident_ros.report.provenance import versions
 from uav_ident_ros.report.timeline import Chart, Timeline
 
 if TYPE_CHECKING:  # replay imports the report
@@ -157,3 +159,18 @@ def _delay_section(evidence: Evidence) -> Section:
     )
     chart = diagrams.delay_chart(evidence.delays, errors, in_use, text)
     return Section("delay", "Delay", [text], charts=[chart])
+
+
+PACKAGES = ("numpy", "rosbags", "bokeh")
+"""Packages that the numbers or the pictures depend on."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package, of Python and of what it computes and draws with."""
+    found = {"uav_ident_ros": uav_ident_ros.__version__, "Python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "unknown"
+    return found
