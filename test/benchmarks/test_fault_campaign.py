@@ -72,7 +72,9 @@ def test_adaptive_brings_home_what_is_lost_on_fixed_derivatives(
     if "campaign" not in request.config.option.markexpr:
         pytest.skip("takes minutes: run with -m campaign")
     pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
-    flights = fault_campaign.campaign(["ultra_stick_25e"], ["aileron reversed"], seeds=1, workers=2)
+    flights = list(
+        fault_campaign.campaign(["ultra_stick_25e"], ["aileron reversed"], seeds=1, workers=2)
+    )
     lost = {f["controller"]: f["lost"] for f in flights if f["fault"] == "aileron reversed"}
     assert lost["adaptive"] is None
     assert all(lost[name] is not None for name in ("inversion", "PID", "INDI"))

@@ -129,10 +129,34 @@ def test_turbulence_comes_when_it_is_told_to() -> None:
     assert rates[300:].std() > 0.01
 
 
-def test_an_aircraft_without_point_masses_says_so() -> None:
-    aircraft = LiveAircraft("T37", PERFECT)
-    with pytest.raises(SimulationError, match="no two empty point masses"):
-        aircraft.faults.apply(Fault("inertia", "pitch", 1.3))
+def test_the_centre_of_gravity_moves_by_a_share_of_the_chord_and_ballast_ends() -> None:
+    aircraft = LiveAircraft("T37", PERFECT)  # its model has no point masses of its own
+    fdm = aircraft.aircraft.fdm
+    before = fdm["inertia/cg-x-in"]
+    aircraft.faults.apply(parse_fault("cg aft 0.05"))
+    assert fdm["inertia/cg-x-in"] - before == pytest.approx(0.05 * 12 * fdm["metrics/cbarw-ft"])
+    for axis in ("roll", "pitch"):
+        aircraft.faults.apply(Fault("inertia", axis, 1.1))
+    with pytest.raises(SimulationError, match="ballasts are in use"):
+        aircraft.faults.apply(Fault("inertia", "pitch", 1.1))
+
+
+@pytest.mark.parametrize(
+    ("name", "thrust", "share"),
+    [
+        ("T37", "propulsion/engine[1]/thrust-lbs", 0.3),
+        ("ultra_stick_25e", "fcs/throttle-pos-norm", 0.05),
+    ],
+)
+def test_an_engine_that_is_out_has_no_thrust(name: str, thrust: str, share: float) -> None:
+    aircraft = LiveAircraft(name, PERFECT)
+    fdm = aircraft.aircraft.fdm
+    before = fdm[thrust]
+    aircraft.faults.apply(parse_fault("engine out"))
+    for _ in range(200):
+        aircraft.command(None)
+        aircraft.advance()
+    assert fdm[thrust] < share * before
 
 
 def test_a_lost_aircraft_ends_the_flight() -> None:

@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -89,6 +92,13 @@ SIGNALS = {
 }
 COLUMN = {name: i for i, name in enumerate(SIGNALS)}
 
+BALLAST = """<pointmass name="ballast"><weight unit="LBS">0</weight><location unit="IN">
+<x>0</x><y>0</y><z>0</z></location></pointmass>"""
+"""Empty point mass, for `uav_ident_ros.simulation.faults`: JSBSim makes none in flight."""
+
+BALLASTS = 5
+"""Two for an inertia in roll, two in pitch, one for the centre of gravity."""
+
 
 def _load(name: str, rate: float) -> Any:
     """Return a quiet JSBSim executive with the aircraft loaded.
@@ -115,10 +125,17 @@ def _load(name: str, rate: float) -> Any:
     fdm.set_debug_level(0)
     fdm.disable_output()  # some aircraft write files of their own
     fdm.set_dt(1.0 / rate)
-    if (MODELS / name).is_dir():
-        fdm.set_aircraft_path(str(MODELS))
-    if not fdm.load_model(name):
-        raise SimulationError(f"JSBSim has no aircraft '{name}': it is the 'model' of its file")
+    own = MODELS / name
+    source = own if own.is_dir() else Path(fdm.get_root_dir()) / "aircraft" / name
+    with tempfile.TemporaryDirectory() as folder:
+        if source.is_dir():
+            model = Path(shutil.copytree(source, Path(folder) / name)) / f"{name}.xml"
+            text = model.read_text(encoding="utf-8", errors="surrogateescape")
+            text = text.replace("</mass_balance>", BALLASTS * BALLAST + "</mass_balance>", 1)
+            model.write_text(text, encoding="utf-8", errors="surrogateescape")
+        fdm.set_aircraft_path(folder)
+        if not fdm.load_model(name):
+            raise SimulationError(f"JSBSim has no aircraft '{name}': it is the 'model' of its file")
     return fdm
 
 
@@ -250,6 +267,15 @@ class Aircraft:
             node.set_double_value(float(np.interp(surfaces[i], self.ranges[i], COMMAND_POINTS)))
         for node in self._throttle:
             node.set_double_value(float(surfaces[3]))
+
+    def stop_engine(self) -> None:
+        """Let an engine fail: the last of several, the only one, or the motor without a name."""
+        if self._engines:
+            self.fdm[f"propulsion/engine[{self._engines - 1}]/set-running"] = 0
+            self.fdm["propulsion/active_engine"] = self._engines - 1
+            self.fdm["propulsion/cutoff_cmd"] = 1
+        if self._throttle:
+            self._throttle.pop().set_double_value(0.0)
 
     def clip(self, surfaces: FloatArray) -> FloatArray:
         """Limit surfaces to what the aircraft can do."""

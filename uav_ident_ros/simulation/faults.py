@@ -6,6 +6,8 @@
     elevator jams          stands still where it is
     rudder jams -0.05      stands still at that deflection from trim, rad
     pitch inertia 1.3      ballast fore and aft (roll: on the wings), by that factor
+    cg aft 0.1             centre of gravity moves aft by that share of the mean chord
+    engine out             the last of several engines, or the only one
     turbulence 4           JSBSim's, 0 (calm) to 7
     repaired               every surface as it was; ballast and weather stay
 
@@ -31,7 +33,7 @@ SURFACE_NAMES = ("elevator", "rudder", "aileron", "throttle")
 
 FORMS = (
     "'SURFACE effect FACTOR', 'SURFACE jams [DEFLECTION]', 'roll|pitch inertia FACTOR', "
-    "'turbulence SEVERITY', 'repaired'"
+    "'cg aft SHARE', 'engine out', 'turbulence SEVERITY', 'repaired'"
 )
 
 GRAVITY_FT = 32.174049
@@ -47,7 +49,10 @@ BALLAST_ARM = 3.3 / FOOT
 aircraft, so that its mass hardly changes."""
 
 INERTIA_TOLERANCE = 0.005
-"""Largest misfit of the inertia read back, relative."""
+"""Largest misfit of what is read back, relative."""
+
+CENTRE_BALLAST = 0.05
+"""Mass that moves the centre of gravity, over the aircraft's."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +82,10 @@ def parse_fault(text: str) -> Fault:
                 return Fault("repaired", time=time)
             case ["turbulence", severity]:
                 return Fault("turbulence", value=_within(severity, 0, MAX_TURBULENCE), time=time)
+            case ["engine", "out"]:
+                return Fault("engine", time=time)
+            case ["cg", "aft", share]:
+                return Fault("cg", value=_within(share, -0.3, 0.3), time=time)
             case [axis, "inertia", factor] if axis in BALLAST_AXES:
                 return Fault("inertia", axis, _within(factor, 1.0, 3.0), time)
             case [surface, "effect", factor] if surface in (*SURFACE_NAMES, *QUADROTOR.names):
@@ -170,6 +179,10 @@ class Faults(Schedule):
                 self._jammed[index] = at
             case "turbulence":
                 start_turbulence(self._aircraft.fdm, round(fault.value or 0.0), self._seed)
+            case "engine":
+                self._aircraft.stop_engine()
+            case "cg":
+                move_centre(self._aircraft.fdm, fault.value or 0.0)
             case "inertia":
                 add_ballast(self._aircraft.fdm, fault.what, fault.value or 1.0)
 
@@ -182,27 +195,18 @@ class Faults(Schedule):
 def add_ballast(fdm: Any, axis: str, factor: float) -> None:
     """Multiply an inertia by `factor`, with equal masses on both sides of the centre of gravity.
 
-    JSBSim computes the inertias itself and silently ignores a write to them; so its empty point
+    JSBSim computes the inertias itself and silently ignores a write to them; so empty point
     masses are loaded, and what they did is read back.
 
     Raises
     ------
     SimulationError
-        If the aircraft has no two empty point masses, or the inertia is not what it should be.
+        If all ballasts are in use, or the inertia is not what it should be.
     """
     direction, name = BALLAST_AXES[axis]
-    pair = _empty_point_masses(fdm)[-2:]
-    if len(pair) < 2:
-        raise SimulationError(
-            f"'{axis} inertia {factor:g}': this JSBSim aircraft has no two empty point masses"
-        )
     wanted = factor * fdm[name]
     weight = (wanted - fdm[name]) / (2.0 * BALLAST_ARM**2) * GRAVITY_FT
-    for index, side in zip(pair, (1.0, -1.0), strict=True):
-        for letter in "XYZ":
-            centre = fdm[f"inertia/cg-{letter.lower()}-in"]
-            offset = side * BALLAST_ARM * INCHES_PER_FOOT if letter == direction else 0.0
-            fdm[f"inertia/pointmass-location-{letter}-inches[{index}]"] = centre + offset
+    pair = [_place(fdm, direction, side * BALLAST_ARM) for side in (1.0, -1.0)]
     for index in pair:
         fdm[f"inertia/pointmass-weight-lbs[{index}]"] = weight
     fdm.run()  # the masses count from the next step on
@@ -213,10 +217,40 @@ def add_ballast(fdm: Any, axis: str, factor: float) -> None:
         )
 
 
-def _empty_point_masses(fdm: Any) -> list[int]:
-    manager, found, index = fdm.get_property_manager(), [], 0
+def move_centre(fdm: Any, share: float) -> None:
+    """Move the centre of gravity aft by a share of the mean chord, with one mass well aft.
+
+    Raises
+    ------
+    SimulationError
+        If JSBSim's own centre of gravity is not where it should be.
+    """
+    before, wanted = fdm["inertia/cg-x-in"], share * fdm["metrics/cbarw-ft"]
+    weight = CENTRE_BALLAST * fdm["inertia/weight-lbs"]
+    index = _place(fdm, "X", wanted * (1.0 + CENTRE_BALLAST) / CENTRE_BALLAST)
+    fdm[f"inertia/pointmass-weight-lbs[{index}]"] = weight
+    fdm.run()
+    moved = (fdm["inertia/cg-x-in"] - before) / INCHES_PER_FOOT
+    if abs(moved - wanted) > INERTIA_TOLERANCE * abs(wanted):
+        raise SimulationError(f"'cg aft {share:g}': JSBSim moved it by {moved:.3f} ft")
+
+
+def _place(fdm: Any, direction: str, offset: float) -> int:
+    """Put an empty point mass `offset` ft from the centre of gravity; return its index.
+
+    Raises
+    ------
+    SimulationError
+        If there is none left.
+    """
+    manager, index = fdm.get_property_manager(), 0
     while manager.hasNode(f"inertia/pointmass-weight-lbs[{index}]"):
-        if fdm[f"inertia/pointmass-weight-lbs[{index}]"] == 0.0:
-            found.append(index)
+        places = [f"inertia/pointmass-location-{letter}-inches[{index}]" for letter in "XYZ"]
+        weight = fdm[f"inertia/pointmass-weight-lbs[{index}]"]
+        if weight == 0.0 and not any(fdm[place] for place in places):
+            for letter, place in zip("XYZ", places, strict=True):
+                there = offset * INCHES_PER_FOOT if letter == direction else 0.0
+                fdm[place] = fdm[f"inertia/cg-{letter.lower()}-in"] + there
+            return index
         index += 1
-    return found
+    raise SimulationError("a fault of the mass: all of the aircraft's ballasts are in use")

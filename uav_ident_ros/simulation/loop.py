@@ -52,6 +52,7 @@ class Mission:
     faults: tuple[str, ...] = ()  # As in `uav_ident_ros.simulation.faults`, with times
     seed: int = 0  # Of noise, turbulence and manoeuvres
     sensors: Sensors = SENSORS  # Of the Imu
+    delay: float = DELAY  # True one, s: identifier and controllers are told `DELAY`
 
 
 @dataclass(eq=False)
@@ -137,7 +138,7 @@ def fly_loop(
     frame = prepared.airframe
     faults = [parse_fault(text) for text in mission.faults]
     live = LiveAircraft(
-        prepared.aircraft, mission.sensors, DELAY, faults, mission.seed, speed=frame.speed
+        prepared.aircraft, mission.sensors, mission.delay, faults, mission.seed, speed=frame.speed
     )
     guide = Manoeuvres(airspeed=frame.speed, seed=mission.seed, **MANOEUVRES)  # type: ignore[arg-type]
     source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(prepared))
