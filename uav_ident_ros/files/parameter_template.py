@@ -83,8 +83,6 @@ def written(value: Value | list[Any]) -> str:
         return f"[{', '.join(map(written, value))}]"
     if isinstance(value, str):
         return yaml.safe_dump(value, default_style='"', width=10_000).strip()
-    if isinstance(value, float):
-        return repr(value + 0.0)  # no -0.0
     return json.dumps(value)
 
 
