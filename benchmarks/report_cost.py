@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a long flight costs: ``python benchmarks/report_cost.py``.
+
+Simulates flights of ten minutes and an hour into bags (200 Hz Imu, 50 Hz actuators), replays each
+with a report in a process of its own, and prints its peak memory and time beside those of a process
+that iterates over the raw messages with rosbags; then the size of the page and how long headless
+Chromium takes from the request to all charts drawn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "test" / "report"))
+
+from chromium import CHROMIUM, Browser  # noqa: E402
+
+from uav_ident_ros.simulation.cli import main as simulate  # noqa: E402
+
+LOOK = 0.05
+"""Interval at which the memory of a process is read, s."""
+
+RAW = "import sys; from rosbags.rosbag2 import Reader\nfor _ in Reader(sys.argv[1]).__enter__()"
+RAW += ".messages(): pass"
+
+DRAWN = "typeof Bokeh === 'object' && Bokeh.documents.length === 1 && Bokeh.documents[0].is_idle"
+
+
+def cost(command: list[str]) -> tuple[float, float]:
+    """Run a command; return its time, s, and the largest memory of its process, MB."""
+    begun, peak = time.monotonic(), 0
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        status = Path(f"/proc/{process.pid}/status")
+        while process.poll() is None:
+            if found := re.search(r"VmHWM:\s+(\d+) kB", status.read_text(encoding="ascii")):
+                peak = max(peak, int(found[1]))
+            time.sleep(LOOK)
+        errors = process.stderr.read() if process.stderr is not None else b""
+    if process.returncode not in (0, 1):  # usable or not
+        raise SystemExit(f"{command[0]}: {errors.decode()}")
+    return time.monotonic() - begun, peak / 1024.0
+
+
+def opening(page: Path, profile: Path) -> float:
+    """Return the time until a page has drawn all its charts, s."""
+    with Browser(profile) as browser:
+        begun = time.monotonic()
+        browser.open(page, 1440)
+        while not browser.value(DRAWN):
+            time.sleep(0.02)
+        return time.monotonic() - begun
+
+
+def rows(minutes: float, folder: Path, rounds: int) -> str:
+    """Measure a flight of a length; return its row."""
+    bag, output = folder / "flight", folder / "output"
+    arguments = ["--output", str(bag), "--duration", str(60.0 * minutes)]
+    if simulate([*arguments, "--imu-rate", "200", "--actuator-rate", "50"]):
+        raise SystemExit("simulate failed")
+    raw_time, raw_memory = cost([sys.executable, "-c", RAW, str(bag)])
+    replay = [sys.executable, "-m", "uav_ident_ros.offline", str(bag), "--output", str(output)]
+    own = ["--params-file", str(bag / "identifier.yaml"), "--report"]
+    seconds, memory = cost([*replay, *own])
+    page = output / "report.html"
+    size = page.stat().st_size / 1e6
+    drawn = [opening(page, folder / f"profile{k}") for k in range(rounds)] if CHROMIUM else []
+    opened = f"{min(drawn):.1f} s" if drawn else "no Chromium"
+    return (
+        f"{minutes:>7g}{raw_time:>10.1f}{raw_memory:>8.0f}{seconds:>12.1f}{memory:>8.0f}"
+        f"{60.0 * minutes / seconds:>13.0f}{size:>10.1f}{opened:>10}"
+    )
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, nargs="+", default=[10.0, 60.0])
+    parser.add_argument("--rounds", type=int, default=3, help="openings; the best counts (3)")
+    options = parser.parse_args()
+    print(
+        f"{'minutes':>7}{'raw [s]':>10}{'[MB]':>8}{'replay [s]':>12}{'[MB]':>8}"
+        f"{'x real time':>13}{'page [MB]':>10}{'opened':>10}"
+    )
+    for minutes in options.minutes:
+        with tempfile.TemporaryDirectory() as folder:
+            print(rows(minutes, Path(folder), options.rounds), flush=True)
+
+
+if __name__ == "__main__":
+    main()
