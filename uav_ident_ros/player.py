@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -83,13 +83,7 @@ class Outputs:
 
     def clear(self) -> None:
         """Forget everything."""
-        for received in (
-            self.named,
-            self.coefficients,
-            self.predicted_rates,
-            self.prediction_error,
-            self.status,
-        ):
+        for received in vars(self).values():
             received.clear()
 
 
@@ -241,58 +235,55 @@ class Player:
         self,
         messages: Sequence[Message],  # In log-time order
         *,
-        speed: float = 1.0,  # 1 for real time
+        speed: float = 1.0,  # Times real time; inf for as fast as the node answers
         # Called with the log time (ns) about every 10 ms of it
-        on_time: Callable[[int], None] | None = None,
+        on_time: Callable[[int], None] = lambda t_ns: None,
         # Whether to wait for the node where it does not keep up, so that a busy machine plays
         # slower and loses nothing
         in_step: bool = False,
     ) -> float:
-        """Play at `speed` times real time, in log-time order.
+        """Play in log-time order; between messages /clock goes on in its own steps.
 
         Returns
         -------
         float
             Root mean square of how late /clock was, s: what a busy machine adds to the stamps
             on arrival.
-        """
-        start_ns, start = messages[0].log_ns, time.monotonic()
-        late: list[float] = []
-
-        def hold(t_ns: int) -> None:
-            ahead = (t_ns - start_ns) / SECOND_NS / speed - (time.monotonic() - start)
-            if ahead > 0.0:
-                self.spin_for(ahead)
-            if in_step:
-                self._keep_in_step(t_ns, start_ns, PATIENCE)
-            late.append(time.monotonic() - start - (t_ns - start_ns) / SECOND_NS / speed)
-            if on_time is not None:
-                on_time(t_ns)
-
-        self._play(messages, hold)
-        self._flush()
-        return math.sqrt(sum(x * x for x in late) / max(len(late), 1))
-
-    def play_in_step(self, messages: Sequence[Message], timeout: float = PATIENCE) -> None:
-        """Play as fast as the node answers, so that no message can be lost.
 
         Raises
         ------
         PlayerError
-            If the node stops answering.
+            If it is in step, and the node stops answering.
         """
-        start_ns = messages[0].log_ns
-        self.outputs.clear()
-
-        self._play(messages, lambda t_ns: self._keep_in_step(t_ns, start_ns, timeout))
+        start_ns, start = messages[0].log_ns, time.monotonic()
+        late: list[float] = []
+        clock_ns = start_ns
+        self._begin_clock(clock_ns)
+        for message in messages:
+            while clock_ns + CLOCK_PERIOD_NS <= message.log_ns:
+                clock_ns += CLOCK_PERIOD_NS
+                due = start + (clock_ns - start_ns) / SECOND_NS / speed
+                self.spin_for(due - time.monotonic())
+                if in_step:
+                    self._keep_in_step(clock_ns, start_ns)
+                late.append(time.monotonic() - due)
+                on_time(clock_ns)
+                self._advance_clock(clock_ns)
+            self._publishers[message.topic].publish(message.data)
         self._flush()
+        return math.sqrt(sum(x * x for x in late) / max(len(late), 1))
 
-    def _keep_in_step(self, t_ns: int, start_ns: int, timeout: float) -> None:
+    def play_in_step(self, messages: Sequence[Message]) -> None:
+        """Play as fast as the node answers, so that no message can be lost; forget what it said."""
+        self.outputs.clear()
+        self.play(messages, speed=math.inf, in_step=True)
+
+    def _keep_in_step(self, t_ns: int, start_ns: int) -> None:
         """Listen, and before `t_ns` is played wait for the output of a moment ago."""
         self._executor.spin_once(timeout_sec=0.0)
         wanted = t_ns - ANSWER_WITHIN_NS
         if wanted >= start_ns + START_UP_NS:
-            self._wait_for_answer(wanted, start_ns, timeout)
+            self._wait_for_answer(wanted, start_ns)
 
     def _flush(self) -> None:
         """Let the node's timer fire once more, and its last outputs arrive."""
@@ -301,7 +292,7 @@ class Player:
             self.spin_for(NUDGE_AFTER)
         self.spin_for(SETTLE)
 
-    def _wait_for_answer(self, wanted_ns: int, start_ns: int, timeout: float) -> None:
+    def _wait_for_answer(self, wanted_ns: int, start_ns: int) -> None:
         """Listen until the tick of `wanted_ns` is there.
 
         The node may have seen /clock pass before the messages that came with it, and then its
@@ -309,9 +300,9 @@ class Player:
         """
         begun = time.monotonic()
         while self.outputs.newest_ns < wanted_ns:
-            if time.monotonic() > begun + timeout:
+            if time.monotonic() > begun + PATIENCE:
                 raise PlayerError(
-                    f"waited {timeout:g} s in vain for the output of "
+                    f"waited {PATIENCE:g} s in vain for the output of "
                     f"{(wanted_ns - start_ns) / SECOND_NS:.2f} s into the recording"
                 )
             pause = time.monotonic() + NUDGE_AFTER
@@ -321,19 +312,3 @@ class Player:
                 furthest = wanted_ns + ANSWER_WITHIN_NS + CLOCK_AHEAD_NS
                 furthest += int((time.monotonic() - begun) / STUCK_AFTER) * CLOCK_AHEAD_NS // 2
                 self._advance_clock(min(self._clock_ns + CLOCK_PERIOD_NS, furthest))
-
-    def _play(self, messages: Iterable[Message], hold: Callable[[int], None]) -> None:
-        """Publish everything; `hold` is called with the time before it passes.
-
-        Between messages /clock goes on in its own steps, so that it never jumps.
-        """
-        clock_ns: int | None = None
-        for message in messages:
-            if clock_ns is None:
-                clock_ns = message.log_ns
-                self._begin_clock(clock_ns)
-            while clock_ns + CLOCK_PERIOD_NS <= message.log_ns:
-                clock_ns += CLOCK_PERIOD_NS
-                hold(clock_ns)
-                self._advance_clock(clock_ns)
-            self._publishers[message.topic].publish(message.data)
