@@ -17,13 +17,11 @@ CLAIM = "\0uav_ident_ros/domain/{}"
 
 
 @contextmanager
-def own_domain(domain: int | None = None) -> Iterator[int]:
+def own_domain(
+    # The domain; one that no other such process of this machine has if left out
+    domain: int | None = None,
+) -> Iterator[int]:
     """Keep the traffic of this process and its children to this machine and one domain.
-
-    Parameters
-    ----------
-    domain : int, optional
-        The domain; one that no other such process of this machine has if left out.
 
     Yields
     ------

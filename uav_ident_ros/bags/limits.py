@@ -38,15 +38,11 @@ class TooLargeError(Exception):
         super().__init__(f"{what} holds more than {limit / 2**20:.0f} MiB when it is decompressed")
 
 
-def decompressed(data: bytes, compression: str) -> bytes:
+def decompressed(
+    data: bytes,  # The chunk's data
+    compression: str,  # ``bz2``, ``lz4``, ``zstd`` or nothing
+) -> bytes:
     """Return what a chunk holds.
-
-    Parameters
-    ----------
-    data : bytes
-        The chunk's data.
-    compression : str
-        ``bz2``, ``lz4``, ``zstd`` or nothing.
 
     Raises
     ------
@@ -76,17 +72,13 @@ def listed(names: Collection[str]) -> str:
 
 
 class _Bounded:
-    """A file compressed as a whole, for reading.
+    """A file compressed as a whole, for reading."""
 
-    Parameters
-    ----------
-    file : binary file
-        The compressed file.
-    mode : str
-        ``rb``.
-    """
-
-    def __init__(self, file: IO[bytes], mode: str) -> None:
+    def __init__(
+        self,
+        file: IO[bytes],  # The compressed file
+        mode: str,  # ``rb``
+    ) -> None:
         self._content = _zstd.open(file, mode)
         size = file.seek(0, 2)
         file.seek(0)

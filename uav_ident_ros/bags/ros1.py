@@ -18,28 +18,18 @@ class Ros1Reader:
 
     Messages of the common interfaces are the same in both but for the header's `seq`; those of
     other types are read by the definitions in the bag.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    connections : list of Connection
-        Its topics.
-    start_time, end_time : int
-        Log time of the first message and the time after the last, ns.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(
+        self,
+        path: Path,  # The file
+    ) -> None:
+        self.path = path  # The file
         self._reader = Reader(path)
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._reader.open()
-        self.connections = self._reader.connections
+        self.connections = self._reader.connections  # Its topics
+        # start_time, end_time: Log time of the first message and the time after the last, ns
         self.start_time, self.end_time = self._reader.start_time, self._reader.end_time
 
     def close(self) -> None:

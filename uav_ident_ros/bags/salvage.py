@@ -56,27 +56,16 @@ class SalvageError(Exception):
 class SalvageReader:
     """Reads what is left of a damaged MCAP file, in log-time order; in use like rosbags' Reader.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Attributes
-    ----------
-    connections : list of Connection
-        Its topics.
-    damage : str
-        What is lost, in a line; empty if the file is whole.
-    start_time, end_time : int
-        Log time of the first message and the time after the last, ns.
-
     Raises
     ------
     SalvageError
         If there is no message to be saved, or the mcap library is not installed.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self,
+        path: Path,  # The file
+    ) -> None:
         self.path = path
         try:
             import mcap.stream_reader  # noqa: F401
@@ -89,13 +78,16 @@ class SalvageReader:
         self._counts: Counter[int] = Counter()
         self._chunks: list[tuple[int, int, bool]] = []  # position, first time, ns, whether whole
         self._loose = False  # whether there are messages outside of chunks
+        # start_time, end_time: Log time of the first message and the time after the last, ns
         self.start_time, self.end_time = 2**63 - 1, 0
         with path.open("rb") as file:
             words = self._scan(file)
         saved = sum(n for channel, n in self._counts.items() if channel in self._channels)
         if not saved:
             raise SalvageError("there is no message to be saved")
+        # Its topics
         self.connections = [self._connection(c) for _, c in sorted(self._channels.items())]
+        # What is lost, in a line; empty if the file is whole
         self.damage = f"'{path.name}' {words}; {saved} messages were saved" if words else ""
 
     def _scan(self, file: IO[bytes]) -> str:

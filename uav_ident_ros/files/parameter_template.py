@@ -31,14 +31,10 @@ _HEADER = """\
 """
 
 
-def render(settings: Settings | None = None) -> str:
-    """Return the parameter file as text.
-
-    Parameters
-    ----------
-    settings : Settings, optional
-        The values to write; the defaults if left out.
-    """
+def render(
+    settings: Settings | None = None,  # The values to write; the defaults if left out
+) -> str:
+    """Return the parameter file as text."""
     values = (settings or Settings()).values()
     return _HEADER + "\n".join(_lines(values)) + "\n"
 

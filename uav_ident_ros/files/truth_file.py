@@ -36,18 +36,14 @@ class Truth:
         return [*times, end], [*values, values[-1]]
 
 
-def read_truth(bag: Path, structure: Structure) -> Truth:
-    """Read what is true of a flight; nothing if there is no such file, or another one.
-
-    Parameters
-    ----------
-    bag : Path
-        The bag; the file lies in its folder.
-    structure : Structure
-        Structure of the estimates. The local derivatives of an aircraft hold at fixed angles of
-        attack and sideslip: they are those of a structure that has both angles, not of one in
-        which `ay` and `az` stand for them.
-    """
+def read_truth(
+    bag: Path,  # The bag; the file lies in its folder
+    # Structure of the estimates. The local derivatives of an aircraft hold at fixed angles of
+    # attack and sideslip: they are those of a structure that has both angles, not of one in which
+    # `ay` and `az` stand for them
+    structure: Structure,
+) -> Truth:
+    """Read what is true of a flight; nothing if there is no such file, or another one."""
     path = (bag if bag.is_dir() else bag.parent) / TRUTH_FILE
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))

@@ -62,23 +62,13 @@ class _Format:
 
 
 class _Walker:
-    """Finds the messages of a file.
-
-    Attributes
-    ----------
-    formats : dict
-        Types, by their number.
-    places : dict
-        Where the messages of each type begin.
-    lengths : set of int
-        Lengths of the types, bytes.
-    """
+    """Finds the messages of a file."""
 
     def __init__(self, data: mmap.mmap) -> None:
         self._data, self._size = data, len(data)
-        self.formats: dict[int, _Format] = {}
-        self.places: dict[int, list[int]] = {}
-        self.lengths: set[int] = set()
+        self.formats: dict[int, _Format] = {}  # Types, by their number
+        self.places: dict[int, list[int]] = {}  # Where the messages of each type begin
+        self.lengths: set[int] = set()  # Lengths of the types, bytes
         self._sizes = [0] * 256
         self._last = FMT
         self._begin = re.compile(rb"(?!)")

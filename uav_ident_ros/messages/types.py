@@ -254,11 +254,6 @@ def read_excitation(message: Any) -> tuple[int, tuple[float, ...]]:
 class ActuatorReader:
     """Reads the configured channels from actuator messages.
 
-    Attributes
-    ----------
-    field : str
-        The array field that is read.
-
     Raises
     ------
     MessageTypeError
@@ -271,7 +266,7 @@ class ActuatorReader:
     ) -> None:
         adapter = ACTUATORS[settings.type]
         self._read = adapter.read
-        self.field = settings.field or adapter.fields[0]
+        self.field = settings.field or adapter.fields[0]  # The array field that is read
         if self.field not in adapter.fields:
             raise MessageTypeError(
                 f"'actuators.field' is '{settings.field}': {settings.type} has "
@@ -335,15 +330,7 @@ def _listed(items: Sequence[object]) -> str:
 
 
 class RatesReader:
-    """Reads rates messages, and holds their axes against the settings.
-
-    Attributes
-    ----------
-    frame_id : str or None
-        Frame of the newest message; None before the first.
-    fault : str
-        How their axes contradict the settings; empty if they do not.
-    """
+    """Reads rates messages, and holds their axes against the settings."""
 
     def __init__(
         self,
@@ -351,7 +338,8 @@ class RatesReader:
     ) -> None:
         self._settings = settings
         self._read = RATES[settings.type].read
-        self.frame_id: str | None = None
+        self.frame_id: str | None = None  # Frame of the newest message; None before the first
+        # How their axes contradict the settings; empty if they do not
         self.fault = frame_fault(settings.convention, "", settings.type)
 
     def __call__(self, message: Any) -> Reading:

@@ -92,17 +92,7 @@ class Status:
 
 
 class Heard:
-    """Gathers what one identifier publishes.
-
-    Attributes
-    ----------
-    status : Status
-        Its newest status.
-    ticks : int
-        Ticks heard.
-    publishers : int
-        Nodes that publish under this name; more than one is a mistake.
-    """
+    """Gathers what one identifier publishes."""
 
     def __init__(
         self,
@@ -110,9 +100,9 @@ class Heard:
         clock: Callable[[], float] = time.monotonic,  # Monotonic seconds, for ages
     ) -> None:
         self.node = node
-        self.status = Status()
-        self.ticks = 0
-        self.publishers = 1
+        self.status = Status()  # Its newest status
+        self.ticks = 0  # Ticks heard
+        self.publishers = 1  # Nodes that publish under this name; more than one is a mistake
         self._clock = clock
         self._arrived: float | None = None
         self._newest_ns: int | None = None

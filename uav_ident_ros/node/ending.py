@@ -15,15 +15,10 @@ class Ending:
     ROS's own handlers shut the context down under whoever publishes, and Python's raise in the
     middle of whatever runs, the writing of a file for example. One Ctrl-C often arrives twice:
     from the terminal and from launch.
-
-    Attributes
-    ----------
-    asked : bool
-        Whether the program was asked to end.
     """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.asked = False  # Whether the program was asked to end
         for number in SIGNALS:
             # nohup and setsid: who ignores the terminal's end wants to outlive it.
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:

@@ -45,13 +45,6 @@ class Inputs:
     each finds the processor's caches filled with something else, and takes several times as long.
     As bytes, a message that cannot be decoded is refused like any other bad one; decoded by rclpy,
     it would end the node.
-
-    Attributes
-    ----------
-    monitors : dict
-        Counts, by stream.
-    rates : RatesReader
-        Knows the frame of the rates.
     """
 
     def __init__(
@@ -64,8 +57,8 @@ class Inputs:
         self._node, self._identifier, self._warnings = node, identifier, warnings
         self._waiting: list[tuple[Callable[[bytes, int], object], bytes, int]] = []
         self._arrivals: list[Arrivals[Any]] = []
-        self.monitors: dict[str, InputMonitor] = {}
-        self.rates = RatesReader(identifier.settings.imu)
+        self.monitors: dict[str, InputMonitor] = {}  # Counts, by stream
+        self.rates = RatesReader(identifier.settings.imu)  # Knows the frame of the rates
         for stream in STREAMS:
             if type_name := stream.type_of(identifier.settings):
                 self._subscribe(stream, type_name, guard)

@@ -72,23 +72,15 @@ R = TypeVar("R")
 
 
 class Guard:
-    """Wraps callbacks so that their errors are told instead of ending the node.
-
-    Attributes
-    ----------
-    count : int
-        Errors so far.
-    problem : str
-        The last one, in a sentence; empty if there was none.
-    """
+    """Wraps callbacks so that their errors are told instead of ending the node."""
 
     def __init__(
         self,
         errors: Throttle,  # Takes the errors, with where they arose
     ) -> None:
         self._errors = errors
-        self.count = 0
-        self.problem = ""
+        self.count = 0  # Errors so far
+        self.problem = ""  # The last one, in a sentence; empty if there was none
 
     def __call__(
         self,

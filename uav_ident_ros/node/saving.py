@@ -20,25 +20,17 @@ ASIDE = ".refused"
 
 
 class Saver:
-    """Writes coefficients to a file, one at a time.
-
-    Attributes
-    ----------
-    written : CoefficientSet or None
-        What was written last.
-    set_aside : bool
-        Whether the file that is there is none of ours, and is kept under another name.
-    shared : bool
-        Whether somebody else wrote the file since this saver looked at it or wrote it.
-    """
+    """Writes coefficients to a file, one at a time."""
 
     def __init__(
         self,
         path: Path,  # The file; its folder is made
     ) -> None:
         self.path = path
-        self.written: CoefficientSet | None = None
+        self.written: CoefficientSet | None = None  # What was written last
+        # Whether the file that is there is none of ours, and is kept under another name
         self.set_aside = False
+        # Whether somebody else wrote the file since this saver looked at it or wrote it
         self.shared = False
         self._seen = self._state()
         self._thread: threading.Thread | None = None

@@ -43,14 +43,7 @@ _AWAITED = {stream.name: stream for stream in STREAMS if stream.setting}
 
 
 class Waiting:
-    """Looks once a second for what keeps the node from an estimate.
-
-    Attributes
-    ----------
-    imu_moves : bool
-        Whether the stamps of the rates went on until the last look. Where they do not, those of
-        the actuators are soon far from them: that is no fault of the actuators.
-    """
+    """Looks once a second for what keeps the node from an estimate."""
 
     def __init__(
         self,
@@ -67,6 +60,8 @@ class Waiting:
         self._ticks = (0, time.monotonic())
         self._stamp: tuple[int | None, float] = (None, time.monotonic())
         self._began = time.monotonic()
+        # Whether the stamps of the rates went on until the last look. Where they do not, those of
+        # the actuators are soon far from them: that is no fault of the actuators
         self.imu_moves = False
         self._lost = dict.fromkeys(self._monitors, "")
 
