@@ -11,6 +11,7 @@ from flying import AMPLITUDES, messages, plant_flight, run, settings
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.simulation import light_aircraft
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
@@ -66,7 +67,7 @@ def test_a_late_input_is_not_usable() -> None:
     late = measured(40.0, delay=0.25)
     _, estimates = flown(late, actuators__delay=0.0)
     assert not any(e.usable for e in estimates)
-    assert "t-ratio" in estimates[-1].reason or "prediction fit" in estimates[-1].reason
+    assert "ms later than 'actuators.delay'" in estimates[-1].reason
 
 
 def test_an_unexcited_axis_is_not_usable() -> None:
@@ -126,3 +127,18 @@ def test_adaptation_can_be_switched_off_and_on(excited: Measurements) -> None:
     after = run(identifier, stream[2 * third :])[-1]
     assert after.adapting
     assert (after.coefficients != before.coefficients).any()
+
+
+@pytest.mark.parametrize(("travel", "misses"), [(0.03, True), (np.inf, False)])
+def test_a_limit_of_travel_that_nobody_told_is_named(travel: float, misses: bool) -> None:
+    peaks = {"de": 0.15, "dr": 0.2, "da": 0.15}
+    flight = light_aircraft.fly(
+        light_aircraft.LightFlight([Segment("multisine", amplitudes=peaks)], 30.0, travel=travel)
+    )
+    _, estimates = flown(
+        measure(flight, Sensors(gyro_noise=0.01, accelerometer_noise=0.15), seed=2),
+        structure="flight_dynamics",
+    )
+    late = [estimate.reason for estimate in estimates[-100:]]
+    assert all("a limit of travel that is not told" in reason for reason in late) == misses
+    assert any(estimate.usable for estimate in estimates[-100:]) != misses

@@ -831,7 +831,9 @@ class OnlineIdentifier:
         predicted = self._model.state[:3]
         coefficients = self._coefficients()
         sigma = self._estimator.sigma * self._speed.scale
-        verdict = self._supervisor.judge(t_ns * NS, coefficients, sigma, self.running_fit)
+        verdict = self._supervisor.judge(
+            t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error
+        )
         contradiction = self.delay_estimate.contradiction(self.delay)
         if contradiction:
             verdict = Verdict((contradiction, contradiction, contradiction))

@@ -34,6 +34,11 @@ MIN_PREDICTIONS = 5
 
 AXES = ("p", "q", "r")
 
+LARGEST_MODEL_ERROR = 0.1
+"""What an input may still explain of its row's residual, relative to its effect. Damping takes most
+of what a lag or a limit of travel does wrong, so that the residual shows a part: servo lags and
+limits that halve a control derivative leave 0.12 to 0.9, flights without them none."""
+
 RELEARNED_T_RATIO = 6.0
 """Value over sigma from which a coefficient that has changed is known again."""
 
@@ -235,7 +240,12 @@ class Supervisor:
         }
 
     def judge(
-        self, t: float, coefficients: FloatArray, sigma: FloatArray, running: RunningFit
+        self,
+        t: float,
+        coefficients: FloatArray,
+        sigma: FloatArray,
+        running: RunningFit,
+        model_error: FloatArray,
     ) -> Verdict:
         """Give the verdict on the coefficients at `t` s; parameters as in `judge`."""
         self._sigma = sigma
@@ -249,7 +259,15 @@ class Supervisor:
         for (i, _), change in self._relearning.items():
             relearning[i] = f"{change.name} changed in flight and is learned anew"
         thresholds = self.settings.supervision
-        found = judge(thresholds, self._structure, coefficients, sigma, running, self._confirmed)
+        found = judge(
+            thresholds,
+            self._structure,
+            coefficients,
+            sigma,
+            running,
+            model_error,
+            self._confirmed,
+        )
         first, second, third = (
             changed or reason for changed, reason in zip(relearning, found.reasons, strict=True)
         )
@@ -275,6 +293,7 @@ def judge(
     coefficients: FloatArray,
     sigma: FloatArray,
     running: RunningFit,
+    model_error: FloatArray,
     confirmed: Confirmation,
 ) -> Verdict:
     """Give the verdict on a set of coefficients, row by row.
@@ -293,6 +312,8 @@ def judge(
         Estimate and standard deviations.
     running : RunningFit
         Fit of the coefficients.
+    model_error : (3,) array
+        What the main inputs still explain of the residuals, relative to their effect.
     confirmed : Confirmation
         Which control derivatives the flight has confirmed.
     """
@@ -302,6 +323,7 @@ def judge(
     first, second, third = (
         _poor_fit(settings, running, i)
         or _unknown_input(settings, structure, i, coefficients, sigma)
+        or _incomplete(i, float(model_error[i]))
         or confirmed.doubt(i)
         for i in range(len(ROWS))
     )
@@ -321,6 +343,17 @@ def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str
                 f"(holding the rate: {hold:.0f} %, needed: {needed:.0f} %)"
             )
     return ""
+
+
+def _incomplete(row: int, share: float) -> str:
+    """Return how the model of a row misses what its input does; empty if it does not."""
+    if share <= LARGEST_MODEL_ERROR:
+        return ""
+    surface = MAIN_INPUTS[ROWS[row]]
+    return (
+        f"{ROWS[row]} leaves {100.0 * share:.0f} % of what {surface} does unexplained: a servo "
+        "lag, a delay or a limit of travel that is not told"
+    )
 
 
 def _unknown_input(

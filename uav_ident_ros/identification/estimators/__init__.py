@@ -49,6 +49,10 @@ class Estimator(Protocol):
         """Rows in which the inputs stand out from all else that moves the aircraft."""
 
     @property
+    def model_error(self) -> FloatArray:
+        """What the main inputs still explain of the residuals, relative to their effect, (3,)."""
+
+    @property
     def inputs(self) -> FloatArray:
         """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
 

@@ -139,6 +139,7 @@ class GradientEstimator:
         self._guarded = law.step == "guarded"
         self.start = start
         self.learning: BoolArray = np.ones(3, dtype=bool)
+        self.model_error: FloatArray = np.zeros(3)  # nor at this
         self.clear: BoolArray = np.ones(3, dtype=bool)  # it does not look
         self.changes: list[tuple[int, int]] = []
         information = Information(structure, layout(structure), start, 2.0 / settings.filter.cutoff)

@@ -307,6 +307,11 @@ class RecursiveRegression:
         return self._gate.clear
 
     @property
+    def model_error(self) -> FloatArray:
+        """What the main inputs still explain of the residuals, relative to their effect, (3,)."""
+        return self._error.share
+
+    @property
     def inputs(self) -> FloatArray:
         """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
         return self._linear(self._solution)[:, INPUT_COLUMNS]
