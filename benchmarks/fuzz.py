@@ -12,7 +12,8 @@ import argparse
 import contextlib
 import io
 import multiprocessing
-import resource
+import re
+import shutil
 import signal
 import struct
 import sys
@@ -42,7 +43,10 @@ from uav_ident_ros.import_logs.cli import main as import_log  # noqa: E402
 from uav_ident_ros.offline.run import OfflineRun, choose_inputs  # noqa: E402
 
 LONGEST, MOST_MEMORY = 10.0, 500.0
-"""What reading one file may take, s, and the process may hold, MiB."""
+"""What reading one file may take, s of the processor, and the process may hold, MiB."""
+
+HUNG = 300
+"""Time after which a file hangs the reader, s, however busy the machine is."""
 
 SECONDS = 3.0
 NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1)
@@ -250,22 +254,29 @@ def judge(job: tuple[str, str, int, str]) -> Outcome:
     path = Path(folder) / f"{kind.replace(' ', '_')}_{seed}.{kind.split()[0]}"
     path.write_bytes(content)
     read = read_bag if kind.startswith("mcap") else read_log
-    begin = time.perf_counter()
+    begin = time.process_time()
     try:
         word, said = read(path)
     except BaseException:
         word, said = "FAILED", f"{path.name}: {traceback.format_exc()}"
-    seconds = time.perf_counter() - begin
-    return Outcome(word, seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, said)
+    seconds = time.process_time() - begin
+    path.unlink(missing_ok=True)
+    shutil.rmtree(path.with_suffix(".out"), ignore_errors=True)
+    # not ru_maxrss: that begins with the memory of whoever forked it
+    peak = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="ascii"))
+    return Outcome(word, seconds, int(peak[1]) / 1024 if peak else np.nan, said)
 
 
 def judge_in_time(job: tuple[str, str, int, str]) -> Outcome:
     """Judge a file; what takes too long has failed."""
-    signal.signal(signal.SIGALRM, _too_long)
-    signal.alarm(round(LONGEST))
+    for number in (signal.SIGALRM, signal.SIGPROF):
+        signal.signal(number, _too_long)
+    signal.setitimer(signal.ITIMER_PROF, LONGEST)
+    signal.alarm(HUNG)
     try:
         return judge(job)
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.alarm(0)
 
 
