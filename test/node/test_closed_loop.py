@@ -3,16 +3,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 from node_process import wait_for
+from rclpy.context import Context
+from std_msgs.msg import String
 
+from uav_ident_ros.domain import own_domain
 from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, main, tracking_error
 from uav_ident_ros.simulation.errors import SimulationError
 
@@ -32,6 +38,29 @@ def fly(
             during(running)
         record = running.wait(TIMEOUT)
     return record, {name: running.log(name) for name in running.processes}
+
+
+@dataclass
+class Commanded:
+    """A flight by the command, on fixed coefficients."""
+
+    record: dict[str, np.ndarray]
+    folder: Path
+    said: str
+
+    def log(self, name: str) -> str:
+        return (self.folder / f"{name}.log").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def commanded(tmp_path_factory: pytest.TempPathFactory) -> Commanded:
+    """One flight for the tests of the command, of fixed coefficients and of excitation."""
+    folder, said = tmp_path_factory.mktemp("commanded"), io.StringIO()
+    arguments = ["--duration", f"{SHORT.duration}", "--mode", "fixed", "--output", str(folder)]
+    with own_domain(), contextlib.redirect_stdout(said):
+        assert main(arguments) == 0
+    with np.load(folder / "flight.npz") as archive:
+        return Commanded(dict(archive), folder, said.getvalue())
 
 
 def land(running: ClosedLoop) -> None:
@@ -65,7 +94,7 @@ def test_a_flight_is_the_same_however_fast_the_machine_is(tmp_path: Path) -> Non
     assert tracking_error(first, 3.0, 6.0).max() < 5.0
 
 
-def test_the_controller_flies_on_and_says_so_when_the_identifier_is_killed(tmp_path: Path) -> None:
+def test_the_identifier_may_be_killed_and_faults_come_by_topic(tmp_path: Path) -> None:
     def kill_and_restart(running: ClosedLoop) -> None:
         assert said(running, "controller", "identified")
         running.processes["identifier"].kill()
@@ -74,6 +103,8 @@ def test_the_controller_flies_on_and_says_so_when_the_identifier_is_killed(tmp_p
         before = running.log("controller").count("on identified")
         running.start("identifier")
         assert wait_for(lambda: running.log("controller").count("on identified") > before, TIMEOUT)
+        publish_faults(running, "flaps fall off", "rudder jams 0.02")
+        time.sleep(0.5)
         land(running)
 
     loop = replace(SHORT, duration=600.0, heed_verdict=False)
@@ -87,39 +118,55 @@ def test_the_controller_flies_on_and_says_so_when_the_identifier_is_killed(tmp_p
     assert end - start > 0.5
     assert tracking_error(record, start, end).max() < 5.0
     assert np.isfinite(record["outputs"]).all()
+    assert "'flaps fall off' is none of" in logs["simulated_plant"]
+    assert record["surfaces"][-1, 1] == pytest.approx(-0.0010884456 + 0.02, abs=1e-6)
 
 
-def test_fixed_coefficients_never_ask_the_identifier(tmp_path: Path) -> None:
-    record, logs = fly(replace(SHORT, mode="fixed", duration=6.0), tmp_path / "flight")
-    assert "flying on nominal coefficients" in logs["controller"]
-    assert "identified" not in logs["controller"]
-    assert len(record["tick"]) > 90  # it runs all the same, and is recorded
-    assert tracking_error(record, 3.0, 6.0).max() < 5.0
-
-
-def test_faults_come_by_topic_too(tmp_path: Path) -> None:
-    import rclpy
-    from rclpy.context import Context
-    from std_msgs.msg import String
-
-    def jam(running: ClosedLoop) -> None:
-        assert said(running, "controller", "flying on")
-        context = Context()
-        rclpy.init(context=context)
-        node = rclpy.create_node("pilot", context=context)
-        publisher = node.create_publisher(String, "simulated_plant/fault", 10)
+def publish_faults(running: ClosedLoop, *commands: str) -> None:
+    """Tell the plant of faults by its topic."""
+    context = Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("pilot", context=context)
+    publisher = node.create_publisher(String, "simulated_plant/fault", 10)
+    try:
         assert wait_for(lambda: publisher.get_subscription_count() > 0)
-        publisher.publish(String(data="flaps fall off"))
-        publisher.publish(String(data="rudder jams 0.02"))
-        assert said(running, "simulated_plant", "rudder jams 0.02")
-        time.sleep(0.5)
-        land(running)
+        for command in commands:
+            publisher.publish(String(data=command))
+        assert said(running, "simulated_plant", commands[-1])
+    finally:
         node.destroy_node()
         rclpy.shutdown(context=context)
 
-    record, logs = fly(replace(SHORT, duration=600.0), tmp_path / "flight", jam)
-    assert "'flaps fall off' is none of" in logs["simulated_plant"]
-    assert record["surfaces"][-1, 1] == pytest.approx(-0.0010884456 + 0.02, abs=1e-6)
+
+def test_fixed_coefficients_never_ask_the_identifier(commanded: Commanded) -> None:
+    assert "flying on nominal coefficients" in commanded.log("controller")
+    assert "identified" not in commanded.log("controller")
+    assert len(commanded.record["tick"]) > 150  # it runs all the same, and is recorded
+    assert tracking_error(commanded.record, 3.0, 6.0).max() < 5.0
+
+
+def test_the_command_says_how_well_the_reference_was_followed(commanded: Commanded) -> None:
+    words = [line.split() for line in commanded.said.splitlines()]
+    (last,) = (line for line in words if line[:5] == ["6", "s", "to", "11", "s"])
+    error = tracking_error(commanded.record, 6.0, 11.0)
+    np.testing.assert_allclose([float(v) for v in last[5:]], error, atol=0.005)
+
+
+def test_excitation_goes_through_the_loop(commanded: Commanded, tmp_path: Path) -> None:
+    plain = commanded.record
+    record, logs = fly(replace(SHORT, mode="fixed", excite=4.0), tmp_path / "excited")
+    assert "excitation is running" in logs["simulated_plant"]
+    assert not plain["excitation"].any()
+    asked = record["excitation"]
+    started = float(record["time"][asked.any(axis=1)][0])
+    assert 4.0 < started < 5.0
+    before = record["time"] < started
+    np.testing.assert_array_equal(record["outputs"][before], plain["outputs"][before])
+    answer = (record["outputs"] - plain["outputs"])[:, :3]
+    for k in range(3):  # the feedback answers what it sees of it, no more
+        share = float(asked[:, k] @ answer[:, k] / (asked[:, k] @ asked[:, k]))
+        assert 0.2 < share < 1.5
+    assert tracking_error(record, 6.0, SHORT.duration).max() < 10.0
 
 
 def test_a_process_that_does_not_start_ends_the_flight(
@@ -132,15 +179,6 @@ def test_a_process_that_does_not_start_ends_the_flight(
     assert "is none of" in capsys.readouterr().err
 
 
-def test_the_command_says_how_well_the_reference_was_followed(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["--duration", "8", "--fault", "4: aileron effect 0.5", "--ignore-verdict"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert any("fault at 4.0" in line for line in lines)
-    assert any(line.split()[:6] == ["4", "s", "to", "8", "s", *line.split()[5:6]] for line in lines)
-
-
 def test_a_lost_aircraft_leaves_its_record_and_the_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -149,6 +187,7 @@ def test_a_lost_aircraft_leaves_its_record_and_the_table(
     assert main([*arguments, "--output", str(tmp_path)]) == 1
     said = capsys.readouterr().out
     assert "flying on nominal coefficients" in said
+    assert "fault at 4.0" in said
     assert "rms of true rates minus reference" in said
     with np.load(tmp_path / "flight.npz") as record:
         lost = float(record["lost"][0])

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Excitation in the closed loop: a controller adds it, and stops when nobody asks any more."""
+"""A controller adds excitation, and stops when nobody asks any more."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pytest
 from node_process import StartNode
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -16,12 +13,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
-from test_closed_loop import SHORT, fly
 
 from uav_ident_ros.client import Excitation, subscribe_excitation
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
 from uav_ident_ros.player import to_stamp
-from uav_ident_ros.simulation.closed_loop import tracking_error
 
 SURFACES = ["elevator", "rudder", "aileron", "throttle"]
 PERIOD_NS = 10_000_000
@@ -97,21 +92,3 @@ def test_a_killed_node_leaves_the_controller_at_zero(start_node: StartNode) -> N
     longest = Settings().excitation.lead + EXCITATION_TIMEOUT
     assert last_ns <= killed_ns + round(longest * 1e9)
     assert not any(on for _, on in controller.added[-20:])
-
-
-def test_excitation_goes_through_the_loop(tmp_path: Path) -> None:
-    pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
-    plain, _ = fly(replace(SHORT, mode="fixed"), tmp_path / "plain")
-    record, logs = fly(replace(SHORT, mode="fixed", excite=4.0), tmp_path / "excited")
-    assert "excitation is running" in logs["simulated_plant"]
-    assert not plain["excitation"].any()
-    asked = record["excitation"]
-    started = float(record["time"][asked.any(axis=1)][0])
-    assert 4.0 < started < 5.0
-    before = record["time"] < started
-    np.testing.assert_array_equal(record["outputs"][before], plain["outputs"][before])
-    answer = (record["outputs"] - plain["outputs"])[:, :3]
-    for k in range(3):  # the feedback answers what it sees of it, no more
-        share = float(asked[:, k] @ answer[:, k] / (asked[:, k] @ asked[:, k]))
-        assert 0.2 < share < 1.5
-    assert tracking_error(record, 6.0, 12.0).max() < 10.0
