@@ -8,7 +8,7 @@ coefficients become the nominal set of the controller and the start of the ident
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
 from uav_ident_ros.simulation.live import LiveAircraft
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.recording import parameters
+from uav_ident_ros.simulation.recording import parameter_text, parameters
 
 EXCITED_TIME = 90.0
 """Length of the flight that identifies an aircraft, s."""
@@ -130,51 +130,42 @@ def write(prepared: Prepared, folder: Path) -> None:
 def parameter_file(prepared: Prepared) -> str:
     """Return the ROS parameter file of the loop's nodes."""
     frame = prepared.airframe
-    trim, least, largest = (_numbers(v) for v in (prepared.trim, *prepared.limits))
+    trim, least, largest = (v.tolist() for v in (prepared.trim, *prepared.limits))
     added = EXCITED_SHARE * 0.5 * (prepared.limits[1] - prepared.limits[0])
     added[INPUTS.index("dth")] = 0.0
-    sections: Mapping[str, Mapping[str, str]] = {
+    sections: dict[str, dict[str, Any]] = {
         "identifier": {
-            "use_sim_time": "true",
-            "state_file": "none # every flight starts from the initial coefficients",
+            "use_sim_time": True,
+            "state_file": "none",  # every flight starts from the initial coefficients
             "imu.convention": "flu",
             "actuators.type": "sensor_msgs/msg/JointState",
-            "actuators.channels": f"[{', '.join(SURFACE_NAMES)}]",
+            "actuators.channels": list(SURFACE_NAMES),
             "actuators.trim": trim,
-            "actuators.delay": "0.02",
+            "actuators.delay": 0.02,
             "structure": prepared.coefficients.structure,
-            "airspeed.reference": repr(float(frame.speed)),
-            "excitation.amplitude": _numbers(added),
-            "excitation.lead": "0.4",
-            "excitation.max_attitude": "1.0",
+            "airspeed.reference": float(frame.speed),
+            "excitation.amplitude": added.tolist(),
+            "excitation.lead": 0.4,
+            "excitation.max_attitude": 1.0,
         },
         "controller": {
             "trim": trim,
             "least": least,
             "largest": largest,
-            "excitation_limit": _numbers(1.2 * added),
-            "delay": "0.02",
-            "coefficients_delay": "0.3",
-            "reference_delay": "0.02",
+            "excitation_limit": (1.2 * added).tolist(),
+            "delay": 0.02,
+            "coefficients_delay": 0.3,
+            "reference_delay": 0.02,
         },
-        "rate_reference": {"airspeed": repr(float(frame.speed))},
+        "rate_reference": {"airspeed": float(frame.speed)},
         "simulated_plant": {
             "aircraft": prepared.aircraft,
-            "wait_for_reference": "true",
-            "speed": repr(float(frame.speed)),
-            "rate": "100.0",
-            "delay": "0.02",
+            "wait_for_reference": True,
+            "speed": float(frame.speed),
+            "rate": 100.0,
+            "delay": 0.02,
         },
     }
-    lines = [
-        "# SPDX-License-Identifier: Apache-2.0",
-        f"# The closed loop of {frame.name} at {frame.speed:.1f} m/s and {frame.altitude:.0f} m.",
-    ]
-    for node, values in sections.items():
-        lines += [f"/**/{node}:", "  ros__parameters:"]
-        lines += [f"    {key}: {value}" for key, value in values.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _numbers(values: FloatArray) -> str:
-    return "[" + ", ".join(f"{v + 0.0:.10f}" for v in values.tolist()) + "]"
+    where = f"{frame.name} at {frame.speed:.1f} m/s and {frame.altitude:.0f} m"
+    nodes = {f"/**/{node}": values for node, values in sections.items()}
+    return parameter_text(nodes, f"The closed loop of {where}.")

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from uav_ident_ros.bags.writing import BagWriter, header, message_class, qos
 from uav_ident_ros.files.truth_file import TRUTH_FILE
@@ -105,8 +107,11 @@ def write_bag(measurements: Measurements, path: Path | str, compress: bool = Fal
         streams = (actuator_messages(measurements), imu_messages(measurements))
         for log, topic, message in heapq.merge(*streams, key=lambda entry: entry[0]):
             bag.write(topic, log, message)
-    (path / PARAMETER_FILE).write_text(parameter_file(measurements), encoding="utf-8")
-    (path / TRUTH_FILE).write_text(truth_file(measurements), encoding="utf-8")
+    meaning = "What the topics of this bag mean: parameters for the identifier and for replay."
+    text = parameter_text({"/**": parameters(measurements)}, meaning)
+    (path / PARAMETER_FILE).write_text(text, encoding="utf-8")
+    told = yaml_text(truth(measurements), "What is true of this flight, SI, aircraft axes.")
+    (path / TRUTH_FILE).write_text(told, encoding="utf-8")
 
 
 def parameters(measurements: Measurements) -> dict[str, Any]:
@@ -135,51 +140,53 @@ def parameters(measurements: Measurements) -> dict[str, Any]:
     return values | flight.parameters
 
 
-def parameter_file(measurements: Measurements) -> str:
-    """Return the ROS parameter file (YAML) of `parameters`."""
-    lines = [
-        "# SPDX-License-Identifier: Apache-2.0",
-        "# What the topics of this bag mean: parameters for the identifier and for replay.",
-        "/**:",
-        "  ros__parameters:",
-    ]
-    lines += [f"    {name}: {_yaml(value)}" for name, value in parameters(measurements).items()]
-    return "\n".join(lines) + "\n"
+def truth(measurements: Measurements) -> dict[str, Any]:
+    """Return what is true of this flight: coefficients and derivatives in SI, aircraft axes.
 
-
-def truth_file(measurements: Measurements) -> str:
-    """Return what is true of this flight, as YAML."""
+    From the time of a change (s) on, each coefficient it names is its old value times the factor.
+    Local derivatives are those at the trimmed flight condition; the excitation is told by start and
+    end, s after the first Imu sample.
+    """
     flight = measurements.flight
-    lines = ["# SPDX-License-Identifier: Apache-2.0", f"flight: {flight.name}"]
+    out: dict[str, Any] = {"flight": flight.name}
     if flight.coefficients is not None:
         structure = STRUCTURES[flight.structure]
-        lines += ["# True coefficients, SI, aircraft axes.", f"structure: {structure.name}"]
-        lines += ["coefficients:"]
-        lines += [
-            f"  {name}: {_yaml(float(flight.coefficients[index]))}"
-            for name, index in zip(structure.names, structure.free, strict=True)
-        ]
+        values = (float(flight.coefficients[index]) for index in structure.free)
+        out["structure"] = structure.name
+        out["coefficients"] = dict(zip(structure.names, values, strict=True))
     if flight.changes:
-        lines += ["# From time (s) on, each coefficient named is its old value times the factor."]
-        lines += ["changes:"]
-        for change in flight.changes:
-            factors = ", ".join(f"{k}: {_yaml(float(v))}" for k, v in change.factors.items())
-            lines += [f"  - {{time: {_yaml(float(change.time))}, factors: {{{factors}}}}}"]
+        out["changes"] = [asdict(change) for change in flight.changes]
     if flight.local_truth:
-        lines += ["# Local derivatives at the trimmed flight condition, SI, aircraft axes."]
-        lines += ["local_derivatives:"]
-        lines += [f"  {name}: {_yaml(float(v))}" for name, v in flight.local_truth.items()]
-    lines += ["# Start and end of the excitation, s after the first Imu sample."]
-    lines += [f"excitation: [{', '.join(_yaml(list(pair)) for pair in flight.excitation)}]"]
-    return "\n".join(lines) + "\n"
+        out["local_derivatives"] = dict(flight.local_truth)
+    return out | {"excitation": [list(pair) for pair in flight.excitation]}
 
 
-def _yaml(value: Any) -> str:
-    """YAML that ROS's own parser reads with the right type: every float has a point."""
-    if isinstance(value, list):
-        return f"[{', '.join(_yaml(v) for v in value)}]"
-    if isinstance(value, float):
-        mantissa, _, exponent = f"{value + 0.0:.{FIGURES}g}".partition("e")  # no -0.0
-        mantissa = mantissa if "." in mantissa else f"{mantissa}.0"
-        return f"{mantissa}e{exponent}" if exponent else mantissa
-    return str(value)
+def yaml_text(content: Mapping[str, Any], comment: str) -> str:
+    """Return YAML of `FIGURES` figures that ROS's own parser reads, too, below a comment."""
+    head = f"# SPDX-License-Identifier: Apache-2.0\n# {comment}\n"
+    return head + str(yaml.dump(_rounded(content), Dumper=_Dumper, sort_keys=False, width=1000))
+
+
+class _Dumper(yaml.SafeDumper):
+    """Lists on one line, mappings an entry a line."""
+
+    def represent_list(self, data: Any) -> Any:
+        return self.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True)
+
+
+_Dumper.add_representer(list, _Dumper.represent_list)
+
+
+def parameter_text(sections: Mapping[str, Mapping[str, Any]], comment: str) -> str:
+    """Return a ROS parameter file: parameters by node."""
+    nodes = {node: {"ros__parameters": dict(values)} for node, values in sections.items()}
+    return yaml_text(nodes, comment)
+
+
+def _rounded(value: Any) -> Any:
+    """Numbers to `FIGURES` figures: the same text on every machine."""
+    if isinstance(value, Mapping):
+        return {key: _rounded(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(v) for v in value]
+    return float(f"{value + 0.0:.{FIGURES}g}") if isinstance(value, float) else value
