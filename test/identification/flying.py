@@ -33,7 +33,17 @@ class Message(NamedTuple):
 
 
 def plant_flight(duration: float, **changes: Any) -> Flight:
-    """Multisines on the small aircraft of known coefficients."""
+    """Multisines on the small aircraft of known coefficients; each flight is flown once."""
+    key = repr((duration, sorted(changes.items())))
+    if key not in _FLOWN:
+        _FLOWN[key] = _fly_plant(duration, **changes)
+    return _FLOWN[key]
+
+
+_FLOWN: dict[str, Flight] = {}
+
+
+def _fly_plant(duration: float, **changes: Any) -> Flight:
     values: dict[str, Any] = {
         "vehicle": vehicle("small_uav"),
         "segments": (Segment("multisine", amplitudes=AMPLITUDES, seed=1),),

@@ -237,7 +237,7 @@ def at_rest_and_last(forgetting_time: float) -> tuple[OnlineIdentifier, Flight, 
     """Rudder and throttle move for half a minute; then they rest, while the others go on."""
     still = {name: peak for name, peak in AMPLITUDES.items() if name in ("de", "da")}
     flight = plant_flight(
-        110.0,
+        70.0,
         segments=(
             Segment("multisine", duration=30.0, amplitudes=AMPLITUDES, seed=1),
             Segment("multisine", start=30.0, amplitudes=still, seed=2),
@@ -266,7 +266,7 @@ def test_without_forgetting_what_rests_is_kept() -> None:
 
 def test_what_rests_is_forgotten_with_its_row_and_sigma_says_so() -> None:
     """For four forgetting times; what goes on moving stays as well known."""
-    identifier, flight, at_rest, last = at_rest_and_last(20.0)
+    identifier, flight, at_rest, last = at_rest_and_last(10.0)
     for name in RESTING:
         place = identifier.structure.index(name)
         assert last.sigma[place] > 0.9 * at_rest.sigma[place]
