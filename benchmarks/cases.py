@@ -232,7 +232,8 @@ def identify(
     settings = case.settings(values)
     identifier = OnlineIdentifier(settings)
     if make is not None:
-        identifier._estimator = make(identifier.structure, settings)
+        own = make(identifier.structure, settings)
+        identifier = OnlineIdentifier(settings, estimator=lambda *_: own)
     start = int(case.imu_t_ns[0])
     end = case.imu_arrival_ns[-1] if np.isinf(until) else start + round(until * 1e9)
     estimates, learning, delays = [], [], []

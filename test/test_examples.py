@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import importlib.util
+import re
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -15,6 +17,7 @@ import pytest
 pytest.importorskip("rclpy", reason="the examples are ROS nodes")
 
 import rclpy
+from excerpts import BAGS, excerpt
 from geometry_msgs.msg import Vector3, Vector3Stamped
 from plants import DT_NS, START, STRUCTURE, coefficients
 from sensor_msgs.msg import Imu, JointState
@@ -146,3 +149,23 @@ def test_the_prediction_from_a_message_is_that_of_the_client() -> None:
     x = np.array([*rates, flow.beta, flow.alpha])
     found = load("predict_from_message").predict(message, rates, u, 1.0)
     np.testing.assert_allclose(found, model.predict(x, np.array(u), 1.0), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("own_estimator", r"own: largest step of pdot/da (\S+) .*\nwithout: .* pdot/da (\S+) "),
+        ("own_gate", r"own: .*'load': '(\d+)%'.*\nwithout: (?!.*load)"),
+    ],
+)
+def test_parts_of_ones_own(
+    name: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = excerpt(tmp_path / "bag", 20.0, "c172p")
+    shutil.copy(BAGS / "c172p" / "identifier.yaml", bag)
+    load(name).main(bag)
+    found = re.search(words, capsys.readouterr().out)
+    assert found is not None
+    own, *without = map(float, found.groups())
+    assert own > 0.0
+    assert not without or own < 0.9 * without[0]

@@ -115,6 +115,8 @@ class Gates:
     ----------
     settings : Settings
         Channels and their limits.
+    more : sequence of Gate
+        Gates of one's own, beside those of the table.
 
     Attributes
     ----------
@@ -124,8 +126,8 @@ class Gates:
         Whether the signals of this tick must not be scored either.
     """
 
-    def __init__(self, settings: Settings) -> None:
-        self._limits = LimitGate(settings.actuators)
+    def __init__(self, settings: Settings, more: Sequence[Gate] = ()) -> None:
+        self._limits, self._more = LimitGate(settings.actuators), more
         self._ticks = 0
         self._closed: Counter[str] = Counter()
         self._reasons = {name: reason for name, (_, reason) in ROW_GATES.items()}
@@ -155,6 +157,7 @@ class Gates:
                 "supervision.min_motion, min_force_motion",
                 lambda look: rest.check(look.t, look.samples, look.settings.supervision),
             ),
+            *self._more,
         )
 
     def look(self, look: Look) -> str:

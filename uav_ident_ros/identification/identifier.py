@@ -36,7 +36,7 @@ from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.frames import BodyFrame
-from uav_ident_ros.identification.gates import Cost, GlitchFilter
+from uav_ident_ros.identification.gates import Cost, Gate, GlitchFilter
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import FlowSignals, IdentifiedModel
 from uav_ident_ros.identification.paper import BackwardDifference
@@ -82,6 +82,10 @@ class OnlineIdentifier:
         All settings.
     initial : CoefficientSet, optional
         Coefficients to start from; they win over those in the settings.
+    estimator : callable, optional
+        Makes the estimator from the settings and the start: one's own in place of theirs.
+    gates : sequence of Gate
+        Gates of one's own, beside those of `gates.Gates`.
 
     Attributes
     ----------
@@ -96,7 +100,15 @@ class OnlineIdentifier:
         If the settings contradict each other or `initial`.
     """
 
-    def __init__(self, settings: Settings, initial: CoefficientSet | None = None) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        initial: CoefficientSet | None = None,
+        *,
+        estimator: Callable[[Settings, Start], Estimator] = make_estimator,
+        gates: Sequence[Gate] = (),
+    ) -> None:
+        self._make_estimator = estimator
         self.settings = settings
         self.structure = STRUCTURES[settings.structure]
         self.drops: dict[str, Counter[Drop]] = {
@@ -113,7 +125,7 @@ class OnlineIdentifier:
         self._arm = np.array(settings.imu.lever_arm)
         self._sampler = Sampler(settings)
         self._guard = StampGuard(self._jump_ns)
-        self._supervisor = Supervisor(settings, self.structure)
+        self._supervisor = Supervisor(settings, self.structure, gates)
         self._armed = SampleBuffer(1)
         self.reset()
 
@@ -169,7 +181,7 @@ class OnlineIdentifier:
     def _begin(self, start: Start, delay: float) -> None:
         """Forget everything and start from what is known."""
         self._start = start
-        self._estimator: Estimator = make_estimator(self.settings, self._start)
+        self._estimator: Estimator = self._make_estimator(self.settings, self._start)
         self._speed = SpeedScaling(self.settings.airspeed, self.structure)
         self._sampler.delay = delay
         actuators = self.settings.actuators
@@ -731,7 +743,7 @@ class OnlineIdentifier:
             self._estimator.start = without_flow(self._start, self.structure)
         elif before is False and self._has_accelerometer:
             # What was learned without flow angles took their moments for something else.
-            self._estimator = make_estimator(self.settings, self._start)
+            self._estimator = self._make_estimator(self.settings, self._start)
             self._learned_time = 0.0
 
     def _follow_flow(self, block: Block, coefficients: FloatArray) -> FlowSignals | None:

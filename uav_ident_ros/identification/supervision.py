@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -13,6 +14,7 @@ from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.gates import (
     TOO_FAR,
     TOO_QUIET,
+    Gate,
     Gates,
     Look,
     ResidualGate,
@@ -116,6 +118,8 @@ class Supervisor:
         Gates and thresholds.
     structure : Structure
         Names the coefficients.
+    more : sequence of Gate
+        Gates of one's own.
 
     Attributes
     ----------
@@ -133,12 +137,12 @@ class Supervisor:
         The changes found in flight, the oldest first.
     """
 
-    def __init__(self, settings: Settings, structure: Structure) -> None:
+    def __init__(self, settings: Settings, structure: Structure, more: Sequence[Gate] = ()) -> None:
         self.settings = settings
         self.adapt = settings.adapt_on_start
         self.armed: bool | None = None
         self._structure = structure
-        self.gates = Gates(settings)
+        self.gates = Gates(settings, more)
         self.reset()
 
     def reset(self) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -107,6 +108,8 @@ class OfflineRun:
         Topics and settings.
     initial : CoefficientSet, optional
         Coefficients to start from.
+    **parts
+        Parts of one's own: `estimator`, `gates` of `OnlineIdentifier`.
 
     Attributes
     ----------
@@ -118,9 +121,9 @@ class OfflineRun:
         One per tick, in order.
     """
 
-    def __init__(self, inputs: Inputs, initial: CoefficientSet | None = None) -> None:
+    def __init__(self, inputs: Inputs, initial: CoefficientSet | None = None, **parts: Any) -> None:
         self.inputs = inputs
-        self.identifier = OnlineIdentifier(inputs.settings, initial)
+        self.identifier = OnlineIdentifier(inputs.settings, initial, **parts)
         self.intake = Intake(inputs, self.identifier)
         self.estimates = Ticks(self.identifier.structure)
         self._contexts: list[tuple[int, float]] = []  # time base and delay of each estimate

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An estimator of one's own: the instrumental variable, for a controller that minds steps.
+
+``python3 examples/own_estimator.py bags/c172p`` replays a bag with it, and without.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
+from uav_ident_ros.identification.prior import Start
+from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+
+LARGEST_STEP = 0.03
+"""What a coefficient may move by in a tick, standard deviations."""
+
+
+class Gentle(RecursiveRegression):
+    """Moves no coefficient by more than a share of its sigma at once."""
+
+    def __init__(self, settings: Settings, start: Start) -> None:
+        super().__init__(start, settings, instrumental=True)
+
+    def update(
+        self, data: Regression, mean: Regression, residual: FloatArray, weight: FloatArray
+    ) -> None:
+        """Learn as the instrumental variable does, and go there step by step."""
+        before = self.coefficients
+        super().update(data, mean, residual, weight)
+        largest = LARGEST_STEP * self.sigma
+        self.coefficients = before + np.clip(self.coefficients - before, -largest, largest)
+
+
+def replayed(bag: Path, **parts: object) -> OfflineRun:
+    """Run the identifier over a bag, with parts of one's own."""
+    with Bag(bag) as opened:
+        inputs = choose_inputs(opened, load_parameters(bag / "identifier.yaml", "identifier"))
+        run = OfflineRun(inputs, **parts)
+        run.run(opened, lambda messages, total: messages)
+    return run
+
+
+def main(bag: Path) -> None:
+    """Compare the two."""
+    for words, parts in (("own", {"estimator": Gentle}), ("without", {})):
+        run = replayed(bag, **parts)
+        values = np.array([e.coefficients for e in run.estimates[len(run.estimates) // 2 :]])
+        steps = np.abs(np.diff(values[:, *run.structure.index("pdot/da")])).max()
+        fit = run.score()["last_40_percent"].model
+        print(f"{words}: largest step of pdot/da {steps:.4f} 1/s^2, fit {np.round(fit, 1)} %")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

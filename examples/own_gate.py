@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A gate of one's own: nothing is learned beyond a load factor, where a wing is not linear.
+
+``python3 examples/own_gate.py bags/c172p`` replays a bag with it, and without.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.gates import Gate, Look
+from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+
+LARGEST_LOAD = 1.3 * 9.80665
+"""Specific force along the Imu's z axis beyond which nothing is learned, m/s^2."""
+
+
+def overloaded(look: Look) -> str:
+    """Return why to pause at a tick; empty if there is no reason."""
+    if not len(look.samples) or np.abs(look.samples[:, 5]).max() < LARGEST_LOAD:
+        return ""
+    return "the wing carries more than 1.3 g"
+
+
+GATE = Gate("load", setting="", check=overloaded)
+"""Its name, the setting that moves its threshold if there is one, and what it looks at."""
+
+
+def replayed(bag: Path, **parts: object) -> OfflineRun:
+    """Run the identifier over a bag, with parts of one's own."""
+    with Bag(bag) as opened:
+        inputs = choose_inputs(opened, load_parameters(bag / "identifier.yaml", "identifier"))
+        run = OfflineRun(inputs, **parts)
+        run.run(opened, lambda messages, total: messages)
+    return run
+
+
+def main(bag: Path) -> None:
+    """Compare the two."""
+    for words, parts in (("own", {"gates": [GATE]}), ("without", {})):
+        run = replayed(bag, **parts)
+        shares = {name: f"{cost.share:.0%}" for name, cost in run.identifier.gate_costs().items()}
+        print(f"{words}: share of the flight that each gate cost: {shares}")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
