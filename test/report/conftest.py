@@ -6,10 +6,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from excerpts import BAGS
 
 from uav_ident_ros.offline import main
-
-BAGS = Path(__file__).parents[2] / "bags"
 
 
 @pytest.fixture(scope="session")

@@ -13,15 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bokeh.models import CrosshairTool, HoverTool, VArea
+from excerpts import BAGS, parameters, replayed_run
 from numpy.typing import NDArray
 from scipy import signal
 
-from uav_ident_ros.bags.reading import Bag
-from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.files.truth_file import Truth, read_truth
 from uav_ident_ros.identification.identifier import State
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.report.analysis import (
     SIGNALS,
     autocorrelation,
@@ -43,17 +42,12 @@ from uav_ident_ros.report.predictions import Predictions, predict
 from uav_ident_ros.report.style import COLORS, SERIES
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
 
-BAGS = Path(__file__).parents[2] / "bags"
 Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
 def run() -> OfflineRun:
-    values = load_parameters(BAGS / "multisine" / "identifier.yaml", "identifier")
-    with Bag(BAGS / "multisine") as bag:
-        run = OfflineRun(choose_inputs(bag, values))
-        run.run(bag, lambda messages, total: messages)
-    return run
+    return replayed_run(BAGS / "multisine", parameters())
 
 
 @pytest.fixture(scope="module")

@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from excerpts import BAGS, PARAMETERS, SECOND_NS, Entry, excerpt
 from html_page import Node, parse
 
 import uav_ident_ros
-from uav_ident_ros.bags.reading import Bag
-from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.offline import main
 from uav_ident_ros.report.tables import coefficients_table, verdict_of
 
-BAGS = Path(__file__).parents[2] / "bags"
-SECOND_NS = 1_000_000_000
+START_NS = 1_700_000_000 * SECOND_NS
+"""When the flight of the bag begins."""
+
 LARGEST_FILE = 3_000_000
 """Bytes: small enough for an e-mail."""
 
@@ -250,26 +250,14 @@ def test_colours_have_names_and_it_is_small(page: Node, replayed: Path) -> None:
 # --- other flights ---------------------------------------------------------------------------
 
 
-def excerpt(target: Path, seconds: float, jump_ns: int = 0) -> Path:
-    """Copy the start of a bag; from half of it on every stamp is `jump_ns` later."""
-    topics = ("/imu/data", "/actuators")
-    with Bag(BAGS / "multisine") as bag, BagWriter(target) as writer:
-        for topic in topics:
-            writer.topic(topic, bag.types[topic])
-        decoders = {topic: bag.decoder(topic) for topic in topics}
-        for topic, log_ns, data in bag.messages(topics):
-            since = log_ns - bag.start_ns
-            if since > seconds * SECOND_NS:
-                break
-            message = decoders[topic](data)
-            if since > 0.5 * seconds * SECOND_NS:
-                message.header.stamp.sec += jump_ns // SECOND_NS
-            writer.write(topic, log_ns, message)
-    return target
+def later(topic: str, log_ns: int, message: Any) -> list[Entry]:
+    """From six seconds on every stamp is a day later."""
+    message.header.stamp.sec += 86_400 if log_ns > START_NS + 6 * SECOND_NS else 0
+    return [(topic, log_ns, message)]
 
 
 def report_of(bag: Path, output: Path) -> Node:
-    parameters = ["--params-file", str(BAGS / "multisine" / "identifier.yaml")]
+    parameters = ["--params-file", str(PARAMETERS)]
     assert main([str(bag), *parameters, "--output", str(output), "--report"]) in (0, 1)
     return parse((output / "report.html").read_text(encoding="utf-8"))
 
@@ -294,7 +282,7 @@ def test_a_flight_too_short_to_judge_and_oddly_named_has_a_report_too(tmp_path: 
 
 def test_two_time_bases_are_shown_one_after_the_other(tmp_path: Path) -> None:
     output = tmp_path / "out"
-    page = report_of(excerpt(tmp_path / "bag", 12.0, jump_ns=86_400 * SECOND_NS), output)
+    page = report_of(excerpt(tmp_path / "bag", 12.0, change=later), output)
     text = "".join(script.text for script in page.all("script"))
     (end,) = {float(found) for found in re.findall(r'"bounds":\[0\.0,([\d.]+)\]', text)}
     assert 11.0 <= end <= 14.0
