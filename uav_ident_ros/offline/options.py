@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
+from typing import Any
 
 from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.messages.streams import STREAMS, Stream
@@ -41,58 +42,56 @@ def parser() -> argparse.ArgumentParser:
         epilog=EXIT_STATUS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    result.add_argument(
-        "bags",
-        type=Path,
-        nargs="+",
-        metavar="BAG",
-        help="MCAP file, rosbag2 folder, or a folder with any number of them",
-    )
-    _add_parameters(result)
-    _add_topics(result)
-    _add_output(result)
-    _add_fleet(result)
+    result.add_argument("bags", type=Path, nargs="+", metavar="BAG",
+        help="MCAP file, rosbag2 folder, or a folder with any number of them")  # fmt: skip
+    for title, options in _groups().items():
+        group = result.add_argument_group(title)
+        for name, words, more in options:
+            group.add_argument(name, help=words, **more)
     return result
 
 
-def _add_parameters(result: argparse.ArgumentParser) -> None:
-    group = result.add_argument_group("parameters")
-    group.add_argument(
-        "--params-file", type=Path, metavar="FILE", help="ROS 2 parameter file, as for the node"
-    )
-    group.add_argument(
-        "--node",
-        default=NODE_NAME,
-        metavar="NAME",
-        help="node whose sections of the parameter file count (default: %(default)s)",
-    )
-    group.add_argument(
-        "--compare",
-        type=Path,
-        nargs="+",
-        metavar="FILE",
-        help="rank configurations on one bag: parameter files, each on top of --params-file",
-    )
-
-
-def _add_topics(result: argparse.ArgumentParser) -> None:
-    group = result.add_argument_group("topics")
-    group.add_argument(
-        "--topic",
-        type=_remapping,
-        action="append",
-        default=[],
-        metavar="NAME:=TOPIC",
-        help="topic of the bag to read as the node's topic NAME, which is one of "
-        f"{', '.join(stream.topic for stream in STREAMS)}; may be given several times",
-    )
-    for stream in STREAMS:
-        group.add_argument(
-            f"--{_option(stream)}-topic",
-            type=absolute,
-            metavar="TOPIC",
-            help=f"the same as --topic {stream.topic}:=TOPIC (default: {_default(stream)})",
-        )
+def _groups() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
+    """Return name, help and the rest of every option, by group."""
+    file, folder, switch = (
+        {"type": Path, "metavar": "FILE"}, {"type": Path, "metavar": "DIR"},
+        {"action": "store_true"},
+    )  # fmt: skip
+    return {
+        "parameters": [
+            ("--params-file", "ROS 2 parameter file, as for the node", file),
+            ("--node", "node whose sections of the parameter file count (default: %(default)s)",
+             {"default": NODE_NAME, "metavar": "NAME"}),
+            ("--compare", "rank configurations on one bag: parameter files, each on top of "
+             "--params-file", {**file, "nargs": "+"}),
+        ],
+        "topics": [
+            ("--topic", "topic of the bag to read as the node's topic NAME, which is one of "
+             f"{', '.join(stream.topic for stream in STREAMS)}; may be given several times",
+             {"type": _remapping, "action": "append", "default": [], "metavar": "NAME:=TOPIC"}),
+            *((f"--{_option(stream)}-topic",
+               f"the same as --topic {stream.topic}:=TOPIC (default: {_default(stream)})",
+               {"type": absolute, "metavar": "TOPIC"}) for stream in STREAMS),
+        ],
+        "output": [
+            ("--output", "folder of the results (default: replay_BAG); of several bags or "
+             "configurations each gets a folder of its own in it", folder),
+            ("--plot", "also write replay.png: rates and coefficients", switch),
+            ("--report", "also write report.html: everything on one page, for any browser",
+             switch),
+        ],
+        "several bags": [
+            ("--jobs", "processes at a time for several bags or configurations (default: "
+             "%(default)s)",
+             {"type": _positive, "default": os.cpu_count() or 1, "metavar": "N"}),
+            ("--scheduler", "Dask scheduler whose workers do the work, such as tcp://host:8786; "
+             "they must see the same paths", {"default": "", "metavar": "ADDRESS"}),
+            ("--again", "replay all bags; without it those are skipped whose result is there "
+             "already, of the same bag with the same settings", switch),
+            ("--aircraft", "aircraft in the table of flights (default: name of the folder that "
+             "the bag is in)", {"default": "", "metavar": "NAME"}),
+        ],
+    }  # fmt: skip
 
 
 def _option(stream: Stream) -> str:
@@ -107,55 +106,6 @@ def _default(stream: Stream) -> str:
     if stream.optional:
         return f"none, or with '{stream.setting}' {found} of that type"
     return f"{found} of a known type"
-
-
-def _add_output(result: argparse.ArgumentParser) -> None:
-    group = result.add_argument_group("output")
-    group.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder of the results (default: replay_BAG); of several bags or configurations "
-        "each gets a folder of its own in it",
-    )
-    group.add_argument(
-        "--plot", action="store_true", help="also write replay.png: rates and coefficients"
-    )
-    group.add_argument(
-        "--report",
-        action="store_true",
-        help="also write report.html: everything on one page, for any browser",
-    )
-
-
-def _add_fleet(result: argparse.ArgumentParser) -> None:
-    group = result.add_argument_group("several bags")
-    group.add_argument(
-        "--jobs",
-        type=_positive,
-        default=os.cpu_count() or 1,
-        metavar="N",
-        help="processes at a time for several bags or configurations (default: %(default)s)",
-    )
-    group.add_argument(
-        "--scheduler",
-        default="",
-        metavar="ADDRESS",
-        help="Dask scheduler whose workers do the work, such as tcp://host:8786; they must see the "
-        "same paths",
-    )
-    group.add_argument(
-        "--again",
-        action="store_true",
-        help="replay all bags; without it those are skipped whose result is there already, of the "
-        "same bag with the same settings",
-    )
-    group.add_argument(
-        "--aircraft",
-        default="",
-        metavar="NAME",
-        help="aircraft in the table of flights (default: name of the folder that the bag is in)",
-    )
 
 
 def absolute(name: str) -> str:
