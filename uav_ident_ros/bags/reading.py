@@ -48,16 +48,6 @@ class Bag:
     path : Path or str
         An MCAP file, or a rosbag2 folder, whose metadata file may be missing; or a bag of ROS 1.
 
-    Attributes
-    ----------
-    types : dict
-        Message type of each topic, by name.
-    counts : dict
-        Number of messages of each topic.
-    damage : list of str
-        What is wrong with the bag and what was saved, a line each; grows while a damaged bag is
-        read.
-
     Raises
     ------
     BagError
@@ -76,13 +66,15 @@ class Bag:
         self._stack = ExitStack()
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._readers: list[AnyReader] = []
+        # What is wrong with the bag and what was saved, a line each; grows while a damaged bag is
+        # read
         self.damage: list[str] = []
         try:
             for reader in _opened(self.path, self.damage):
                 self._stack.callback(reader.close)
                 self._readers.append(reader)
-            self.types = self._types()
-            self.counts = self._counts()
+            self.types = self._types()  # Message type of each topic, by name
+            self.counts = self._counts()  # Number of messages of each topic
         except BaseException:
             self._stack.close()
             raise

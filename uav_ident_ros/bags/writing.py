@@ -38,18 +38,13 @@ class BagWriteError(Exception):
     """A bag cannot be written; the message names the path or topic and why."""
 
 
-def qos(depth: int = 10, *, reliable: bool = True, transient_local: bool = False) -> Qos:
-    """QoS profile that a topic was offered with.
-
-    Parameters
-    ----------
-    depth : int
-        Depth of the history.
-    reliable : bool
-        Reliable, or best effort.
-    transient_local : bool
-        Keeps its last messages for late subscribers, or is volatile.
-    """
+def qos(
+    depth: int = 10,  # Depth of the history
+    *,
+    reliable: bool = True,  # Reliable, or best effort
+    transient_local: bool = False,  # Keeps its last messages for late subscribers, or is volatile
+) -> Qos:
+    """QoS profile that a topic was offered with."""
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=depth,
@@ -101,15 +96,6 @@ class BagWriter:
     Messages are written in the order of the calls; give them in log-time order. A bag whose
     block ends with an exception is left without metadata, as an interrupted recording is.
 
-    Parameters
-    ----------
-    path : Path or str
-        Folder of the new bag; must not exist.
-    compress : bool
-        Compress the chunks with zstd.
-    typestore : Typestore, optional
-        Message types, for bags with types outside of ROS 2 Jazzy's own.
-
     Examples
     --------
     >>> with BagWriter("flight") as bag:                                  # doctest: +SKIP
@@ -118,7 +104,11 @@ class BagWriter:
     """
 
     def __init__(
-        self, path: Path | str, compress: bool = False, typestore: Typestore | None = None
+        self,
+        path: Path | str,  # Folder of the new bag; must not exist
+        compress: bool = False,  # Compress the chunks with zstd
+        # Message types, for bags with types outside of ROS 2 Jazzy's own
+        typestore: Typestore | None = None,
     ) -> None:
         self.path = Path(path)
         self.types = typestore or jazzy_types()
@@ -152,17 +142,13 @@ class BagWriter:
         else:
             self._writer.abort()
 
-    def topic(self, name: str, msgtype: str, qos: Qos | None = None) -> None:
+    def topic(
+        self,
+        name: str,  # Topic name
+        msgtype: str,  # Message type, ``package/msg/Name``
+        qos: Qos | None = None,  # Profile it was offered with; see `qos`
+    ) -> None:
         """Announce a topic.
-
-        Parameters
-        ----------
-        name : str
-            Topic name.
-        msgtype : str
-            Message type, ``package/msg/Name``.
-        qos : Qos, optional
-            Profile it was offered with; see `qos`.
 
         Raises
         ------
@@ -177,17 +163,14 @@ class BagWriter:
             name, msgtype, typestore=self.types, offered_qos_profiles=(qos,) if qos else ()
         )
 
-    def write(self, topic: str, log_time_ns: int, message: Any) -> None:
+    def write(
+        self,
+        topic: str,  # An announced topic
+        log_time_ns: int,  # Log time, ns
+        # Message as a dataclass of the typestore (see `message_class`), or its CDR bytes
+        message: Any,
+    ) -> None:
         """Write one message.
-
-        Parameters
-        ----------
-        topic : str
-            An announced topic.
-        log_time_ns : int
-            Log time, ns.
-        message : Any
-            Message as a dataclass of the typestore (see `message_class`), or its CDR bytes.
 
         Raises
         ------

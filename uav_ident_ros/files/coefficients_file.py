@@ -75,18 +75,11 @@ class Notes:
 
 
 def save_coefficients(
-    coefficients: CoefficientSet, path: Path | str, notes: Notes | None = None
+    coefficients: CoefficientSet,  # What to write; every value finite
+    path: Path | str,  # The file; one that exists is replaced
+    notes: Notes | None = None,  # What to write beside them
 ) -> None:
     """Write a coefficients file, whole or not at all.
-
-    Parameters
-    ----------
-    coefficients : CoefficientSet
-        What to write; every value finite.
-    path : Path or str
-        The file; one that exists is replaced.
-    notes : Notes, optional
-        What to write beside them.
 
     Raises
     ------
@@ -204,15 +197,11 @@ def _digits(value: float) -> str:
     return f"{mantissa}{separator}{exponent}"
 
 
-def load_coefficients(path: Path | str, structure: str | None = None) -> CoefficientSet:
+def load_coefficients(
+    path: Path | str,  # The file
+    structure: str | None = None,  # Structure that it must be for
+) -> CoefficientSet:
     """Read a coefficients file and check all of it.
-
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-    structure : str, optional
-        Structure that it must be for.
 
     Raises
     ------
