@@ -6,7 +6,6 @@ from __future__ import annotations
 import dataclasses
 from functools import cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from rosbags.interfaces import (
@@ -130,12 +129,7 @@ class BagWriter:
             raise BagWriteError(f"cannot write bag '{self.path}': {error}") from None
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Write index and metadata; after an exception leave the bag unfinished."""
         if kind is None:
             self._writer.close()

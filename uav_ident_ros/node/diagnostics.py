@@ -139,21 +139,17 @@ class TickMeter:
     def values(self) -> Iterator[tuple[str, str]]:
         """Yield what is to be shown, each with its label."""
         yield "count", str(self.count)
-        if self._ages:
-            p50, p99 = np.percentile(self._ages, (50, 99)) * 1e3
-            yield "age when published p50 [ms]", f"{p50:.1f}"
-            yield "age when published p99 [ms]", f"{p99:.1f}"
-        if self._durations:
-            p50, p99, most = np.percentile(self._durations, (50, 99, 100)) * 1e3
-            yield "update time p50 [ms]", f"{p50:.3f}"
-            yield "update time p99 [ms]", f"{p99:.3f}"
-            yield "update time max [ms]", f"{most:.3f}"
-        if self._intervals:
-            p50, p99 = np.percentile(self._intervals, (50, 99)) * 1e3
-            yield "timer interval p50 [ms]", f"{p50:.2f}"
-            yield "timer interval p99 [ms]", f"{p99:.2f}"
-            jitter = np.abs(np.array(self._intervals) - self._period)
-            yield "timer jitter p99 [ms]", f"{np.percentile(jitter, 99) * 1e3:.2f}"
+        jitter = [abs(interval - self._period) for interval in self._intervals]
+        for name, times, shares, digits in (
+            ("age when published", self._ages, (50, 99), 1),
+            ("update time", self._durations, (50, 99, 100), 3),
+            ("timer interval", self._intervals, (50, 99), 2),
+            ("timer jitter", jitter, (99,), 2),
+        ):
+            if times:
+                for share, seconds in zip(shares, np.percentile(times, shares), strict=True):
+                    which = f"p{share}" if share < 100 else "max"
+                    yield f"{name} {which} [ms]", f"{1e3 * seconds:.{digits}f}"
 
 
 def level_of(state: str) -> bytes:

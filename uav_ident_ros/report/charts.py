@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from itertools import groupby
 
 import numpy as np
-from bokeh.models import ColumnDataSource, HoverTool, Span
+from bokeh.models import ColumnDataSource, Span
 
 from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.prediction import LAST_PART
@@ -16,7 +16,7 @@ from uav_ident_ros.offline.evidence import reason_of
 from uav_ident_ros.report.flight import AXES, Flight
 from uav_ident_ros.report.predictions import Predictions
 from uav_ident_ros.report.style import COLORS
-from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin, value_range
+from uav_ident_ros.report.timeline import Chart, Timeline, columns, hover, thin, value_range
 
 RATE_BINS = (9.0, 15_000)
 """Bins of a line of gyro samples: for each second, and the most. A bin keeps two points."""
@@ -225,8 +225,7 @@ def _bar_chart(
     drawn = chart.hbar(
         "row", left="begin", right="end", height=0.8, color="color", source=source, line_width=0
     )
-    tooltips = [("", "@words"), ("from", "@begin{0.0} s"), ("to", "@end{0.0} s")]
-    chart.add_tools(HoverTool(renderers=[drawn], tooltips=tooltips, visible=False))
+    hover(chart, drawn, ("", "@words"), ("from", "@begin{0.0} s"), ("to", "@end{0.0} s"))
     return chart
 
 

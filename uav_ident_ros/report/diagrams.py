@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import BoxAnnotation, FixedTicker, HoverTool, LinearColorMapper, Span
+from bokeh.models import BoxAnnotation, FixedTicker, LinearColorMapper, Span
 from bokeh.palettes import Blues256
 
 from uav_ident_ros.identification.linearisation import Mode
@@ -27,7 +27,7 @@ from uav_ident_ros.report.analysis import (
 from uav_ident_ros.report.flight import AXES, Flight
 from uav_ident_ros.report.predictions import Predictions
 from uav_ident_ros.report.style import COLORS, DASHES, SERIES
-from uav_ident_ros.report.timeline import Chart, columns, plain_figure, value_range
+from uav_ident_ros.report.timeline import Chart, columns, hover, plain_figure, value_range
 
 DECADES = 5.0
 """Range of an axis of powers: below is arithmetic, not flight."""
@@ -54,8 +54,7 @@ def _lines(chart: Any, x: FloatArray, lines: dict[str, FloatArray], unit: str) -
     for k, name in enumerate(lines):
         style = {"color": COLORS[SERIES[k]], "line_dash": DASHES[k], "line_width": 1.5}
         drawn = chart.line("x", name, source=source, legend_label=name, **style)
-        tips = [(unit, "@x{0.000}"), (name, f"@{{{name}}}{{0.000e+0}}")]
-        chart.add_tools(HoverTool(renderers=[drawn], mode="vline", tooltips=tips, visible=False))
+        hover(chart, drawn, (unit, "@x{0.000}"), (name, f"@{{{name}}}{{0.000e+0}}"), mode="vline")
     if lines:
         chart.legend.orientation = "horizontal"
         chart.legend.background_fill_alpha = 0.6
@@ -163,8 +162,7 @@ def mode_chart(found: Sequence[Mode]) -> Chart:
     size = {"width": "width", "height": "height"}
     chart.ellipse("re", "im", **size, source=source, color=COLORS["tick"], fill_alpha=0.25)
     drawn = chart.scatter("re", "im", source=source, size=8, marker="x", color=COLORS["tick"])
-    tips = [("", "@name"), ("real", "@re{0.000}"), ("imaginary", "@im{0.000}")]
-    chart.add_tools(HoverTool(renderers=[drawn], tooltips=tips, visible=False))
+    hover(chart, drawn, ("", "@name"), ("real", "@re{0.000}"), ("imaginary", "@im{0.000}"))
     return Chart(
         "mode-plane",
         "Modes in the complex plane",

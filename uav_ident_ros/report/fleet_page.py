@@ -76,10 +76,10 @@ def _section(section: Any, k: int, aircraft: Aircraft) -> Any:
 
 
 def _charts(k: int, aircraft: Aircraft) -> Iterator[Any]:
-    from bokeh.models import BoxAnnotation, ColumnDataSource, HoverTool, Span
+    from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 
     from uav_ident_ros.report.style import COLORS
-    from uav_ident_ros.report.timeline import Chart, plain_figure, value_range
+    from uav_ident_ros.report.timeline import Chart, hover, plain_figure, value_range
 
     for name in aircraft.main[:MOST_CHARTS]:
         value, sigma = aircraft.values[name], aircraft.sigmas[name]
@@ -106,7 +106,7 @@ def _charts(k: int, aircraft: Aircraft) -> Iterator[Any]:
         chart.add_layout(Span(dimension="width", location=pooled.value, line_dash="dashed"))
         chart.segment("number", "low", "number", "high", source=source, color="color")
         drawn = chart.scatter("number", "value", source=source, color="color", size=6)
-        tips = [("", "@flight"), (name, "@value{0.0000}"), ("sigma", "@sigma{0.0000}")]
-        chart.add_tools(HoverTool(renderers=[drawn], tooltips=tips, visible=False))
+        tips = (("", "@flight"), (name, "@value{0.0000}"), ("sigma", "@sigma{0.0000}"))
+        hover(chart, drawn, *tips)
         spoken = f"{name} in every usable flight of {aircraft.name}, with its sigma."
         yield Chart(f"fleet-{k}-{name.replace('/', '-')}", name, chart, spoken, small=True)

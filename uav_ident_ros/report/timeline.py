@@ -91,6 +91,11 @@ def plain_figure(height: int, unit: str = "", **options: Any) -> Any:
     return result
 
 
+def hover(chart: Any, drawn: Any, *tips: tuple[str, str], mode: str = "mouse") -> None:
+    """Let the hand on what is drawn read the tips: headings, and what stands behind them."""
+    chart.add_tools(HoverTool(renderers=[drawn], mode=mode, tooltips=[*tips], visible=False))
+
+
 class Timeline:
     """Makes charts that share their time axis."""
 
@@ -130,14 +135,8 @@ class Timeline:
         """Draw a column of a source over its column ``t``; the colour by its name."""
         name = str(options.pop("name", column))
         drawn = chart.line("t", column, source=source, name=name, color=COLORS[color], **options)
-        chart.add_tools(
-            HoverTool(
-                renderers=[drawn],
-                mode="vline",
-                tooltips=[("time", "@t{0.00} s"), (name, f"@{{{column}}}{{0.0000}}")],
-                visible=False,
-            )
-        )
+        tips = (("time", "@t{0.00} s"), (name, f"@{{{column}}}{{0.0000}}"))
+        hover(chart, drawn, *tips, mode="vline")
 
 
 LONGEST_GAP = 0.5
