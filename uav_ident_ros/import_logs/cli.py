@@ -7,14 +7,16 @@ import argparse
 import sys
 import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser
 from uav_ident_ros.import_logs import blackbox, dataflash, px4_log
+from uav_ident_ros.import_logs.ardupilot import read_ardupilot
 from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
+from uav_ident_ros.import_logs.csv_table import read_csv
 from uav_ident_ros.import_logs.flight_log import (
     LONGEST_TITLE,
     TRIMS,
@@ -23,10 +25,18 @@ from uav_ident_ros.import_logs.flight_log import (
     ImportLogError,
     printable,
 )
+from uav_ident_ros.import_logs.px4 import read_px4
 from uav_ident_ros.import_logs.stamps import describe, doubts
 
 DAMAGED = 1
 """Exit status if a part of the log could not be read."""
+
+READERS = {
+    px4_log.MAGIC: read_px4,
+    dataflash.MAGIC: read_ardupilot,
+    blackbox.MAGIC: blackbox.read_blackbox,
+}
+"""Readers by the first bytes of a log."""
 
 WIDTH = 100
 
@@ -162,25 +172,11 @@ def read_log(options: argparse.Namespace) -> FlightLog:
     """
     path: Path = options.log
     start = px4_log.MAGIC if path.is_dir() else _first_bytes(path)
-    choice = Choice(
-        options.rates_topic,
-        options.actuators_topic,
-        options.rates_instance,
-        options.actuators_instance,
-    )
-    if start.startswith(px4_log.MAGIC):
-        from uav_ident_ros.import_logs.px4 import read_px4
-
-        return read_px4(path, choice)
-    if start.startswith(dataflash.MAGIC):
-        from uav_ident_ros.import_logs.ardupilot import read_ardupilot
-
-        return read_ardupilot(path, choice)
-    if start.startswith(blackbox.MAGIC):
-        return blackbox.read_blackbox(path, choice)
+    choice = Choice(**{f.name: getattr(options, f.name) for f in fields(Choice)})
+    for magic, read in READERS.items():
+        if start.startswith(magic):
+            return read(path, choice)
     if options.columns is not None:
-        from uav_ident_ros.import_logs.csv_table import read_csv
-
         if choice != Choice():
             raise ImportLogError(
                 f"table '{path}': the column map names its columns; leave --rates-topic and the "

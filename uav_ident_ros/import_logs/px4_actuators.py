@@ -10,6 +10,7 @@ and `actuator_outputs`, behind it.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -343,15 +344,9 @@ def _by_function(log: Log, findings: Findings, functions: list[int], prefix: str
             neutral = (low + high) / 2.0
         else:
             kind, scale, neutral = Channel(f"output_{i + 1}", NO_EFFECT, ""), 1.0, 0.0
-        channels.append(Channel(kind.name, kind.effect, where, scale, neutral, "us"))
+        channels.append(replace(kind, meaning=where, scale=scale, neutral=neutral, unit="us"))
     names = unique_names([channel.name for channel in channels])
-    return [_renamed(c, name) for c, name in zip(channels, names, strict=True)]
-
-
-def _renamed(channel: Channel, name: str) -> Channel:
-    return Channel(
-        name, channel.effect, channel.meaning, channel.scale, channel.neutral, channel.unit
-    )
+    return [replace(c, name=name) for c, name in zip(channels, names, strict=True)]
 
 
 def _quad_x(log: Log, findings: Findings, count: int) -> list[Channel]:
