@@ -24,6 +24,7 @@ import yaml
 
 from uav_ident_ros.client import Coefficients
 from uav_ident_ros.domain import own_domain
+from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.node.saving import FINISH_WITHIN
 from uav_ident_ros.node.startup import USAGE_ERROR
 from uav_ident_ros.simulation import closed_loop
@@ -404,10 +405,7 @@ def test_launch_can_rename_every_input(path: Path):
         ast.literal_eval(pair.elts[0]): ast.literal_eval(pair.elts[1].args[0])
         for pair in remappings.elts
     }
-    inputs = constants_of(ROOT / PACKAGE / "node" / "inputs.py")
-    topics = {value for name, value in inputs.items() if name.endswith("_TOPIC")}
-    assert len(topics) == 5
-    assert set(arguments) == topics
+    assert set(arguments) == {stream.topic for stream in STREAMS}
     defaults = {
         ast.literal_eval(call.args[0]): word.value
         for call in launch_calls(path, "DeclareLaunchArgument")
