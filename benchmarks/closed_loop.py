@@ -14,6 +14,7 @@ docs/images/.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import struct
@@ -323,20 +324,28 @@ STAMP = struct.Struct("<iI")
 STAMP_OFFSET = 4
 """Of a serialized message that begins with a header, after the encapsulation header."""
 
-LATENCY_TIME = 60.0
+LATENCY_TIME = 40.0
 WARM_UP = 5.0
 IMU_RATES = (100.0, 200.0)
+WAITS = (0.05, 0.02)
+"""Settings of `input_wait`, s."""
 
 
 def latency(_seeds: int, _picture: bool) -> dict[str, Any]:
     out = {}
-    for rate in IMU_RATES:
+    for rate, wait in itertools.product(IMU_RATES, WAITS):
         loop = Loop(
-            LATENCY_TIME, lock_step=False, parameters={"simulated_plant": {"rate": f"{rate}"}}
+            LATENCY_TIME,
+            lock_step=False,
+            parameters={
+                "simulated_plant": {"rate": f"{rate}"},
+                "identifier": {"input_wait": f"{wait}"},
+            },
         )
         ages: dict[str, list[float]] = {}
-        fly(loop, lambda running, ages=ages: listen(running, ages))
-        out[f"{rate:g} Hz"] = {
+        dropped: dict[str, str] = {}
+        fly(loop, lambda running, ages=ages, dropped=dropped: listen(running, ages, dropped))
+        found: dict[str, Any] = {
             topic: {
                 "p50": float(np.percentile(values, 50)),
                 "p99": float(np.percentile(values, 99)),
@@ -344,11 +353,13 @@ def latency(_seeds: int, _picture: bool) -> dict[str, Any]:
             }
             for topic, values in ages.items()
         }
+        out[f"{rate:g} Hz, {1e3 * wait:g} ms"] = {"ages": found, "dropped": dropped}
     return out
 
 
-def listen(running: ClosedLoop, ages: dict[str, list[float]]) -> None:
-    """Collect the age of each message on its arrival here, ms."""
+def listen(running: ClosedLoop, ages: dict[str, list[float]], dropped: dict[str, str]) -> None:
+    """Collect the age of each message on its arrival here, ms, and what the identifier dropped."""
+    from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.context import Context
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
@@ -372,6 +383,11 @@ def listen(running: ClosedLoop, ages: dict[str, list[float]]) -> None:
 
         return take
 
+    def take_diagnostics(message: DiagnosticArray) -> None:
+        for status in message.status:
+            dropped.update({v.key: v.value for v in status.values if ": dropped" in v.key})
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", take_diagnostics, 10)
     for topic, kind in (
         ("imu/data", Imu), ("command", JointState), ("identifier/coefficients_named", JointState),
     ):  # fmt: skip
@@ -383,14 +399,15 @@ def listen(running: ClosedLoop, ages: dict[str, list[float]]) -> None:
 
 
 def latency_lines(found: dict[str, Any]) -> Iterator[str]:
-    yield "| Imu | from its stamp to | p50, ms | p99, ms | messages |"
+    yield "| Imu, input_wait | from its stamp to | p50, ms | p99, ms | messages |"
     yield "|---|---|---|---|---|"
-    for rate, topics in found.items():
-        for topic, values in topics.items():
+    for case, told in found.items():
+        for topic, values in told["ages"].items():
             yield (
-                f"| {rate} | `{topic}` | {values['p50']:.1f} | {values['p99']:.1f} | "
+                f"| {case} | `{topic}` | {values['p50']:.1f} | {values['p99']:.1f} | "
                 f"{values['count']} |"
             )
+        yield f"| {case} | dropped | {told['dropped']} | | |"
 
 
 PROGRAMS = {

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.estimators.change import ChangeDetector
+from uav_ident_ros.identification.estimators.change import CONSTANT, ChangeDetector
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.structure import CONSTANT_COLUMN, STRUCTURES
 
 STRUCTURE = STRUCTURES["augmented"]
 
@@ -18,7 +18,7 @@ STRUCTURE = STRUCTURES["augmented"]
 )
 def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> None:
     chance = np.random.default_rng(1)
-    detector = ChangeDetector(STRUCTURE.mask)
+    detector = ChangeDetector(STRUCTURE.mask, 15.0)
     for length in lengths:
         f = chance.normal(size=(10, STRUCTURE.size))
         data = Regression(y=chance.normal(size=(10, 3)), f=f, z=f, dt=length / 10)
@@ -35,7 +35,7 @@ def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> N
 
 def test_a_window_does_not_reach_over_a_gap() -> None:
     chance = np.random.default_rng(1)
-    detector = ChangeDetector(STRUCTURE.mask)
+    detector = ChangeDetector(STRUCTURE.mask, 15.0)
     everything = (
         np.zeros((3, STRUCTURE.size)),
         np.zeros((3, 4)),
@@ -63,7 +63,7 @@ def test_a_change_stands_out_from_noise_and_from_learning(
 ) -> None:
     """A lost surface does, by 12 of -20."""
     chance = np.random.default_rng(2)
-    detector = ChangeDetector(STRUCTURE.mask)
+    detector = ChangeDetector(STRUCTURE.mask, 15.0)
     coefficients = np.zeros((3, STRUCTURE.size))
     coefficients[1, 8] = -20.0
     everywhere, nowhere = np.ones(4, dtype=bool), np.zeros(3, dtype=bool)
@@ -84,7 +84,7 @@ def test_a_change_stands_out_from_noise_and_from_learning(
 def test_what_a_still_input_seems_to_do_is_not_remembered() -> None:
     """Its slope is noise: a surface that moves again and is lost is noticed all the same."""
     chance = np.random.default_rng(3)
-    detector = ChangeDetector(STRUCTURE.mask)
+    detector = ChangeDetector(STRUCTURE.mask, 15.0)
     coefficients = np.zeros((3, STRUCTURE.size))
     coefficients[1, 8] = -20.0
     found = []
@@ -102,3 +102,32 @@ def test_what_a_still_input_seems_to_do_is_not_remembered() -> None:
             np.zeros(3, dtype=bool),
         )
     assert found[:1] == [(1, 0)]
+
+
+def test_a_moment_that_steps_is_the_constant_though_the_controller_answers() -> None:
+    """The input makes up for it a little later, and so looks like its cause."""
+    chance = np.random.default_rng(4)
+    detector = ChangeDetector(STRUCTURE.mask, 15.0)
+    coefficients = np.zeros((3, STRUCTURE.size))
+    coefficients[1, 8] = -20.0
+    found: list[tuple[int, int]] = []
+    smooth, slow = np.zeros(2), 0.0
+    for k in range(1400):  # ticks of 0.05 s
+        for _ in range(10):  # the moment as the regression's filter passes it
+            target = 3.0 if k >= 1200 else 0.0
+            slope = 15.0**2 * (target - smooth[0]) - np.sqrt(2.0) * 15.0 * smooth[1]
+            smooth = smooth + 0.005 * np.array([smooth[1], slope])
+            slow += 0.005 * 8.0 * (smooth[0] - slow)
+        f = np.zeros((10, STRUCTURE.size))
+        f[:, 8] = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal() + slow / 20.0
+        f[:, CONSTANT_COLUMN] = 1.0
+        y = f @ coefficients.T + 0.05 * chance.normal(size=3)
+        y[:, 1] += smooth[0]
+        found += detector.update(
+            Regression(y, f, f, 0.005),
+            coefficients,
+            np.zeros((3, 4)),
+            np.ones(4, dtype=bool),
+            np.ones(3, dtype=bool),
+        )
+    assert found[:1] == [(1, CONSTANT)]

@@ -11,22 +11,29 @@ import pytest
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
 from uav_ident_ros.control import Law, RateController
+from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.live import LiveQuadrotor
-from uav_ident_ros.simulation.noise import Sensors
+from uav_ident_ros.simulation.manoeuvres import Manoeuvres
+from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
+from uav_ident_ros.simulation.quadrotor import Body
 
 FILES = Path(__file__).resolve().parents[2] / "config" / "closed_loop"
 SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
 START_NS = 1_700_000_000 * 10**9
 
 
-def flown(seconds: float, *faults: str) -> FloatArray:
-    """Rates minus reference over time, rad/s, under the law with the files' coefficients."""
+def flown(seconds: float, *faults: str, identifier: OnlineIdentifier | None = None) -> FloatArray:
+    """Rates minus reference over time, rad/s, under the law with the files' coefficients.
+
+    It is kept level, or led through the manoeuvres of the loop while it is identified.
+    """
     known = Coefficients.from_file(FILES / "quadrotor_coefficients.yaml")
     controller = load_parameters(FILES / "quadrotor.yaml", "controller")
     limits = np.array([controller["least"], controller["largest"]]) - controller["trim"]
@@ -34,12 +41,22 @@ def flown(seconds: float, *faults: str) -> FloatArray:
     chosen = Law(controller.get("law", "incremental"))
     law = RateController(source, known, limits, controller["delay"], chosen, adaptive=False)
     craft = LiveQuadrotor(SENSORS, 0.01, [parse_fault(text) for text in faults])
+    guide = Manoeuvres(bank=0.2, pitch=0.2, hold=(2.0, 4.0), airspeed=1000.0, seed=0)
     errors = []
     while craft.time < seconds:
         sample = craft.sample()
         t_ns = START_NS + round(sample.time * 1e9)
-        reference = -np.append(sample.attitude[:2], 0.0)  # level it
+        roll, pitch = map(float, sample.attitude[:2])
+        reference = np.array([-roll, -pitch, 0.0])  # level it
+        if identifier is not None:
+            reference = guide.rates(sample.time, roll, pitch, 1.0 / SENSORS.rate)
         craft.command(law.update(t_ns, sample.measured_rates, reference)[:3])
+        if identifier is not None:
+            measured = (sample.measured_rates * FRD_TO_FLU, sample.measured_force * FRD_TO_FLU)
+            identifier.add_actuators(t_ns, craft.outputs.tolist())
+            identifier.add_rates(t_ns, *(part.tolist() for part in measured))
+            while (due := identifier.due()) is not None:
+                identifier.update(due)
         craft.advance()
         errors.append(sample.rates - reference)
     assert np.ptp(craft.outputs) < 1.0
@@ -51,6 +68,28 @@ def test_the_law_flies_it_and_stands_a_weak_motor() -> None:
     before, after = errors[100:300].max(axis=0), errors[700:].max(axis=0)
     assert before.max() < 0.05 and after.max() < 0.05
     assert errors[300:400].max() > 0.2  # it was felt
+
+
+def test_a_weak_motor_is_a_step_of_the_constant_moments_and_relearned_within_five_seconds() -> None:
+    """The controller answers it with a step of its inputs: no control derivative has changed."""
+    values = load_parameters(FILES / "quadrotor.yaml", "identifier")
+    settings = Settings.from_values(values)
+    identifier = OnlineIdentifier(
+        settings, load_coefficients(FILES / "quadrotor_coefficients.yaml")
+    )
+    errors = flown(25.0, "20: motor_front_left effect 0.7", identifier=identifier)
+    found, names = identifier.coefficient_set().values, identifier.structure
+    assert [change.name for change in identifier.changed] == ["pdot/1", "qdot/1", "rdot/1"]
+    assert identifier.changed[-1].t - START_NS * 1e-9 < 22.0
+    for name, truth in Body().derivatives().items():
+        if name[-2:] in ("de", "dr", "da"):  # a quarter of the effect is 0.7 of what it was
+            assert found[names.index(name)] == pytest.approx(0.925 * truth, rel=0.15), name
+    healthy, after = errors[500:2000], errors[2200:]
+    assert (rms(after)[:2] < 1.3 * rms(healthy)[:2]).all()
+
+
+def rms(errors: FloatArray) -> FloatArray:
+    return np.sqrt(np.mean(errors**2, axis=0))
 
 
 def test_its_channels_are_the_motors_and_they_act_after_the_delay() -> None:

@@ -14,7 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import (
+    CONSTANT_COLUMN,
+    INPUT_COLUMNS,
+    INPUTS,
+    BoolArray,
+    FloatArray,
+)
 
 WINDOW_TIME = 5.0
 """Time over which the slope is taken, s."""
@@ -81,6 +87,22 @@ class TickMean:
     dt: float
 
 
+PASSED = 6.0
+"""Time in which a step passes the regression's filter, to 2 %, times its cut-off."""
+
+CONSTANT = len(INPUTS)
+"""Place of the constant behind the inputs."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of a row's constant, from the residuals of a window."""
+
+    size: float
+    explained: float  # Share of the row's whitened residual that it explains, 0 ... 1
+    ticks: int  # How many ticks ago it had passed the filter
+
+
 @dataclass(frozen=True)
 class Slopes:
     """How much each control derivative seems to have changed, from the residuals of a window."""
@@ -102,6 +124,8 @@ class ChangeDetector:
     ----------
     free : (3, n) bool array
         Coefficients that move.
+    cutoff : float
+        Of the regression's filter, rad/s.
 
     Attributes
     ----------
@@ -111,9 +135,14 @@ class ChangeDetector:
         What the last look found.
     """
 
-    def __init__(self, free: BoolArray) -> None:
+    def __init__(self, free: BoolArray, cutoff: float) -> None:
+        self._cutoff = cutoff
         # Throttle acts through the propeller's speed: its column has no single true value.
         self._row, self._input = np.nonzero(free[:, INPUT_COLUMNS] & SURFACES)
+        constants = free[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1]
+        self._has_constant: BoolArray = constants.any(axis=1)
+        self._residual: FloatArray = np.zeros((0, 3))
+        self._rho: FloatArray = np.zeros(3)
         self.recent: deque[TickMean] = deque()
         nothing = np.zeros((3, 4))
         self.found = Slopes(nothing, nothing, nothing, nothing, np.zeros(4))
@@ -144,6 +173,10 @@ class ChangeDetector:
         clear: BoolArray,
     ) -> list[tuple[int, int]]:
         """Return (row, input) of each control derivative that has changed.
+
+        A motor that loses thrust steps a constant moment, and the controller answers with a step of
+        its inputs, which looks like a slope. Where the step of the constant explains more, the
+        place is `CONSTANT`.
 
         Parameters
         ----------
@@ -205,7 +238,8 @@ class ChangeDetector:
                 np.argmax(np.where(self._agreeing[i] >= CONFIRMATIONS, found.t[i], 0.0))
             )
             if self._agreeing[i, strongest] >= CONFIRMATIONS:
-                changed.append((i, strongest))
+                stepped = self.step(i).explained > found.explained[i, strongest]
+                changed.append((i, CONSTANT if stepped and self._has_constant[i] else strongest))
                 self._hold_off[i] = WINDOW_TIME
                 self._agreeing[i] = 0
                 for _, power, _ in self._newest:
@@ -237,6 +271,7 @@ class ChangeDetector:
         u = f[:, INPUT_COLUMNS]
         u = u - np.add.reduce(u) / len(u)
         rho = self._correlation(residual)
+        self._residual, self._rho = residual, rho
         white = (residual[1:] - rho * residual[:-1])[:, self._row]
         # One column for each watched coefficient.
         u_white = u[1:, self._input] - rho[self._row] * u[:-1, self._input]
@@ -252,6 +287,25 @@ class ChangeDetector:
             self._scatter(_ratio(slope * product, np.add.reduce(white * white))),
             np.add.reduce(u * u) * self.recent[-1].dt,
         )
+
+    def step(self, row: int) -> Step:
+        """Return the step of the constant that explains most of a row's last window."""
+        residual, rho = self._residual[:, row], self._rho[row]
+        ticks = len(residual)
+        # column k: a step at the start of tick k + 1 as the regression's filter passes it, taken
+        # at the middle of each tick
+        after = np.maximum(np.arange(ticks)[:, None] - np.arange(1, ticks) + 0.5, 0.0)
+        phase = self._cutoff * self.recent[-1].dt * after / np.sqrt(2.0)
+        steps = 1.0 - np.exp(-phase) * (np.cos(phase) + np.sin(phase))
+        steps -= steps.mean(axis=0)
+        white, steps = residual[1:] - rho * residual[:-1], steps[1:] - rho * steps[:-1]
+        product, power = steps.T @ white, np.add.reduce(steps * steps)
+        explained = product * product / power
+        best = int(np.argmax(explained))
+        share = float(_ratio(explained[best], white @ white))
+        passed = round(PASSED / (self._cutoff * self.recent[-1].dt))
+        size = float(product[best] / power[best])
+        return Step(size, share, max(0, ticks - 1 - best - passed))
 
     def _scatter(self, values: FloatArray) -> FloatArray:
         """Values of the watched coefficients at their places, zero elsewhere, shape (3, 4)."""

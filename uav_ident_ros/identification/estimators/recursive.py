@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uav_ident_ros.identification.estimators.change import (
+    CONSTANT,
     LIVELY_SHARE,
     WINDOW_TIME,
     ChangeDetector,
@@ -278,7 +279,8 @@ class RecursiveRegression:
         self.sigma: FloatArray = start.sigma.copy()
         self._solution = self._solve()
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
-        self._detector = ChangeDetector(start.free[:3])
+        self._cutoff = settings.filter.cutoff
+        self._detector = ChangeDetector(start.free[:3], self._cutoff)
         self._recent: deque[Sample] = deque()
         self._snapshots: deque[Solution] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
         self._trials: dict[int, Trial] = {}
@@ -393,7 +395,7 @@ class RecursiveRegression:
         self._whitened.estimate.discount(weight)
         if self._least_squares is not None:
             self._least_squares.discount(weight)
-        self._detector = ChangeDetector(self._start.free[:3])
+        self._detector = ChangeDetector(self._start.free[:3], self._cutoff)
         self._recent.clear()
         self._snapshots.clear()
         self._trials.clear()
@@ -411,8 +413,9 @@ class RecursiveRegression:
         white = self._whitened.solution or self._solution
         sigma = white.sigma[: len(ROWS), INPUT_COLUMNS]
         changed = self._detector.update(data, self._linear(white), sigma, lively, self.clear)
-        self.changes = [(i, INPUT_COLUMNS.start + j) for i, j in changed]
+        self.changes = []
         for i, j in changed:
+            self.changes.append((i, CONSTANT_COLUMN if j == CONSTANT else INPUT_COLUMNS.start + j))
             self._release(i, j, white)
         self._since_snapshot += data.time
         if self._since_snapshot >= SNAPSHOT_TIME:
@@ -439,7 +442,8 @@ class RecursiveRegression:
 
         A covariance reset: of all that was known before, the covariance of this coefficient and of
         the constant, which takes up part of any change about a trim, are set to what a change
-        by so much allows.
+        by so much allows. Where the constant alone has changed, by a step, what came before the
+        step tells nothing of it.
         """
         found, information = self._detector.found, self.information
         sums = self._sums().copy()
@@ -448,10 +452,17 @@ class RecursiveRegression:
         known = self._snapshots[0] if self._snapshots else white
         mean, covariance = known.linear[row].copy(), known.covariance[row].copy()
         columns = self._layout.index[row].tolist()
-        entry = columns.index(INPUT_COLUMNS.start + j)
-        shift = float(found.slope[row, j])
-        mean[entry] += shift
-        covariance[entry, entry] += max(float(found.deviation[row, j]), SLOPE_ERROR * shift) ** 2
+        since = list(self._recent)
+        if j == CONSTANT:
+            step = self._detector.step(row)
+            mean[columns.index(CONSTANT_COLUMN)] += step.size
+            since = since[max(0, len(since) - step.ticks) :]
+        else:
+            entry, shift = columns.index(INPUT_COLUMNS.start + j), float(found.slope[row, j])
+            mean[entry] += shift
+            spread = max(float(found.deviation[row, j]), SLOPE_ERROR * abs(shift))
+            covariance[entry, entry] += spread**2
+            self._forget_prior(row, INPUT_COLUMNS.start + j)
         if CONSTANT_COLUMN in columns:
             constant = columns.index(CONSTANT_COLUMN)
             covariance[constant, constant] += self._start.sigma[row, CONSTANT_COLUMN] ** 2
@@ -462,10 +473,9 @@ class RecursiveRegression:
             unit = float(other.information.unit[row])
             known_there.set_known(row, mean, covariance, free, unit)
             other.set_row(row, known_there)
-        self._forget_prior(row, INPUT_COLUMNS.start + j)
         alone = np.zeros(self._layout.rows)
         alone[row] = 1.0
-        for sample in self._recent:
+        for sample in since:
             plain = self._least_squares is not None or self._reference.warming_up
             z = sample.f if plain else sample.z
             sums.add(sample.f, z, sample.y, alone * sample.dt)
