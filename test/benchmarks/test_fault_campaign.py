@@ -66,11 +66,7 @@ def test_the_time_of_the_fault_is_the_seeds() -> None:
 
 
 @pytest.mark.campaign
-def test_adaptive_brings_home_what_is_lost_on_fixed_derivatives(
-    request: pytest.FixtureRequest,
-) -> None:
-    if "campaign" not in request.config.option.markexpr:
-        pytest.skip("takes minutes: run with -m campaign")
+def test_adaptive_brings_home_what_is_lost_on_fixed_derivatives() -> None:
     pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
     flights = list(
         fault_campaign.campaign(["ultra_stick_25e"], ["aileron reversed"], seeds=1, workers=2)
