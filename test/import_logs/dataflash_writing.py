@@ -26,6 +26,7 @@ FORMATS: dict[str, tuple[str, str]] = {
     "CTUN": ("Qccccffffffi", "TimeUS,NavRoll,Roll,NavPitch,Pitch,ThO,RdO,ThD,As,SAs,E2T,GU"),
     "ARM": ("QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method"),
     "GPS": ("Qf", "TimeUS,Spd"),
+    "MODE": ("QMBB", "TimeUS,Mode,ModeNum,Rsn"),
     "ATT": ("QccccCC", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw"),
     "DSF": ("QIHIIII", "TimeUS,Dp,Blk,Bytes,FMn,FMx,FAv"),
 }

@@ -11,6 +11,7 @@ from dataflash_writing import OLD_FORMATS, DataflashWriter
 from imported import contents, mixing, parameters, refusal, run
 from imported import imported as import_of
 
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.simulation.channels import QUADROTOR
 
 START, STEP, COUNT = 20_000_000, 4000, 300
@@ -211,6 +212,28 @@ def test_trim_airspeed_lever_arm_and_lost_messages(tmp_path: Path, capsys) -> No
     np.testing.assert_allclose(found["imu.lever_arm"], [0.1, 0.0, -0.05], rtol=1e-6)
     assert "the logger lost 7 messages" in said
     assert "ARSP.Airspeed times CTUN.E2T" in said
+
+
+@pytest.mark.parametrize("scale", [1.0, 4500.0])
+def test_mode_and_setpoints_come_along(tmp_path: Path, capsys, scale: float) -> None:
+    """Old logs, whose controls are no shares, ask for hundredths of a degree a second."""
+    unit = 1.0 if scale == 1.0 else 100.0
+    asked = (30.0 * unit, 0, 0.1 * scale, -20.0 * unit, 0, 0, 10.0 * unit, 0, 0, 0, 0, 0.4)
+    rows = [(int(t), "RATE", asked) for t in COMMAND_US]
+    rows += [(START, "MODE", (5, 5, 1)), (int(COMMAND_US[9]), "MODE", (99, 99, 1))]
+    writer = DataflashWriter(tmp_path)
+    writer.add("MSG", START, b"ArduPlane V4.5.7 (0358a9c2)")
+    writer.add_parameters(PLANE)
+    writer.add_rows(imu() + rcou() + rows)
+    log = writer.write(tmp_path / "flight.bin")
+    run([str(log), "--output", str(tmp_path / "bag")], capsys)
+    with Bag(tmp_path / "bag") as bag:
+        decode = {topic: bag.decoder(topic) for topic in ("/mode", "/setpoint/rates")}
+        read = [(m.topic, m.log_ns, decode[m.topic](m.data)) for m in bag.messages(decode)]
+    modes = [(t, m.data) for topic, t, m in read if topic == "/mode"]
+    assert modes == [(START * 1000, "fbwa"), (int(COMMAND_US[9]) * 1000, "Mode 99")]
+    vector = next(m.vector for topic, _, m in read if topic == "/setpoint/rates")
+    np.testing.assert_allclose(np.degrees([vector.x, vector.y, vector.z]), [30, -20, 10], rtol=1e-6)
 
 
 def test_a_log_that_begins_in_flight(tmp_path: Path, capsys) -> None:

@@ -379,7 +379,7 @@ def test_the_tables_of_ulog2csv(tmp_path: Path, capsys) -> None:
     assert "has the tables of several logs, flight, other" in line
 
 
-def test_attitude_and_arming_come_along(tmp_path: Path, capsys) -> None:
+def test_attitude_arming_mode_and_setpoints_come_along(tmp_path: Path, capsys) -> None:
     yaw = np.linspace(3.0, 3.4, 21)  # through 180 deg, where the quaternion changes its sign
     q = quaternions(
         np.full(21, 0.3), np.full(21, -0.2), np.remainder(yaw + np.pi, 2 * np.pi) - np.pi
@@ -387,23 +387,34 @@ def test_attitude_and_arming_come_along(tmp_path: Path, capsys) -> None:
     logged = np.column_stack([q[:, 3], q[:, :3]])
     attitude = commands(IMU_NS[::20][:21] + 30_000, logged[: len(IMU_NS[::20])], "q", delay_us=30)
     armed_ns = int(IMU_NS[100])
+    asked_for = np.float32(RATES[::20] + 0.5)
     topics = (
         combined()
         | TORQUES
         | {
             ("vehicle_attitude", 0): attitude,
-            ("vehicle_status", 0): status(IMU_NS[[0, 100]], "arming_state", [1, 2]),
+            ("vehicle_status", 0): status(IMU_NS[[0, 100, 120]], "arming_state", [1, 2, 2])
+            | {"nav_state": np.array([0, 15, 15], np.uint8)},
+            ("vehicle_rates_setpoint", 0): {
+                "timestamp": stamps(IMU_NS[::20]),
+                **dict(zip(("roll", "pitch", "yaw"), asked_for.T, strict=True)),
+            },
         }
     )
     _, values, _ = imported(tmp_path, capsys, topics, {"MC_ROLLRATE_P": 0.15})
     assert values["armed.type"] == "std_msgs/msg/Bool"
     assert "MC_ROLLRATE_P 0.15" in (tmp_path / "bag" / "identifier.yaml").read_text()
     with Bag(tmp_path / "bag") as bag:
-        decode = {topic: bag.decoder(topic) for topic in ("/imu/data", "/armed")}
+        topics = ("/imu/data", "/armed", "/mode", "/setpoint/rates")
+        decode = {topic: bag.decoder(topic) for topic in topics}
         read = [(m.topic, m.log_ns, decode[m.topic](m.data)) for m in bag.messages(decode)]
     states = [(t, m.data) for topic, t, m in read if topic == "/armed"]
     assert all(armed == (t >= armed_ns) for t, armed in states)
     assert (armed_ns, True) in states and len(states) == 3
+    modes = [(t, m.data) for topic, t, m in read if topic == "/mode"]
+    assert modes == [(int(IMU_NS[0]), "manual"), (armed_ns, "stabilized")]
+    asked = [m.vector for topic, _, m in read if topic == "/setpoint/rates"]
+    np.testing.assert_allclose([(v.x, v.y, v.z) for v in asked], asked_for)
     imu = [m for topic, _, m in read if topic == "/imu/data"]
     o = imu[110].orientation  # between two samples of the attitude
     middle = quaternions(*(np.array([angle]) for angle in (0.3, -0.2, yaw[5:7].mean())))[0]

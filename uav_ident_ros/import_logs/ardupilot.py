@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.ardupilot_names import name_as_today
-from uav_ident_ros.import_logs.ardupilot_outputs import PINS, READERS, read_outputs
+from uav_ident_ros.import_logs.ardupilot_outputs import PINS, READERS, is_old_rate, read_outputs
 from uav_ident_ros.import_logs.autopilot import (
     BOOT_TIME,
     ENOUGH_RATE,
@@ -19,6 +19,8 @@ from uav_ident_ros.import_logs.autopilot import (
     find_messages,
     median_in_flight,
     read_lever_arm,
+    read_mode,
+    read_setpoint,
     refuse_others,
     say_changes,
     say_instances,
@@ -34,6 +36,7 @@ from uav_ident_ros.import_logs.flight_log import (
     FlightLog,
     ImportLogError,
     Rates,
+    Setpoint,
 )
 from uav_ident_ros.import_logs.knowledge import describe_rotation, quaternions, table
 from uav_ident_ros.import_logs.log import Log, Messages
@@ -53,6 +56,9 @@ IMPORTED = ("SERVO", "FRAME_", "AHRS_ORIENTATION", "INS_GYR", "INS_POS", "MOT_PW
 EXPLAINING = (*IMPORTED, "INS_", "ATC_RAT_", "RLL", "PTCH", "YAW", "LOG_", "SCHED_LOOP")
 """... and of those that matter to what comes of it: filters, gains, what is logged."""
 
+RATES_ASKED_FOR = ("RDes", "PDes", "YDes")
+"""deg/s."""
+
 EULER = ("Roll", "Pitch", "Yaw")
 
 TYPES = (
@@ -60,7 +66,7 @@ TYPES = (
     *OLD_INSTANCES,
     *PINS,
     *READERS,
-    *("ACC", "ARSP", "CTUN", "ARM", "EV", "STAT", "DSF", "ATT", "GPS"),
+    *("ACC", "ARSP", "CTUN", "ARM", "EV", "STAT", "DSF", "ATT", "GPS", "MODE"),
 )
 """The messages that are read."""
 
@@ -106,6 +112,8 @@ def read_ardupilot(
         flown,
         armed,
         _attitude(log, findings),
+        _setpoint(log, findings),
+        read_mode(log.messages("MODE"), "Mode", _modes(_firmware(title)), findings),
         _firmware(title) == "Copter" or actuators.source == "RATE",
         _ground_speed(log, flown or []),
         that_explain(log.parameters, EXPLAINING),
@@ -219,6 +227,20 @@ def _attitude(log: Log, findings: Findings) -> Attitude | None:
     findings.read.append("attitude: ATT, as the Imu's orientation (FRD to NED)")
     roll, pitch, yaw = np.radians(messages.values(*EULER)).T
     return Attitude("ATT", messages.stamp_ns, quaternions(roll, pitch, yaw))
+
+
+def _setpoint(log: Log, findings: Findings) -> Setpoint | None:
+    """Find the rates that Copter or a QuadPlane asked for; before 3.4 in hundredths of deg/s."""
+    messages = log.messages("RATE")
+    old = messages is not None and is_old_rate(messages)
+    unit = np.pi / 180.0 * (0.01 if old else 1.0)
+    return read_setpoint(messages, RATES_ASKED_FOR, unit, findings)
+
+
+def _modes(firmware: str) -> dict[int, str]:
+    """Return the names of the modes of a firmware, by their numbers."""
+    named: dict[int, str] = table("ardupilot")["modes"].get(firmware, {})
+    return named
 
 
 def _ground_speed(log: Log, flight: Stretches) -> float:

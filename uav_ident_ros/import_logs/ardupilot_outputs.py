@@ -244,12 +244,18 @@ def _aetr(log: Log, messages: Messages, findings: Findings) -> Actuators:
     return _demands(log, messages, KNOWN["controls"]["AETR"])
 
 
+def is_old_rate(messages: Messages) -> bool:
+    """Whether messages RATE are in the units of before Copter 3.4: its controls are no shares."""
+    fields = [field for field in KNOWN["controls"]["RATE"] if field in messages]
+    asked = [messages.columns[field] for field in fields]
+    return any(np.abs(v[np.isfinite(v)]).max(initial=0.0) > NORMALISED for v in asked)
+
+
 def _rate(log: Log, messages: Messages, findings: Findings) -> Actuators:
     """Copter's controls before its mixer."""
     findings.assumed.append("the mixer delivers what RATE asks for: it knows no saturation")
     known = KNOWN["controls"]["RATE"]
-    asked = [messages.columns[field] for field in known if field in messages]
-    if any(np.abs(values[np.isfinite(values)]).max(initial=0.0) > NORMALISED for values in asked):
+    if is_old_rate(messages):
         known = KNOWN["controls"]["old RATE"]
         findings.assumed.append(
             "RATE: full demand is 4500, full throttle 1000, as before Copter 3.4"

@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError
+from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError, Mode, Setpoint
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.stamps import Stretches, coverage
 
@@ -116,6 +116,29 @@ def refuse_others(log: Log, known: Mapping[Any, str], found: Any, source: str) -
             f"log '{log.path}' is of {known[found]} ({source} {found}): the model is that of an "
             "aircraft's attitude"
         )
+
+
+def read_mode(
+    messages: Messages | None, field: str, names: Mapping[int, str], findings: Findings
+) -> Mode | None:
+    """Read the modes at each change; a number without a name is shown as it is."""
+    if messages is None or field not in messages:
+        return None
+    numbers = messages.columns[field].astype(int)
+    changed = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
+    said = np.array([names.get(int(n), f"{field} {n}") for n in numbers[changed]])
+    findings.read.append(f"mode: {messages.name}.{field}: {', '.join(dict.fromkeys(said))}")
+    return Mode(messages.name, messages.stamp_ns[changed], said)
+
+
+def read_setpoint(
+    messages: Messages | None, fields: tuple[str, ...], unit: float, findings: Findings
+) -> Setpoint | None:
+    """Read the rates that were asked for, in body axes FRD; `unit` in rad/s."""
+    if messages is None or not set(fields) <= set(messages.columns):
+        return None
+    findings.read.append(f"rates asked for: {messages.name}.{', '.join(fields)}")
+    return Setpoint(messages.name, messages.stamp_ns, unit * messages.values(*fields))
 
 
 def say_instances(sensor: str, instances: Collection[int], findings: Findings) -> None:

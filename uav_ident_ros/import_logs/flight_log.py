@@ -106,6 +106,24 @@ class Attitude:
     quaternion: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class Setpoint:
+    """Samples of the rates that the autopilot asked for."""
+
+    source: str  # Where in the log they are from
+    t_ns: TimeArray  # (m,) Stamps, ns
+    rates: FloatArray  # (m, 3) p, q, r, rad/s, FRD
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """Modes that the autopilot was in, at each change."""
+
+    source: str  # Where in the log they are from
+    t_ns: TimeArray  # (m,) From when on, ns
+    names: NDArray[np.str_]  # (m,) Names, as the autopilot has them
+
+
 @dataclass
 class Findings:
     """What there is to say about an import, a sentence each."""
@@ -134,6 +152,8 @@ class FlightLog:
     # Start and end of every stretch in which it was armed, ns; None if the log does not say
     armed: list[tuple[int, int]] | None = None
     attitude: Attitude | None = None
+    setpoint: Setpoint | None = None
+    mode: Mode | None = None
     hovers: bool = False  # Whether it is a multirotor, or a VTOL by the commands of its hover
     ground_speed: float = 0.0  # Median speed over ground in flight, m/s; 0 if it is not known
     # What the log says of the autopilot's parameters that matter, by name
@@ -141,7 +161,7 @@ class FlightLog:
 
     def streams(self) -> dict[str, Any]:
         """Return the streams that there are, by name."""
-        names = ("rates", "actuators", "airspeed", "attitude")
+        names = ("rates", "actuators", "airspeed", "attitude", "setpoint", "mode")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def in_flight(self, t_ns: TimeArray) -> BoolArray:

@@ -17,6 +17,8 @@ from uav_ident_ros.import_logs.autopilot import (
     find_messages,
     median_in_flight,
     read_lever_arm,
+    read_mode,
+    read_setpoint,
     refuse_others,
     say_changes,
     say_instances,
@@ -53,12 +55,15 @@ OTHER_TOPICS = (
     "vehicle_attitude",
     "vehicle_status",
     "vehicle_land_detected",
+    "vehicle_rates_setpoint",
     "vehicle_gps_position",
     "sensor_gps",
     "airspeed_validated",
     "airspeed",
 )
 """Topics that are read beside rates and commands."""
+
+RATES_ASKED_FOR = ("roll", "pitch", "yaw")
 
 MOST_GYROS = 4
 QUATERNION = 4
@@ -111,6 +116,8 @@ def read_px4(
         flown,
         armed,
         _attitude(log, findings),
+        read_setpoint(log.messages("vehicle_rates_setpoint"), RATES_ASKED_FOR, 1.0, findings),
+        read_mode(log.messages("vehicle_status"), "nav_state", table("px4")["modes"], findings),
         hovers(log, choice.actuators_instance),
         _ground_speed(log, flown or []),
         that_explain(log.parameters, EXPLAINING),

@@ -18,7 +18,14 @@ from uav_ident_ros.files.parameter_template import written
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.import_logs.flight_log import Channel, Findings, FlightLog, printable
+from uav_ident_ros.import_logs.flight_log import (
+    Channel,
+    Findings,
+    FlightLog,
+    Mode,
+    Setpoint,
+    printable,
+)
 from uav_ident_ros.import_logs.knowledge import at_times
 from uav_ident_ros.import_logs.stamps import coverage
 
@@ -26,6 +33,8 @@ IMU_TOPIC, IMU_TYPE = "/imu/data", "sensor_msgs/msg/Imu"
 ACTUATORS_TOPIC, ACTUATORS_TYPE = "/actuators", "sensor_msgs/msg/JointState"
 AIRSPEED_TOPIC, AIRSPEED_TYPE = "/airspeed", "geometry_msgs/msg/TwistStamped"
 ARMED_TOPIC, ARMED_TYPE = "/armed", "std_msgs/msg/Bool"
+SETPOINT_TOPIC, SETPOINT_TYPE = "/setpoint/rates", "geometry_msgs/msg/Vector3Stamped"
+MODE_TOPIC, MODE_TYPE = "/mode", "std_msgs/msg/String"
 
 WITHOUT_FORCES, WITHOUT_WINGS = "throttle_coupled", "augmented"
 """Structure if there is no accelerometer, and that of a multirotor: no angle of attack tells its
@@ -107,6 +116,12 @@ def _write(log: FlightLog, folder: Path, parameters: dict[str, Any]) -> Path:
         if log.armed is not None:
             bag.topic(ARMED_TOPIC, ARMED_TYPE, qos(10))
             streams.append(_armed_entries(log))
+        if log.setpoint is not None:
+            bag.topic(SETPOINT_TOPIC, SETPOINT_TYPE, qos(10))
+            streams.append(_setpoint_entries(log.setpoint))
+        if log.mode is not None:
+            bag.topic(MODE_TOPIC, MODE_TYPE, qos(10))
+            streams.append(_mode_entries(log.mode))
         # At equal times the actuators come first, as the command precedes its effect.
         for log_ns, topic, message in heapq.merge(*streams, key=lambda entry: entry[0]):
             bag.write(topic, log_ns, message)
@@ -191,6 +206,20 @@ def _armed_entries(log: FlightLog) -> Iterator[Entry]:
     for t_ns in sorted({*regular, *(t for t in changes if start <= t < end)}):
         armed = any(first <= t_ns < last for first, last in log.armed or [])
         yield t_ns, ARMED_TOPIC, boolean(data=armed)
+
+
+def _setpoint_entries(setpoint: Setpoint) -> Iterator[Entry]:
+    vector, stamped = message_class("geometry_msgs/msg/Vector3"), message_class(SETPOINT_TYPE)
+    columns = (_log_times(setpoint.t_ns), setpoint.t_ns.tolist(), setpoint.rates.tolist())
+    for log_ns, t_ns, pqr in zip(*columns, strict=True):
+        asked = stamped(header=header(t_ns, FRAME_IDS["frd"]), vector=vector(*pqr))
+        yield log_ns, SETPOINT_TOPIC, asked
+
+
+def _mode_entries(mode: Mode) -> Iterator[Entry]:
+    string = message_class(MODE_TYPE)
+    for log_ns, name in zip(_log_times(mode.t_ns), mode.names.tolist(), strict=True):
+        yield log_ns, MODE_TOPIC, string(data=name)
 
 
 # --- parameters ---------------------------------------------------------------------------------

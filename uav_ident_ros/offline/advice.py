@@ -39,6 +39,15 @@ SLOW_IMU = 49.0
 SLOW_ACTUATORS = 24.0
 """Rate of the actuators, Hz: below 25 it is a guess what they did in between."""
 
+FAST_LOGS = (
+    "PX4: the bit 'high rate' of SDLOG_PROFILE; ArduPilot: the bits of fast attitude and raw IMU "
+    "of LOG_BITMASK"
+)
+"""What makes an autopilot log fast enough."""
+
+EXCITING_MODES = "an autopilot's autotune does that, and ArduPilot's SystemID mode (SID_AXIS)"
+"""Who moves the surfaces as it is needed."""
+
 DROPPED_SHARE = 0.01
 """Share of dropped messages that is no accident."""
 
@@ -83,7 +92,7 @@ def no_excitation(e: Evidence) -> Iterator[str]:
     if (e.input_spread[: INPUTS.index("dth")] < STILL).all():
         yield (
             "no surface moved: nothing can be learned of them; look at 'actuators.channels' and "
-            "'actuators.mixing', or excite the aircraft"
+            f"'actuators.mixing', or excite the aircraft: {EXCITING_MODES}"
         )
 
 
@@ -173,7 +182,10 @@ def slow_streams(e: Evidence) -> Iterator[str]:
         ("actuators", e.actuator_rate, SLOW_ACTUATORS),
     ):
         if 0.0 < rate < needed:
-            yield f"the {word} come at {rate:.0f} Hz: {needed + 1.0:.0f} Hz at the least are needed"
+            yield (
+                f"the {word} come at {rate:.0f} Hz: {needed + 1.0:.0f} Hz at the least are needed "
+                f"({FAST_LOGS})"
+            )
 
 
 def many_drops(e: Evidence) -> Iterator[str]:
@@ -235,6 +247,7 @@ ROOT_CAUSES: tuple[Callable[[Evidence], Iterator[str]], ...] = (never_flew, no_e
 
 ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     *ROOT_CAUSES,
+    slow_streams,
     gated,
     weak_excitation,
     wrong_delay,
@@ -244,7 +257,6 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     row_needs_force,
     leans_on_force,
     noisy_gyro,
-    slow_streams,
     many_drops,
     short_flight,
     not_told_apart,
