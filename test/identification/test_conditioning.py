@@ -21,7 +21,8 @@ from flying import (
 
 from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.identifier import ACTUATORS, RATES, OnlineIdentifier
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.intake import ACTUATORS, RATES
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.disturbance import ColouredNoise
@@ -148,7 +149,7 @@ def test_a_new_time_base_restarts_without_a_jump(calm_flight: Flight) -> None:
 def held(identifier: OnlineIdentifier) -> int:
     buffers = (identifier._sampler.rates, identifier._sampler.raw_inputs)
     waiting = sum(len(buffer._waiting_t) + len(buffer.t) for buffer in buffers)
-    return waiting + len(identifier._due) + len(identifier._outlying)
+    return waiting + identifier._intake.waiting
 
 
 PAPER = {

@@ -10,7 +10,8 @@ import pytest
 from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 
 from uav_ident_ros.identification.drops import Drop
-from uav_ident_ros.identification.identifier import EXCITATION, OnlineIdentifier
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.intake import EXCITATION
 from uav_ident_ros.identification.sampling import Sampler, join
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
 from uav_ident_ros.identification.structure import FloatArray

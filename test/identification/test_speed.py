@@ -10,7 +10,8 @@ import pytest
 
 from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.identifier import AIRSPEED, OnlineIdentifier
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.intake import AIRSPEED
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import Segment, sample_inputs

@@ -7,11 +7,9 @@ samples give the same estimates, bit for bit, however they were batched.
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from fractions import Fraction
-from functools import partial
 
 import numpy as np
 
@@ -21,16 +19,7 @@ from uav_ident_ros.identification.delay import (
     DelayBank,
     DelayEstimate,
 )
-from uav_ident_ros.identification.drops import (
-    LARGEST_AIRSPEED,
-    LARGEST_CHANNEL,
-    LARGEST_FORCE,
-    LARGEST_GYRO_RATE,
-    LATEST_STAMP,
-    Drop,
-    time_problem,
-    value_problem,
-)
+from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
@@ -38,6 +27,15 @@ from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.gates import Cost, Gate, GlitchFilter
 from uav_ident_ros.identification.inputs import InputMap
+from uav_ident_ros.identification.intake import (
+    ACTUATORS,
+    AIRSPEED,
+    ARMED,
+    EXCITATION,
+    NO_TICK,
+    RATES,
+    Intake,
+)
 from uav_ident_ros.identification.model import FlowSignals, IdentifiedModel
 from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.plausibility import Finding, Plausibility
@@ -46,22 +44,10 @@ from uav_ident_ros.identification.regression import Regression, StateVariableFil
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
-from uav_ident_ros.identification.settings import (
-    MAX_DELAY,
-    Settings,
-    SettingsError,
-    declarations,
-)
+from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
-from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
-from uav_ident_ros.identification.structure import INPUTS, ROWS, STRUCTURES, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import ROWS, STRUCTURES, BoolArray, FloatArray
 from uav_ident_ros.identification.supervision import Change, State, Supervisor, Verdict
-
-RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
-EXCITATION = "excitation"
-"""The streams, as `OnlineIdentifier.drops` names them."""
-
-SECOND_NS = 1_000_000_000
 
 START_TIME = 20.0
 """Time of learning for which the coefficients count as poor, s."""
@@ -89,8 +75,6 @@ class OnlineIdentifier:
 
     Attributes
     ----------
-    drops : dict
-        For each stream, how many samples were dropped for which reason.
     running_fit : RunningFit
         1-second prediction fit of the coefficients, of those saved, and of holding the rate.
 
@@ -111,22 +95,13 @@ class OnlineIdentifier:
         self._make_estimator = estimator
         self.settings = settings
         self.structure = STRUCTURES[settings.structure]
-        self.drops: dict[str, Counter[Drop]] = {
-            stream: Counter() for stream in (RATES, ACTUATORS, AIRSPEED, ARMED, EXCITATION)
-        }
         self._initial = initial
         self._frame = BodyFrame(settings.imu)
-        self._rate = Fraction(settings.update_rate).limit_denominator(1_000_000)
-        self._wait_ns = round(settings.input_wait * SECOND_NS)
-        self._jump_ns = round(settings.time_jump * SECOND_NS)
-        self._lookback_ns = round((MAX_DELAY + settings.actuators.timeout) * SECOND_NS)
-        self._lookback_ns += 2 * self._jump_ns
-        self._channels = len(settings.actuators.channels)
         self._arm = np.array(settings.imu.lever_arm)
         self._sampler = Sampler(settings)
-        self._guard = StampGuard(self._jump_ns)
-        self._supervisor = Supervisor(settings, self.structure, gates)
         self._armed = SampleBuffer(1)
+        self._intake = Intake(settings, self.restart)
+        self._supervisor = Supervisor(settings, self.structure, gates)
         self.reset()
 
     def reset(self) -> None:
@@ -199,7 +174,16 @@ class OnlineIdentifier:
         self._saved: FloatArray | None = None
         self._supervisor.reset()
         self._plausibility = Plausibility(self.settings)
-        self.fault = ""
+        self._intake.fill(
+            {
+                RATES: self._sampler.rates,
+                ACTUATORS: self._sampler.raw_inputs,
+                AIRSPEED: self._speed.airspeed,
+                ARMED: self._armed,
+                EXCITATION: self._sampler.injected,
+            }
+        )
+        self._intake.fault = ""
         self._learned_time = 0.0
         self.restart()
 
@@ -220,17 +204,11 @@ class OnlineIdentifier:
         self._supervisor.restart()
         self._plausibility.restart()
         self._glitches = GlitchFilter()
-        self._guard.reset()
+        self._intake.restart()
         self._filter: StateVariableFilter | None = None
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
-        self._outlying: list[tuple[int, Sequence[float], Sequence[float] | None]] = []
-        self._held: list[Callable[[], object]] | None = None
-        self._mismatches = 0
-        self._due: deque[int] = deque()
-        self._next_tick: int | None = None
-        self._last_tick_ns = _NO_TICK
-        self._looked_ns = _NO_TICK
+        self._looked_ns = NO_TICK
         self._newest_rates: FloatArray | None = None
 
     # -- supervision -----------------------------------------------------------------------
@@ -354,11 +332,24 @@ class OnlineIdentifier:
         )
 
     # -- samples in ------------------------------------------------------------------------
+    #
+    # Each returns why the sample was dropped, None if it was taken; a stamp is in ns, and what
+    # it is about holds from then on.
+
+    @property
+    def drops(self) -> dict[str, Counter[Drop]]:
+        """For each stream, how many samples were dropped for which reason."""
+        return self._intake.drops
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with the clocks, in a sentence; empty if nothing is."""
+        return self._intake.fault
 
     @property
     def newest_ns(self) -> int | None:
         """Newest stamp of the rates, ns: what time it is on the Imu's clock; None before any."""
-        return self._guard.newest
+        return self._intake.newest_ns
 
     def add_rates(
         self, t_ns: int, pqr: Sequence[float], specific_force: Sequence[float] | None = None
@@ -373,229 +364,21 @@ class OnlineIdentifier:
             Angular velocity, rad/s.
         specific_force : sequence of 3 floats, optional
             Specific force, m/s^2; taken as zero if not measured.
-
-        Returns
-        -------
-        Drop or None
-            Why the sample was dropped, None if it was taken.
         """
-        if self._held is not None:
-            self._held.append(partial(self.add_rates, t_ns, pqr, specific_force))
-            return None
         force = _NO_FORCE if specific_force is None else specific_force
-        problem = self._rates_problem(t_ns, pqr, force)
-        if problem is None:
-            stamp = self._guard.check(t_ns)
-            if stamp is Stamp.GOOD:
-                self._outlying.clear()
-                problem = self._take_rates(t_ns, pqr, force)
-            elif stamp is Stamp.NEW_BASE:
-                self._move_to_new_base(t_ns, pqr, force)
-            else:
-                self._outlying = self._outlying[1 - AGREEING_SAMPLES :]
-                self._outlying.append((t_ns, pqr, force))
-                problem = Drop.OUTLYING_STAMP
-        if problem is not None:
-            self.drops[RATES][problem] += 1
-        return problem
-
-    def _rates_problem(
-        self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
-    ) -> Drop | None:
-        problem = value_problem(pqr, 3, LARGEST_GYRO_RATE)
-        return problem or value_problem(force, 3, LARGEST_FORCE) or time_problem(t_ns)
-
-    def _take_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
-        if t_ns <= self._last_tick_ns:
-            return Drop.LATE
-        self._sampler.rates.append(t_ns, (*pqr, *force))
-        newest = self._guard.newest
-        assert newest is not None
-        if self._last_tick_ns == _NO_TICK:
-            # The first samples may come in any order too.
-            first = self._first_tick(t_ns)
-            self._next_tick = first if self._next_tick is None else min(first, self._next_tick)
-        self._find_due(newest)
-        return None
-
-    def _find_due(self, newest_ns: int) -> None:
-        """Put the ticks on the list that rates stamped `newest_ns` make due."""
-        assert self._next_tick is not None
-        while self._tick_ns(self._next_tick) + self._wait_ns <= newest_ns:
-            self._last_tick_ns = self._tick_ns(self._next_tick)
-            self._due.append(self._last_tick_ns)
-            self._next_tick += 1
-
-    def orderly(self, t_ns: TimeArray, values: FloatArray) -> bool:
-        """Say whether samples of the rates would all be taken, each as newer than the one before.
-
-        Parameters
-        ----------
-        t_ns : (k,) int array
-            Stamps, ns.
-        values : (k, 6) array
-            Rates, rad/s, and specific force, m/s^2, in the Imu's own axes.
-        """
-        newest = self._guard.newest
-        if newest is None or self._last_tick_ns == _NO_TICK or self._outlying or self._held:
-            return False
-        steps = np.diff(t_ns, prepend=newest)
-        largest = np.abs(values).max(axis=0)  # NaN fails the tests
-        return bool(
-            ((steps > 0) & (steps <= self._jump_ns)).all()
-            and t_ns[-1] <= LATEST_STAMP
-            and (largest[:3] <= LARGEST_GYRO_RATE).all()
-            and (largest[3:] <= LARGEST_FORCE).all()
-        )
-
-    @property
-    def next_due_ns(self) -> int:
-        """Stamp of the rates from which on the next tick is due, ns, after the first tick."""
-        assert self._next_tick is not None
-        return self._tick_ns(self._next_tick) + self._wait_ns
-
-    def add_orderly_rates(self, t_ns: Sequence[int], values: Sequence[Sequence[float]]) -> None:
-        """Take samples that `orderly` has accepted; none but the last may make a tick due.
-
-        Parameters
-        ----------
-        t_ns : sequence of int
-            Stamps, ns; see `next_due_ns`.
-        values : sequence of sequences of 6 floats
-            Rates, rad/s, and specific force, m/s^2, in the Imu's own axes.
-        """
-        self._sampler.rates.extend(t_ns, values)
-        self._guard.newest = t_ns[-1]
-        self._find_due(t_ns[-1])
-
-    def _move_to_new_base(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> None:
-        """Start anew with the samples that agreed on the new base, once no tick is due."""
-        agreed = self._outlying[1 - AGREEING_SAMPLES :]
-        self.drops[RATES][Drop.OUTLYING_STAMP] -= len(agreed)
-        self._held = [partial(self.add_rates, *sample) for sample in (*agreed, (t_ns, pqr, force))]
-        if not self._due:
-            self._take_held()
-
-    def _take_held(self) -> None:
-        """Begin the new time base with what was held back for it."""
-        held, self._held = self._held or [], None
-        self.restart()
-        for add in held:
-            add()
+        return self._intake.add_rates(t_ns, pqr, force)
 
     def add_actuators(self, t_ns: int, values: Sequence[float]) -> Drop | None:
-        """Take one sample of the raw actuator channels.
-
-        Parameters
-        ----------
-        t_ns : int
-            Stamp, ns: the values apply from then on.
-        values : sequence of N floats
-            The channels that ``actuators.channels`` names, in that order.
-
-        Returns
-        -------
-        Drop or None
-            Why the sample was dropped, None if it was taken.
-        """
-        if self._held is not None:
-            self._held.append(partial(self.add_actuators, t_ns, values))
-            return None
-        problem = self._actuators_problem(t_ns, values)
-        if problem is None:
-            self._sampler.raw_inputs.append(t_ns, values)
-            if self._next_tick is None:
-                self._sampler.raw_inputs.forget_waiting(t_ns, self._lookback_ns)
-        else:
-            self.drops[ACTUATORS][problem] += 1
-        return problem
-
-    def _actuators_problem(self, t_ns: int, values: Sequence[float]) -> Drop | None:
-        problem = value_problem(values, self._channels, LARGEST_CHANNEL)
-        problem = problem or self._stamp_problem(t_ns)
-        if problem is Drop.CLOCK_MISMATCH:
-            self._count_mismatch(t_ns)
-        elif problem is None or problem is Drop.LATE:
-            self._mismatches = 0
-            self.fault = ""
-        return problem
-
-    def _stamp_problem(self, t_ns: int) -> Drop | None:
-        """Say what is wrong with a stamp beside those of the rates."""
-        problem = time_problem(t_ns)
-        if problem is not None:
-            return problem
-        newest = self._guard.newest
-        if newest is not None and abs(t_ns - newest) > self._jump_ns:
-            return Drop.CLOCK_MISMATCH
-        return Drop.LATE if t_ns <= self._last_tick_ns else None
-
-    def _count_mismatch(self, t_ns: int) -> None:
-        self._mismatches += 1
-        newest = self._guard.newest
-        if self._mismatches >= AGREEING_SAMPLES and newest is not None:
-            self.fault = (
-                f"the actuators are stamped {(t_ns - newest) / SECOND_NS:+.1f} s from the Imu: "
-                "they run on different clocks. Play a bag with --clock and set use_sim_time, "
-                "or synchronise the autopilot's time"
-            )
+        """Take one sample of the raw channels that ``actuators.channels`` names, in that order."""
+        return self._intake.add(ACTUATORS, t_ns, values)
 
     def add_airspeed(self, t_ns: int, airspeed: float) -> Drop | None:
-        """Take one sample of the true airspeed.
-
-        Parameters
-        ----------
-        t_ns : int
-            Stamp, ns: the value applies from then on.
-        airspeed : float
-            True airspeed, m/s.
-
-        Returns
-        -------
-        Drop or None
-            Why the sample was dropped, None if it was taken.
-        """
-        if self._held is not None:
-            self._held.append(partial(self.add_airspeed, t_ns, airspeed))
-            return None
-        problem = value_problem((airspeed,), 1, LARGEST_AIRSPEED) or self._stamp_problem(t_ns)
-        if problem is None:
-            self._speed.airspeed.append(t_ns, (airspeed,))
-            if self._next_tick is None:
-                self._speed.airspeed.forget_waiting(t_ns, self._lookback_ns)
-        else:
-            self.drops[AIRSPEED][problem] += 1
-        return problem
+        """Take one sample of the true airspeed, m/s."""
+        return self._intake.add(AIRSPEED, t_ns, (airspeed,))
 
     def add_armed(self, t_ns: int, armed: bool) -> Drop | None:
-        """Take word of whether the motors are armed.
-
-        Parameters
-        ----------
-        t_ns : int
-            Stamp, ns: it holds from then on. What comes late still counts, from the next
-            tick on: it may never be said again.
-        armed : bool
-            Whether they are.
-
-        Returns
-        -------
-        Drop or None
-            Why the word was dropped, None if it was taken.
-        """
-        if self._held is not None:
-            self._held.append(partial(self.add_armed, t_ns, armed))
-            return None
-        problem = self._stamp_problem(t_ns)
-        if problem is Drop.LATE:
-            t_ns, problem = self._last_tick_ns + 1, None
-        if problem is None:
-            self._armed.append(t_ns, (float(armed),))
-            if self._next_tick is None:
-                self._armed.forget_waiting(t_ns, self._lookback_ns)
-        else:
-            self.drops[ARMED][problem] += 1
-        return problem
+        """Take word of whether the motors are armed; late word counts from the next tick on."""
+        return self._intake.add(ARMED, t_ns, (float(armed),))
 
     def add_excitation(self, t_ns: int, values: Sequence[float]) -> Drop | None:
         """Take word of what was, or will be, injected into the inputs on purpose.
@@ -603,45 +386,30 @@ class OnlineIdentifier:
         Parameters
         ----------
         t_ns : int
-            Stamp, ns: the values apply from then on, and those said before of a later time are
-            called off. What comes late still counts, from the next tick on.
+            Stamp, ns; what was said before of a later time is called off.
         values : sequence of 4 floats
             de, dr, da, dth, in the units of the inputs.
-
-        Returns
-        -------
-        Drop or None
-            Why the word was dropped, None if it was taken.
         """
-        if self._held is not None:
-            self._held.append(partial(self.add_excitation, t_ns, values))
-            return None
-        problem = value_problem(values, len(INPUTS), LARGEST_CHANNEL) or self._stamp_problem(t_ns)
-        if problem is Drop.LATE:
-            t_ns, problem = self._last_tick_ns + 1, None
-        if problem is None:
-            injected = self._sampler.injected
-            injected.call_off(t_ns)
-            injected.append(t_ns, values)
-            if self._next_tick is None:
-                injected.forget_waiting(t_ns, self._lookback_ns)
-        else:
-            self.drops[EXCITATION][problem] += 1
-        return problem
+        return self._intake.add(EXCITATION, t_ns, values)
+
+    def orderly(self, t_ns: TimeArray, values: FloatArray) -> bool:
+        """Say whether samples would all be taken at once: `Intake.orderly`."""
+        return self._intake.orderly(t_ns, values)
+
+    def add_orderly_rates(self, t_ns: Sequence[int], values: Sequence[Sequence[float]]) -> None:
+        """Take samples that `orderly` has accepted: `Intake.add_orderly_rates`."""
+        self._intake.add_orderly_rates(t_ns, values)
 
     # -- ticks -----------------------------------------------------------------------------
 
-    def _tick_ns(self, k: int) -> int:
-        return k * SECOND_NS * self._rate.denominator // self._rate.numerator
-
-    def _first_tick(self, t_ns: int) -> int:
-        """Index of the first tick at or after `t_ns`."""
-        k = t_ns * self._rate.numerator // (SECOND_NS * self._rate.denominator)
-        return k if self._tick_ns(k) >= t_ns else k + 1
-
     def due(self) -> int | None:
         """Time of the next tick that may be computed, ns; None if none is due."""
-        return self._due[0] if self._due else None
+        return self._intake.due
+
+    @property
+    def next_due_ns(self) -> int:
+        """Stamp of the rates from which on the next tick is due, ns, after the first tick."""
+        return self._intake.next_due_ns
 
     def update(self, t_ns: int) -> Estimate | None:
         """Run every tick up to and including `t_ns`, due or not.
@@ -657,15 +425,8 @@ class OnlineIdentifier:
             The estimate of the last tick that was run, None if there was none.
         """
         estimate = None
-        while self._due and self._due[0] <= t_ns:
-            estimate = self._tick(self._due.popleft())
-        if self._held is not None and not self._due:
-            self._take_held()
-            return estimate
-        while self._next_tick is not None and self._tick_ns(self._next_tick) <= t_ns:
-            self._last_tick_ns = self._tick_ns(self._next_tick)
-            self._next_tick += 1
-            estimate = self._tick(self._last_tick_ns)
+        for tick_ns in self._intake.ticks(t_ns):
+            estimate = self._tick(tick_ns)
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
@@ -885,4 +646,3 @@ def _changes(force: FloatArray) -> bool:
 
 
 _NO_FORCE = (0.0, 0.0, 0.0)
-_NO_TICK = -(2**62)

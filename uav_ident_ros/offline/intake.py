@@ -18,12 +18,8 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.bags.reading import Bag, BagError, Message
-from uav_ident_ros.identification.identifier import (
-    ACTUATORS,
-    EXCITATION,
-    RATES,
-    OnlineIdentifier,
-)
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.intake import ACTUATORS, EXCITATION, RATES
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.messages.arrival import Arrivals

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One online pass beside an offline fit: ``python benchmarks/free_output_error.py [FLIGHT ...]``.
+
+The offline fit minimises what is scored: the free prediction over 5 s, of windows in the first 60 %
+of the flight, by `scipy.optimize.least_squares`, with the structure, the prior and the flow states
+of the online pass. Both are scored over the last 40 %, at 1, 3 and 5 s, p / q / r.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads
+
+import cases
+import numpy as np
+from free_prediction import RECORDED, RECORDED_SPEED, triple
+from output_error import TRAINING_PART, grid_blocks
+from scipy.optimize import least_squares
+
+from uav_ident_ros.identification.model import flight_derivative, integrate
+from uav_ident_ros.identification.prior import start_from
+from uav_ident_ros.identification.structure import CONSTANT_COLUMN, INPUT_COLUMNS, FloatArray
+
+HORIZON, APART = 5.0, 2.5
+"""Length of the windows that are fitted, and the time between their starts, s."""
+
+SETTLED = 15.0
+"""Time after which the online pass's flow states are taken as initial ones, s."""
+
+STEP = 1e-4
+"""Step of the difference quotient, relative to the coefficient or to 1."""
+
+LARGEST = 3.0
+"""Rate or angle at which a diverging prediction is held, rad/s and rad."""
+
+FLIGHTS = tuple(f"{aircraft}_{kind}" for aircraft in ("c172p", "t37", "ov10") for kind in ("calm",))
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Measured signals over W windows of m cells."""
+
+    h: float  # Width of a cell, s
+    x: FloatArray  # (m + 1, 3, W) Rates at the edges, rad/s
+    u: FloatArray  # (m, 4, W) Inputs
+    start: FloatArray  # (8, W) State that the online pass has there
+    airspeed: FloatArray  # (W,) m/s
+
+
+def windows(case: cases.Case, track: cases.Track) -> Windows:
+    """Cut the training part of a flight into windows."""
+    assert track.flow is not None
+    last = TRAINING_PART * track.time[-1]
+    x, u, start, airspeed = [], [], [], []
+    wanted = SETTLED
+    blocks = grid_blocks(case, track.settings)
+    m = round(HORIZON / blocks[0].h)
+    for k, time in enumerate(track.time.tolist()):
+        if time < wanted or time + HORIZON > last:
+            continue
+        for block in blocks:
+            i = int(np.searchsorted(block.t_ns, track.t_ns[k]))
+            if block.t_ns[0] <= track.t_ns[k] and i + m < len(block.t_ns):
+                x.append(block.x[i : i + m + 1])
+                u.append(block.u[i : i + m])
+                flow = track.flow
+                start.append(np.concatenate((block.x[i], flow.angles[k], flow.down[k])))
+                airspeed.append(flow.airspeed[k])
+                wanted = time + APART
+    joined = (np.array(part).transpose(1, 2, 0) for part in (x, u))
+    return Windows(blocks[0].h, *joined, np.array(start).T, np.array(airspeed))
+
+
+def predicted(a: FloatArray, flown: Windows) -> FloatArray:
+    """Rates that P models predict from the windows' starts, (m + 1, 3, P, W); a is (7, n, P)."""
+    models = a[..., None]
+    state = [np.broadcast_to(part, (a.shape[2], part.size)) for part in flown.start]
+
+    def steps() -> Iterator[tuple[object, object, object, float]]:
+        none = np.zeros(1)
+        for u in flown.u:
+            rows = (models[:, INPUT_COLUMNS] * u[:, None]).sum(axis=1) + models[:, CONSTANT_COLUMN]
+            drive = [*rows, 1.0 / flown.airspeed, none, none, none]
+            yield drive, drive, drive, flown.h
+
+    out = [np.array(state[:3])]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for found in integrate(flight_derivative(models), state, steps()):
+            out.append(np.array(found[:3]))
+    return np.nan_to_num(np.clip(np.array(out), -LARGEST, LARGEST), nan=LARGEST)
+
+
+def fit(case: cases.Case, track: cases.Track) -> FloatArray:
+    """Fit the structure of an online pass offline, (7, n), from what the pass had learned then."""
+    start = start_from(track.settings)
+    free, flown = start.free, windows(case, track)
+    weight = 1.0 / flown.x.std(axis=(0, 2))
+
+    def residuals(thetas: FloatArray) -> FloatArray:
+        """Residuals of coefficients (k, P), then the prior's, (r, P)."""
+        a = np.repeat(start.values[:, :, None], thetas.shape[1], axis=2)
+        a[free] = thetas
+        error = (predicted(a, flown) - flown.x[:, :, None]) * weight[:, None, None]
+        prior = (thetas - start.values[free][:, None]) / start.sigma[free][:, None]
+        return np.concatenate((error.transpose(0, 1, 3, 2).reshape(-1, thetas.shape[1]), prior))
+
+    def jacobian(theta: FloatArray) -> FloatArray:
+        step = STEP * np.maximum(np.abs(theta), 1.0)
+        moved = residuals(np.column_stack([theta, theta[:, None] + np.diag(step)]))
+        return np.asarray((moved[:, 1:] - moved[:, :1]) / step)
+
+    learned = track.coefficients[track.at(TRAINING_PART * track.time[-1])][free]
+    found = least_squares(
+        lambda theta: residuals(theta[:, None])[:, 0], learned, jacobian, x_scale="jac", max_nfev=15
+    )
+    coefficients = start.values.copy()
+    coefficients[free] = found.x
+    return coefficients
+
+
+def row(flight: str) -> str:
+    """One row of the table."""
+    case = cases.load(flight)
+    speed = {"airspeed.reference": RECORDED_SPEED} if flight in RECORDED else {}
+    track = cases.identify(case, {"structure": "flight_dynamics", **speed})
+    offline = np.broadcast_to(fit(case, track), track.coefficients.shape)
+    both = [cases.score(case, t).free for t in (track, replace(track, coefficients=offline))]
+    cells = [f"{triple(online)} | {triple(fitted)}" for online, fitted in zip(*both, strict=True)]
+    return f"| {flight} | " + " | ".join(cells) + f" | {(both[0] - both[1]).min():.1f} |"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("flights", nargs="*", metavar="FLIGHT")
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args(arguments)
+    print("| flight | 1 s, online | offline | 3 s | offline | 5 s | offline | worst |")
+    print("|---|---|---|---|---|---|---|---|")
+    with get_context("spawn").Pool(options.workers) as pool:
+        for line in pool.imap(row, options.flights or FLIGHTS):
+            print(line, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

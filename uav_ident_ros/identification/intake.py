@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples in: checked, told from outliers, put by, and the ticks that they make due.
+
+Tick k is at message time ``k / update_rate``. It is due when the newest stamp of the rates has
+passed it by `input_wait`, and uses every sample stamped at or before it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+
+import numpy as np
+
+from uav_ident_ros.identification.drops import (
+    LARGEST_AIRSPEED,
+    LARGEST_CHANNEL,
+    LARGEST_FORCE,
+    LARGEST_GYRO_RATE,
+    LATEST_STAMP,
+    Drop,
+    time_problem,
+    value_problem,
+)
+from uav_ident_ros.identification.samples import SampleBuffer, TimeArray
+from uav_ident_ros.identification.settings import MAX_DELAY, Settings
+from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
+
+RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
+EXCITATION = "excitation"
+"""The streams, as `Intake.drops` names them."""
+
+SECOND_NS = 1_000_000_000
+
+NO_TICK = -(2**62)
+"""Time of the last tick before the first, ns."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A stream beside that of the rates.
+
+    Parameters
+    ----------
+    width : int
+        Number of values of a sample.
+    largest : float
+        Magnitude that none of them may exceed.
+    kept_if_late : bool
+        Whether a late sample counts from the next tick on: it may never be said again.
+    calls_off : bool
+        Whether a sample calls off those before it of a later stamp.
+    """
+
+    width: int
+    largest: float
+    kept_if_late: bool = False
+    calls_off: bool = False
+
+
+Sample = tuple[int, Sequence[float], Sequence[float]]
+
+
+class Intake:
+    """What arrives, until a tick takes it.
+
+    Parameters
+    ----------
+    settings : Settings
+        Rates and waits of ticks, number of channels.
+    restart : callable
+        Starts all that works on the samples on a new time base; it calls `restart`.
+
+    Attributes
+    ----------
+    drops : dict
+        For each stream, how many samples were dropped for which reason.
+    fault : str
+        What is wrong with the clocks, in a sentence; empty if nothing is.
+    last_tick_ns : int
+        Time of the last tick that was due or run, ns.
+    """
+
+    def __init__(self, settings: Settings, restart: Callable[[], None]) -> None:
+        channels = len(settings.actuators.channels)
+        self._streams = {
+            ACTUATORS: Stream(channels, LARGEST_CHANNEL),
+            AIRSPEED: Stream(1, LARGEST_AIRSPEED),
+            ARMED: Stream(1, 1.0, kept_if_late=True),
+            EXCITATION: Stream(len(INPUTS), LARGEST_CHANNEL, kept_if_late=True, calls_off=True),
+        }
+        self._restart_all = restart
+        self._rate = Fraction(settings.update_rate).limit_denominator(1_000_000)
+        self._wait_ns = round(settings.input_wait * SECOND_NS)
+        self._jump_ns = round(settings.time_jump * SECOND_NS)
+        self._lookback_ns = round((MAX_DELAY + settings.actuators.timeout) * SECOND_NS)
+        self._lookback_ns += 2 * self._jump_ns
+        self._guard = StampGuard(self._jump_ns)
+        self._buffers: Mapping[str, SampleBuffer] = {}
+        self.drops: dict[str, Counter[Drop]] = {name: Counter() for name in (RATES, *self._streams)}
+        self.fault = ""
+        self.restart()
+
+    def fill(self, buffers: Mapping[str, SampleBuffer]) -> None:
+        """Put samples into these buffers from now on, a stream an entry."""
+        self._buffers = buffers
+
+    def restart(self) -> None:
+        """Start on a new time base: what waits is forgotten."""
+        self._guard.reset()
+        self._outlying: list[Sample] = []
+        self._held: list[Callable[[], object]] | None = None
+        self._mismatches = 0
+        self._due: deque[int] = deque()
+        self._next_tick: int | None = None
+        self.last_tick_ns = NO_TICK
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Newest stamp of the rates, ns; None before any."""
+        return self._guard.newest
+
+    @property
+    def waiting(self) -> int:
+        """Number of ticks and outlying samples that wait."""
+        return len(self._due) + len(self._outlying)
+
+    # -- rates -----------------------------------------------------------------------------
+
+    def add_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
+        """Take a sample of rates and specific force; return why it was dropped, if it was."""
+        if self._held is not None:
+            self._held.append(partial(self.add_rates, t_ns, pqr, force))
+            return None
+        problem = (
+            value_problem(pqr, 3, LARGEST_GYRO_RATE)
+            or value_problem(force, 3, LARGEST_FORCE)
+            or time_problem(t_ns)
+        )
+        if problem is None:
+            stamp = self._guard.check(t_ns)
+            if stamp is Stamp.GOOD:
+                self._outlying.clear()
+                problem = self._take_rates(t_ns, pqr, force)
+            elif stamp is Stamp.NEW_BASE:
+                self._move_to_new_base((t_ns, pqr, force))
+            else:
+                self._outlying = self._outlying[1 - AGREEING_SAMPLES :]
+                self._outlying.append((t_ns, pqr, force))
+                problem = Drop.OUTLYING_STAMP
+        if problem is not None:
+            self.drops[RATES][problem] += 1
+        return problem
+
+    def _take_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
+        if t_ns <= self.last_tick_ns:
+            return Drop.LATE
+        self._buffers[RATES].append(t_ns, (*pqr, *force))
+        newest = self._guard.newest
+        assert newest is not None
+        if self.last_tick_ns == NO_TICK:
+            # The first samples may come in any order too.
+            first = self._first_tick(t_ns)
+            self._next_tick = first if self._next_tick is None else min(first, self._next_tick)
+        self._find_due(newest)
+        return None
+
+    def _move_to_new_base(self, sample: Sample) -> None:
+        """Start anew with the samples that agreed on the new base, once no tick is due."""
+        agreed = self._outlying[1 - AGREEING_SAMPLES :]
+        self.drops[RATES][Drop.OUTLYING_STAMP] -= len(agreed)
+        self._held = [partial(self.add_rates, *held) for held in (*agreed, sample)]
+        if not self._due:
+            self._take_held()
+
+    def _take_held(self) -> None:
+        """Begin the new time base with what was held back for it."""
+        held, self._held = self._held or [], None
+        self._restart_all()
+        for add in held:
+            add()
+
+    def orderly(self, t_ns: TimeArray, values: FloatArray) -> bool:
+        """Say whether samples of the rates would all be taken, each as newer than the one before.
+
+        Parameters
+        ----------
+        t_ns : (k,) int array
+            Stamps, ns.
+        values : (k, 6) array
+            Rates, rad/s, and specific force, m/s^2, in the Imu's own axes.
+        """
+        newest = self._guard.newest
+        if newest is None or self.last_tick_ns == NO_TICK or self._outlying or self._held:
+            return False
+        steps = np.diff(t_ns, prepend=newest)
+        largest = np.abs(values).max(axis=0)  # NaN fails the tests
+        return bool(
+            ((steps > 0) & (steps <= self._jump_ns)).all()
+            and t_ns[-1] <= LATEST_STAMP
+            and (largest[:3] <= LARGEST_GYRO_RATE).all()
+            and (largest[3:] <= LARGEST_FORCE).all()
+        )
+
+    def add_orderly_rates(self, t_ns: Sequence[int], values: Sequence[Sequence[float]]) -> None:
+        """Take samples that `orderly` has accepted; none but the last may make a tick due.
+
+        Parameters
+        ----------
+        t_ns : sequence of int
+            Stamps, ns; see `next_due_ns`.
+        values : sequence of sequences of 6 floats
+            Rates, rad/s, and specific force, m/s^2, in the Imu's own axes.
+        """
+        self._buffers[RATES].extend(t_ns, values)
+        self._guard.newest = t_ns[-1]
+        self._find_due(t_ns[-1])
+
+    # -- the other streams -----------------------------------------------------------------
+
+    def add(self, name: str, t_ns: int, values: Sequence[float]) -> Drop | None:
+        """Take a sample of a stream beside the rates; return why it was dropped, if it was."""
+        if self._held is not None:
+            self._held.append(partial(self.add, name, t_ns, values))
+            return None
+        stream, buffer = self._streams[name], self._buffers[name]
+        problem = value_problem(values, stream.width, stream.largest) or self._stamp_problem(t_ns)
+        if name == ACTUATORS:
+            self._follow_clock(t_ns, problem)
+        if problem is Drop.LATE and stream.kept_if_late:
+            t_ns, problem = self.last_tick_ns + 1, None
+        if problem is not None:
+            self.drops[name][problem] += 1
+            return problem
+        if stream.calls_off:
+            buffer.call_off(t_ns)
+        buffer.append(t_ns, values)
+        if self._next_tick is None:
+            buffer.forget_waiting(t_ns, self._lookback_ns)
+        return None
+
+    def _stamp_problem(self, t_ns: int) -> Drop | None:
+        """Say what is wrong with a stamp beside those of the rates."""
+        problem = time_problem(t_ns)
+        if problem is not None:
+            return problem
+        newest = self._guard.newest
+        if newest is not None and abs(t_ns - newest) > self._jump_ns:
+            return Drop.CLOCK_MISMATCH
+        return Drop.LATE if t_ns <= self.last_tick_ns else None
+
+    def _follow_clock(self, t_ns: int, problem: Drop | None) -> None:
+        """Find that the actuators run on another clock, or no longer do."""
+        newest = self._guard.newest
+        if problem is None or problem is Drop.LATE:
+            self._mismatches, self.fault = 0, ""
+        elif problem is Drop.CLOCK_MISMATCH and newest is not None:
+            self._mismatches += 1
+            if self._mismatches >= AGREEING_SAMPLES:
+                self.fault = (
+                    f"the actuators are stamped {(t_ns - newest) / SECOND_NS:+.1f} s from the Imu: "
+                    "they run on different clocks. Play a bag with --clock and set use_sim_time, "
+                    "or synchronise the autopilot's time"
+                )
+
+    # -- ticks -----------------------------------------------------------------------------
+
+    @property
+    def due(self) -> int | None:
+        """Time of the next tick that may be computed, ns; None if none is due."""
+        return self._due[0] if self._due else None
+
+    @property
+    def next_due_ns(self) -> int:
+        """Stamp of the rates from which on the next tick is due, ns, after the first tick."""
+        assert self._next_tick is not None
+        return self._tick_ns(self._next_tick) + self._wait_ns
+
+    def ticks(self, until_ns: int) -> Iterator[int]:
+        """Yield every tick up to and including `until_ns`, due or not."""
+        while self._due and self._due[0] <= until_ns:
+            yield self._due.popleft()
+        if self._held is not None and not self._due:
+            self._take_held()
+            return
+        while self._next_tick is not None and self._tick_ns(self._next_tick) <= until_ns:
+            self.last_tick_ns = self._tick_ns(self._next_tick)
+            self._next_tick += 1
+            yield self.last_tick_ns
+
+    def _find_due(self, newest_ns: int) -> None:
+        """Put the ticks on the list that rates stamped `newest_ns` make due."""
+        assert self._next_tick is not None
+        while self._tick_ns(self._next_tick) + self._wait_ns <= newest_ns:
+            self.last_tick_ns = self._tick_ns(self._next_tick)
+            self._due.append(self.last_tick_ns)
+            self._next_tick += 1
+
+    def _tick_ns(self, k: int) -> int:
+        return k * SECOND_NS * self._rate.denominator // self._rate.numerator
+
+    def _first_tick(self, t_ns: int) -> int:
+        """Index of the first tick at or after `t_ns`."""
+        k = t_ns * self._rate.numerator // (SECOND_NS * self._rate.denominator)
+        return k if self._tick_ns(k) >= t_ns else k + 1
