@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The identified model in a control loop, measured: ``python benchmarks/closed_loop.py NAME``.
 
-tracking   a rate reference followed with identified and with fixed coefficients, healthy and
-           after a fault; JSBSim's c172p, every node a process, in step
-cold       the same without initial coefficients: what normal flight alone identifies
+cold       no initial coefficients: what normal flight alone identifies; JSBSim's c172p, every
+           node a process, in step
 restart    the identifier killed (-9) in flight and started again
 latency    from the stamp of an Imu sample to the command and to the coefficients, real time
 
-Tables go to the terminal, figures to build/closed_loop/, with --picture the pictures to
-docs/images/.
+Tables go to the terminal, figures to build/closed_loop/. Faults: ``fault_campaign.py``.
 """
 
 from __future__ import annotations
@@ -22,7 +20,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,28 +32,8 @@ from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, tracking_erro
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build" / "closed_loop"
-IMAGES = ROOT / "docs" / "images"
 
-FAULT_TIME = 60.0
 DURATION = 100.0
-WINDOWS = ((-30.0, 0.0), (0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, 40.0))
-"""Stretches that are compared, s after the fault."""
-
-CASES: dict[str, tuple[str, ...]] = {
-    "healthy": (),
-    "aileron effect halved": (f"{FAULT_TIME}: aileron effect 0.5",),
-    "elevator effect halved, pitch inertia +30 %": (
-        f"{FAULT_TIME}: elevator effect 0.5",
-        f"{FAULT_TIME}: pitch inertia 1.3",
-    ),
-}
-AXIS = {"aileron effect halved": 0, "elevator effect halved, pitch inertia +30 %": 1}
-MODES: dict[str, Loop] = {
-    "fixed": Loop(DURATION, mode="fixed"),
-    "adaptive": Loop(DURATION),
-    "adaptive, by sigma": Loop(DURATION, heed_verdict=False),
-}
-"""The controllers. 'By sigma' ignores the verdict and trusts each coefficient by its sigma."""
 
 FLIGHT_TIMEOUT = 600.0
 ATTEMPTS = 3
@@ -86,131 +63,10 @@ def fly(loop: Loop, during: Callable[[ClosedLoop], None] | None = None) -> tuple
     raise SystemExit(f"no undisturbed flight in {ATTEMPTS} attempts")
 
 
-def relative_to_healthy(record: Record, healthy: Record, axis: int) -> list[float]:
-    """Tracking error over that of the healthy flight in the same stretches."""
-    out = []
-    for start, end in WINDOWS:
-        span = (FAULT_TIME + start, FAULT_TIME + end)
-        out.append(
-            float(tracking_error(record, *span)[axis] / tracking_error(healthy, *span)[axis])
-        )
-    return out
-
-
-# --- tracking --------------------------------------------------------------------------------
-
-
-def tracking(seeds: int, picture: bool) -> dict[str, Any]:
-    records: dict[tuple[str, str, int], Record] = {}
-    for seed in range(seeds):
-        for mode, loop in MODES.items():
-            for case, faults in CASES.items():
-                record, _ = fly(replace(loop, faults=faults, seed=seed))
-                np.savez_compressed(BUILD / f"{mode}, {case}, {seed}.npz", **record)
-                records[mode, case, seed] = record
-                print(f"flown: {case}, {mode}, seed {seed}", file=sys.stderr, flush=True)
-    if picture:
-        draw_tracking({key[:2]: record for key, record in records.items() if key[2] == 0})
-    return {
-        case: {
-            mode: [
-                relative_to_healthy(records[mode, case, s], records[mode, "healthy", s], axis)
-                for s in range(seeds)
-            ]
-            for mode in MODES
-        }
-        for case, axis in AXIS.items()
-    } | {
-        "healthy, deg/s": {
-            mode: [
-                tracking_error(records[mode, "healthy", s], FAULT_TIME - 30.0, DURATION).tolist()
-                for s in range(seeds)
-            ]
-            for mode in MODES
-        }
-    }
-
-
-def tracking_lines(found: dict[str, Any]) -> Iterator[str]:
-    titles = [f"{start:g} to {end:g} s" for start, end in WINDOWS]
-    for case in AXIS:
-        yield f"| {case} | " + " | ".join(titles) + " |"
-        yield "|---" * (len(titles) + 1) + "|"
-        for mode, rows in found[case].items():
-            middle, low, high = (f(rows, axis=0) for f in (np.median, np.min, np.max))
-            cells = [
-                f"{m:.2f} ({a:.2f} to {b:.2f})" for m, a, b in zip(middle, low, high, strict=True)
-            ]
-            yield f"| {mode} | " + " | ".join(cells) + " |"
-        yield ""
-    for mode, rows in found["healthy, deg/s"].items():
-        p, q, r = np.mean(rows, axis=0)
-        yield f"healthy, {mode}: {p:.2f} / {q:.2f} / {r:.2f} deg/s rms (p, q, r)"
-
-
-def draw_tracking(records: dict[tuple[str, str], Record]) -> None:
-    """Rates and references around each fault, and the coefficient that changed."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 8.5), layout="constrained")
-    axes = figure.subplots(3, 2, sharex="col")
-    for column, (case, axis) in enumerate(AXIS.items()):
-        for row, mode in enumerate(("fixed", "adaptive")):
-            draw_rates(
-                axes[row, column], records[mode, case], axis, f"{mode}: {'pqr'[axis]}, deg/s"
-            )
-        name = ("pdot/da", "qdot/de")[axis]
-        draw_coefficient(axes[2, column], records["adaptive", case], name)
-        axes[0, column].set_title(case, fontsize=10)
-        axes[2, column].set_xlabel("time, s")
-        axes[2, column].set_xlim(FAULT_TIME - 15.0, FAULT_TIME + 30.0)
-    axes[0, 0].legend(fontsize=8, loc="upper left")
-    save_picture(figure, "closed_loop.png")
-
-
-def draw_rates(axes: Any, record: Record, axis: int, label: str) -> None:
-    axes.plot(
-        record["time"], np.degrees(record["reference"][:, axis]), "k", lw=0.8, label="reference"
-    )
-    axes.plot(record["time"], np.degrees(record["rates"][:, axis]), "C3", lw=0.8, label="true rate")
-    axes.axvline(FAULT_TIME, color="0.6", ls=":")
-    axes.set_ylabel(label)
-
-
-def draw_coefficient(axes: Any, record: Record, name: str) -> None:
-    index = list(record["names"]).index(name)
-    value, sigma = record["values"][:, index], record["sigma"][:, index]
-    axes.fill_between(record["tick"], value - sigma, value + sigma, color="C0", alpha=0.2, lw=0)
-    axes.plot(record["tick"], value, "C0", lw=1.0)
-    unusable = record["usable"] == 0.0
-    axes.fill_between(
-        record["tick"], 0, 1, where=unusable, color="0.9", transform=axes.get_xaxis_transform(),
-        zorder=0, lw=0, label="verdict: not usable",
-    )  # fmt: skip
-    axes.axvline(FAULT_TIME, color="0.6", ls=":")
-    size = 1.3 * abs(value[record["tick"] > FAULT_TIME - 15.0]).max()
-    axes.set_ylim(*sorted((0.0, size * np.sign(np.median(value)))))
-    axes.set_ylabel(f"{name}, 1/s²")
-    axes.legend(fontsize=8, loc="upper right")
-
-
-def save_picture(figure: Any, name: str) -> None:
-    """Save as a small PNG: a palette, so that the clone stays small."""
-    import io
-
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=90)
-    with Image.open(buffer) as picture:
-        small = picture.convert("RGB").quantize(64, dither=Image.Dither.NONE)
-        small.save(IMAGES / name, optimize=True)
-
-
 # --- cold ------------------------------------------------------------------------------------
 
 
-def cold(seeds: int, _: bool) -> dict[str, Any]:
+def cold(_: int) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for start in ("cold", "with initial coefficients"):
         record, said = fly(Loop(DURATION, cold=start == "cold"))
@@ -250,7 +106,7 @@ def cold_lines(found: dict[str, Any]) -> Iterator[str]:
 KILL_TIME, RESTART_TIME = 40.0, 60.0
 
 
-def restart(seeds: int, _: bool) -> dict[str, Any]:
+def restart(seeds: int) -> dict[str, Any]:
     out: dict[str, Any] = {"tracking": [], "controller": []}
     for seed in range(seeds):
         undisturbed, _said = fly(Loop(DURATION, seed=seed))
@@ -331,7 +187,7 @@ WAITS = (0.05, 0.02)
 """Settings of `input_wait`, s."""
 
 
-def latency(_seeds: int, _picture: bool) -> dict[str, Any]:
+def latency(_: int) -> dict[str, Any]:
     out = {}
     for rate, wait in itertools.product(IMU_RATES, WAITS):
         loop = Loop(
@@ -411,7 +267,6 @@ def latency_lines(found: dict[str, Any]) -> Iterator[str]:
 
 
 PROGRAMS = {
-    "tracking": (tracking, tracking_lines),
     "cold": (cold, cold_lines),
     "restart": (restart, restart_lines),
     "latency": (latency, latency_lines),
@@ -424,12 +279,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("name", choices=tuple(PROGRAMS))
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--picture", action="store_true", help="renew docs/images/closed_loop.png")
     options = parser.parse_args(arguments)
     os.chdir(ROOT)
     measure, lines = PROGRAMS[options.name]
     BUILD.mkdir(parents=True, exist_ok=True)
-    found = measure(options.seeds, options.picture)
+    found = measure(options.seeds)
     (BUILD / f"{options.name}.json").write_text(json.dumps(found, indent=1))
     print("\n".join(lines(found)))
 
