@@ -185,56 +185,49 @@ def test_file_that_is_not_of_ros_2_by_its_profile(tmp_path: Path) -> None:
     assert damage == ["'flight.mcap': Profile is not ros2, yet all of it was read"]
 
 
-def test_one_bad_file_of_a_split_recording(tmp_path: Path) -> None:
-    folder = tmp_path / "split"
-    with Bag(BAGS / "multisine") as bag:
-        whole = [tuple(m) for m in bag.messages(TYPES) if m.log_ns <= bag.start_ns + 9 * SECOND_NS]
-    third = len(whole) // 3
+def split(folder: Path, count: int, each: int, compress: bool = False) -> list[tuple]:
+    """Write the start of a flight as some files in one folder; return its messages."""
     folder.mkdir()
-    for k in range(3):
-        with BagWriter(tmp_path / f"split_{k}") as writer:
+    with Bag(BAGS / "multisine") as bag:
+        whole = [tuple(m) for m in bag.messages(TYPES)][: count * each]
+    for k in range(count):
+        part = folder.parent / f"{folder.name}_{k}"
+        with BagWriter(part, compress) as writer:
             for topic, name in TYPES.items():
                 writer.topic(topic, name)
-            for topic, log_ns, data in whole[k * third : (k + 1) * third]:
+            for topic, log_ns, data in whole[k * each : (k + 1) * each]:
                 writer.write(topic, log_ns, data)
-        (tmp_path / f"split_{k}" / f"split_{k}.mcap").rename(folder / f"split_{k}.mcap")
-    (folder / "split_1.mcap").write_bytes(b"\0" * 5000)
-    found, (line,) = messages(folder)
+        (part / f"{part.name}.mcap").rename(folder / f"{part.name}.mcap")
+    return whole
+
+
+def test_one_bad_file_of_a_split_recording(tmp_path: Path) -> None:
+    whole = split(tmp_path / "split", 3, 700)
+    (tmp_path / "split" / "split_1.mcap").write_bytes(b"\0" * 5000)
+    found, (line,) = messages(tmp_path / "split")
     assert "'split_1.mcap' is no MCAP file" in line
-    assert found == [*whole[:third], *whole[2 * third : 3 * third]]
+    assert found == [*whole[:700], *whole[1400:]]
 
 
 @pytest.mark.parametrize("compress", [False, True])
 def test_bad_chunk_in_a_folder_of_two_files(compress: bool, tmp_path: Path) -> None:
     """As rosbag2 records: chunks of a megabyte, no checksums, metadata that know nothing of it."""
-    whole, files = [], []
     folder = tmp_path / "flight"
-    folder.mkdir()
-    with Bag(BAGS / "multisine") as bag:
-        messages_ = [tuple(m) for m in bag.messages(TYPES)][:12_000]
-    for k in range(2):
-        with BagWriter(tmp_path / f"flight_{k}", compress) as writer:
-            for topic, name in TYPES.items():
-                writer.topic(topic, name)
-            for topic, log_ns, data in messages_[6000 * k : 6000 * (k + 1)]:
-                writer.write(topic, log_ns, data)
-        files.append(folder / f"flight_{k}.mcap")
-        (tmp_path / f"flight_{k}" / files[-1].name).rename(files[-1])
+    whole = split(folder, 2, 6000, compress)
     text = (tmp_path / "flight_0" / "metadata.yaml").read_text()
     text = text.replace("- flight_0.mcap", "- flight_0.mcap\n  - flight_1.mcap", 1)
     (folder / "metadata.yaml").write_text(text)
-    whole, damage = messages(folder)
-    assert (len(whole), damage) == (12_000, [])
-    position, length = chunk_places(files[1])[0]
-    spoil(files[1], position + length // 2, 2000)
+    assert messages(folder) == (whole, [])
+    file = folder / "flight_1.mcap"
+    position, length = chunk_places(file)[0]
+    spoil(file, position + length // 2, 2000)
     with Bag(folder) as bag:
         found = [tuple(m) for m in bag.messages(TYPES)]
         assert [tuple(m) for m in bag.messages(TYPES)] == found  # and again
-        damage = bag.damage
+        (line,) = bag.damage
     assert found[:6000] == whole[:6000]
     assert found[-2000:] == whole[-2000:]
     assert len(found) < 12_000
-    (line,) = damage
     assert line.startswith("'flight_1.mcap' is damaged: 1 of ")
 
 
@@ -333,14 +326,13 @@ def test_actuators_that_start_late_and_stop_early(tmp_path: Path) -> None:
 
 
 def test_actuators_that_are_announced_but_never_come(tmp_path: Path) -> None:
-    bag = tmp_path / "silent"
-    with Bag(BAGS / "multisine") as source, BagWriter(bag) as writer:
+    with BagWriter(tmp_path / "silent") as writer:
         for topic, name in TYPES.items():
             writer.topic(topic, name)
-        for topic, log_ns, data in source.messages([IMU]):
-            if log_ns < source.start_ns + 3 * SECOND_NS:
+        for topic, log_ns, data in split(tmp_path / "any", 1, 800):
+            if topic == IMU:
                 writer.write(topic, log_ns, data)
-    status, summary = replayed(bag, tmp_path / "out")
+    status, summary = replayed(tmp_path / "silent", tmp_path / "out")
     assert status == NOT_USABLE
     assert summary["notes"] == ["/actuators has no messages that could be used: nothing is learned"]
 
