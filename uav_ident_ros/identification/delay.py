@@ -56,9 +56,9 @@ FEWEST_BLOCKS = 4
 RIDGE = 0.01
 """Residual variance times its correlation time that weighs the prior of the models, rad^2/s^3."""
 
-ALIKE = 0.035
-"""Relative difference of the squared error at which two lags predict alike: a point of the fit.
-Least squares in gusts turns some of a lag into slower damping."""
+ALIKE = 0.08
+"""Relative difference of the squared error at which two lags predict alike: two points of a fit of
+50 %. Least squares in gusts turns some of a lag into slower damping."""
 
 APART = 3
 """Steps at which a wrong delay must predict worse."""
@@ -66,11 +66,11 @@ APART = 3
 SURE_RISE = 4.0
 """By how many of its standard deviations it must; an autopilot's answers alone reach 3.5."""
 
-SURE_SIGMA = 0.012
+SURE_SIGMA = 0.015
 """Standard deviation up to which a delay counts as known, s: off by more it costs the fit."""
 
-SYSTEMATIC_ERROR = 0.005
-"""What blocks do not tell, s: noise in the regressors, inputs held between samples."""
+SYSTEMATIC_ERROR = 0.007
+"""What blocks do not tell, s: noise and gusts in the regressors, inputs held between samples."""
 
 SMALLEST_MOVE = 0.005
 """The delay in use moves by no less than this, s: the fit is flat about the right one."""
