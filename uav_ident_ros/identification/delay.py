@@ -148,17 +148,13 @@ class _Signals:
 
 
 class DelayBank:
-    """Light models, one for each delay and lag, and how well each has predicted.
+    """Light models, one for each delay and lag, and how well each has predicted."""
 
-    Parameters
-    ----------
-    longest : float
-        Longest delay that is plausible, s.
-    lag : float
-        Servo lag in use, s.
-    """
-
-    def __init__(self, longest: float, lag: float = 0.0) -> None:
+    def __init__(
+        self,
+        longest: float,  # Longest delay that is plausible, s
+        lag: float = 0.0,  # Servo lag in use, s
+    ) -> None:
         self._lag = lag
         self._back = round(longest / STEP)
         self.delays: FloatArray = STEP * np.arange(-EARLY, self._back + 1)
@@ -185,18 +181,13 @@ class DelayBank:
         shape = (len(LAGS), len(self.delays), 3)
         return np.asarray(sum(self._errors, np.zeros(shape))[0])
 
-    def add(self, block: Block, flow: FlowSignals | None, delay: float) -> bool:
-        """Take a block; say whether there is a new estimate.
-
-        Parameters
-        ----------
-        block : Block
-            Signals.
-        flow : FlowSignals or None
-            Attitude and airspeed; without them the forces are left out.
-        delay : float
-            Delay that the block's inputs have, s.
-        """
+    def add(
+        self,
+        block: Block,
+        flow: FlowSignals | None,  # Attitude and airspeed; without, forces are left out
+        delay: float,  # Delay that the block's inputs have, s
+    ) -> bool:
+        """Take a block; say whether there is a new estimate."""
         delay_ns = round(delay / NS)
         edges = block.t_ns
         if self._parts and (self._parts[-1][0][-1] != edges[0] or delay_ns != self._delay_ns):
@@ -271,21 +262,12 @@ class _Models:
         self._forces: FloatArray = np.zeros((2, count, 3, 4))
         self._blocks = 0
 
-    def score(self, signals: _Signals, u: FloatArray) -> FloatArray | None:
-        """Predict a block with what was learned before.
-
-        Parameters
-        ----------
-        signals : _Signals
-            The block.
-        u : (J, W, N + 2, 4) array
-            Inputs with each delay.
-
-        Returns
-        -------
-        (J, 3) array or None
-            Squared errors of p, q, r; None in the first blocks.
-        """
+    def score(
+        self,
+        signals: _Signals,
+        u: FloatArray,  # (J, W, N + 2, 4) Inputs with each delay
+    ) -> FloatArray | None:
+        """Return squared errors of p, q, r, (J, 3), with what was learned; None at first."""
         if self._blocks < LEARNING_BLOCKS:
             return None
         predicted = self._predict(signals, u)
@@ -352,19 +334,14 @@ class _Models:
         return states[..., :3]
 
 
-def judge(errors: FloatArray, delays: FloatArray, lag: float = 0.0) -> DelayEstimate:
+def judge(
+    errors: FloatArray,  # (B, L, J, 3) Squared errors of p, q, r in each block
+    delays: FloatArray,  # (J,) The delays, s
+    lag: float = 0.0,  # Servo lag in use, s, beyond which the bank's lags are
+) -> DelayEstimate:
     """Return the delay at which the models predicted best, and how sure that is.
 
     Sigma is that of the jackknife over blocks, and half the difference of the flight's halves.
-
-    Parameters
-    ----------
-    errors : (B, L, J, 3) array
-        Squared prediction errors of p, q, r in each block with each lag and delay.
-    delays : (J,) array
-        The delays, s.
-    lag : float
-        Servo lag in use, s, beyond which the bank's lags are.
     """
     count, total = len(errors), errors.sum(axis=0)
     halves = (errors[: count // 2].sum(axis=0), errors[count // 2 :].sum(axis=0))
@@ -396,21 +373,11 @@ def judge(errors: FloatArray, delays: FloatArray, lag: float = 0.0) -> DelayEsti
     )
 
 
-def _vertices(cost: FloatArray, delays: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Where parabolas through the least costs and their neighbours are least, and how much.
-
-    Parameters
-    ----------
-    cost : (..., J) array
-        Costs.
-    delays : (J,) array
-        Where they are, evenly spaced.
-
-    Returns
-    -------
-    tuple of (...) arrays
-        Delay, cost, and whether that is a minimum inside the range.
-    """
+def _vertices(
+    cost: FloatArray,  # (..., J)
+    delays: FloatArray,  # (J,) Where it is, s
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Delay and cost where a parabola is least, and whether that is inside the range, (...)."""
     least = cost.argmin(axis=-1)
     inside = (least > 0) & (least < len(delays) - 1)
     middle = np.clip(least, 1, len(delays) - 2)
