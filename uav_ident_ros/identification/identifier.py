@@ -608,7 +608,8 @@ class OnlineIdentifier:
             t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error
         )
         contradiction = self.delay_estimate.contradiction(self.delay)
-        if contradiction:
+        # Without flow angles a gust looks like a late input: it denies nothing.
+        if contradiction and self._flow is not None:
             verdict = Verdict((contradiction, contradiction, contradiction))
         if self.settings.supervision.plausibility:
             self._plausibility.judge(coefficients, sigma)
