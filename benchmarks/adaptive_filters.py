@@ -20,30 +20,20 @@ FILTERS = {"RLS": padasip.filters.FilterRLS, "NLMS": padasip.filters.FilterNLMS}
 
 
 class RegressionRecorder:
-    """Stands in an estimator's place and keeps the newest sample of each tick.
+    """Stands in an estimator's place and keeps the newest sample of each tick."""
 
-    Parameters
-    ----------
-    shape : tuple
-        Shape (3, n) of the coefficients.
-
-    Attributes
-    ----------
-    y : list of (3,) arrays
-        Accelerations; one entry per update.
-    f : list of (n,) arrays
-        Regressors.
-    """
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
+    def __init__(
+        self,
+        shape: tuple[int, ...],  # Shape (3, n) of the coefficients
+    ) -> None:
         self.coefficients: FloatArray = np.zeros(shape)
         self.sigma: FloatArray = np.zeros(shape)
         self.problem = ""
         self.learning = np.ones(3, dtype=bool)
         self.clear = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
-        self.y: list[FloatArray] = []
-        self.f: list[FloatArray] = []
+        self.y: list[FloatArray] = []  # (3,) Accelerations; one entry per update
+        self.f: list[FloatArray] = []  # (n,) Regressors
 
     @property
     def inputs(self) -> FloatArray:
@@ -63,21 +53,12 @@ class RegressionRecorder:
 
 
 def run_filter(
-    kind: str, mu: float, recorder: RegressionRecorder, free: NDArray[np.bool_]
+    kind: str,  # ``RLS`` or ``NLMS``
+    mu: float,  # Forgetting factor of RLS, step of NLMS
+    recorder: RegressionRecorder,  # The data
+    free: NDArray[np.bool_],  # (3, n) Coefficients of the structure
 ) -> FloatArray:
-    """Coefficients after each update, shape (updates, 3, n).
-
-    Parameters
-    ----------
-    kind : str
-        ``RLS`` or ``NLMS``.
-    mu : float
-        Forgetting factor of RLS, step of NLMS.
-    recorder : RegressionRecorder
-        The data.
-    free : (3, n) bool array
-        Coefficients of the structure.
-    """
+    """Coefficients after each update, shape (updates, 3, n)."""
     out = np.zeros((len(recorder.y), *free.shape))
     for i, row in enumerate(free):
         one = FILTERS[kind](int(row.sum()), mu=mu, w="zeros")

@@ -210,25 +210,13 @@ EstimatorFactory = Callable[[Structure, Settings], Estimator]
 
 
 def identify(
-    case: Case,
-    values: Mapping[str, object],
-    make: EstimatorFactory | None = None,
+    case: Case,  # The flight
+    values: Mapping[str, object],  # Settings besides those that its topics need
+    make: EstimatorFactory | None = None,  # Puts another estimator in the place of the settings'
     *,
-    until: float = np.inf,
+    until: float = np.inf,  # Stop so long after the first sample, s
 ) -> Track:
-    """Run the identifier over a flight, once, as the node would.
-
-    Parameters
-    ----------
-    case : Case
-        The flight.
-    values : mapping
-        Settings besides those that its topics need.
-    make : callable, optional
-        Puts another estimator in the place of the settings'.
-    until : float
-        Stop so long after the first sample, s.
-    """
+    """Run the identifier over a flight, once, as the node would."""
     settings = case.settings(values)
     identifier = OnlineIdentifier(settings)
     if make is not None:

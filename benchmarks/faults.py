@@ -76,31 +76,20 @@ WORST_FIT, BEST_FIT, LARGEST_RATE = -1000.0, 100.0, 200.0
 
 @dataclass
 class Outcome:
-    """What came of a campaign.
+    """What came of a campaign."""
 
-    Attributes
-    ----------
-    sent : Counter
-        Messages sent on each topic, hostile or not.
-    hostile : Counter
-        Hostile ones among them.
-    before, after : PredictionFit
-        1-second fit on the last 40 % of the flight of what was learned before and after.
-    status : dict
-        Last diagnostics.
-    problems : list of str
-        What should not have been.
-    """
-
+    # Messages sent on each topic, hostile or not
     sent: Counter[str] = field(default_factory=Counter)
-    hostile: Counter[str] = field(default_factory=Counter)
+    hostile: Counter[str] = field(default_factory=Counter)  # Hostile ones among them
+    # before, after: 1-second fit on the last 40 % of the flight of what was learned before and
+    # after
     before: PredictionFit | None = None
     after: PredictionFit | None = None
     ticks: int = 0
     calls: Counter[str] = field(default_factory=Counter)
     memory: tuple[float, float] = (0.0, 0.0)
-    status: dict[str, str] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
+    status: dict[str, str] = field(default_factory=dict)  # Last diagnostics
+    problems: list[str] = field(default_factory=list)  # What should not have been
 
 
 class Watch:
@@ -150,21 +139,15 @@ class Watch:
 
 
 class Campaign:
-    """One node, and all that is done to it.
+    """One node, and all that is done to it."""
 
-    Parameters
-    ----------
-    seed : int
-        Seed of everything.
-    count : int
-        Hostile messages for every input.
-    sim_time : bool
-        Whether the node runs on simulated time.
-    folder : Path
-        Folder for its log and its state file.
-    """
-
-    def __init__(self, seed: int, count: int, sim_time: bool, folder: Path) -> None:
+    def __init__(
+        self,
+        seed: int,  # Seed of everything
+        count: int,  # Hostile messages for every input
+        sim_time: bool,  # Whether the node runs on simulated time
+        folder: Path,  # Folder for its log and its state file
+    ) -> None:
         from rcl_interfaces.srv import GetParameters
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
@@ -298,17 +281,11 @@ class Campaign:
     # -- the flight ------------------------------------------------------------------------
 
     def fly(
-        self, seconds: float = LEARNING_TIME, between: Callable[[], None] | None = None
+        self,
+        seconds: float = LEARNING_TIME,  # How much of it
+        between: Callable[[], None] | None = None,  # Called after every Imu message
     ) -> None:
-        """Play the beginning of the flight, stamped from where the last one ended on.
-
-        Parameters
-        ----------
-        seconds : float
-            How much of it.
-        between : callable, optional
-            Called after every Imu message.
-        """
+        """Play the beginning of the flight, stamped from where the last one ended on."""
         start = self._flight[0][0]
         self._shift_ns = self.now_ns + SECOND_NS // 20 - start if self.now_ns else 0
         clock_ns = 0

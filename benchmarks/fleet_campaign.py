@@ -44,17 +44,13 @@ def make_bags(folder: Path, count: int) -> None:
 
 
 class Campaign:
-    """Replays a folder of bags again and again.
+    """Replays a folder of bags again and again."""
 
-    Parameters
-    ----------
-    bags : Path
-        Folder of the bags.
-    folder : Path
-        Where the results go.
-    """
-
-    def __init__(self, bags: Path, folder: Path) -> None:
+    def __init__(
+        self,
+        bags: Path,  # Folder of the bags
+        folder: Path,  # Where the results go
+    ) -> None:
         self._bags, self._folder = bags, folder
         self._parameters = next(bags.glob("*/identifier.yaml"))
         self._count = sum(1 for _ in bags.iterdir())

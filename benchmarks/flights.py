@@ -67,16 +67,11 @@ def definition(name: str) -> dict[str, Any]:
         ) from None
 
 
-def load_flight(name: str, seed: int | None = None) -> Flight:
-    """Return a flight as it really was.
-
-    Parameters
-    ----------
-    name : str
-        Name in `flights.yaml`.
-    seed : int, optional
-        Seed of gusts or turbulence instead of the definition's.
-    """
+def load_flight(
+    name: str,  # Name in `flights.yaml`
+    seed: int | None = None,  # Seed of gusts or turbulence instead of the definition's
+) -> Flight:
+    """Return a flight as it really was."""
     own = definition(name)
     path = CACHE / f"{name}-{definition_key(own, seed)}-{_source_key()}.pickle"
     if path.exists():

@@ -241,14 +241,10 @@ def read_bag(path: Path) -> tuple[str, str]:
         return "refused", str(error)
 
 
-def judge(job: tuple[str, str, int, str]) -> Outcome:
-    """Mutate a file, read it, and say what became of it.
-
-    Parameters
-    ----------
-    job : tuple
-        Kind, whole file, seed, folder for the spoilt ones.
-    """
+def judge(
+    job: tuple[str, str, int, str],  # Kind, whole file, seed, folder for the spoilt ones
+) -> Outcome:
+    """Mutate a file, read it, and say what became of it."""
     kind, whole, seed, folder = job
     content = mutated(Path(whole).read_bytes(), np.random.default_rng([seed, len(kind)]))
     path = Path(folder) / f"{kind.replace(' ', '_')}_{seed}.{kind.split()[0]}"

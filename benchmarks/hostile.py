@@ -48,17 +48,13 @@ def stamped(data: bytes, t_ns: int) -> bytes:
 
 
 class Hostile:
-    """Makes hostile messages of one type.
+    """Makes hostile messages of one type."""
 
-    Parameters
-    ----------
-    kind : type
-        Message class.
-    chance : random.Random
-        Where they are drawn from.
-    """
-
-    def __init__(self, kind: type, chance: random.Random) -> None:
+    def __init__(
+        self,
+        kind: type,  # Message class
+        chance: random.Random,  # Where they are drawn from
+    ) -> None:
         self._kind = kind
         self._chance = chance
         self._has_stamp = hasattr(kind(), "header")

@@ -42,24 +42,13 @@ SPEED = 4.0
 
 @dataclass
 class Kills:
-    """What came of a campaign.
+    """What came of a campaign."""
 
-    Attributes
-    ----------
-    killed : int
-        Nodes killed.
-    saves : int
-        Files that they had written, as they said.
-    interrupted : int
-        Kills in the middle of a file: they left the beginning of one beside the whole one.
-    problems : list of str
-        What should not have been.
-    """
-
-    killed: int = 0
-    saves: int = 0
+    killed: int = 0  # Nodes killed
+    saves: int = 0  # Files that they had written, as they said
+    # Kills in the middle of a file: they left the beginning of one beside the whole one
     interrupted: int = 0
-    problems: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)  # What should not have been
 
 
 GOOD = "every file was whole, every node went on from it"
@@ -119,20 +108,13 @@ def start_node(state_file: Path, log: Path) -> subprocess.Popen[bytes]:
         return subprocess.Popen(command, cwd=ROOT, stdout=file, stderr=file)
 
 
-def campaign(feeder: Feeder, kills: int, seed: int, folder: Path) -> Kills:
-    """Kill the node `kills` times.
-
-    Parameters
-    ----------
-    feeder : Feeder
-        Feeds it.
-    kills : int
-        How often.
-    seed : int
-        Seed of the moments.
-    folder : Path
-        Empty folder for the state file and the logs.
-    """
+def campaign(
+    feeder: Feeder,  # Feeds it
+    kills: int,  # How often
+    seed: int,  # Seed of the moments
+    folder: Path,  # Empty folder for the state file and the logs
+) -> Kills:
+    """Kill the node `kills` times."""
     chance = random.Random(seed)
     result = Kills()
     state_file, log = folder / "state.yaml", folder / "node.log"

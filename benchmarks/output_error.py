@@ -88,17 +88,12 @@ def cut_windows(blocks: Sequence[Block], first_ns: float, last_ns: float) -> Win
     return Windows(blocks[0].h, *joined)
 
 
-def simulate(a: FloatArray, x0: FloatArray, windows: Windows) -> FloatArray:
+def simulate(
+    a: FloatArray,  # (3, n, P, 1 or W) Coefficients of P models
+    x0: FloatArray,  # (3, P, W) Initial rates
+    windows: Windows,  # Measured inputs and specific forces
+) -> FloatArray:
     """Run models through windows: Runge-Kutta of order 4, inputs held over the cells.
-
-    Parameters
-    ----------
-    a : (3, n, P, 1 or W) array
-        Coefficients of P models.
-    x0 : (3, P, W) array
-        Initial rates.
-    windows : Windows
-        Measured inputs and specific forces.
 
     Returns
     -------
@@ -148,19 +143,14 @@ def _slope(
 
 
 class Problem:
-    """Weighted residuals of the windows as a function of the free coefficients.
+    """Weighted residuals of the windows as a function of the free coefficients."""
 
-    Parameters
-    ----------
-    structure : Structure
-        The model.
-    free : (3, n) bool array
-        Coefficients to fit; the others stay zero.
-    windows : Windows
-        The record.
-    """
-
-    def __init__(self, structure: Structure, free: FloatArray, windows: Windows) -> None:
+    def __init__(
+        self,
+        structure: Structure,  # The model
+        free: FloatArray,  # (3, n) Coefficients to fit; the others stay zero
+        windows: Windows,  # The record
+    ) -> None:
         self.structure, self.free, self.windows = structure, free, windows
         self.x0 = windows.x[0].copy()
         self.weight = 1.0 / np.maximum(windows.x.std(axis=(0, 2)), 1e-3)
@@ -257,26 +247,13 @@ def _by_window(values: FloatArray) -> FloatArray:
 
 
 def fit(
-    case: Case,
-    settings: Settings,
-    starts: Sequence[FloatArray],
-    part: float = TRAINING_PART,
-    max_evaluations: int = 40,
+    case: Case,  # The flight
+    settings: Settings,  # Structure, fixed coefficients, delay and lag
+    starts: Sequence[FloatArray],  # (3, n) Coefficients to start from; the best fit of all counts
+    part: float = TRAINING_PART,  # Share of the flight to fit
+    max_evaluations: int = 40,  # Evaluations of each fit at most
 ) -> FloatArray:
     """Fit the structure of the settings to the first part of a flight.
-
-    Parameters
-    ----------
-    case : Case
-        The flight.
-    settings : Settings
-        Structure, fixed coefficients, delay and lag.
-    starts : sequence of (3, n) arrays
-        Coefficients to start from; the best fit of all counts.
-    part : float
-        Share of the flight to fit.
-    max_evaluations : int
-        Evaluations of each fit at most.
 
     Returns
     -------

@@ -44,20 +44,13 @@ GOOD = "every node ended with status 0, and saved what it had learned"
 
 @dataclass
 class Endings:
-    """What came of a campaign.
+    """What came of a campaign."""
 
-    Attributes
-    ----------
-    runs, learned, saved : int
-        Nodes ended; those that had learned something; those that left a file.
-    problems : list of str
-        What should not have been.
-    """
-
+    # runs, learned, saved: Nodes ended; those that had learned something; those that left a file
     runs: int = 0
     learned: int = 0
     saved: int = 0
-    problems: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)  # What should not have been
 
 
 def campaign(feeder: Feeder, runs: int, seed: int, folder: Path) -> Endings:

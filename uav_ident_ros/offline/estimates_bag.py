@@ -40,21 +40,16 @@ class _Template:
     """A serialized message with places for its stamp and its numbers.
 
     Only these differ from tick to tick: filling them in is many times faster than serializing.
-
-    Parameters
-    ----------
-    message : Any
-        The message; the numbers of its slots occur nowhere else in it.
-    msgtype : str
-        Its type.
-    slots : list of (k,) arrays
-        The numbers in the message that stand for those to be filled in.
-    stamped : bool
-        Whether it begins with a std_msgs/Header.
     """
 
     def __init__(
-        self, message: Any, msgtype: str, slots: list[FloatArray], *, stamped: bool = True
+        self,
+        message: Any,  # The message; the numbers of its slots occur nowhere else in it
+        msgtype: str,
+        # (k,) The numbers in the message that stand for those to be filled in
+        slots: list[FloatArray],
+        *,
+        stamped: bool = True,  # Whether it begins with a std_msgs/Header
     ) -> None:
         self._bytes = bytes(jazzy_types().serialize_cdr(message, msgtype))
         sizes = [8 * len(slot) for slot in slots]
@@ -75,21 +70,15 @@ class _Template:
 
 
 class EstimatesBag:
-    """Writes estimates on the node's topics into an open bag.
+    """Writes estimates on the node's topics into an open bag."""
 
-    Parameters
-    ----------
-    bag : BagWriter
-        The bag.
-    structure : Structure
-        Structure of the estimates.
-    node : str
-        Full name of the node whose topics these are.
-    frame_id : str
-        Frame of the predicted rates: that of the Imu.
-    """
-
-    def __init__(self, bag: BagWriter, structure: Structure, node: str, frame_id: str) -> None:
+    def __init__(
+        self,
+        bag: BagWriter,
+        structure: Structure,
+        node: str,  # Full name of the node whose topics these are
+        frame_id: str,  # Frame of the predicted rates: that of the Imu
+    ) -> None:
         self._bag = bag
         self._structure = structure
         self._topics = [
@@ -154,18 +143,13 @@ def _vector_template(frame_id: str) -> _Template:
 
 
 def write_estimates(
-    path: Path, estimates: Iterable[Estimate], structure: Structure, node: str, frame_id: str
+    path: Path,  # Folder of the bag
+    estimates: Iterable[Estimate],  # In the order of their ticks
+    structure: Structure,  # structure, node, frame_id: See `EstimatesBag`
+    node: str,
+    frame_id: str,
 ) -> None:
     """Write a bag of estimates; one that was written here before is replaced.
-
-    Parameters
-    ----------
-    path : Path
-        Folder of the bag.
-    estimates : iterable of Estimate
-        In the order of their ticks.
-    structure, node, frame_id
-        See `EstimatesBag`.
 
     Raises
     ------

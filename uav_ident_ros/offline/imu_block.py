@@ -36,13 +36,10 @@ class ImuBlock(NamedTuple):
     frame_id: str  # Frame of all of them
 
 
-def decode_imu_block(messages: Sequence[bytes]) -> ImuBlock | None:
+def decode_imu_block(
+    messages: Sequence[bytes],  # At least one message, with its encapsulation header
+) -> ImuBlock | None:
     """Read serialized sensor_msgs/msg/Imu messages.
-
-    Parameters
-    ----------
-    messages : sequence of bytes
-        At least one message, with its encapsulation header.
 
     Returns
     -------

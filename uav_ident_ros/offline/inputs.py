@@ -27,21 +27,16 @@ class Inputs:
 
 
 def choose_inputs(
-    bag: Bag, parameters: Mapping[str, object], asked: Mapping[str, str] | None = None
+    bag: Bag,
+    # Parameters by dotted name; a message type that is not among them is the topic's
+    parameters: Mapping[str, object],
+    # Topics to take, by stream as in `STREAMS`. Rates and actuators left out: ``/imu/data`` and
+    # ``/actuators`` if the bag has them, else the only topic of a known type. Airspeed and armed:
+    # none, or, if the type is set, ``/airspeed`` and ``/armed`` or else the only topic of that
+    # type. Excitation: ``/excitation``, or else the only one whose name ends so
+    asked: Mapping[str, str] | None = None,
 ) -> Inputs:
     """Find the input topics of a bag.
-
-    Parameters
-    ----------
-    bag : Bag
-        The bag.
-    parameters : mapping
-        Parameters by dotted name; a message type that is not among them is the topic's.
-    asked : mapping, optional
-        Topics to take, by stream as in `STREAMS`. Rates and actuators left out: ``/imu/data`` and
-        ``/actuators`` if the bag has them, else the only topic of a known type. Airspeed and armed:
-        none, or, if the type is set, ``/airspeed`` and ``/armed`` or else the only topic of that
-        type. Excitation: ``/excitation``, or else the only one whose name ends so.
 
     Raises
     ------

@@ -49,7 +49,7 @@ REFUSALS = (
 class Job:
     """One bag to be replayed with one configuration."""
 
-    bag: Path  # The bag
+    bag: Path
     name: str  # What its results are called
     folder: Path  # Where they go
     params_files: tuple[Path, ...] = ()  # Parameter files; what a later one sets wins
@@ -108,17 +108,12 @@ def replay(job: Job, progress: Progress = SILENT) -> Outcome:
     return Outcome(job, status, tuple(warnings), table, summary)
 
 
-def write_results(folder: Path, replayed: Replayed, node: str) -> tuple[dict[str, Any], str]:
+def write_results(
+    folder: Path,  # Where to; made if it is not there
+    replayed: Replayed,  # The replay
+    node: str,  # Node whose topics the bag of estimates has
+) -> tuple[dict[str, Any], str]:
     """Write the bag of estimates, the summary, the table and the coefficients.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to; made if it is not there.
-    replayed : Replayed
-        The replay.
-    node : str
-        Node whose topics the bag of estimates has.
 
     Returns
     -------

@@ -25,20 +25,18 @@ JOURNAL_FILE = "replayed.jsonl"
 class Journal:
     """Outcomes of earlier runs in a folder, and of this one.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the results; made if it is not there.
-    again : bool
-        Whether to forget what was done before.
-
     Raises
     ------
     BagWriteError
         If it cannot be read or written.
     """
 
-    def __init__(self, folder: Path, *, again: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,  # Folder of the results; made if it is not there
+        *,
+        again: bool = False,  # Whether to forget what was done before
+    ) -> None:
         self._path = folder / JOURNAL_FILE
         self._entries: dict[str, dict[str, Any]] = {}
         try:

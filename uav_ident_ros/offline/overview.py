@@ -78,16 +78,11 @@ def ranked(outcomes: Sequence[Outcome]) -> list[Outcome]:
     return sorted(outcomes, key=lambda outcome: (outcome.status, -mean_fit(outcome)))
 
 
-def ranking(bag: str, outcomes: Sequence[Outcome]) -> str:
-    """Return a table of the configurations of one bag, the best first.
-
-    Parameters
-    ----------
-    bag : str
-        Name of the bag.
-    outcomes : sequence of Outcome
-        One for each configuration.
-    """
+def ranking(
+    bag: str,  # Name of the bag
+    outcomes: Sequence[Outcome],  # One for each configuration
+) -> str:
+    """Return a table of the configurations of one bag, the best first."""
     width = max(len(HOLDING), *(len(outcome.job.name) for outcome in outcomes)) + 2
     heads = "".join(f"{f'fit {axis}':>8}" for axis in AXES)
     lines = [

@@ -28,20 +28,14 @@ Done = Callable[[Outcome], None]
 
 
 def replay_all(
-    jobs: Sequence[Job], workers: int, scheduler: str = "", done: Done = lambda outcome: None
+    jobs: Sequence[Job],  # The jobs; their folders must differ
+    workers: int,  # Processes at a time on this machine
+    # Address of a Dask scheduler whose workers do the jobs instead; they need the same paths
+    scheduler: str = "",
+    # Takes each outcome as soon as there is one, in this process
+    done: Done = lambda outcome: None,
 ) -> list[Outcome]:
     """Do jobs in parallel; the outcomes are in the order of the jobs.
-
-    Parameters
-    ----------
-    jobs : sequence of Job
-        The jobs; their folders must differ.
-    workers : int
-        Processes at a time on this machine.
-    scheduler : str
-        Address of a Dask scheduler whose workers do the jobs instead; they need the same paths.
-    done : callable
-        Takes each outcome as soon as there is one, in this process.
 
     Raises
     ------

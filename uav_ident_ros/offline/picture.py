@@ -39,17 +39,12 @@ class PictureError(Exception):
     """A picture cannot be made; the message says why."""
 
 
-def write_picture(path: Path, bag: Path, replayed: Replayed) -> None:
+def write_picture(
+    path: Path,  # The PNG
+    bag: Path,  # The bag that was replayed; the truth lies beside it if the flight was simulated
+    replayed: Replayed,  # The replay
+) -> None:
     """Draw a replay as a PNG.
-
-    Parameters
-    ----------
-    path : Path
-        The PNG.
-    bag : Path
-        The bag that was replayed; the truth lies beside it if the flight was simulated.
-    replayed : Replayed
-        The replay.
 
     Raises
     ------

@@ -41,17 +41,13 @@ class _Packed:
 
 
 class Ticks(Sequence[Estimate]):
-    """Estimates of one structure, in order.
+    """Estimates of one structure, in order."""
 
-    Parameters
-    ----------
-    structure : Structure
-        Their structure.
-    estimates : iterable of Estimate, optional
-        The first of them.
-    """
-
-    def __init__(self, structure: Structure, estimates: Iterable[Estimate] = ()) -> None:
+    def __init__(
+        self,
+        structure: Structure,  # Their structure
+        estimates: Iterable[Estimate] = (),  # The first of them
+    ) -> None:
         self._structure = structure
         self._packed = _Packed(structure)
         self._which: TimeArray | None = None

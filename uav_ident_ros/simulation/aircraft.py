@@ -164,37 +164,22 @@ def _trimmed(fdm: Any) -> bool:
 class Aircraft:
     """JSBSim aircraft in trimmed flight: takes surfaces, gives signals.
 
-    Parameters
-    ----------
-    name : str
-        As in `airframe`.
-    rate : float
-        Rate of the simulation, Hz.
-    speed : float, optional
-        True airspeed in place of its own, m/s.
-
-    Attributes
-    ----------
-    airframe : Airframe
-        What it is.
-    rate : float
-        Rate of the simulation, Hz.
-    fdm : jsbsim.FGFDMExec
-        JSBSim itself, for what has no method here.
-    surfaces : (4,) array
-        Elevator, rudder, aileron (rad) and throttle as last commanded.
-
     Raises
     ------
     SimulationError
         If JSBSim is not installed, or has no such aircraft, or cannot trim it.
     """
 
-    def __init__(self, name: str, rate: float, speed: float | None = None) -> None:
-        self.airframe = airframe(name, speed)
-        self.rate = rate
+    def __init__(
+        self,
+        name: str,  # As in `airframe`
+        rate: float,  # Rate of the simulation, Hz
+        speed: float | None = None,  # True airspeed in place of its own, m/s
+    ) -> None:
+        self.airframe = airframe(name, speed)  # What it is
+        self.rate = rate  # Rate of the simulation, Hz
         self.ranges = _surface_ranges(self.airframe.model, rate)
-        self.fdm = _load(self.airframe.model, rate)
+        self.fdm = _load(self.airframe.model, rate)  # JSBSim itself, for what has no method here
         nodes = self.fdm.get_property_manager()
         self._read = [nodes.get_node(name) for name, _ in SIGNALS.values()]
         self._scale = np.array([scale for _, scale in SIGNALS.values()])
@@ -205,6 +190,7 @@ class Aircraft:
         suffixes = [""] + [f"[{i}]" for i in range(1, self._engines)]
         self._throttle = [nodes.get_node(f"fcs/throttle-cmd-norm{s}") for s in suffixes]
         self._trim()
+        # (4,) Elevator, rudder, aileron (rad) and throttle as last commanded
         self.surfaces = np.array([self.fdm[s] for s in SURFACES])
 
     @property
@@ -247,14 +233,11 @@ class Aircraft:
             f"{self.airframe.speed:.1f} m/s and {self.airframe.altitude:.0f} m"
         )
 
-    def _unbalance(self, x: FloatArray) -> FloatArray:
-        """Accelerations in level flight, shape (5,).
-
-        Parameters
-        ----------
-        x : (5,) array
-            Angle of attack, elevator, rudder, aileron, rad; throttle.
-        """
+    def _unbalance(
+        self,
+        x: FloatArray,  # (5,) Angle of attack, elevator, rudder, aileron, rad; throttle
+    ) -> FloatArray:
+        """Accelerations in level flight, shape (5,)."""
         self.fdm["ic/alpha-rad"] = self.fdm["ic/theta-rad"] = float(x[0])
         self.set_surfaces(self.clip(x[1:]))
         self.fdm.run_ic()
@@ -324,15 +307,11 @@ class Autopilot:
         return np.asarray(self.trim + correction)
 
 
-def settle(aircraft: Aircraft, time: float = SETTLING_TIME) -> list[float]:
+def settle(
+    aircraft: Aircraft,  # As trimmed
+    time: float = SETTLING_TIME,  # How long, s
+) -> list[float]:
     """Fly on the autopilot until nothing moves any more.
-
-    Parameters
-    ----------
-    aircraft : Aircraft
-        As trimmed.
-    time : float
-        How long, s.
 
     Returns
     -------

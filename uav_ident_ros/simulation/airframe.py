@@ -90,15 +90,11 @@ def airframe_names() -> tuple[str, ...]:
     return tuple(sorted((path.stem for path in FOLDER.glob(f"*{SUFFIX}")), key=str.lower))
 
 
-def airframe(name: str, speed: float | None = None) -> Airframe:
+def airframe(
+    name: str,  # One of `airframe_names`, or a path that ends in ``.yaml``
+    speed: float | None = None,  # True airspeed in place of its own, m/s
+) -> Airframe:
     """Return an aircraft by name, or by the path of its file.
-
-    Parameters
-    ----------
-    name : str
-        One of `airframe_names`, or a path that ends in ``.yaml``.
-    speed : float, optional
-        True airspeed in place of its own, m/s.
 
     Raises
     ------

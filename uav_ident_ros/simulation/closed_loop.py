@@ -68,16 +68,12 @@ class Loop:
     # More parameters, by process: ``{"simulated_plant": {"rate": "200.0"}}``
     parameters: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
-    def arguments(self, process: str, record: Path) -> list[str]:
-        """ROS arguments of a process.
-
-        Parameters
-        ----------
-        process : str
-            One of `MODULES`.
-        record : Path
-            Where the plant leaves its record.
-        """
+    def arguments(
+        self,
+        process: str,  # One of `MODULES`
+        record: Path,  # Where the plant leaves its record
+    ) -> list[str]:
+        """ROS arguments of a process."""
         coefficients = str(self.files / f"{self.aircraft}_coefficients.yaml")
         in_step = str(self.lock_step).lower()
         own: dict[str, dict[str, str]] = {
@@ -109,17 +105,13 @@ class Loop:
 
 
 class ClosedLoop:
-    """The running processes; a context manager that ends them.
+    """The running processes; a context manager that ends them."""
 
-    Parameters
-    ----------
-    loop : Loop
-        What to fly.
-    folder : Path
-        For the logs, the record and what the nodes keep: each flight starts afresh.
-    """
-
-    def __init__(self, loop: Loop, folder: Path) -> None:
+    def __init__(
+        self,
+        loop: Loop,  # What to fly
+        folder: Path,  # For the logs, the record and what the nodes keep: each flight starts afresh
+    ) -> None:
         self.loop, self.folder = loop, folder
         self.record_file = folder / "flight.npz"
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
@@ -224,19 +216,14 @@ def report(record: Mapping[str, FloatArray], fault_time: float) -> Iterator[str]
         yield f"coefficients usable in {100.0 * np.mean(record['usable']):.0f} % of the ticks"
 
 
-def prepared_files(aircraft: str, speed: float | None, folder: Path) -> tuple[Path, str]:
+def prepared_files(
+    aircraft: str,  # Its name, or the path of its file
+    speed: float | None,  # True airspeed in place of its own, m/s
+    folder: Path,  # Where each aircraft and speed has a folder
+) -> tuple[Path, str]:
     """Return the folder of an aircraft's files and their name.
 
     What has no files yet is trimmed, excited and identified.
-
-    Parameters
-    ----------
-    aircraft : str
-        Its name, or the path of its file.
-    speed : float or None
-        True airspeed in place of its own, m/s.
-    folder : Path
-        Where each aircraft and speed has a folder.
     """
     from uav_ident_ros.simulation.preparation import prepare, write
 

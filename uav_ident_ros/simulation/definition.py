@@ -25,20 +25,16 @@ VERSION = 1
 """Part of every key: raised when the same definition gives another flight."""
 
 
-def build_flight(name: str, definition: Mapping[str, Any], seed: int | None = None) -> Flight:
+def build_flight(
+    name: str,  # Name of the flight
+    # Either ``plant: NAME`` and the fields of `PlantFlight` (those of `QuadrotorFlight` for the
+    # `QUADROTOR`), or ``aircraft: NAME`` and those of
+    # `uav_ident_ros.simulation.jsbsim_flight.AircraftFlight`; ``inputs`` is the list of segments.
+    # ``sensors`` and ``description`` are left to others
+    definition: Mapping[str, Any],
+    seed: int | None = None,  # Seed of the disturbances instead of the definition's
+) -> Flight:
     """Fly what a definition says.
-
-    Parameters
-    ----------
-    name : str
-        Name of the flight.
-    definition : mapping
-        Either ``plant: NAME`` and the fields of `PlantFlight` (those of `QuadrotorFlight` for the
-        `QUADROTOR`), or ``aircraft: NAME`` and those
-        of `uav_ident_ros.simulation.jsbsim_flight.AircraftFlight`; ``inputs`` is the list of
-        segments. ``sensors`` and ``description`` are left to others.
-    seed : int, optional
-        Seed of the disturbances instead of the definition's.
 
     Raises
     ------

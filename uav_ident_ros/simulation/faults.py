@@ -109,15 +109,12 @@ def _within(text: str, low: float, high: float) -> float:
 
 
 class Schedule:
-    """Faults that come at a time of their own.
+    """Faults that come at a time of their own."""
 
-    Parameters
-    ----------
-    scheduled : sequence of Fault
-        What comes, in any order.
-    """
-
-    def __init__(self, scheduled: Sequence[Fault]) -> None:
+    def __init__(
+        self,
+        scheduled: Sequence[Fault],  # What comes, in any order
+    ) -> None:
         self._scheduled = sorted(scheduled, key=lambda fault: fault.time)
 
     def due(self, time: float) -> list[Fault]:
@@ -134,22 +131,14 @@ class Schedule:
 
 
 class Faults(Schedule):
-    """State of an aircraft's faults.
-
-    Parameters
-    ----------
-    aircraft : Aircraft
-        Whose mass and weather they change.
-    trim : (4,) array
-        Surfaces in trimmed flight: an effect is lost about them.
-    seed : int
-        Seed of the turbulence.
-    scheduled : sequence of Fault
-        Those that come at a time of their own.
-    """
+    """State of an aircraft's faults."""
 
     def __init__(
-        self, aircraft: Aircraft, trim: FloatArray, seed: int = 0, scheduled: Sequence[Fault] = ()
+        self,
+        aircraft: Aircraft,  # Whose mass and weather they change
+        trim: FloatArray,  # (4,) Surfaces in trimmed flight: an effect is lost about them
+        seed: int = 0,  # Seed of the turbulence
+        scheduled: Sequence[Fault] = (),  # Those that come at a time of their own
     ) -> None:
         super().__init__(scheduled)
         self._aircraft, self._trim, self._seed = aircraft, trim, seed

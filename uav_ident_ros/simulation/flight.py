@@ -118,15 +118,13 @@ class Flight:
         """Raw actuator channels, shape (M, C): the inputs through `channel_set`."""
         return channel_set.raw(self.inputs, self.trim)
 
-    def force_at(self, lever_arm: FloatArray | tuple[float, float, float]) -> FloatArray:
-        """Specific force at a point fixed to the body, shape (N, 3), m/s^2.
-
-        Parameters
-        ----------
-        lever_arm : (3,) array
-            Position of the point from the centre of gravity, FRD, m. The rotation adds
-            ``wdot x r + w x (w x r)``.
-        """
+    def force_at(
+        self,
+        # (3,) Position of the point from the centre of gravity, FRD, m. The rotation adds ``wdot x
+        # r + w x (w x r)``
+        lever_arm: FloatArray | tuple[float, float, float],
+    ) -> FloatArray:
+        """Specific force at a point fixed to the body, shape (N, 3), m/s^2."""
         arm = np.asarray(lever_arm, dtype=np.float64)
         swing = np.cross(self.rates, np.cross(self.rates, arm))
         turn = np.cross(self.angular_acceleration, arm)

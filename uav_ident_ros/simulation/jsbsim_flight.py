@@ -98,15 +98,11 @@ def _bank_reference(spec: AircraftFlight, t: float) -> float:
     return math.radians(spec.bank) * (last + (side - last) * blend)
 
 
-def fly(spec: AircraftFlight, name: str = "") -> Flight:
+def fly(
+    spec: AircraftFlight,  # The flight
+    name: str = "",  # Name of the result; the aircraft's by default
+) -> Flight:
     """Fly a JSBSim aircraft on a simple autopilot.
-
-    Parameters
-    ----------
-    spec : AircraftFlight
-        The flight.
-    name : str
-        Name of the result; the aircraft's by default.
 
     Raises
     ------

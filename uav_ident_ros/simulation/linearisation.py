@@ -105,15 +105,11 @@ def named_modes(a: FloatArray) -> dict[str, FloatArray]:
     }
 
 
-def linearise_cruise(name: str, speed: float | None = None) -> Linearisation:
+def linearise_cruise(
+    name: str,  # As in `uav_ident_ros.simulation.airframe`
+    speed: float | None = None,  # True airspeed in place of its own, m/s
+) -> Linearisation:
     """Linearise an aircraft in steady, calm flight.
-
-    Parameters
-    ----------
-    name : str
-        As in `uav_ident_ros.simulation.airframe`.
-    speed : float, optional
-        True airspeed in place of its own, m/s.
 
     Raises
     ------
@@ -140,18 +136,14 @@ def cruise_derivatives(name: str, speed: float | None = None) -> dict[str, float
     }
 
 
-def linearise(aircraft: Aircraft, step: float = STEP) -> Linearisation:
+def linearise(
+    aircraft: Aircraft,  # The aircraft; of one in the loop, ``live.aircraft``
+    step: float = STEP,  # Perturbation to each side
+) -> Linearisation:
     """Differentiate an aircraft where it is, with the surfaces and the mass that it has.
 
     Best in steady, calm flight. Afterwards the aircraft is in the same state as before, at
     latitude and longitude zero.
-
-    Parameters
-    ----------
-    aircraft : Aircraft
-        The aircraft; of one in the loop, ``live.aircraft``.
-    step : float
-        Perturbation to each side.
     """
     fdm, surfaces = aircraft.fdm, aircraft.surfaces
     state = {name: float(fdm[now]) for name, now in _KEPT.items()}

@@ -50,40 +50,27 @@ class Sample:
 class Live:
     """A vehicle in the loop; what it is like is up to `LiveAircraft` and `LiveQuadrotor`.
 
-    Parameters
-    ----------
-    sensors : Sensors
-        Rate of the samples, noise and bias.
-    delay : float
-        From a sample to the surface or motor that its command moves, s.
-    seed : int
-        Seed of the noise.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the `outputs`.
-    faults : Schedule
-        What has gone wrong with it.
-    trim : (4,) array
-        Elevator, rudder, aileron (rad) and throttle of the steady flight that it starts in.
-    outputs : (4,) array
-        What the actuators were told last, within their limits. The throttle is its own: it holds
-        airspeed or height.
-
     Raises
     ------
     SimulationError
         If it cannot be flown, or a rate or the delay is no whole number of simulation steps.
     """
 
-    names: tuple[str, ...]
-    faults: Schedule
+    names: tuple[str, ...]  # Names of the `outputs`
+    faults: Schedule  # What has gone wrong with it
+    # (4,) Elevator, rudder, aileron (rad) and throttle of the steady flight that it starts in
     trim: FloatArray
+    # (4,) What the actuators were told last, within their limits. The throttle is its own: it holds
+    # airspeed or height
     outputs: FloatArray
     _acting: FloatArray
 
-    def __init__(self, sensors: Sensors, delay: float, seed: int) -> None:
+    def __init__(
+        self,
+        sensors: Sensors,  # Rate of the samples, noise and bias
+        delay: float,  # From a sample to the surface or motor that its command moves, s
+        seed: int,  # Seed of the noise
+    ) -> None:
         self._substeps = whole_steps(
             1.0 / sensors.rate, SIMULATION_RATE, f"Imu rate {sensors.rate:g} Hz"
         )
@@ -105,14 +92,12 @@ class Live:
         """Return rates, specific force, attitude and surfaces."""
         raise NotImplementedError
 
-    def command(self, surfaces: FloatArray | None) -> None:
-        """Answer the newest sample.
-
-        Parameters
-        ----------
-        surfaces : (3,) array or None
-            Elevator, rudder, aileron, rad; None where no answer came: the last one holds.
-        """
+    def command(
+        self,
+        # (3,) Elevator, rudder, aileron, rad; None where no answer came: the last one holds
+        surfaces: FloatArray | None,
+    ) -> None:
+        """Answer the newest sample."""
         self.outputs = self._answer(surfaces)
         self._underway.append((self._step + self._delay, self.outputs))
 
@@ -158,38 +143,21 @@ class Live:
 
 
 class LiveAircraft(Live):
-    """A JSBSim aircraft in the loop.
-
-    Parameters
-    ----------
-    name : str
-        As in `uav_ident_ros.simulation.airframe`.
-    sensors, delay, seed
-        As in `Live`.
-    faults : sequence of Fault
-        Those that come at a time of their own.
-    speed : float, optional
-        True airspeed in place of the aircraft's own, m/s.
-
-    Attributes
-    ----------
-    aircraft : Aircraft
-        JSBSim's aircraft.
-    """
+    """A JSBSim aircraft in the loop."""
 
     names = SURFACE_NAMES
 
     def __init__(
         self,
-        name: str,
-        sensors: Sensors,
+        name: str,  # As in `uav_ident_ros.simulation.airframe`
+        sensors: Sensors,  # sensors, delay, seed: As in `Live`
         delay: float = 0.0,
-        faults: Sequence[Fault] = (),
+        faults: Sequence[Fault] = (),  # Those that come at a time of their own
         seed: int = 0,
-        speed: float | None = None,
+        speed: float | None = None,  # True airspeed in place of the aircraft's own, m/s
     ) -> None:
         super().__init__(sensors, delay, seed)
-        self.aircraft = Aircraft(name, SIMULATION_RATE, speed)
+        self.aircraft = Aircraft(name, SIMULATION_RATE, speed)  # JSBSim's aircraft
         self._signals = settle(self.aircraft)
         self.trim = self.outputs = self._acting = self.aircraft.surfaces
         self._airspeed = self._signals[COLUMN["airspeed"]]
@@ -249,17 +217,13 @@ class LiveQuadrotor(Live):
 
 
 class MotorFaults(Schedule):
-    """State of a quadrotor's faults: what is left of each motor's thrust.
+    """State of a quadrotor's faults: what is left of each motor's thrust."""
 
-    Parameters
-    ----------
-    craft : Quadrotor
-        Whose motors they are.
-    scheduled : sequence of Fault
-        Those that come at a time of their own.
-    """
-
-    def __init__(self, craft: Quadrotor, scheduled: Sequence[Fault]) -> None:
+    def __init__(
+        self,
+        craft: Quadrotor,  # Whose motors they are
+        scheduled: Sequence[Fault],  # Those that come at a time of their own
+    ) -> None:
         super().__init__(scheduled)
         self._craft = craft
         for fault in scheduled:

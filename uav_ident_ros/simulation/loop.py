@@ -117,24 +117,13 @@ def message_of(identifier: OnlineIdentifier, estimate: Estimate) -> Coefficients
 
 
 def fly_loop(
-    prepared: Prepared,
-    mission: Mission,
+    prepared: Prepared,  # The aircraft
+    mission: Mission,  # The flight
+    # Makes the controller, on a source of coefficients
     make: Callable[[CoefficientSource], Controller],
-    identifier: OnlineIdentifier | None = None,
+    identifier: OnlineIdentifier | None = None,  # Identifies on the way; without it nothing is
 ) -> Outcome:
-    """Fly once.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        The aircraft.
-    mission : Mission
-        The flight.
-    make : callable
-        Makes the controller, on a source of coefficients.
-    identifier : OnlineIdentifier, optional
-        Identifies on the way; without it nothing is.
-    """
+    """Fly once."""
     frame = prepared.airframe
     faults = [parse_fault(text) for text in mission.faults]
     live = LiveAircraft(

@@ -30,22 +30,15 @@ LEAST_BANK = 0.4
 
 
 class Manoeuvres:
-    """Bank and pitch angles to fly, and the rates that lead there.
-
-    Parameters
-    ----------
-    bank, pitch : float
-        Largest bank angle, and largest change of the pitch angle, rad.
-    hold : (2,) tuple
-        Shortest and longest time between changes, s.
-    airspeed : float
-        For coordinated turns, m/s.
-    seed : int
-        Seed of the angles and times.
-    """
+    """Bank and pitch angles to fly, and the rates that lead there."""
 
     def __init__(
-        self, bank: float, pitch: float, hold: tuple[float, float], airspeed: float, seed: int
+        self,
+        bank: float,  # bank, pitch: Largest bank angle, and largest change of the pitch angle, rad
+        pitch: float,
+        hold: tuple[float, float],  # Shortest and longest time between changes, s
+        airspeed: float,  # For coordinated turns, m/s
+        seed: int,  # Seed of the angles and times
     ) -> None:
         self._bank, self._pitch, self._hold, self._airspeed = bank, pitch, hold, airspeed
         self._rng = np.random.default_rng(seed)
@@ -55,18 +48,14 @@ class Manoeuvres:
         self._level: float | None = None
         self._rates: FloatArray = np.zeros(2)
 
-    def rates(self, time: float, roll: float, pitch: float, dt: float) -> FloatArray:
-        """Return p, q, r to follow, rad/s, FRD.
-
-        Parameters
-        ----------
-        time : float
-            After the first call, s.
-        roll, pitch : float
-            Attitude, rad, FRD.
-        dt : float
-            Time since the last call, s.
-        """
+    def rates(
+        self,
+        time: float,  # After the first call, s
+        roll: float,  # roll, pitch: Attitude, rad, FRD
+        pitch: float,
+        dt: float,  # Time since the last call, s
+    ) -> FloatArray:
+        """Return p, q, r to follow, rad/s, FRD."""
         if self._level is None:
             self._level = pitch
         self._choose(time)

@@ -107,18 +107,14 @@ class Measurements:
         return self.flight.rates[np.searchsorted(self.flight.t_ns, self.true_t_ns)]
 
 
-def measure(flight: Flight, sensors: Sensors | None = None, seed: int = 0) -> Measurements:
+def measure(
+    flight: Flight,  # What really happened
+    sensors: Sensors | None = None,  # The sensors; perfect ones at 200 Hz by default
+    # Seed of all randomness. Each error has a stream of its own, drawn at the flight's rate, so
+    # that switching one on or another Imu rate does not change the others
+    seed: int = 0,
+) -> Measurements:
     """Measure a flight.
-
-    Parameters
-    ----------
-    flight : Flight
-        What really happened.
-    sensors : Sensors, optional
-        The sensors; perfect ones at 200 Hz by default.
-    seed : int
-        Seed of all randomness. Each error has a stream of its own, drawn at the flight's
-        rate, so that switching one on or another Imu rate does not change the others.
 
     Raises
     ------

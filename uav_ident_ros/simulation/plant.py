@@ -148,15 +148,11 @@ def _make_grid(spec: PlantFlight) -> _Grid:
     )
 
 
-def fly(spec: PlantFlight, name: str = "") -> Flight:
+def fly(
+    spec: PlantFlight,  # The flight
+    name: str = "",  # Name of the result; the vehicle's by default
+) -> Flight:
     """Fly a plant of the paper's structure.
-
-    Parameters
-    ----------
-    spec : PlantFlight
-        The flight.
-    name : str
-        Name of the result; the vehicle's by default.
 
     Raises
     ------

@@ -99,18 +99,16 @@ PARAMETERS: dict[str, Any] = {
 class PlantNode(Node):
     """The node: an aircraft, its messages, and the waiting for the others.
 
-    Parameters
-    ----------
-    ending : Ending
-        Says when to stop.
-
     Raises
     ------
     SimulationError
         If the aircraft or a fault is not possible.
     """
 
-    def __init__(self, ending: Ending) -> None:
+    def __init__(
+        self,
+        ending: Ending,  # Says when to stop
+    ) -> None:
         super().__init__("simulated_plant")
         self._ending = ending
         for name, default in PARAMETERS.items():

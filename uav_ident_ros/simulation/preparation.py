@@ -56,20 +56,12 @@ class Prepared:
 
 
 def prepare(
-    name: str, speed: float | None = None, seed: int = 0, time: float = EXCITED_TIME
+    name: str,  # As in `uav_ident_ros.simulation.airframe`
+    speed: float | None = None,  # True airspeed in place of its own, m/s
+    seed: int = 0,  # Of the noise and of the multisines' phases
+    time: float = EXCITED_TIME,  # Length of the flight that identifies it, s
 ) -> Prepared:
     """Trim, excite and identify an aircraft.
-
-    Parameters
-    ----------
-    name : str
-        As in `uav_ident_ros.simulation.airframe`.
-    speed : float, optional
-        True airspeed in place of its own, m/s.
-    seed : int
-        Of the noise and of the multisines' phases.
-    time : float
-        Length of the flight that identifies it, s.
 
     Raises
     ------

@@ -74,11 +74,6 @@ class Body:
 class Quadrotor:
     """The state of a quadrotor in flight, and how it goes on.
 
-    Parameters
-    ----------
-    body : Body
-        What it is.
-
     Attributes
     ----------
     rates : list of 3 floats
@@ -99,7 +94,10 @@ class Quadrotor:
         Of the rates, rad/s^2.
     """
 
-    def __init__(self, body: Body) -> None:
+    def __init__(
+        self,
+        body: Body,  # What it is
+    ) -> None:
         self.body = body
         self.rates = [0.0] * 3
         self.angles = [0.0] * 3

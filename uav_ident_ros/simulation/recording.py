@@ -82,17 +82,12 @@ def actuator_messages(measurements: Measurements) -> Iterator[tuple[int, str, An
         yield log, ACTUATOR_TOPIC, message
 
 
-def write_bag(measurements: Measurements, path: Path | str, compress: bool = False) -> None:
+def write_bag(
+    measurements: Measurements,  # The flight
+    path: Path | str,  # Folder of the new bag
+    compress: bool = False,  # Compress with zstd
+) -> None:
     """Write a measured flight as a bag, with `identifier.yaml` and `truth.yaml` beside it.
-
-    Parameters
-    ----------
-    measurements : Measurements
-        The flight.
-    path : Path or str
-        Folder of the new bag.
-    compress : bool
-        Compress with zstd.
 
     Raises
     ------
