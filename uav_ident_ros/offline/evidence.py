@@ -143,8 +143,8 @@ def gyro_noise(rates: FloatArray) -> FloatArray:
     """
     if len(rates) < 4:
         return np.zeros(rates.shape[1])
-    differences = np.abs(np.diff(rates, n=3, axis=0))
-    return np.asarray(np.median(differences, axis=0) / _NORMAL_MEDIAN / _DIFFERENCE_NOISE)
+    usual = [np.median(np.abs(np.diff(column, n=3))) for column in rates.T]
+    return np.array(usual) / _NORMAL_MEDIAN / _DIFFERENCE_NOISE
 
 
 def _rate(t_ns: TimeArray) -> float:

@@ -66,10 +66,15 @@ class Record:
         self._era.extend([era] * len(t_ns))
 
     def of_era(self, era: int) -> tuple[TimeArray, FloatArray]:
-        """Return stamps (k,), strictly rising, and values (k, width) of one time base."""
+        """Return stamps (k,), strictly rising, and values (k, width) of one time base.
+
+        They may be those of the record itself: while they are in use, nothing can be added.
+        """
         chosen = np.frombuffer(self._era, np.int64) == era
-        values = np.frombuffer(self._values).reshape(-1, self._width)[chosen]
-        t_ns = np.frombuffer(self._t, np.int64)[chosen]
+        values = np.frombuffer(self._values).reshape(-1, self._width)
+        t_ns = np.frombuffer(self._t, np.int64)
+        if not chosen.all():
+            t_ns, values = t_ns[chosen], values[chosen]
         if (t_ns[1:] > t_ns[:-1]).all():
             return t_ns, values
         t_ns, first = np.unique(t_ns, return_index=True)

@@ -189,7 +189,7 @@ class OfflineRun:
         """Return the rates of one time base: stamps (k,), p q r (k, 3), ay az (k, 2), FRD."""
         t_ns, values = self.intake.rates.of_era(era)
         frame = BodyFrame(self.inputs.settings.imu)
-        return t_ns, frame.to_body(values[:, :3]), frame.to_body(values[:, 3:])[:, 1:]
+        return t_ns, frame.to_body(values[:, :3]), frame.to_body(values[:, 3:])[:, 1:].copy()
 
     def input_signal(self, era: int = 0, delay: float | None = None) -> InputSignal:
         """Return the inputs on one time base, with the delay (s; None: the setting) and lag."""
