@@ -24,6 +24,7 @@ from cases import Case, identify
 
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.linearisation import Condition, modes
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.inputs import Segment
@@ -73,10 +74,13 @@ def lines(found: CoefficientSet, truth: Linearisation) -> Iterator[str]:
 
 
 def mode_lines(truth: Linearisation) -> Iterator[str]:
-    """Frequency and damping of the true modes."""
-    for name, values in truth.modes().items():
-        texts = [f"{v.real:.2f}{v.imag:+.2f}j" if v.imag else f"{v.real:.2f}" for v in values]
-        yield f"{name:12} {', '.join(texts)} 1/s"
+    """Yield the modes of the true derivatives."""
+    structure, true = STRUCTURES["flight_dynamics"], truth.derivatives
+    values = np.zeros(structure.mask.shape)
+    for name in set(structure.names) & set(true):
+        values[structure.index(name)] = true[name]
+    for mode in modes(structure, values, np.zeros_like(values), Condition(truth.airspeed)):
+        yield f"{mode.name:12} {mode.eigenvalue.real:.2f}{mode.eigenvalue.imag:+.2f}j 1/s"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -10,7 +10,7 @@ pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 from uav_ident_ros.simulation.aircraft import COLUMN
 from uav_ident_ros.simulation.faults import Fault
-from uav_ident_ros.simulation.linearisation import linearise, linearise_cruise, named_modes
+from uav_ident_ros.simulation.linearisation import linearise, linearise_cruise
 from uav_ident_ros.simulation.live import LiveAircraft
 from uav_ident_ros.simulation.noise import Sensors
 
@@ -68,7 +68,7 @@ def test_neither_the_step_nor_a_second_call_matters() -> None:
         if name.endswith("/beta") and name[0] not in "pr":
             continue  # longitudinal, by sideslip: even in it, with a corner at zero
         assert finer.derivatives[name] == pytest.approx(value, rel=0.01, abs=0.02), name
-    np.testing.assert_allclose(again.a, first.a, atol=1e-6)
+    np.testing.assert_allclose(again.by_state, first.by_state, atol=1e-6)
     after = np.array(aircraft.step())
     flying = [COLUMN[name] for name in ("p", "q", "r", "alpha", "beta", "roll", "pitch")]
     np.testing.assert_allclose(after[flying], before[flying], atol=1e-4)
@@ -82,14 +82,3 @@ def test_more_inertia_is_less_of_every_pitch_derivative() -> None:
     for name in ("qdot/de", "qdot/q", "qdot/alpha"):
         assert after[name] / before[name] == pytest.approx(1.0 / 1.3, rel=0.02), name
     assert after["pdot/da"] == pytest.approx(before["pdot/da"], rel=0.02)
-
-
-def test_the_modes_are_found_in_their_blocks() -> None:
-    a = np.zeros((5, 5))
-    a[0, 0] = -8.0  # roll
-    a[np.ix_([2, 3], [2, 3])] = [[-1.0, 9.0], [-1.0, -1.0]]  # -1 +- 3j
-    a[np.ix_([1, 4], [1, 4])] = [[-2.0, -16.0], [1.0, -2.0]]  # -2 +- 4j
-    modes = named_modes(a)
-    np.testing.assert_allclose(modes["roll"], [-8.0])
-    np.testing.assert_allclose(modes["dutch roll"], [-1.0 - 3.0j, -1.0 + 3.0j])
-    np.testing.assert_allclose(modes["short period"], [-2.0 - 4.0j, -2.0 + 4.0j])

@@ -74,36 +74,6 @@ class Linearisation:
         values = np.hstack([self.by_state, self.by_input]).ravel().tolist()
         return dict(zip(names, values, strict=True))
 
-    @property
-    def a(self) -> FloatArray:
-        """A of ``xdot = A x + B u``, x = [p q r beta alpha], shape (5, 5)."""
-        return self.by_state[[0, 1, 2, 5, 6]]
-
-    @property
-    def b(self) -> FloatArray:
-        """B of the same, u = [de dr da dth], shape (5, 4)."""
-        return self.by_input[[0, 1, 2, 5, 6]]
-
-    def modes(self) -> dict[str, FloatArray]:
-        """Eigenvalues of `a` by name, 1/s; see `named_modes`."""
-        return named_modes(self.a)
-
-
-def named_modes(a: FloatArray) -> dict[str, FloatArray]:
-    """Eigenvalues of A of the states p q r beta alpha, 1/s, by the name of the mode.
-
-    The lateral and the longitudinal block are taken by themselves: ``short period`` (2,),
-    ``dutch roll`` (2,) and ``roll`` (1,); of three real lateral ones, roll is the fastest.
-    """
-    lateral = np.linalg.eigvals(a[np.ix_([0, 2, 3], [0, 2, 3])])
-    real = np.flatnonzero(np.abs(lateral.imag) < 1e-9)
-    roll = real[np.argmin(lateral[real].real)]
-    return {
-        "short period": np.sort_complex(np.linalg.eigvals(a[np.ix_([1, 4], [1, 4])])),
-        "dutch roll": np.sort_complex(np.delete(lateral, roll)),
-        "roll": lateral[[roll]],
-    }
-
 
 def linearise_cruise(
     name: str,  # As in `uav_ident_ros.simulation.airframe`
