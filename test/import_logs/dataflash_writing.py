@@ -49,18 +49,16 @@ Row = tuple[str, tuple[float, ...]]
 
 
 class DataflashWriter:
-    """Collects messages and writes them as one file.
+    """Collects messages and writes them as one file."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where a file with nothing but its own format is put first: the library's writer is part
-        of its reader, which needs one.
-    formats : mapping
-        Type, format characters and columns of every message.
-    """
-
-    def __init__(self, folder: Path, formats: Mapping[str, tuple[str, str]] = FORMATS) -> None:
+    def __init__(
+        self,
+        # Where a file with nothing but its own format is put first: the library's writer is part of
+        # its reader, which needs one
+        folder: Path,
+        # Type, format characters and columns of every message
+        formats: Mapping[str, tuple[str, str]] = FORMATS,
+    ) -> None:
         reader_module = pytest.importorskip("pymavlink.DFReader", reason="pymavlink is missing")
         self._format_class = reader_module.DFFormat
         seed = folder / "seed.bin"

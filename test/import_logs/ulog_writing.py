@@ -22,25 +22,14 @@ Columns = Mapping[str, np.ndarray]
 
 
 def write_ulog(
-    path: Path,
+    path: Path,  # The new file
+    # Columns by topic and instance; ``timestamp`` (us) is one of them, arrays of two dimensions are
+    # array fields
     topics: Mapping[tuple[str, int], Columns],
-    parameters: Mapping[str, float],
-    dropouts: tuple[tuple[int, int], ...] = (),
+    parameters: Mapping[str, float],  # Initial parameters
+    dropouts: tuple[tuple[int, int], ...] = (),  # Time (us) and length (ms) of each dropout
 ) -> Path:
-    """Write a log.
-
-    Parameters
-    ----------
-    path : Path
-        The new file.
-    topics : mapping
-        Columns by topic and instance; ``timestamp`` (us) is one of them, arrays of two
-        dimensions are array fields.
-    parameters : mapping
-        Initial parameters.
-    dropouts : tuple of pairs
-        Time (us) and length (ms) of each dropout.
-    """
+    """Write a log."""
     log = ULog(None)
     log._start_timestamp = min(int(c["timestamp"][0]) for c in topics.values())
     log._initial_parameters = dict(parameters)

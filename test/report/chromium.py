@@ -25,20 +25,12 @@ PATIENCE = 60.0
 
 
 class Browser:
-    """A page in a browser of its own; a context manager.
+    """A page in a browser of its own; a context manager."""
 
-    Parameters
-    ----------
-    profile : Path
-        An empty folder.
-
-    Attributes
-    ----------
-    events : list of dict
-        What the page did since it was opened: requests, console messages, errors.
-    """
-
-    def __init__(self, profile: Path) -> None:
+    def __init__(
+        self,
+        profile: Path,  # An empty folder
+    ) -> None:
         assert CHROMIUM is not None
         commands, self._commands = os.pipe()
         self._answers, answers = os.pipe()
@@ -55,6 +47,7 @@ class Browser:
         self._unread = b""
         self._count = 0
         self._session: str | None = None
+        # What the page did since it was opened: requests, console messages, errors
         self.events: list[dict[str, Any]] = []
         targets = self.call("Target.getTargets")["targetInfos"]
         page = next(target["targetId"] for target in targets if target["type"] == "page")
