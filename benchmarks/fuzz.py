@@ -256,7 +256,8 @@ def judge(
     except BaseException:
         word, said = "FAILED", f"{path.name}: {traceback.format_exc()}"
     seconds = time.process_time() - begin
-    path.unlink(missing_ok=True)
+    for file in (path, path.with_suffix(".yaml")):
+        file.unlink(missing_ok=True)
     shutil.rmtree(path.with_suffix(".out"), ignore_errors=True)
     # not ru_maxrss: that begins with the memory of whoever forked it
     peak = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="ascii"))
