@@ -42,7 +42,7 @@ SAMPLE = 4
 """Steps over which the equation of motion is integrated, 0.1 s, for a sample of the regression."""
 
 LEARNING_BLOCKS = 2
-"""Blocks that are learned from before predictions count."""
+"""Blocks, of 5 s, that are learned from before predictions count."""
 
 MEMORY = 120.0
 """Time constant of forgetting of the models, s."""
@@ -50,7 +50,7 @@ MEMORY = 120.0
 BLOCKS = 60
 """Blocks that are judged, the newest: five minutes."""
 
-FEWEST_BLOCKS = 4
+FEWEST_BLOCKS = 3
 """Blocks from which their spread tells anything."""
 
 RIDGE = 0.01
