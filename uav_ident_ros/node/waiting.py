@@ -129,7 +129,8 @@ class Waiting:
         age = monitor.age()
         if newest_ns is None or age is None or age > SILENT_AFTER or self._lost[RATES]:
             return ""
-        if time.monotonic() - since <= SILENT_AFTER:
+        # `since` is the time of a look, and so is this: two are about `SILENT_AFTER` apart.
+        if time.monotonic() - since <= 0.75 * SILENT_AFTER:
             return ""
         topic = monitor.topic
         return (
