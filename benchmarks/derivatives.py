@@ -24,7 +24,7 @@ from cases import Case, identify
 
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
-from uav_ident_ros.identification.linearisation import Condition, modes
+from uav_ident_ros.identification.linearisation import level_modes
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.inputs import Segment
@@ -73,14 +73,27 @@ def lines(found: CoefficientSet, truth: Linearisation) -> Iterator[str]:
         yield f"{name:12} {true[name]:10.3f} {value:10.3f} {sigma:9.3f} {percent:9.1f} {share:9.1f}"
 
 
-def mode_lines(truth: Linearisation) -> Iterator[str]:
-    """Yield the modes of the true derivatives."""
-    structure, true = STRUCTURES["flight_dynamics"], truth.derivatives
+def mode_lines(found: CoefficientSet, truth: Linearisation) -> Iterator[str]:
+    """Eigenvalues, frequency and damping of the true modes and of the identified ones."""
+    structure, true = STRUCTURES[found.structure], truth.derivatives
     values = np.zeros(structure.mask.shape)
     for name in set(structure.names) & set(true):
         values[structure.index(name)] = true[name]
-    for mode in modes(structure, values, np.zeros_like(values), Condition(truth.airspeed)):
-        yield f"{mode.name:12} {mode.eigenvalue.real:.2f}{mode.eigenvalue.imag:+.2f}j 1/s"
+    own, exact = (
+        {mode.name: mode.eigenvalue for mode in level_modes(structure, a, 0.0 * a, truth.airspeed)}
+        for a in (found.values, values)
+    )
+    for name, value in exact.items():
+        yield f"{name:12} {_mode(value)}   identified {_mode(own.get(name))}"
+
+
+def _mode(value: complex | None) -> str:
+    if value is None:
+        return "none of that name"
+    if not value.imag:
+        return f"{value.real:.2f} 1/s"
+    size = abs(value)
+    return f"{value:.2f} 1/s ({size:.2f} rad/s, damping ratio {-value.real / size:.2f})"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -100,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             else identified(aircraft, options.seed, values)
         )
         print(f"\n{aircraft}, {truth.airspeed:.1f} m/s, structure {found.structure}")
-        for line in (*lines(found, truth), *mode_lines(truth)):
+        for line in (*lines(found, truth), *mode_lines(found, truth)):
             print(line)
     return 0
 
