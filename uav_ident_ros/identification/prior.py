@@ -52,8 +52,11 @@ SIDE_FORCE_SLOPE, LIFT_SLOPE = -15.0, -100.0
 In level flight lift is weight, so that ``az/alpha = -g C_La / C_L`` whatever the aircraft's size:
 C_La is 4 to 6 per rad and C_L 0.2 to 0.8; the side force of fuselage and fin is a sixth of it."""
 
-SURFACE_FORCE_SIGMA = 100.0
-"""Prior standard deviation of the forces of the surfaces, m/s^2 per unit."""
+SURFACE_SHARE = {"ay": 0.6, "az": 0.15}
+"""Prior standard deviations of the forces of rudder and elevator per rad, relative to the slopes of
+sideslip and angle of attack: a rudder turns two thirds of the fin that makes most of the side
+force, an elevator half of a tail that makes a fifth of the lift. Inputs in other units than rad do
+less per unit."""
 
 KINEMATIC_SIGMA = 0.3
 """Prior standard deviation of what the kinematics of the flow angles miss, rad/s: a bias of the
@@ -139,12 +142,11 @@ def weak_sigma(structure: Structure) -> FloatArray:
         for name in ("ay/beta", "az/alpha"):
             sigma[structure.index(name)] = abs(first_values(structure)[structure.index(name)])
         for flow in structure.flow:
+            slope = abs(first_values(structure)[flow.force, flow.angle])
             others = list(flow.others)
-            sigma[flow.force, others] = SURFACE_FORCE_SIGMA
+            sigma[flow.force, others] = slope * SURFACE_SHARE[structure.row_labels[flow.force]]
             rates = [j for j in others if j < INPUT_COLUMNS.start]
-            sigma[flow.force, rates] = TAIL_TIME * abs(
-                first_values(structure)[flow.force, flow.angle]
-            )
+            sigma[flow.force, rates] = slope * TAIL_TIME
         for name in ("betadot/1", "alphadot/1"):
             sigma[structure.index(name)] = KINEMATIC_SIGMA
         sigma[structure.index("betadot/p")] = ANGLE_OF_ATTACK_SIGMA
