@@ -410,4 +410,4 @@ def test_named_entries_with_flow_angles() -> None:
     assert entries["state/roll"] == (0.3, 0.0)
     assert entries["state/pitch"] == (-0.4, 0.0)
     assert entries["state/airspeed"] == (18.0, 0.0)
-    assert len(names) == 32 + 5 + 7
+    assert len(names) == 35 + 5 + 7

@@ -114,10 +114,13 @@ def test_a_flight_before_it_converges_after_it_and_when_it_is_over(
     monitors = {ending: start_monitor("--node", "identifier/") for ending in ENDINGS}
     ticks: dict[signal.Signals, list[float]] = {ending: [] for ending in ENDINGS}
 
+    told: set[signal.Signals] = set()
+
     def read(ending: signal.Signals) -> None:
         for line in monitors[ending].stdout or ():
             ticks[ending].extend(float(t) for t in re.findall(r"  tick ([\d.]+) s$", line))
-            if len(ticks[ending]) >= 3:
+            if len(ticks[ending]) >= 3 and ending not in told:
+                told.add(ending)
                 monitors[ending].send_signal(ending)
 
     readers = [threading.Thread(target=read, args=(ending,)) for ending in ENDINGS]
