@@ -243,7 +243,9 @@ def test_reversed_and_swapped_channels_are_named_once_that_is_sure() -> None:
         ({"pdot_da": -45.0}, 16.0, None),
         ({"rdot_dr": 9.0}, 1.0, "signs"),
         (swapped, 1.0, "swapped"),
-        (swapped, 3.0, None),
+        (swapped, 9.0, "swapped"),
+        (swapped, 11.0, None),
+        ({"pdot_dr": 60.0}, 1.0, None),  # a rudder that rolls, and yaws as a rudder does
     ):
         spread = np.full(STRUCTURE.mask.shape, sigma)
         found = coefficient_finding(STRUCTURE, coefficients(**changes), spread, expected)
