@@ -29,13 +29,12 @@ import numpy as np
 import verdict_flights
 from verdict_flights import GLITCH_TIME, Trial
 
-from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
-from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.noise import Measurements
 from uav_ident_ros.simulation.recording import PARAMETER_FILE, write_bag
 
@@ -202,9 +201,7 @@ def _replay(
         path = Path(folder) / "bag"
         write_bag(measured, path)
         known = load_parameters(path / PARAMETER_FILE, "identifier")
-        with Bag(path) as bag:
-            offline = OfflineRun(choose_inputs(bag, {**known, **values}), initial)
-            offline.run(bag, lambda messages, _: messages)
+        offline = run_over(path, {**known, **values}, initial)
     unknown = np.zeros((len(offline.estimates), 3), dtype=bool)
     return _as_arrays(offline.estimates, int(measured.imu_t_ns[0]), unknown)
 

@@ -308,15 +308,11 @@ class Campaign:
     def learned(self) -> PredictionFit:
         """Fit of the coefficients that the node published last, on the end of the flight."""
         from uav_ident_ros.files.parameter_file import load_parameters
-        from uav_ident_ros.offline.inputs import choose_inputs
-        from uav_ident_ros.offline.run import OfflineRun
+        from uav_ident_ros.offline.run import run_over
         from uav_ident_ros.offline.ticks import Ticks
 
         self.listen(0.5)
-        with Bag(BAG) as bag:
-            inputs = choose_inputs(bag, load_parameters(BAG / "identifier.yaml", "identifier"))
-            run = OfflineRun(inputs)
-            run.run(bag, lambda messages, _: messages)
+        run = run_over(BAG, load_parameters(BAG / "identifier.yaml", "identifier"))
         assert self._watch.coefficients is not None
         learned = self._watch.coefficients.reshape(run.structure.mask.shape)
         run.estimates = Ticks(

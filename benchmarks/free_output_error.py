@@ -38,7 +38,7 @@ STEP = 1e-4
 LARGEST = 3.0
 """Rate or angle at which a diverging prediction is held, rad/s and rad."""
 
-FLIGHTS = tuple(f"{aircraft}_{kind}" for aircraft in ("c172p", "t37", "ov10") for kind in ("calm",))
+FLIGHTS = ("c172p_calm", "t37_calm", "ov10_calm")
 
 
 @dataclass(frozen=True)

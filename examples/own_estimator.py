@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.offline.run import run_over
 
 LARGEST_STEP = 0.03
 """What a coefficient may move by in a tick, standard deviations."""
@@ -40,21 +39,13 @@ class Gentle(RecursiveRegression):
         self.coefficients = before + np.clip(self.coefficients - before, -largest, largest)
 
 
-def replayed(bag: Path, **parts: object) -> OfflineRun:
-    """Run the identifier over a bag, with parts of one's own."""
-    with Bag(bag) as opened:
-        inputs = choose_inputs(opened, load_parameters(bag / "identifier.yaml", "identifier"))
-        run = OfflineRun(inputs, **parts)
-        run.run(opened, lambda messages, total: messages)
-    return run
-
-
 def main(bag: Path) -> None:
     """Compare the two."""
+    values = load_parameters(bag / "identifier.yaml", "identifier")
     for words, parts in (("own", {"estimator": Gentle}), ("without", {})):
-        run = replayed(bag, **parts)
-        values = np.array([e.coefficients for e in run.estimates[len(run.estimates) // 2 :]])
-        steps = np.abs(np.diff(values[:, *run.structure.index("pdot/da")])).max()
+        run = run_over(bag, values, **parts)
+        published = np.array([e.coefficients for e in run.estimates[len(run.estimates) // 2 :]])
+        steps = np.abs(np.diff(published[:, *run.structure.index("pdot/da")])).max()
         fit = run.score()["last_40_percent"].model
         print(f"{words}: largest step of pdot/da {steps:.4f} 1/s^2, fit {np.round(fit, 1)} %")
 

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.gates import Gate, Look
-from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.offline.run import run_over
 
 LARGEST_LOAD = 1.3 * 9.80665
 """Specific force along the Imu's z axis beyond which nothing is learned, m/s^2."""
@@ -31,19 +30,11 @@ GATE = Gate("load", setting="", check=overloaded)
 """Its name, the setting that moves its threshold if there is one, and what it looks at."""
 
 
-def replayed(bag: Path, **parts: object) -> OfflineRun:
-    """Run the identifier over a bag, with parts of one's own."""
-    with Bag(bag) as opened:
-        inputs = choose_inputs(opened, load_parameters(bag / "identifier.yaml", "identifier"))
-        run = OfflineRun(inputs, **parts)
-        run.run(opened, lambda messages, total: messages)
-    return run
-
-
 def main(bag: Path) -> None:
     """Compare the two."""
+    values = load_parameters(bag / "identifier.yaml", "identifier")
     for words, parts in (("own", {"gates": [GATE]}), ("without", {})):
-        run = replayed(bag, **parts)
+        run = run_over(bag, values, **parts)
         shares = {name: f"{cost.share:.0%}" for name, cost in run.identifier.gate_costs().items()}
         print(f"{words}: share of the flight that each gate cost: {shares}")
 

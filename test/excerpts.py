@@ -11,7 +11,7 @@ from typing import Any
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.offline.run import OfflineRun, run_over
 
 ROOT = Path(__file__).parent.parent
 BAGS = ROOT / "bags"
@@ -62,10 +62,7 @@ def replayed_run(
     wrap: Callable[[Iterable[Message]], Iterable[Message]] = lambda messages: messages,
 ) -> OfflineRun:
     """The run of the identifier over a bag."""
-    with Bag(bag) as opened:
-        run = OfflineRun(choose_inputs(opened, values))
-        run.run(opened, lambda messages, total: wrap(messages))
-    return run
+    return run_over(bag, values, wrap=lambda messages, _: wrap(messages))
 
 
 def summary(folder: Path) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,10 +17,9 @@ import campaigns
 import cases
 import output_error
 
-from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.prediction import SELECTIONS
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
@@ -113,9 +111,7 @@ def test_the_benchmark_scores_a_recorded_flight_as_replay_does() -> None:
     values = {"estimator": "least_squares"}
     case = cases.recorded(name)
     fits = cases.score(case, cases.identify(case, values))
-    with Bag(Path(cases.RECORDED / name)) as bag:
-        run = OfflineRun(choose_inputs(bag, {**case.parameters, **values}))
-        run.run(bag, lambda messages, _: messages)
+    run = run_over(cases.RECORDED / name, {**case.parameters, **values})
     replayed = run.score()[cases.LAST_PART]
     assert set(SELECTIONS) >= {cases.LAST_PART}
     np.testing.assert_allclose(fits.model, replayed.model, rtol=1e-9)

@@ -13,7 +13,7 @@ from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.import_logs.cli import main
 from uav_ident_ros.messages.types import header_ns
-from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.definition import build_measurements
 from uav_ident_ros.simulation.noise import Measurements
 
@@ -126,9 +126,7 @@ class Result:
 
 def replayed(path: Path, values: dict[str, Any]) -> Result:
     """What the identifier makes of a bag with these parameters."""
-    with Bag(path) as bag:
-        offline = OfflineRun(choose_inputs(bag, values))
-        offline.run(bag, lambda messages, _: messages)
+    offline = run_over(path, values)
     last = offline.estimates[-1]
     dropped = offline.refusals("rates").dropped | offline.refusals("actuators").dropped
     return Result(

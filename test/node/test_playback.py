@@ -26,9 +26,8 @@ from recordings import (
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.offline.run import OfflineRun, choose_inputs
+from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.offline.ticks import Ticks
 from uav_ident_ros.player import Player, stamp_ns
 
@@ -162,10 +161,8 @@ def test_unstamped_actuators_at_real_time_fit_within_a_point(fly: Fly, tmp_path:
     ticks = [stamp_ns(m.header.stamp) for m in player.outputs.named]
     assert len(ticks) == len(player.outputs.coefficients)
     live = dict(zip(ticks, (m.data for m in player.outputs.coefficients), strict=True))
-    with Bag(write_bag(flight, tmp_path / "flight")) as bag:
-        inputs = choose_inputs(bag, load_parameters(flight.parameter_file, "identifier"))
-        run = OfflineRun(inputs)
-        run.run(bag, lambda messages, _: messages)
+    values = load_parameters(flight.parameter_file, "identifier")
+    run = run_over(write_bag(flight, tmp_path / "flight"), values)
     offline = run.score()["last_40_percent"].model
     missing = [e.t_ns for e in run.estimates if e.t_ns not in live]
     assert not missing

@@ -18,7 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY, FlowSignals
-from uav_ident_ros.identification.prior import LIFT_SLOPE, SIDE_FORCE_SLOPE
+from uav_ident_ros.identification.prior import (
+    CONSTANT_SIGMA,
+    FORCE_SIGMA,
+    INPUT_SIGMA,
+    LIFT_SLOPE,
+    RATE_SIGMA,
+    SIDE_FORCE_SLOPE,
+)
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
@@ -87,7 +94,10 @@ _RUDDER, _ELEVATOR = INPUTS.index("dr"), INPUTS.index("de")
 _SURFACES = (_RUDDER, _ELEVATOR)
 # Regressors of the moments: p q r, inputs, constant, ay az.
 _INPUTS, _CONSTANT, _FORCES = slice(3, 7), 7, slice(8, 10)
-_PRECISION = RIDGE / np.array([30.0] * 3 + [1000.0] * 4 + [30.0] + [10.0] * 2) ** 2
+_PRECISION = (
+    RIDGE
+    / np.array([RATE_SIGMA] * 3 + [INPUT_SIGMA] * 4 + [CONSTANT_SIGMA] + [FORCE_SIGMA] * 2) ** 2
+)
 _LEAST_SLOPES = 0.1 * np.array([SIDE_FORCE_SLOPE, LIFT_SLOPE])
 
 

@@ -6,9 +6,10 @@ There is no estimation logic here: messages go in by log time, due ticks are ask
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,10 @@ class Stretch:
             )
 
 
+Wrap = Callable[[Iterable[Message], int], Iterable[Message]]
+"""Wraps the messages and their number, for a progress bar."""
+
+
 class OfflineRun:
     """One pass of the identifier over the messages of a bag.
 
@@ -147,7 +152,7 @@ class OfflineRun:
         """Count what became of the messages of a stream, ``rates`` or ``actuators`` for two."""
         return self.intake.refusals(stream)
 
-    def run(self, bag: Bag, wrap: Callable[[Iterable[Message], int], Iterable[Message]]) -> None:
+    def run(self, bag: Bag, wrap: Wrap) -> None:
         """Feed every message of the topics, in log-time order.
 
         Parameters
@@ -238,3 +243,17 @@ class OfflineRun:
             sampler.rates.t = np.concatenate([sampler.rates.t, t_ns[new]])
             sampler.rates.v = np.concatenate([sampler.rates.v, values[new]])
             yield from sampler.blocks()
+
+
+def run_over(
+    path: Path,  # The bag
+    values: Mapping[str, Any],  # Parameters by name
+    initial: CoefficientSet | None = None,  # Coefficients to start from
+    wrap: Wrap = lambda messages, _: messages,  # As in `OfflineRun.run`
+    **parts: Any,  # Parts of one's own, as in `OfflineRun`
+) -> OfflineRun:
+    """Return the finished run of the identifier over a bag."""
+    with Bag(path) as bag:
+        run = OfflineRun(choose_inputs(bag, values), initial, **parts)
+        run.run(bag, wrap)
+    return run
