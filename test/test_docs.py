@@ -7,7 +7,6 @@ import ast
 import json
 import os
 import re
-import runpy
 import shlex
 import subprocess
 import sys
@@ -15,11 +14,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
-import setuptools
+from repository import ROOT, console_scripts
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.client import Refusal
@@ -31,7 +29,6 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import named_entries
 from uav_ident_ros.offline.run import choose_inputs
 
-ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
 PARAMETERS = ROOT / "docs" / "parameters.md"
 INTERFACE = ROOT / "docs" / "interface.md"
@@ -85,23 +82,12 @@ def command_lines(text: str) -> Iterator[str]:
                 yield line.strip()
 
 
-def console_scripts() -> set[str]:
-    recorded: dict[str, Any] = {}
-    with mock.patch.object(setuptools, "setup", lambda **arguments: recorded.update(arguments)):
-        runpy.run_path(str(ROOT / "setup.py"))
-    return {line.split("=")[0].strip() for line in recorded["entry_points"]["console_scripts"]}
-
-
 # --- generated tables ------------------------------------------------------------------------
 
 
-def test_generated_tables_are_in_step_with_the_declaration() -> None:
+def test_generated_tables_are_in_step_and_hold_every_parameter() -> None:
     text = text_of(PARAMETERS)
     assert renew(text) == text, f"{page_id(PARAMETERS)} is out of step: run scripts/make_docs"
-
-
-def test_every_table_stands_somewhere_and_every_parameter_in_one() -> None:
-    text = text_of(PARAMETERS)
     for name in TABLES:
         assert f"<!-- generated: {name} -->" in text
     rows = full_tables()
@@ -219,15 +205,11 @@ def check_launch_arguments(launch_file: Path, words: list[str]) -> None:
 
 def test_the_executables_listed_are_those_installed() -> None:
     table = text_of(README).split("| executable |")[1].split("\n\n")[0]
-    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == console_scripts()
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == set(console_scripts())
 
 
-def test_the_two_commands_open_the_readme() -> None:
-    first = code_blocks(text_of(README))[0].split()
-    assert first == ["scripts/demo", "scripts/test"]
-
-
-def test_the_readme_is_two_screens() -> None:
+def test_the_two_commands_open_the_readme_which_is_two_screens() -> None:
+    assert code_blocks(text_of(README))[0].split() == ["scripts/demo", "scripts/test"]
     assert len(text_of(README).encode()) < LARGEST_README
 
 
@@ -258,27 +240,13 @@ rclpy.shutdown()
 """
 """Ask the node itself, with every optional input on: names and types are then rclpy's, no guess."""
 
+HEADERS = {
+    "topics": "| topic | type | QoS | content |",
+    "services": "| service | type | effect |",
+}
+
 # What every rclpy node has.
 OF_EVERY_NODE = re.compile(r"^/(rosout|parameter_events|clock)$|parameter|type_description")
-
-
-@pytest.fixture(scope="module")
-def interfaces() -> dict[str, dict[str, str]]:
-    """Topics and services of a running node: name to type."""
-    done = subprocess.run(
-        [sys.executable, "-c", ASK_NODE],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=60.0,
-        check=True,
-    )
-    line = next(line for line in done.stdout.splitlines() if line.startswith("FOUND "))
-    found = json.loads(line.removeprefix("FOUND "))
-    return {
-        kind: {name: types[0] for name, types in entries if not OF_EVERY_NODE.search(name)}
-        for kind, entries in found.items()
-    }
 
 
 def listed(header: str) -> dict[str, str]:
@@ -292,37 +260,27 @@ def listed(header: str) -> dict[str, str]:
     return rows
 
 
-def test_the_topics_of_the_interface_are_those_of_the_node(
-    interfaces: dict[str, dict[str, str]],
-) -> None:
-    assert listed("| topic | type | QoS | content |") == interfaces["topics"]
-
-
-def test_the_services_of_the_interface_are_those_of_the_node(
-    interfaces: dict[str, dict[str, str]],
-) -> None:
-    assert listed("| service | type | effect |") == interfaces["services"]
+def test_topics_and_services_of_the_interface_are_those_of_the_node() -> None:
+    command = [sys.executable, "-c", ASK_NODE]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    line = next(line for line in done.stdout.splitlines() if line.startswith("FOUND "))
+    for kind, entries in json.loads(line.removeprefix("FOUND ")).items():
+        found = {name: types[0] for name, types in entries if not OF_EVERY_NODE.search(name)}
+        assert listed(HEADERS[kind]) == found
 
 
 # --- examples --------------------------------------------------------------------------------
 
 
-def examples() -> list[tuple[str, str]]:
-    pages = (README, *DOCS)
-    return [
-        (f"{page.name}-{i}", block)
-        for page in pages
-        for i, block in enumerate(code_blocks(text_of(page), "yaml"))
-    ]
-
-
-@pytest.mark.parametrize("block", [b for _, b in examples()], ids=[n for n, _ in examples()])
-def test_every_parameter_file_of_the_pages_is_accepted(block: str, tmp_path: Path) -> None:
+def test_every_parameter_file_of_the_pages_is_accepted(tmp_path: Path) -> None:
     path = tmp_path / "vehicle.yaml"
-    path.write_text(block, encoding="utf-8")
-    values = dict(load_parameters(path, "/identifier"))
-    values.pop("use_sim_time", None)
-    assert Settings.from_values(values).values() != Settings().values()
+    blocks = [block for page in (README, *DOCS) for block in code_blocks(text_of(page), "yaml")]
+    assert blocks
+    for block in blocks:
+        path.write_text(block, encoding="utf-8")
+        values = dict(load_parameters(path, "/identifier"))
+        values.pop("use_sim_time", None)
+        assert Settings.from_values(values).values() != Settings().values(), block
 
 
 def test_the_controller_of_the_readme_inverts_the_model_and_heeds_the_verdict() -> None:
@@ -388,14 +346,6 @@ def imports_of(path: Path) -> set[str]:
 
 NODE_MODULES = {"node"}
 OFFLINE_MODULES = {"bags", "offline", "report"}
-
-
-def test_the_core_imports_numpy_and_itself() -> None:
-    allowed = {*sys.stdlib_module_names, "numpy"}
-    for path in (PACKAGE / "identification").rglob("*.py"):
-        for name in imports_of(path):
-            inside = name.startswith("uav_ident_ros.identification")
-            assert inside or name.split(".")[0] in allowed, f"{path.name} imports {name}"
 
 
 def test_the_node_and_the_replay_do_not_import_each_other() -> None:

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import setuptools
 import yaml
+from repository import ROOT, console_scripts, setup_arguments
 
 from uav_ident_ros.client import Coefficients
 from uav_ident_ros.domain import own_domain
@@ -29,7 +29,6 @@ from uav_ident_ros.node.saving import FINISH_WITHIN
 from uav_ident_ros.node.startup import USAGE_ERROR
 from uav_ident_ros.simulation import closed_loop
 
-ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "uav_ident_ros"
 SPDX = "SPDX-License-Identifier: Apache-2.0"
 
@@ -65,23 +64,6 @@ PIP_ONLY = {"bokeh", "mcap", "rosbags"}
 # What a companion computer need not have: the node must never import these. PyYAML is not
 # among them: rclpy itself imports it.
 OFFLINE_ONLY = {"jinja2", "markupsafe", "matplotlib", "rich", "scipy", "tqdm"} | PIP_ONLY | OPTIONAL
-
-
-def setup_arguments() -> dict[str, Any]:
-    """Run setup.py with `setuptools.setup` replaced by a recorder; return what it was given."""
-    recorded: dict[str, Any] = {}
-    original = setuptools.setup
-    setuptools.setup = lambda **arguments: recorded.update(arguments)
-    try:
-        runpy.run_path(str(ROOT / "setup.py"))
-    finally:
-        setuptools.setup = original
-    return recorded
-
-
-def console_scripts() -> dict[str, str]:
-    lines = setup_arguments()["entry_points"]["console_scripts"]
-    return dict(re.split(r"\s*=\s*", line, maxsplit=1) for line in lines)
 
 
 def manifest() -> ET.Element:
@@ -236,20 +218,14 @@ def test_names_and_licences_agree():
     assert "END OF TERMS AND CONDITIONS" in licence
 
 
-def test_contract_executables_are_declared():
-    assert {"identifier", "replay", "simulate"} <= set(console_scripts())
-
-
-@pytest.mark.parametrize("name", sorted(console_scripts()))
-def test_entry_point_is_callable(name: str):
-    module, _, function = console_scripts()[name].partition(":")
-    assert callable(getattr(importlib.import_module(module), function))
-
-
-@pytest.mark.parametrize("name", sorted(console_scripts()))
-def test_entry_point_shadows_nothing(name: str):
+def test_entry_points_are_callable_and_shadow_nothing():
+    scripts = console_scripts()
+    assert {"identifier", "replay", "simulate"} <= set(scripts)  # the contract's
     # a name that is a keyword cannot be a module, and .venv/bin must not hide a program
-    assert name not in {"import", "watch", "test", "python"}
+    assert not {"import", "watch", "test", "python"} & set(scripts)
+    for target in scripts.values():
+        module, _, function = target.partition(":")
+        assert callable(getattr(importlib.import_module(module), function)), target
 
 
 def test_pip_requirements_leave_ros_alone():
@@ -264,27 +240,22 @@ def test_pip_requirements_leave_ros_alone():
     assert "pytest" in arguments["extras_require"]["test"]
 
 
-@pytest.mark.parametrize("path", RUNTIME_FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_manifest_lists_what_is_imported(path: Path):
-    needed = third_party(path, lazy=True) - OPTIONAL - PIP_ONLY
-    keys = {ROSDEP_KEYS.get(name, name) for name in needed}
-    assert keys <= dependencies("depend", "exec_depend")
-
-
-@pytest.mark.parametrize("path", RUNTIME_FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_development_extras_are_imported_lazily(path: Path):
-    assert not third_party(path, lazy=False) & OPTIONAL
-
-
-def test_manifest_lists_what_the_tests_import():
+def test_manifest_lists_what_is_imported():
     folders = (ROOT / "test", ROOT / "benchmarks")
     helpers = {path.stem for folder in folders for path in folder.rglob("*.py")}
     helpers |= {"test", "setuptools"}
-    needed: set[str] = set()
-    for path in (ROOT / "test").rglob("*.py"):
-        needed |= third_party(path, lazy=True) - OPTIONAL - PIP_ONLY - helpers
-    keys = {ROSDEP_KEYS.get(name, name) for name in needed}
-    assert keys <= dependencies("depend", "exec_depend", "test_depend")
+    runtime = dependencies("depend", "exec_depend")
+    for paths, ours, listed in (
+        (RUNTIME_FILES, set(), runtime),
+        (sorted((ROOT / "test").rglob("*.py")), helpers, runtime | dependencies("test_depend")),
+    ):
+        for path in paths:
+            needed = third_party(path, lazy=True) - OPTIONAL - PIP_ONLY - ours
+            assert {ROSDEP_KEYS.get(name, name) for name in needed} <= listed, path
+
+
+def test_development_extras_are_imported_lazily():
+    assert not [path for path in RUNTIME_FILES if third_party(path, lazy=False) & OPTIONAL]
 
 
 def test_manifest_names_only_what_apt_has():
@@ -360,12 +331,12 @@ def test_no_file_holds_a_path_of_this_machine():
     assert not found
 
 
-@pytest.mark.parametrize("name", ["dev", "ros"])
-def test_lock_fixes_every_version(name: str):
-    lines = (ROOT / "requirements" / f"{name}.txt").read_text().splitlines()
-    pins = [line for line in lines if line and not line.startswith("#")]
-    assert pins
-    assert not [line for line in pins if not re.match(r"[\w.-]+==[\w.]+( ;|$)", line)]
+def test_locks_fix_every_version():
+    for name in ("dev", "ros"):
+        lines = (ROOT / "requirements" / f"{name}.txt").read_text().splitlines()
+        pins = [line for line in lines if line and not line.startswith("#")]
+        assert pins
+        assert not [line for line in pins if not re.match(r"[\w.-]+==[\w.]+( ;|$)", line)]
 
 
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
