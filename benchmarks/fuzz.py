@@ -13,6 +13,7 @@ import contextlib
 import io
 import multiprocessing
 import re
+import resource
 import shutil
 import signal
 import struct
@@ -44,6 +45,10 @@ from uav_ident_ros.offline.run import OfflineRun, choose_inputs  # noqa: E402
 
 LONGEST, MOST_MEMORY = 10.0, 500.0
 """What reading one file may take, s of the processor, and the process may hold, MiB."""
+
+ADDRESSES = 2 * 2**30
+"""Addresses that a process may have, bytes: what a file makes it take beyond that is its failure,
+not the end of the machine."""
 
 HUNG = 300
 """Time after which a file hangs the reader, s, however busy the machine is."""
@@ -266,6 +271,7 @@ def judge(
 
 def judge_in_time(job: tuple[str, str, int, str]) -> Outcome:
     """Judge a file; what takes too long has failed."""
+    resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
     for number in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(number, _too_long)
     signal.setitimer(signal.ITIMER_PROF, LONGEST)

@@ -14,7 +14,7 @@ from excerpts import BAGS, parameters, replayed_run
 
 from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
-from uav_ident_ros.identification.delay import DelayEstimate
+from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayEstimate
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.settings import Settings
@@ -85,6 +85,8 @@ def one_of_three(value: float, otherwise: float) -> Any:
 
 E = good()
 SURE = E.delay
+FINDING = Settings.from_values({"structure": "augmented", "actuators.estimate_delay": True})
+"""Settings of somebody who has the delay found, as an imported log's are."""
 MIN_T_RATIO = E.settings.supervision.min_t_ratio
 CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     # advice, what just misses it, what just gives it, what it says
@@ -139,6 +141,18 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
         {"delay": SURE, "delay_in_use": 0.2},
         "170 ms too long",
     ),
+    "delay not shown": (
+        "unknown_delay",
+        {"settings": FINDING, "delay": SURE},
+        {"settings": FINDING, "delay": replace(SURE, rise=1.0)},
+        r"does not show the delay of the inputs \(30 ms, sigma 3 ms; 0\.030 s in use\).* 3-2-1-1",
+    ),
+    "nothing tells the delay": (
+        "unknown_delay",
+        {"delay": NO_ESTIMATE},  # it is told
+        {"settings": FINDING, "delay": NO_ESTIMATE},
+        r"\(nothing tells it; 0\.030 s in use\)",
+    ),
     "airspeed assumed": (
         "assumed_airspeed",
         {"settings": Settings.from_values({"airspeed.reference": 20.1})},
@@ -179,7 +193,7 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
         "slow_streams",
         {"imu_rate": SLOW_IMU * JUST_ABOVE},
         {"imu_rate": SLOW_IMU * JUST_BELOW},
-        r"the Imu come at 49 Hz: 50 Hz at the least are needed \(PX4: the bit .* SDLOG_PROFILE; A",
+        r"the Imu come at 49 Hz: 50 Hz at the least are needed \(PX4: SDLOG_PROFILE bit 4, .*; A",
     ),
     "slow actuators": (
         "slow_streams",
@@ -219,7 +233,13 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
         "no_better_than_holding",
         {"fit": fit(model=[80.0, 20.1, 80.0], hold=20.0)},
         {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0)},
-        r"q is predicted no better \(20 %\) than by holding it \(20 %\)",
+        r"q is predicted no better \(20 %\) than by holding it \(20 %\): look at the delay",
+    ),
+    "holding is as good, and the reason is known": (
+        "no_better_than_holding",
+        {},
+        {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0), "imu_rate": SLOW_IMU - 1.0},
+        r"q is predicted no better \(20 %\) than by holding it \(20 %\)$",
     ),
     "told apart": (
         "not_told_apart",

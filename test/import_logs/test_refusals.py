@@ -16,8 +16,9 @@ import pytest
 from dataflash_writing import DataflashWriter
 from imported import contents, refusal, run
 from pyulog import ULog
-from ulog_writing import commands, sensor_combined, write_ulog
+from ulog_writing import commands, sensor_combined, stamps, write_ulog
 
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.import_logs.cli import DAMAGED
 from uav_ident_ros.import_logs.dataflash import HEADER, read_dataflash
 from uav_ident_ros.import_logs.px4_log import MAGIC, SYNC, read_ulog, title_of
@@ -248,6 +249,18 @@ def test_a_ulog_with_a_stamp_that_no_clock_gave(tmp_path: Path, capsys, out) -> 
     found = contents(tmp_path / "bag")
     np.testing.assert_array_equal(found.imu_t_ns, np.delete(IMU_NS, 1000))
     assert found.log_ns[-1] == IMU_NS[-1]
+
+
+def test_a_last_stamp_that_lies_days_ahead(tmp_path: Path, capsys, out) -> None:
+    """It may be a straggler; what is written for every second is not written for those days."""
+    rates = {name: values.copy() for name, values in RATES.items()}
+    rates["timestamp"][-1] += 5 * 86_400_000_000
+    armed = {"timestamp": stamps(IMU_NS[:2]), "arming_state": np.full(2, 2, np.uint8)}
+    topics = GOOD | {("sensor_combined", 0): rates, ("vehicle_status", 0): armed}
+    log = write_ulog(tmp_path / "flight.ulg", topics, {})
+    assert "armed for 43" in run([str(log), *out], capsys)
+    with Bag(tmp_path / "bag") as bag:
+        assert bag.counts["/armed"] < 15
 
 
 def test_topics_that_are_none(tmp_path: Path, capsys, out) -> None:

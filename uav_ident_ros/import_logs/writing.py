@@ -202,7 +202,9 @@ def _armed_entries(log: FlightLog) -> Iterator[Entry]:
     boolean = message_class(ARMED_TYPE)
     changes = [t for stretch in log.armed or [] for t in stretch]
     start, end = int(log.rates.t_ns.min()), int(log.rates.t_ns.max())
-    regular = range(start, end, ARMED_STEP_NS)
+    # Seconds in which there are rates: a damaged stamp may lie years ahead.
+    seconds = np.unique((log.rates.t_ns - start) // ARMED_STEP_NS)
+    regular = (start + ARMED_STEP_NS * seconds).tolist()
     for t_ns in sorted({*regular, *(t for t in changes if start <= t < end)}):
         armed = any(first <= t_ns < last for first, last in log.armed or [])
         yield t_ns, ARMED_TOPIC, boolean(data=armed)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
@@ -40,10 +41,10 @@ SLOW_ACTUATORS = 24.0
 """Rate of the actuators, Hz: below 25 it is a guess what they did in between."""
 
 FAST_LOGS = (
-    "PX4: the bit 'high rate' of SDLOG_PROFILE; ArduPilot: the bits of fast attitude and raw IMU "
-    "of LOG_BITMASK"
+    "PX4: SDLOG_PROFILE bit 4, 'high rate'; ArduPilot: LOG_BITMASK bits 0, 'fast attitude', and "
+    "18, 'fast IMU', of a Copter, 13, 'RC input-output', and 19, 'raw IMU', of a Plane"
 )
-"""What makes an autopilot log fast enough."""
+"""What makes an autopilot log fast enough: the same as in import_logs' tables, which say more."""
 
 EXCITING_MODES = "an autopilot's autotune does that, and ArduPilot's SystemID mode (SID_AXIS)"
 """Who moves the surfaces as it is needed."""
@@ -132,6 +133,22 @@ def wrong_delay(e: Evidence) -> Iterator[str]:
         f"{found}: set 'actuators.delay' to {e.delay.delay:.3f} ({e.delay_in_use:.3f} in use), "
         "or 'actuators.estimate_delay' to true"
     )
+
+
+def unknown_delay(e: Evidence) -> Iterator[str]:
+    """Say that a delay that is to be found was not."""
+    if e.settings.actuators.estimate_delay and not e.delay.sure:
+        found = (
+            f"{1e3 * e.delay.delay:.0f} ms, sigma {1e3 * e.delay.sigma:.0f} ms"
+            if math.isfinite(e.delay.sigma)
+            else "nothing tells it"
+        )
+        yield (
+            f"the flight does not show the delay of the inputs ({found}; {e.delay_in_use:.3f} s in "
+            "use), and with a wrong one every control derivative is off: step the surfaces, as "
+            "3-2-1-1 inputs do, while nobody answers the aircraft, or measure it on the ground and "
+            "set 'actuators.delay'"
+        )
 
 
 def row_needs_force(e: Evidence) -> Iterator[str]:
@@ -223,12 +240,14 @@ def short_flight(e: Evidence) -> Iterator[str]:
 
 
 def no_better_than_holding(e: Evidence) -> Iterator[str]:
-    """Name the axes that the model predicts no better than no model at all."""
+    """Name the axes that the model predicts no better than no model at all, and where to look."""
+    explained = any(any(cause(e)) for cause in (slow_streams, gated, weak_excitation))
+    look = "" if explained else ": look at the delay, the signs and the channels first"
     for axis, model, hold in zip(AXES, e.fit.model, e.fit.hold, strict=True):
         if model <= hold:
             yield (
-                f"{axis} is predicted no better ({model:.0f} %) than by holding it ({hold:.0f} %): "
-                "look at the delay, the signs and the channels first"
+                f"{axis} is predicted no better ({model:.0f} %) than by holding it ({hold:.0f} %)"
+                f"{look}"
             )
 
 
@@ -251,6 +270,7 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     gated,
     weak_excitation,
     wrong_delay,
+    unknown_delay,
     assumed_airspeed,
     wrong_sign,
     no_better_than_holding,
