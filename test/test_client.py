@@ -97,19 +97,12 @@ def test_a_message_becomes_named_values() -> None:
     assert read.names == AUGMENTED.names
     np.testing.assert_array_equal(read.values, matrix(VALUES))
     assert read.sigma[AUGMENTED.index("pdot/da")] == 0.5
-    assert read.usable
-    assert read.usable_rows == (True, True, True)
-    assert read.flow is None
+    assert (read.usable, read.usable_rows, read.flow) == (True, (True, True, True), None)
+    unusable = Coefficients.from_message(message(usable=False))
+    assert (unusable.usable, unusable.usable_rows) == (False, (True, False, True))
     assert read.t_ns == START
     assert read.age(START + SECOND // 2) == 0.5
-    assert read.fit is not None
-    assert read.fit.tolist() == [90.0, 80.0, 85.0]
-
-
-def test_the_verdict_is_read_row_by_row() -> None:
-    read = Coefficients.from_message(message(usable=False))
-    assert not read.usable
-    assert read.usable_rows == (True, False, True)
+    assert read.fit is not None and read.fit.tolist() == [90.0, 80.0, 85.0]
 
 
 FLOW = FlowState(
@@ -171,16 +164,6 @@ def test_a_coefficient_is_known_by_its_own_sigma_or_by_being_surely_small() -> N
 # --- the model --------------------------------------------------------------------------------
 
 
-def test_prediction_is_the_solution_of_a_linear_model() -> None:
-    only_roll = {name: 0.0 for name in VALUES} | {"pdot/p": -4.0, "pdot/da": 20.0}
-    predicted = model(values=only_roll).predict(
-        np.array([0.2, 0.0, 0.0]), np.array([0.0, 0.0, 0.1, 0.0]), 0.7
-    )
-    settled = 20.0 * 0.1 / 4.0
-    expected = settled + (0.2 - settled) * np.exp(-4.0 * 0.7)
-    np.testing.assert_allclose(predicted, [expected, 0.0, 0.0], atol=1e-9)
-
-
 def test_prediction_agrees_with_a_fine_integration() -> None:
     x, u = np.array([0.6, -0.3, 0.4]), np.array([0.05, -0.1, 0.08, 0.2])
     force = np.array([0.5, -9.6])
@@ -199,15 +182,16 @@ def test_without_forces_their_coefficients_and_the_constant_are_left_out() -> No
 
 def test_linearisation_is_the_derivative() -> None:
     x, u, h = np.array([0.6, -0.3, 0.4]), np.array([0.05, -0.1, 0.08, 0.2]), 1e-6
+    slope = model().acceleration
     a, b = model().linearize(x, u)
-    for i in range(3):
-        step = h * np.eye(3)[i]
-        slope = (model().acceleration(x + step, u) - model().acceleration(x - step, u)) / (2 * h)
-        np.testing.assert_allclose(a[:, i], slope, atol=1e-7)
-    for i in range(4):
-        step = h * np.eye(4)[i]
-        slope = (model().acceleration(x, u + step) - model().acceleration(x, u - step)) / (2 * h)
-        np.testing.assert_allclose(b[:, i], slope, atol=1e-7)
+    for i, step in enumerate(h * np.eye(3)):
+        np.testing.assert_allclose(
+            a[:, i], (slope(x + step, u) - slope(x - step, u)) / (2 * h), atol=1e-7
+        )
+    for i, step in enumerate(h * np.eye(4)):
+        np.testing.assert_allclose(
+            b[:, i], (slope(x, u + step) - slope(x, u - step)) / (2 * h), atol=1e-7
+        )
 
 
 # --- the model with angle of attack and sideslip -------------------------------------------------
@@ -307,15 +291,18 @@ def test_linearisation_with_flow_angles_is_the_derivative() -> None:
 def test_inversion_with_flow_angles_makes_up_for_their_moments() -> None:
     wanted = np.array([2.0, -1.0, 0.5])
     answer = flying().invert(wanted, STATE)
-    np.testing.assert_allclose(flying().acceleration(STATE, answer.u), wanted, atol=1e-9)
-    np.testing.assert_allclose(answer.acceleration, wanted, atol=1e-9)
+    for got in (flying().acceleration(STATE, answer.u), answer.acceleration):
+        np.testing.assert_allclose(got, wanted, atol=1e-9)
 
 
 def test_flow_angles_need_the_message_that_came_with_them(tmp_path: Any) -> None:
     path = tmp_path / "coefficients.yaml"
     values = flying().values
     save_coefficients(CoefficientSet("flight_dynamics", values, 0.01 * np.abs(values)), path)
-    from_file = CoefficientSource(Fallback.NOMINAL, Coefficients.from_file(path)).model(START)
+    read = Coefficients.from_file(path)
+    assert read.structure is FLIGHT
+    np.testing.assert_array_equal(read.values, values)
+    from_file = CoefficientSource(Fallback.NOMINAL, read).model(START)
     np.testing.assert_array_equal(
         from_file.acceleration(STATE, CONTROL), flying().acceleration(STATE, CONTROL)
     )
@@ -347,25 +334,18 @@ def test_inversion_gives_what_was_wanted_or_names_a_limit(
         np.testing.assert_allclose(got, wanted, atol=1e-9)
 
 
-def test_the_least_inputs_are_taken_where_there_is_a_choice() -> None:
+def test_the_least_inputs_are_taken_and_others_make_up_for_one_at_its_limit() -> None:
     # Throttle rolls as well as aileron does: half each.
     shared = model(values={"pdot/dth": 29.5, "pdot/dr": 0.0, "rdot/da": 0.0})
-    u = shared.invert(np.array([5.9, 0.0, 0.0]), np.zeros(3), inputs=("de", "dr", "da", "dth")).u
+    wanted, inputs = np.array([5.9, 0.0, 0.0]), ("de", "dr", "da", "dth")
+    u = shared.invert(wanted, np.zeros(3), inputs=inputs).u
     np.testing.assert_allclose(u, [0.0, 0.0, 0.1, 0.1], atol=1e-12)
-
-
-def test_the_other_inputs_make_up_for_one_at_its_limit() -> None:
-    shared = model(values={"pdot/dth": 29.5, "pdot/dr": 0.0, "rdot/da": 0.0})
-    limits = np.array([[-0.4, -0.3, -0.05, -1.0], [0.4, 0.3, 0.05, 1.0]])
-    answer = shared.invert(
-        np.array([5.9, 0.0, 0.0]), np.zeros(3), limits, inputs=("de", "dr", "da", "dth")
-    )
+    limit = np.array([0.4, 0.3, 0.05, 1.0])
+    answer = shared.invert(wanted, np.zeros(3), np.array([-limit, limit]), inputs=inputs)
     assert answer.acceleration[0] == pytest.approx(5.9)
     assert -0.05 <= answer.u[2] <= 0.05
-    tight = np.array([[-0.4, -0.3, -0.05, -0.02], [0.4, 0.3, 0.05, 0.02]])
-    short = shared.invert(
-        np.array([5.9, 0.0, 0.0]), np.zeros(3), tight, inputs=("de", "dr", "da", "dth")
-    )
+    limit[3] = 0.02
+    short = shared.invert(wanted, np.zeros(3), np.array([-limit, limit]), inputs=inputs)
     assert short.limited == ("da", "dth")
     np.testing.assert_allclose(short.u, [0.0, 0.0, 0.05, 0.02], atol=1e-12)
 
@@ -373,23 +353,15 @@ def test_the_other_inputs_make_up_for_one_at_its_limit() -> None:
 def test_the_force_of_an_input_belongs_to_its_control_derivative() -> None:
     forces = np.zeros((2, 4))
     forces[0, 1] = 5.5  # ay of the rudder, m/s^2 per rad
-    whole = -2.4 - 0.35 * 5.5
-    u = (
-        model(values={"pdot/dr": 0.0, "pdot/ay": 0.0})
-        .invert(
-            np.array([0.0, 0.0, 1.0]), np.zeros(3), input_forces=forces, inputs=("de", "dr", "da")
-        )
-        .u
-    )
-    assert u[1] == pytest.approx(1.0 / whole)
+    wanted, inputs = np.array([0.0, 0.0, 1.0]), ("de", "dr", "da")
+    flying = model(values={"pdot/dr": 0.0, "pdot/ay": 0.0})
+    u = flying.invert(wanted, np.zeros(3), input_forces=forces, inputs=inputs).u
+    assert u[1] == pytest.approx(1.0 / (-2.4 - 0.35 * 5.5))
 
 
-def test_a_singular_control_matrix_is_refused_by_the_axis() -> None:
+def test_what_cannot_be_inverted_is_refused_by_the_axis_or_the_input() -> None:
     with pytest.raises(Refusal, match=r"nothing moves rdot by itself"):
         model(values={"rdot/dr": 0.001, "rdot/da": 0.0}).invert(np.ones(3), np.zeros(3))
-
-
-def test_an_input_that_is_not_identified_is_refused_by_its_name() -> None:
     unknown = model(sigma={"rdot/dr": 5.0, "pdot/dr": 50.0})
     assert set(unknown.left_out) >= {"rdot/dr", "pdot/dr"}
     with pytest.raises(Refusal, match="dr not identified"):
@@ -422,26 +394,25 @@ def test_nothing_is_refused_silently() -> None:
     assert source.model(START + SECOND).source == "identified"
 
 
-def test_last_good_is_the_nominal_set_until_something_was_good() -> None:
-    source = CoefficientSource(Fallback.LAST_GOOD, nominal(pdot_da=25.0))
+@pytest.mark.parametrize(
+    ("fallback", "kept"),
+    [(Fallback.LAST_GOOD, ("last good", 29.5)), (Fallback.NOMINAL, ("nominal", 25.0))],
+)
+def test_what_is_used_where_there_is_nothing_good(
+    fallback: Fallback, kept: tuple[str, float]
+) -> None:
+    """The last good set is the nominal one until something was good."""
+    source = CoefficientSource(fallback, nominal(pdot_da=25.0))
     assert da(source) == ("nominal", 25.0)
     source.take(message(usable=False))
     assert da(source) == ("nominal", 25.0)
     source.take(message(t_ns=START + 1))
     assert da(source, START + 1) == ("identified", 29.5)
     source.take(message(t_ns=START + 2, usable=False, values={"pdot/da": 10.0}))
-    assert da(source, START + 2) == ("last good", 29.5)
-    assert da(source, START + 9 * SECOND) == ("last good", 29.5)
-
-
-def test_the_nominal_set_is_chosen_on_purpose_only() -> None:
+    assert da(source, START + 2) == kept
+    assert da(source, START + 9 * SECOND) == kept
     with pytest.raises(ValueError, match="needs the nominal coefficients"):
         CoefficientSource(Fallback.NOMINAL)
-    source = CoefficientSource(Fallback.NOMINAL, nominal(pdot_da=25.0))
-    source.take(message())
-    assert da(source) == ("identified", 29.5)
-    source.take(message(t_ns=START + 1, usable=False))
-    assert da(source, START + 1) == ("nominal", 25.0)
 
 
 def test_a_coefficient_that_is_not_known_is_never_acted_on() -> None:
@@ -492,12 +463,3 @@ def test_a_clock_that_goes_back_starts_the_history_anew() -> None:
     assert history.at(12) == "a"
     assert history.at(30) == "c"
     assert history.at(9) is None
-
-
-def test_a_coefficients_file_is_a_nominal_set(tmp_path: Any) -> None:
-    path = tmp_path / "coefficients.yaml"
-    kept = nominal()
-    save_coefficients(CoefficientSet("augmented", kept.values, kept.sigma), path)
-    read = Coefficients.from_file(path)
-    assert read.structure is AUGMENTED
-    np.testing.assert_array_equal(read.values, kept.values)
