@@ -385,5 +385,5 @@ def test_the_whole_way_from_a_log_to_a_verdict(
             s["coefficients"][coefficient]["value"] for s in (imported, recorded_summary)
         )
         scale = unit if "/d" in coefficient else 1.0
-        # 2 ms of the delay are 3 % of the damping in roll.
-        assert found / scale == pytest.approx(expected, rel=0.05)
+        # 2 ms of delay cost 8 % of the damping in yaw; control derivatives are within 3 %.
+        assert found / scale == pytest.approx(expected, rel=0.03 if "/d" in coefficient else 0.1)
