@@ -23,6 +23,19 @@ FLAGS = (
 PATIENCE = 60.0
 """Time for an answer on a busy machine, s."""
 
+LOOK = 0.02
+"""Interval at which a page is looked at, s."""
+
+DRAWN = "Bokeh.documents.length === 1 && Bokeh.documents[0].is_idle"
+"""Whether every chart of a page is drawn."""
+
+IN_SIGHT = """
+[...document.querySelectorAll('[data-root-id]')]
+    .filter(e => e.getBoundingClientRect().top < innerHeight)
+    .every(e => Bokeh.index.get_by_id(e.dataset.rootId)?.is_idle)
+"""
+"""Whether the charts in the window, and those above it, are drawn."""
+
 
 class Browser:
     """A page in a browser of its own; a context manager."""
@@ -103,10 +116,14 @@ class Browser:
         self.call("Emulation.setEmulatedMedia", features=features)
         self.events.clear()
         self.call("Page.navigate", url=page.resolve().as_uri())
+        self.until("document.readyState === 'complete'")
+
+    def until(self, expression: str) -> None:
+        """Wait until something holds in the page."""
         deadline = time.monotonic() + PATIENCE
-        while self.value("document.readyState") != "complete":
-            assert time.monotonic() < deadline, "the page does not load"
-            time.sleep(0.02)
+        while not self.value(expression):
+            assert time.monotonic() < deadline, expression
+            time.sleep(LOOK)
 
     def value(self, expression: str) -> Any:
         """Evaluate JavaScript in the page."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import io
 import re
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chromium import CHROMIUM, PATIENCE, Browser
+from chromium import CHROMIUM, DRAWN, Browser
 from PIL import Image
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
@@ -28,10 +27,6 @@ OVERFLOWING = """
     .filter(e => !e.closest('.scroll') && e.getBoundingClientRect().width > 0
         && e.getBoundingClientRect().right > innerWidth + 1)
     .map(e => e.tagName + '.' + e.className)
-"""
-
-DRAWN = """
-typeof Bokeh === 'object' && Bokeh.documents.length === 1 && Bokeh.documents[0].is_idle
 """
 
 X_RANGE = """
@@ -74,10 +69,7 @@ def report(replayed: Path) -> Path:
 def open_page(browser: Browser, report: Path, width: int, scheme: str = "light") -> None:
     """Open the report and wait until every chart is drawn."""
     browser.open(report, width, scheme=scheme)
-    deadline = time.monotonic() + PATIENCE
-    while not browser.value(DRAWN):
-        assert time.monotonic() < deadline, "the charts are not drawn"
-        time.sleep(0.05)
+    browser.until(DRAWN)
 
 
 def x_ranges(browser: Browser) -> dict[str, list[float]]:
@@ -97,14 +89,6 @@ def middle_of(browser: Browser, chart: str) -> tuple[float, float]:
         return [r.x + r.width / 2, r.y + r.height / 2]; }})()"""
     x, y = browser.value(script)
     return float(x), float(y)
-
-
-def until(browser: Browser, expression: str) -> None:
-    """Wait until something holds in the page."""
-    deadline = time.monotonic() + PATIENCE
-    while not browser.value(expression):
-        assert time.monotonic() < deadline, expression
-        time.sleep(0.05)
 
 
 @pytest.mark.parametrize("width", [TELEPHONE, TABLET, DESK])
@@ -139,7 +123,7 @@ def test_a_drag_in_one_chart_moves_all_and_a_line_tells_its_values(
     # in: Ctrl and the wheel
     move(browser, "mouseMoved", x, y)
     move(browser, "mouseWheel", x, y, deltaX=0, deltaY=-400, modifiers=2)
-    until(browser, f"({X_RANGE.format('rates-p')})[1] < {last - 1.0}")
+    browser.until(f"({X_RANGE.format('rates-p')})[1] < {last - 1.0}")
     near = x_ranges(browser)
     assert len({tuple(span) for span in near.values()}) == 1
     assert near["rates-p"][0] > first
@@ -148,7 +132,7 @@ def test_a_drag_in_one_chart_moves_all_and_a_line_tells_its_values(
     for k in range(1, 6):
         move(browser, "mouseMoved", x - 10.0 * k, y, button="left", buttons=1)
     move(browser, "mouseReleased", x - 50.0, y, button="left", clickCount=1)
-    until(browser, f"({X_RANGE.format('rates-p')})[0] > {near['rates-p'][0]}")
+    browser.until(f"({X_RANGE.format('rates-p')})[0] > {near['rates-p'][0]}")
     moved = x_ranges(browser)
     assert len({tuple(span) for span in moved.values()}) == 1
     width = near["rates-p"][1] - near["rates-p"][0]
@@ -157,7 +141,7 @@ def test_a_drag_in_one_chart_moves_all_and_a_line_tells_its_values(
     x, y = middle_of(browser, "rates-q")
     move(browser, "mouseMoved", x - 5.0, y)
     move(browser, "mouseMoved", x, y)
-    until(browser, f"({TOOLTIPS}).length > 0")
+    browser.until(f"({TOOLTIPS}).length > 0")
     said = " ".join(browser.value(TOOLTIPS))
     assert re.search(r"time:?\s*\d+\.\d\d s", said), said
     assert re.search(r"measured:?\s*[-−]?\d\.\d{4}", said), said

@@ -22,8 +22,8 @@ if TYPE_CHECKING:  # replay imports the report
 EARLIEST_DATE_NS = 946_684_800_000_000_000
 """The year 2000, ns: earlier stamps count from the start of a computer and say no date."""
 
-_NAMES = re.compile(r'(?<=")(?:p\d{4,}|[0-9a-f]{8}(?:-[0-9a-f]{4}){3}-[0-9a-f]{12})(?=")')
-"""Names that Bokeh makes up for its models and elements, anew in every run."""
+_NAMES = re.compile(r'(?<=")p\d{4,}(?=")')
+"""Names that Bokeh makes up for its models, anew in every run."""
 
 
 def write_report(
@@ -93,34 +93,36 @@ def render(template: str, sections: Sequence[Any], **content: Any) -> str:
     loader = PackageLoader("uav_ident_ros.report")
     page = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     page.filters |= {"cell": cell, "sentence": _sentence}
-    script, divs = _embed([chart for section in sections for chart in section.charts])
+    drawn, names = _embed([chart for section in sections for chart in section.charts])
     return page.get_template(template).render(
         sections=sections,
         colors=COLORS,
         style=page.get_template("style.css").render(),
         library=_library(),
-        script=script,
-        divs=divs,
+        script=page.get_template("charts.js").render(),
+        drawn=drawn,
+        names=names,
         wordy=WORDY,
         **content,
     )
 
 
 def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
-    """Return the script that draws the charts, and the place of each, the same in every run."""
-    from bokeh.embed import components
+    """Return the charts as JSON, and the name of each in it; both are the same in every run."""
+    from bokeh.core.json_encoder import serialize_json
+    from bokeh.document import Document
 
-    models = {chart.identity: chart.model for chart in charts}
-    if not models:
-        return "", {}
-    script, divs = components(models, wrap_script=False)
+    document, roots = Document(), {chart.identity: chart.model for chart in charts}
+    for model in roots.values():
+        document.add_root(model)
     seen: dict[str, str] = {}
 
-    def named(match: re.Match[str]) -> str:
-        return seen.setdefault(match.group(), f"m{len(seen)}")
+    def named(made_up: str) -> str:
+        return seen.setdefault(made_up, f"m{len(seen)}")
 
-    script = _NAMES.sub(named, script).replace("</", "<\\/")
-    return script, {identity: _NAMES.sub(named, div) for identity, div in divs.items()}
+    text = serialize_json(document.to_json(deferred=False))
+    text = _NAMES.sub(lambda found: named(found.group()), text)
+    return text.replace("</", "<\\/"), {name: named(model.id) for name, model in roots.items()}
 
 
 def _library() -> str:

@@ -74,6 +74,7 @@ def plain_figure(height: int, unit: str = "", **options: Any) -> Any:
         background_fill_color=None,
         border_fill_color=None,
         outline_line_color=None,
+        title=None,
         tools="",
         **options,
     )
@@ -116,11 +117,12 @@ class Timeline:
         result = plain_figure(height, unit, x_range=self._range, **options)
         pan, wheel = PanTool(dimensions="width"), WheelZoomTool(dimensions="width")
         wheel.modifiers = {"ctrl": True}  # the bare wheel scrolls the page
-        result.add_tools(pan, BoxZoomTool(), wheel, ResetTool(), SaveTool())
-        result.add_tools(CrosshairTool(overlay=self._cross))
+        result.add_tools(pan, wheel, CrosshairTool(overlay=self._cross))
         result.toolbar.active_drag, result.toolbar.active_scroll = pan, wheel
         if height < WITH_BUTTONS:
             result.toolbar_location = None
+        else:
+            result.add_tools(BoxZoomTool(), ResetTool(), SaveTool())
         result.xaxis.axis_label = "time [s]"
         result.min_border_right = 12
         for restart in self._restarts:
