@@ -17,6 +17,8 @@ from uav_ident_ros.domain import own_domain
 # that: the programs under test could not be interrupted.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # `nohup`: a handler is not inherited
+    signal.signal(signal.SIGHUP, lambda *_: None)
 
 # Every run draws the same examples, however slow the machine is. Others, and more of them:
 # scripts/test --hypothesis-profile anew

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import adaptive_filters
 import campaigns
 import cases
 import output_error
+from excerpts import excerpt
 
 from uav_ident_ros.identification.prediction import SELECTIONS
 from uav_ident_ros.identification.structure import STRUCTURES
@@ -104,14 +106,15 @@ def test_a_perfect_model_scores_near_100_against_the_noise_free_rates(flight: Fl
     assert (fits.hold < 0.0).all()
 
 
-def test_the_benchmark_scores_a_recorded_flight_as_replay_does() -> None:
-    name = "thor75_auto"
-    if not cases.is_recorded(name):
-        pytest.skip(f"../shared/bags/{name} is not there")
+def test_the_benchmark_scores_a_recorded_flight_as_replay_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cases, "RECORDED", tmp_path)
+    excerpt(tmp_path / "flight", 15.0, "pulses")
     values = {"estimator": "least_squares"}
-    case = cases.recorded(name)
+    case = cases.recorded("flight")
     fits = cases.score(case, cases.identify(case, values))
-    run = run_over(cases.RECORDED / name, {**case.parameters, **values})
+    run = run_over(tmp_path / "flight", {**case.parameters, **values})
     replayed = run.score()[cases.LAST_PART]
     assert set(SELECTIONS) >= {cases.LAST_PART}
     np.testing.assert_allclose(fits.model, replayed.model, rtol=1e-9)
