@@ -24,6 +24,7 @@ from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline import fleet_command, main
+from uav_ident_ros.offline.done import DONE_FILE
 from uav_ident_ros.offline.fleet import (
     BASELINE,
     FALSE_NAMES,
@@ -34,7 +35,6 @@ from uav_ident_ros.offline.fleet import (
     standard,
 )
 from uav_ident_ros.offline.flights_table import FlightRow, read_flights
-from uav_ident_ros.offline.journal import JOURNAL_FILE
 
 NAMES = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
 
@@ -266,37 +266,46 @@ def test_what_is_done_is_not_done_again(
     output = tmp_path / "out"
     shutil.copytree(replayed, output)
     times = {file: file.stat().st_mtime_ns for file in output.rglob("estimates.mcap")}
-    # a run that was killed: the last line is cut off, a folder has gone
-    journal = output / JOURNAL_FILE
-    journal.write_text(journal.read_text() + '{"name": "fli')
-    shutil.rmtree(output / "flight1")
+    # cut off in the middle of a flight, before its last file; another has no end
+    (output / "flight1" / DONE_FILE).unlink()
+    cut = output / "flight0" / DONE_FILE
+    cut.write_text(cut.read_text()[:40])
     assert main(arguments(logs, output)) == 2
     assert re.search(
-        r"5 bags: .*1 no result; 4 of them as replayed before", capsys.readouterr().out
+        r"5 bags: .*1 no result; 3 of them as replayed before", capsys.readouterr().out
     )
     for file, before in times.items():
-        assert (file.stat().st_mtime_ns == before) == ("flight1" not in file.parts)
+        done_again = file.stat().st_mtime_ns != before
+        assert done_again == bool({"flight0", "flight1"} & set(file.parts)), file
     assert contents(output) == contents(replayed)
     # other settings are another replay
     other = tmp_path / "other.yaml"
     other.write_text(PARAMETERS.read_text() + "    filter.cutoff: 20.0\n")
     assert main([*arguments(logs, output), "--params-file", str(other)]) == 2
     assert "as replayed before" not in capsys.readouterr().out
+    # and what it has written anew is not taken for the first one
+    assert main(arguments(logs, output)) == 2
+    assert "as replayed before" not in capsys.readouterr().out
 
 
-def test_killed_in_the_middle_it_finishes_when_started_again(
+def test_killed_in_the_middle_it_does_nothing_twice(
     logs: Path, replayed: Path, tmp_path: Path
 ) -> None:
     output = tmp_path / "out"
+
+    def done() -> dict[Path, int]:
+        return {file: file.stat().st_mtime_ns for file in output.glob(f"*/{DONE_FILE}")}
+
     command = [sys.executable, "-m", "uav_ident_ros.offline", *arguments(logs, output)]
-    process = subprocess.Popen([*command, "--jobs", "1"], cwd=ROOT, start_new_session=True)
-    journal = output / JOURNAL_FILE
-    while process.poll() is None and not (journal.exists() and journal.read_text()):
+    process = subprocess.Popen([*command, "--jobs", "2"], cwd=ROOT, start_new_session=True)
+    while process.poll() is None and len(done()) < 2:
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert re.search(r"; [1-5] of them as replayed before", done.stdout), done.stdout
+    before = done()
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout
+    assert f"; {len(before)} of them as replayed before" in said
+    assert before.items() <= done().items()
     assert contents(output) == contents(replayed)
 
 

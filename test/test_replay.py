@@ -364,15 +364,18 @@ BAD_INPUT = {
     "missing bag": (["nowhere"], "bag 'nowhere' does not exist"),
     "no bag": (["text.txt"], "bag 'text.txt' is no bag"),
     "cut off": (["cut.mcap"], "'cut.mcap': .* there is no message to be saved"),
-    "unknown topic": (["BAG", "--imu-topic", "gyro"], "has no topic '/gyro'; it has /actuators"),
-    "unknown actuators": (["BAG", "--actuators-topic", "/x"], "has no topic '/x'"),
-    "unknown airspeed": (["BAG", "--airspeed-topic", "/x"], "has no topic '/x'"),
+    "unknown topic": (
+        ["BAG", "--topic", "imu/data:=gyro"],
+        "has no topic '/gyro'; it has /actuators",
+    ),
+    "unknown actuators": (["BAG", "--topic", "actuators:=/x"], "has no topic '/x'"),
+    "unknown airspeed": (["BAG", "--topic", "airspeed:=/x"], "has no topic '/x'"),
     "no airspeed": (
         ["BAG", "--params-file", "@airspeed.type: std_msgs/msg/Float64"],
         "has neither a topic '/airspeed' nor one of type std_msgs/msg/Float64; it has /actuators",
     ),
     "not an airspeed": (
-        ["BAG", "--airspeed-topic", IMU],
+        ["BAG", "--topic", f"airspeed:={IMU}"],
         "topic '/imu/data' is of type sensor_msgs/msg/Imu, but known are std_msgs/msg/Float64,",
     ),
     "missing parameters": (["BAG", "--params-file", "p.yaml"], "'p.yaml': does not exist"),

@@ -19,7 +19,7 @@ from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.offline import main
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.job import Job, Outcome, replay
-from uav_ident_ros.offline.options import parser, topics
+from uav_ident_ros.offline.options import parser
 from uav_ident_ros.offline.overview import WORST_FIT, columns, mean_fit, overview, ranked, ranking
 from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
@@ -99,7 +99,8 @@ def test_a_bad_bag_does_not_stop_the_rest(replayed: tuple[Path, Any]) -> None:
     output, done = replayed
     assert done.returncode == NO_RESULT
     folders = sorted(path.name for path in output.iterdir() if path.is_dir())
-    assert folders == ["monday_flight", "tuesday_flight"]
+    assert folders == ["broken", "monday_flight", "tuesday_flight"]
+    assert [file.name for file in (output / "broken").iterdir()] == ["replayed.json"]
     assert summary(output / "monday_flight")["usable"]
     assert not summary(output / "tuesday_flight")["usable"]
     (line,) = done.stderr.splitlines()
@@ -292,11 +293,9 @@ def test_ranking_puts_usable_ones_first_and_one_bad_axis_does_not_hide_the_other
 # --- options -----------------------------------------------------------------------------------
 
 
-def test_topics_by_either_option() -> None:
-    given = ["bag", "--topic", "imu/data:=/a", "--topic", "armed:=b", "--imu-topic", "/c"]
-    assert topics(parser().parse_args([*given, "--actuators-topic", "d"])) == {
-        "rates": "/a", "actuators": "/d", "armed": "/b"
-    }  # fmt: skip
+def test_topics_are_absolute() -> None:
+    given = parser().parse_args(["bag", "--topic", "imu/data:=/a", "--topic", "armed:=b"])
+    assert given.topic == [("rates", "/a"), ("armed", "/b")]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,11 +17,9 @@ from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.flights_table import write_flights
 from uav_ident_ros.offline.job import Job, Outcome, replay
-from uav_ident_ros.offline.journal import Journal
-from uav_ident_ros.offline.options import topics
 from uav_ident_ros.offline.overview import overview, ranked, ranking
 from uav_ident_ros.offline.parallel import replay_all
-from uav_ident_ros.offline.progress import Shown
+from uav_ident_ros.offline.progress import Progress
 from uav_ident_ros.offline.status import NO_RESULT
 
 DEFAULT_FOLDER = "replay_{}"
@@ -56,10 +55,12 @@ def _job(options: argparse.Namespace, bag: Path, name: str, folder: Path) -> Job
         folder,
         files,
         options.node,
-        topics(options),
+        dict(options.topic),
         options.plot,
         options.report,
         options.aircraft or bag.resolve().parent.name,
+        # what is compared may be code under work, which no version tells apart
+        again=options.again or bool(options.compare),
     )
 
 
@@ -68,7 +69,7 @@ def _one(options: argparse.Namespace) -> int:
     (bag,) = options.bags
     name = bag.resolve().stem
     folder = options.output or Path(DEFAULT_FOLDER.format(name))
-    with Shown() as progress:
+    with closing(Progress()) as progress:
         outcome = replay(_job(options, bag, name, folder), progress)
     _tell(outcome.warnings)
     if outcome.table:
@@ -84,10 +85,7 @@ def _many(options: argparse.Namespace) -> int:
         default = Path(DEFAULT_FOLDER.format(name))
         jobs.append(_job(options, bag, name, options.output / name if options.output else default))
     where = options.output or Path()
-    journal = Journal(where, again=options.again)
-    jobs = [journal.informed(job) for job in jobs]
-    done = replay_all(jobs, options.jobs, options.scheduler, journal.take)
-    outcomes = [journal.recalled(outcome) for outcome in done]
+    outcomes = replay_all(jobs, options.jobs, options.scheduler)
     tables = write_flights(where, outcomes)
     _tell_of_several(outcomes)
     folders = _written(options.output or Path(DEFAULT_FOLDER.format("NAME")))

@@ -60,8 +60,7 @@ class Job:
     plot: bool = False
     report: bool = False
     aircraft: str = ""  # The aircraft that flew
-    # Identity (`identity_of`) of a result that is there already; empty if there is none
-    known: str = ""
+    again: bool = False  # Whether to do it even if its result is there already
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,21 @@ class Outcome:
     kept: bool = False  # Whether nothing was done, since the result is there already
 
 
-SILENT = Progress()
+def parameters_of(job: Job) -> dict[str, Any]:
+    """Return the parameters by name; those of a later file win.
+
+    Raises
+    ------
+    ParameterFileError
+        If a file cannot be used.
+    """
+    values: dict[str, Any] = {}
+    for file in job.params_files:
+        values.update(load_parameters(file, job.node))
+    return values
+
+
+SILENT = Progress(shown=False)
 
 
 def replay(job: Job, progress: Progress = SILENT) -> Outcome:
@@ -141,9 +154,7 @@ def write_results(
 
 def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:
     """Run the identifier over the bag; return it, and what the bag is like."""
-    values: dict[str, Any] = {}
-    for file in job.params_files:
-        values.update(load_parameters(file, job.node))
+    values = parameters_of(job)
     with Bag(job.bag) as bag:
         try:
             inputs = choose_inputs(bag, values, job.topics)

@@ -66,12 +66,9 @@ def _groups() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
              "--params-file", {**file, "nargs": "+"}),
         ],
         "topics": [
-            ("--topic", "topic of the bag to read as the node's topic NAME, which is one of "
-             f"{', '.join(stream.topic for stream in STREAMS)}; may be given several times",
+            ("--topic", "topic of the bag to read as the node's topic NAME; may be given several "
+             f"times (default: {'; '.join(map(_default, STREAMS))})",
              {"type": _remapping, "action": "append", "default": [], "metavar": "NAME:=TOPIC"}),
-            *((f"--{_option(stream)}-topic",
-               f"the same as --topic {stream.topic}:=TOPIC (default: {_default(stream)})",
-               {"type": absolute, "metavar": "TOPIC"}) for stream in STREAMS),
         ],
         "output": [
             ("--output", "folder of the results (default: replay_BAG); of several bags or "
@@ -94,23 +91,14 @@ def _groups() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
     }  # fmt: skip
 
 
-def _option(stream: Stream) -> str:
-    """Return what a stream is called in the name of an option: imu, not imu/data."""
-    return stream.topic.partition("/")[0]
-
-
 def _default(stream: Stream) -> str:
-    found = f"/{stream.topic}, else the only one"
+    """Return where a stream is read if nobody says it."""
+    found = f"{stream.topic}: /{stream.topic}, else the only one"
     if not stream.setting:
-        return f"{found} whose name ends so, if there is one"
+        return f"{found} whose name ends so"
     if stream.optional:
-        return f"none, or with '{stream.setting}' {found} of that type"
+        return f"{found} of the type '{stream.setting}', if that is set"
     return f"{found} of a known type"
-
-
-def absolute(name: str) -> str:
-    """Return a topic with its leading slash."""
-    return name if name.startswith("/") else f"/{name}"
 
 
 def _remapping(text: str) -> tuple[str, str]:
@@ -122,7 +110,7 @@ def _remapping(text: str) -> tuple[str, str]:
         raise argparse.ArgumentTypeError(
             f"'{text}' is not NAME:=TOPIC with a NAME among {', '.join(streams)}"
         )
-    return stream, absolute(topic)
+    return stream, f"/{topic.lstrip('/')}"
 
 
 def _positive(text: str) -> int:
@@ -133,9 +121,3 @@ def _positive(text: str) -> int:
     if number < 1:
         raise argparse.ArgumentTypeError(f"'{text}' is not a number from 1 on")
     return number
-
-
-def topics(options: argparse.Namespace) -> dict[str, str]:
-    """Return the topics that were asked for, by stream; `--topic` wins."""
-    named = {stream.name: getattr(options, f"{_option(stream)}_topic") for stream in STREAMS}
-    return {stream: topic for stream, topic in named.items() if topic} | dict(options.topic)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -14,8 +14,8 @@ from dataclasses import replace
 from multiprocessing import resource_tracker
 
 from uav_ident_ros.bags.reading import BagError
+from uav_ident_ros.offline.done import forget, identity_of, recalled, remember
 from uav_ident_ros.offline.job import REFUSALS, Job, Outcome, replay
-from uav_ident_ros.offline.journal import identity_of
 from uav_ident_ros.offline.progress import bar
 from uav_ident_ros.offline.status import NO_RESULT
 
@@ -23,17 +23,12 @@ ATTEMPTS = 3
 """How often a flight is begun whose worker of the cluster has gone: a bag that ends every worker
 must not end all of them."""
 
-Done = Callable[[Outcome], None]
-"""Takes an outcome as soon as there is one."""
-
 
 def replay_all(
     jobs: Sequence[Job],  # The jobs; their folders must differ
     workers: int,  # Processes at a time on this machine
     # Address of a Dask scheduler whose workers do the jobs instead; they need the same paths
     scheduler: str = "",
-    # Takes each outcome as soon as there is one, in this process
-    done: Done = lambda outcome: None,
 ) -> list[Outcome]:
     """Do jobs in parallel; the outcomes are in the order of the jobs.
 
@@ -42,46 +37,38 @@ def replay_all(
     BagError
         If the scheduler does not answer, or Dask is missing.
     """
-    shown = bar(total=len(jobs), unit=" replays")
     outcomes: dict[int, Outcome] = {}
-
-    def take(k: int, outcome: Outcome) -> None:
-        outcomes[k] = outcome
-        done(outcome)
-        if shown is not None:
+    with bar(total=len(jobs), unit=" replays") as shown:
+        for k, outcome in _there(jobs, scheduler) if scheduler else _here(jobs, workers):
+            lost = f"bag '{jobs[k].bag}': the process that read it was ended"
+            outcomes[k] = outcome or Outcome(jobs[k], NO_RESULT, (lost,))
             shown.update()
             shown.refresh()
-
-    try:
-        if scheduler:
-            with _cluster(scheduler) as executor:
-                for k, outcome in _do(executor, dict(enumerate(jobs))):
-                    take(k, outcome or _lost(jobs[k]))
-        else:
-            _do_here(jobs, workers, take)
-    finally:
-        if shown is not None:
-            shown.close()
     return [outcomes[k] for k in range(len(jobs))]
 
 
-def _do_here(jobs: Sequence[Job], workers: int, take: Callable[[int, Outcome], None]) -> None:
-    """Do jobs in processes of this machine.
+def _there(jobs: Sequence[Job], scheduler: str) -> Iterator[tuple[int, Outcome | None]]:
+    """Yield the outcomes of a cluster as they come; None for a job whose workers have gone."""
+    with _cluster(scheduler) as executor:
+        yield from _do(executor, dict(enumerate(jobs)))
+
+
+def _here(jobs: Sequence[Job], workers: int) -> Iterator[tuple[int, Outcome | None]]:
+    """Yield the outcomes of processes of this machine; None for a job whose process has gone.
 
     The end of one process breaks the pool. What it leaves is done one by one, each in a pool of its
     own: then it is known which flight ends its process, and it ends no other.
     """
-    left: dict[int, Job] = {}
+    left: list[int] = []
     with _pool(max(1, min(workers, len(jobs)))) as executor:
         for k, outcome in _do(executor, dict(enumerate(jobs))):
             if outcome is None:
-                left[k] = jobs[k]
+                left.append(k)
             else:
-                take(k, outcome)
-    for k, job in left.items():
+                yield k, outcome
+    for k in left:
         with _pool(1) as executor:
-            for _, outcome in _do(executor, {k: job}):
-                take(k, outcome or _lost(job))
+            yield from _do(executor, {k: jobs[k]})
 
 
 def _do(executor: Executor, jobs: dict[int, Job]) -> Iterator[tuple[int, Outcome | None]]:
@@ -98,10 +85,6 @@ def _do(executor: Executor, jobs: dict[int, Job]) -> Iterator[tuple[int, Outcome
             yield futures[future], None
         else:
             yield futures[future], future.result()
-
-
-def _lost(job: Job) -> Outcome:
-    return Outcome(job, NO_RESULT, (f"bag '{job.bag}': the process that read it was ended",))
 
 
 @contextmanager
@@ -138,13 +121,18 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
 def work(job: Job) -> Outcome:
     """Do a job, unless it was done before with the same bag and settings; never raises."""
     try:
-        identity = identity_of(job)
-    except REFUSALS:
-        identity = ""  # the replay says what is wrong
-    if identity and identity == job.known:
-        return Outcome(job, NO_RESULT, identity=identity, kept=True)
-    try:
-        return replace(replay(job), identity=identity)
+        try:
+            identity = identity_of(job)
+        except REFUSALS:
+            return replay(job)  # which says what is wrong
+        outcome = None if job.again else recalled(job, identity)
+        if outcome is None:
+            forget(job)
+            outcome = replace(replay(job), identity=identity)
+            remember(outcome)
+        return outcome
+    except REFUSALS as error:
+        return Outcome(job, NO_RESULT, (str(error),))
     except Exception:
         # A fault of this program: the rest of the bags can do without this one.
         traceback.print_exc()

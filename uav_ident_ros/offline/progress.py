@@ -6,7 +6,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from types import TracebackType
 from typing import Any
 
 from uav_ident_ros.bags.reading import Message
@@ -22,59 +21,40 @@ LINE_EVERY = 30.0
 
 
 def bar(**options: Any) -> Any:
-    """Return a tqdm bar on the error stream; None without a terminal or without tqdm."""
-    if not sys.stderr.isatty():
-        return None
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        return None
-    return tqdm(leave=False, **options)
+    """Return a tqdm bar on the error stream, which shows nothing without a terminal."""
+    from tqdm import tqdm
+
+    tqdm.monitor_interval = 0  # its thread would take Ctrl-C where this one holds it back
+    return tqdm(leave=False, disable=None, **options)
 
 
 class Progress:
-    """Silent progress: what the work of one process among many tells."""
+    """Progress over all phases with the time that is left."""
 
-    def enter(self, phase: str) -> None:
-        """Begin a phase, one of `SHARES`."""
-
-    def messages(self, messages: Iterable[Message], total: int) -> Iterable[Message]:
-        """Pass messages on; of `total` so many have been read."""
-        return messages
-
-
-class Shown(Progress):
-    """Progress over all phases with the time that is left; a context manager."""
-
-    def __init__(self) -> None:
+    def __init__(
+        self,
+        shown: bool = True,  # Silent if not: the work of one process among many
+    ) -> None:
+        self._shown = shown
         form = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
-        self._bar = bar(total=1.0, bar_format=form)
+        self._bar = bar(total=1.0, bar_format=form) if shown else None
         self._done = 0.0
         self._phase = ""
         self._begun = self._told = time.monotonic()
 
-    def __enter__(self) -> Shown:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Leave the terminal as it was."""
         if self._bar is not None:
             self._bar.close()
 
     def enter(self, phase: str) -> None:
-        """Begin a phase; all before it are done."""
+        """Begin a phase, one of `SHARES`; all before it are done."""
         phases = list(SHARES)
         self._phase = phase
-        if self._bar is not None:
-            self._bar.set_description_str(f"{phase:<9}", refresh=False)
         self._show(sum(SHARES[name] for name in phases[: phases.index(phase)]))
 
     def messages(self, messages: Iterable[Message], total: int) -> Iterator[Message]:
-        """Pass messages on and show how many have been read."""
+        """Pass messages on and show how many of the total have been read."""
         every = max(1, total // STEPS)
         for count, message in enumerate(messages):
             if count % every == 0:
@@ -82,8 +62,11 @@ class Shown(Progress):
             yield message
 
     def _show(self, done: float) -> None:
+        if self._bar is None:
+            return
         now = time.monotonic()
-        if self._bar is not None:
+        if not self._bar.disable:
+            self._bar.set_description_str(f"{self._phase:<9}", refresh=False)
             self._bar.update(max(done - self._done, 0.0))
             self._bar.refresh()
         elif now - self._told >= LINE_EVERY and done > 0.0:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import uav_ident_ros
 from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.linearisation import level_modes
-from uav_ident_ros.offline.journal import bag_files
+from uav_ident_ros.offline.done import bag_files
 from uav_ident_ros.report import diagrams, tables
 from uav_ident_ros.report.analysis import spectra
 from uav_ident_ros.report.charts import (
