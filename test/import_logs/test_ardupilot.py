@@ -153,6 +153,18 @@ def test_slow_pulses_give_way_to_the_controls_before_the_mixer(tmp_path: Path, c
     np.testing.assert_allclose(mixing(values) @ asked, [0.2, -0.3, 0.1, 0.4])
 
 
+@pytest.mark.parametrize(("mask", "advice"), [(830, ": make it 831,"), (831, ", although it has")])
+def test_what_to_log_is_said_by_name(tmp_path: Path, capsys, mask: int, advice: str) -> None:
+    writer = DataflashWriter(tmp_path)
+    writer.add("MSG", START, b"ArduCopter V4.5.7 (0358a9c2)")
+    frame = {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "LOG_BITMASK": mask}
+    writer.add_parameters(servos(33, 34, 35, 36) | frame)
+    writer.add_rows(imu() + rcou(COMMAND_US[::10], PULSES[::10]))
+    log = writer.write(tmp_path / "flight.bin")
+    said = run([str(log), "--output", str(tmp_path / "bag")], capsys)
+    assert f"20 Hz are needed (LOG_BITMASK {mask}{advice} 'fast attitude')" in said
+
+
 def test_aetr_on_request(tmp_path: Path, capsys) -> None:
     rows = [(int(t), "AETR", (450.0, -900.0, 60.0, 225.0)) for t in COMMAND_US]
     bag, values, _ = imported(

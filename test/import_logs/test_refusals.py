@@ -21,6 +21,7 @@ from ulog_writing import commands, sensor_combined, stamps, write_ulog
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.import_logs.cli import DAMAGED
 from uav_ident_ros.import_logs.dataflash import HEADER, read_dataflash
+from uav_ident_ros.import_logs.flight_log import Findings
 from uav_ident_ros.import_logs.px4_log import MAGIC, SYNC, read_ulog, title_of
 
 IMU_NS = 5_000_000 * np.arange(1, 2001)
@@ -206,7 +207,9 @@ def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
     path = tmp_path / "nested.ulg"
     path.write_bytes(written.getvalue())
     ours, theirs = read_ulog(path), ULog(str(path))
-    assert (ours.damage, ours.remarks) == ([], [])
+    assert ours.findings == Findings(
+        lost=["the logger lost messages 1 times, together 0.01 s, at most 0.01 s (dropouts)"]
+    )
     (topic,) = theirs.data_list
     assert (topic.name, topic.multi_id) == ("nested", 2)
     for name, values in topic.data.items():

@@ -12,7 +12,7 @@ import re
 
 import numpy as np
 
-from uav_ident_ros.import_logs.flight_log import Findings
+from uav_ident_ros.import_logs.ardupilot_outputs import FRAMES, pin_fields
 from uav_ident_ros.import_logs.knowledge import table
 from uav_ident_ros.import_logs.log import Log
 
@@ -20,61 +20,59 @@ RANGES = ("MIN", "TRIM", "MAX")
 PAIRED = ("ELEVON_MIXING", "ELEVON_OUTPUT", "VTAIL_OUTPUT", "FLAPERON_OUTPUT", "MIXING_OUTPUT")
 """Old parameters of pairs of surfaces, whose senses have names no more."""
 
-THROTTLE = "RC3_"
+STICK = "RC3_"
+"""The throttle's."""
 
 
-def name_as_today(log: Log, firmware: str, findings: Findings) -> None:
+def name_as_today(log: Log, firmware: str) -> None:
     """Add parameters to an old log, under today's names, as far as they follow from its own."""
     parameters = log.parameters
     if any(name.startswith("SERVO") and name.endswith("_FUNCTION") for name in parameters):
         return
-    if firmware == "Copter" or (not firmware and "FRAME" in parameters):
-        parameters.update(_copter(log, findings) | parameters)
+    if "FRAME" in parameters and firmware in ("Copter", ""):
+        parameters.update(_copter(log) | parameters)
     elif firmware == "Plane" or (not firmware and "LIM_ROLL_CD" in parameters):
-        parameters.update(_plane(log, findings) | parameters)
+        parameters.update(_plane(log) | parameters)
 
 
-def _copter(log: Log, findings: Findings) -> dict[str, float]:
+def _copter(log: Log) -> dict[str, float]:
     """Motors on the first pins, in the order of the frame."""
     parameters, known = log.parameters, table("ardupilot")
-    if "FRAME" not in parameters:
-        return {}
     said = [match[1] for text in log.texts if (match := re.fullmatch(r"Frame: (\w+)", text))]
     frame_class = known["old_frames"].get(said[0]) if said else None
     if not said:
         used = _pins_with_pulses(log)
         frame_class = known["old_motor_counts"].get(used)
-        findings.assumed.append(f"{used} pins carry pulses: they are its motors")
+        log.findings.assumed.append(f"{used} pins carry pulses: they are its motors")
     frame = {"FRAME_CLASS": float(frame_class or 0), "FRAME_TYPE": parameters["FRAME"]}
-    names = {(f["class"], f["type"]): f for f in known["frames"].values()}
-    arms = names.get((frame["FRAME_CLASS"], frame["FRAME_TYPE"]), {"arms": []})["arms"]
+    _, arms = FRAMES.get((frame["FRAME_CLASS"], frame["FRAME_TYPE"]), ("", []))
     functions = {number: function for function, number in known["motors"].items()}
     for number in range(1, len(arms) + 1):
         frame[f"SERVO{number}_FUNCTION"] = functions[number]
         for end in ("MIN", "MAX"):
-            if (value := parameters.get(f"{THROTTLE}{end}")) is not None:
+            if (value := parameters.get(f"{STICK}{end}")) is not None:
                 frame[f"SERVO{number}_{end}"] = value
     if arms:
-        findings.assumed.append(
+        log.findings.assumed.append(
             "a log without SERVOn_FUNCTION: the motors are on the pins of their numbers, their "
-            f"range is the throttle's ({THROTTLE}MIN, MAX)"
+            f"range is the throttle's ({STICK}MIN, MAX)"
         )
     return frame
 
 
 def _pins_with_pulses(log: Log) -> int:
     """Count the pins, from the first on, that carry changing pulses."""
-    pulses = log.messages("RCOU")
-    fields = [f for f in pulses.columns if re.fullmatch(r"C(h|han)?\d+", f)] if pulses else []
-    moving = [bool(np.ptp(pulses.columns[field])) for field in fields] if pulses else []
-    return moving.index(False) if False in moving else len(moving)
+    if (pulses := log.messages("RCOU")) is None:
+        return 0
+    moving = [bool(np.ptp(pulses.columns[field])) for field in pin_fields(pulses).values()]
+    return [*moving, False].index(False)
 
 
-def _plane(log: Log, findings: Findings) -> dict[str, float]:
+def _plane(log: Log) -> dict[str, float]:
     """Surfaces on the pins of the sticks' channels, and what RCn_FUNCTION says of the others."""
     parameters = log.parameters
     if paired := [name for name in PAIRED if parameters.get(name)]:
-        findings.lost.append(
+        log.findings.lost.append(
             f"{paired[0]} is {parameters[paired[0]]:g}: how such pairs turn is not known here"
         )
         return {}
@@ -90,7 +88,7 @@ def _plane(log: Log, findings: Findings) -> dict[str, float]:
             if (reach := parameters.get(f"RC{pin}_{end}")) is not None:
                 result[f"SERVO{pin}_{end}"] = reach
         result[f"SERVO{pin}_REVERSED"] = float(parameters.get(f"RC{pin}_REV", 1.0) < 0)
-    findings.assumed.append(
+    log.findings.assumed.append(
         "a log without SERVOn_FUNCTION: aileron, elevator, throttle, rudder are on the pins of "
         "their sticks (RCMAP_*), ranges and directions are those of RCn_MIN, TRIM, MAX, REV"
     )

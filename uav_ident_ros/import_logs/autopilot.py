@@ -1,18 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the logs of all autopilots have in common: which messages to take, and what to say of it."""
+"""What the logs of all autopilots have in common: which messages to take, and what to say of it.
+
+Where each stream stands is in the autopilot's table (`px4.yaml`, `ardupilot.yaml`), under
+`streams`; how its rates and its commands are read is its module's.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError, Mode, Setpoint
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.import_logs.flight_log import (
+    Channel,
+    Choice,
+    FlightLog,
+    ImportLogError,
+    Stream,
+    gyro_and_force,
+)
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.stamps import Stretches, coverage
+from uav_ident_ros.import_logs.stamps import Stretches, coverage, inside, interpolate, intervals
 
 ENOUGH_RATE = 20.0
 """Slowest rates the identifier works with, Hz. Commands slower than this are thinned out too much,
@@ -22,167 +34,277 @@ ENOUGH_COVERAGE = 0.9
 """Messages that cover less than this part of what the best cover are passed over: a topic that was
 switched on for a part of the flight tells of that part alone."""
 
-BOOT_TIME = "stamps are the autopilot's time since its start, not the time of day"
-NO_FORCE = "there is no accelerometer at a useful rate: ay and az are zero"
+Actuators = tuple[str, TimeArray, FloatArray, tuple[Channel, ...]]
+"""Source, stamps (ns), raw values (m, C) and the C channels of the commands."""
+
+RatesReader = Callable[["Import", Messages], tuple[TimeArray, FloatArray, FloatArray | None]]
+"""Reads stamps (ns), angular velocity (n, 3) and specific force (n, 3) from messages."""
+
+ActuatorsReader = Callable[["Import", Messages], Actuators]
 
 
-def find_messages(
-    log: Log,  # The log
-    what: str,  # What they hold: ``rates`` and so on
-    names: Collection[str],  # The kinds that can be read
-    wanted: str | None,  # The only kind to look for
-    instance: int,  # Which of several sensors or sets of commands
-    # Name and instance to the messages, None if the log has none
-    find: Callable[[str, int], Messages | None],
-) -> dict[str, Messages]:
-    """Find the messages asked for, or all kinds that would do, by name in the order of `names`.
+@dataclass
+class Import:
+    """A log on its way to a bag."""
 
-    Raises
-    ------
-    ImportLogError
-        If the kind asked for is none that can be read, or there are none.
-    """
-    if wanted is not None and wanted not in names:
-        raise ImportLogError(
-            f"log '{log.path}': '{wanted}' are no messages of {what}: there are {', '.join(names)}"
-        )
-    looked_for = [wanted] if wanted else names
-    found = {
-        name: messages for name in looked_for if (messages := find(name, instance)) is not None
-    }
-    if not found:
-        which = f", instance {instance}" if instance else ""
-        raise ImportLogError(
-            f"log '{log.path}' has no {what} ({', '.join(looked_for)}{which}); it has "
-            f"{log.contents()}"
-        )
-    return found
+    log: Log
+    table: Mapping[Any, Any]  # What this autopilot's messages and parameters mean
+    choice: Choice  # What to take in place of the best
+    armed: Stretches | None = None  # Stretches in which it was armed; None if the log does not say
+    flown: Stretches | None = None  # Stretches in the air, or armed; None if it does not say
 
+    def refuse_others(self, key: str, found: Any, source: str) -> None:
+        """Refuse a vehicle that is no aircraft: if what was `found` is in the table under `key`.
 
-def choose(
-    # Stamps, ns, and rate, Hz, by name, in the order of preference
-    streams: Mapping[str, tuple[TimeArray, float]],
-    flight: Stretches,  # Stretches of flight, ns; empty for the whole log
-    findings: Findings,  # Gets what there is to say
-    setting: str,  # The autopilot's parameter that says what is logged
-    before_mixer: Collection[str] = (),  # Those of the names that are commands before the mixer
-) -> str:
-    """Name the messages to take: of those that are fast enough, the first that cover the flight.
+        Raises
+        ------
+        ImportLogError
+            If it is.
+        """
+        if (vehicle := self.table["not_aircraft"][key].get(found)) is not None:
+            raise ImportLogError(
+                f"log '{self.log.path}' is of {vehicle} ({source} {found}): the model is that of "
+                "an aircraft's attitude"
+            )
 
-    If none are, the fastest that cover it. What there is to choose from is said, and why
-    what stands nearer to the sensor or the actuators is passed over.
-    """
-    every = [t_ns for t_ns, _ in streams.values()]
-    whole_log = (min(int(t_ns.min()) for t_ns in every), max(int(t_ns.max()) for t_ns in every))
-    shares = {name: coverage(t_ns, flight or [whole_log]) for name, (t_ns, _) in streams.items()}
-    rates = {name: rate for name, (_, rate) in streams.items()}
-    fast = [name for name in streams if rates[name] >= ENOUGH_RATE]
-    able = fast or list(streams)
-    most = max(shares[name] for name in able)
-    whole = [name for name in able if shares[name] >= ENOUGH_COVERAGE * most]
-    chosen = whole[0] if fast else max(whole, key=lambda name: rates[name])
-    if len(streams) > 1:
-        listed = [f"{n} at {rates[n]:.4g} Hz over {100.0 * shares[n]:.0f} %" for n in streams]
-        findings.read.append(f"{chosen} is taken; of the flight there is {', '.join(listed)}")
-    names = list(streams)
-    for name in names[: names.index(chosen)]:
-        reason = (
-            f"is logged at {rates[name]:.3g} Hz only ({setting})"
-            if rates[name] < ENOUGH_RATE and shares[name] >= ENOUGH_COVERAGE * most
-            else f"covers {100.0 * shares[name]:.0f} % of the flight only"
-        )
-        loss = " from before the mixer, and knows nothing of saturation"
-        tail = loss if chosen in before_mixer and name not in before_mixer else ""
-        findings.lost.append(
-            f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{',' if tail else ''}{tail}"
-        )
-    if rates[chosen] < ENOUGH_RATE:
-        findings.lost.append(
-            f"{chosen} has {rates[chosen]:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed ({setting})"
-        )
-    return chosen
+    def find(
+        self,
+        what: str,  # ``rates`` or ``actuators``
+        names: Collection[str],  # The kinds that can be read
+        # Name and instance to the messages, None if the log has none
+        find: Callable[[str, int], Messages | None],
+    ) -> dict[str, Messages]:
+        """Find the messages asked for, or all kinds that would do, in the order of `names`.
 
+        Raises
+        ------
+        ImportLogError
+            If the kind asked for is none that can be read, or there are none.
+        """
+        wanted: str | None = getattr(self.choice, f"{what}_topic")
+        instance: int = getattr(self.choice, f"{what}_instance")
+        if wanted is not None and wanted not in names:
+            raise ImportLogError(
+                f"log '{self.log.path}': '{wanted}' are no messages of {what}: there are "
+                f"{', '.join(names)}"
+            )
+        looked_for = [wanted] if wanted else names
+        found = {name: m for name in looked_for if (m := find(name, instance)) is not None}
+        if not found:
+            which = f", instance {instance}" if instance else ""
+            raise ImportLogError(
+                f"log '{self.log.path}' has no {what} ({', '.join(looked_for)}{which}); it has "
+                f"{', '.join(sorted(self.log.kinds)) or 'no messages at all'}"
+            )
+        return found
 
-def refuse_others(log: Log, known: Mapping[Any, str], found: Any, source: str) -> None:
-    """Refuse a vehicle that is no aircraft.
+    def choose(self, usable: Mapping[str, Messages]) -> str:
+        """Name the messages to take: the first that are fast enough and cover the flight.
 
-    Raises
-    ------
-    ImportLogError
-        If what was `found` at its source is a key of `known`.
-    """
-    if found in known:
-        raise ImportLogError(
-            f"log '{log.path}' is of {known[found]} ({source} {found}): the model is that of an "
-            "aircraft's attitude"
-        )
+        If none are, the fastest that cover it. What there is to choose from is said, and why
+        what stands nearer to the sensor or the actuators is passed over.
+        """
+        findings, names = self.log.findings, list(usable)
+        stamps = [messages.stamp_ns for messages in usable.values()]
+        rates = {name: messages.rate for name, messages in usable.items()}
+        whole_log = (min(int(t.min()) for t in stamps), max(int(t.max()) for t in stamps))
+        shares = {
+            name: coverage(t_ns, self.flown or [whole_log])
+            for name, t_ns in zip(names, stamps, strict=True)
+        }
+        fast = [name for name in names if rates[name] >= ENOUGH_RATE]
+        most = max(shares[name] for name in fast or names)
+        whole = [name for name in fast or names if shares[name] >= ENOUGH_COVERAGE * most]
+        chosen = whole[0] if fast else max(whole, key=lambda name: rates[name])
+        if len(names) > 1:
+            listed = [f"{n} at {rates[n]:.4g} Hz over {100.0 * shares[n]:.0f} %" for n in names]
+            findings.read.append(f"{chosen} is taken; of the flight there is {', '.join(listed)}")
+        before_mixer = self.table["before_mixer"]
+        for name in names[: names.index(chosen)]:
+            slow = rates[name] < ENOUGH_RATE and shares[name] >= ENOUGH_COVERAGE * most
+            reason = (
+                f"is logged at {rates[name]:.3g} Hz only{self._to_log_faster(name)}"
+                if slow
+                else f"covers {100.0 * shares[name]:.0f} % of the flight only"
+            )
+            loss = ", from before the mixer, and knows nothing of saturation"
+            tail = loss if chosen in before_mixer and name not in before_mixer else ""
+            findings.lost.append(f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}")
+        if rates[chosen] < ENOUGH_RATE:
+            findings.lost.append(
+                f"{chosen} has {rates[chosen]:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed"
+                f"{self._to_log_faster(chosen)}"
+            )
+        return chosen
 
+    def _to_log_faster(self, name: str) -> str:
+        """Say which logging option makes the autopilot log some messages in full."""
+        parameter = self.table["logging"]["parameter"]
+        option = next((o for o in self.table["logging"]["options"] if name in o["messages"]), None)
+        if option is None:
+            return f" ({parameter})"
+        if parameter not in self.log.parameters:
+            return f" ({parameter}: switch on bit {option['bit']}, '{option['name']}')"
+        value = int(self.log.parameters[parameter])
+        if value >> option["bit"] & 1:
+            return f" ({parameter} {value}, although it has '{option['name']}')"
+        return f" ({parameter} {value}: make it {value | 1 << option['bit']}, '{option['name']}')"
 
-def read_mode(
-    messages: Messages | None, field: str, names: Mapping[int, str], findings: Findings
-) -> Mode | None:
-    """Read the modes at each change; a number without a name is shown as it is."""
-    if messages is None or field not in messages:
+    def first(self, name: str) -> tuple[Messages, FloatArray] | None:
+        """Return the first messages that the table has for a stream, and their values (k, C)."""
+        for kind, fields in self.table["streams"][name].items():
+            messages = self.log.messages(kind)
+            if messages is not None and messages.has(*fields):
+                return messages, messages.values(*fields)
         return None
-    numbers = messages.columns[field].astype(int)
-    changed = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
-    said = np.array([names.get(int(n), f"{field} {n}") for n in numbers[changed]])
-    findings.read.append(f"mode: {messages.name}.{field}: {', '.join(dict.fromkeys(said))}")
-    return Mode(messages.name, messages.stamp_ns[changed], said)
 
+    def say_flight(self, armed: Stretches | None, where: str) -> None:
+        """Take the stretches in which it was armed; they are the flight if nothing says more."""
+        self.armed = armed
+        if armed is not None and (self.flown is None or not armed):
+            self.flown = self._said("armed", where, armed)
+        elif self.flown is None:
+            self.log.findings.assumed.append(
+                "the log does not say when it flew: all of it counts as flight"
+            )
 
-def read_setpoint(
-    messages: Messages | None, fields: tuple[str, ...], unit: float, findings: Findings
-) -> Setpoint | None:
-    """Read the rates that were asked for, in body axes FRD; `unit` in rad/s."""
-    if messages is None or not set(fields) <= set(messages.columns):
+    def _said(self, state: str, source: str, stretches: Stretches) -> Stretches:
+        """Say for how long the vehicle was in a state, armed and so on, and who says so."""
+        if stretches:
+            seconds = sum(end - start for start, end in stretches) * 1e-9
+            self.log.findings.read.append(
+                f"{state} for {seconds:.1f} s in {len(stretches)} stretch(es) ({source})"
+            )
+        else:
+            self.log.findings.lost.append(
+                f"the vehicle was never {state} ({source}): no model can come of this log"
+            )
+        return stretches
+
+    def in_the_air(
+        self, messages: Messages | None, field: str, flying: Callable[[Any], Any]
+    ) -> None:
+        """Take the stretches in the air from messages that say it, if there are any."""
+        if messages is not None and field in messages:
+            active: BoolArray = flying(messages.columns[field])
+            stretches = intervals(messages.stamp_ns, active, self.log.end_ns, self.log.start_ns)
+            self.flown = self._said("in the air", f"{messages.name}.{field}", stretches)
+
+    def force_at(
+        self, rates: Messages, names: Mapping[str, Collection[str]], instance: int = 0
+    ) -> FloatArray | None:
+        """Specific force at the stamps of the rates, from other messages that are fast enough."""
+        for name, fields in names.items():
+            messages = self.log.messages(name, instance)
+            if messages is not None and messages.has(*fields) and messages.rate >= ENOUGH_RATE:
+                self.log.findings.read.append(
+                    f"specific force: {messages.name}, interpolated to the stamps of the rates"
+                )
+                return interpolate(rates.sample_ns, messages.sample_ns, messages.values(*fields))
+        self.log.findings.lost.append(
+            "there is no accelerometer at a useful rate: ay and az are zero"
+        )
         return None
-    findings.read.append(f"rates asked for: {messages.name}.{', '.join(fields)}")
-    return Setpoint(messages.name, messages.stamp_ns, unit * messages.values(*fields))
 
+    def say_low_pass(self, name: str, parameter: str, more: str = "") -> None:
+        """Say that rates are filtered."""
+        cutoff = self.log.parameters.get(parameter)
+        at = f" at {cutoff:g} Hz ({parameter})" if cutoff else ""
+        self.log.findings.lost.append(
+            f"{name} is low-passed{at} by the autopilot: it comes late, which counts as a further "
+            f"delay of the inputs{more}"
+        )
 
-def say_instances(sensor: str, instances: Collection[int], findings: Findings) -> None:
-    """Say which instances of a sensor there are, if several."""
-    if len(instances) > 1:
-        findings.read.append(f"instances {list(instances)} of {sensor} (--rates-instance)")
+    def read_rates(
+        self,
+        readers: Mapping[str, RatesReader],  # By kind, the preferred first
+        find: Callable[[str, int], Messages | None],
+        sensor: str = "",  # Kind that has the gyros' instances; that of the rates if left out
+    ) -> Stream:
+        """Read the rates asked for, or the first that are fast enough, or the fastest."""
+        usable = self.find("rates", readers, find)
+        name = self.choose(usable)
+        t_ns, rates, force = readers[name](self, usable[name])
+        instances = self.log.instances(sensor or name)
+        if len(instances) > 1:
+            self.log.findings.read.append(
+                f"instances {instances} of {sensor or name} (--rates-instance)"
+            )
+        return Stream(usable[name].name, t_ns, gyro_and_force(rates, force))
 
+    def flight_log(
+        self, title: str, rates: Stream, actuators: Actuators, *, hovers: bool, **found: Stream
+    ) -> FlightLog:
+        """Put together what was read with all that the table tells to read."""
+        source, t_ns, values, channels = actuators
+        streams = {"rates": rates, "actuators": Stream(source, t_ns, values), **found}
+        streams |= self._setpoint_and_mode()
+        self.log.findings.read.append(
+            "stamps are the autopilot's time since its start, not the time of day"
+        )
+        imported = tuple(self.table["parameters"]["imported"])
+        explaining = (*imported, *self.table["parameters"]["explaining"])
+        self.log.findings.lost += [
+            f"{name} became {value:g} at {t:.1f} s: the first value is used"
+            for t, name, value in self.log.changes
+            if name.startswith(imported)
+        ]
+        return FlightLog(
+            self.log.path,
+            title,
+            streams,
+            channels,
+            self.log.findings,
+            lever_arm=self._lever_arm(),
+            flown=self.flown,
+            armed=self.armed,
+            hovers=hovers,
+            ground_speed=self._ground_speed(),
+            parameters={
+                name: value
+                for name, value in sorted(self.log.parameters.items())
+                if name.startswith(explaining)
+            },
+        )
 
-def read_lever_arm(
-    parameters: Mapping[str, float], prefix: str, findings: Findings
-) -> tuple[float, float, float]:
-    """Read the accelerometer's place, m, FRD, from the parameters ``prefixX``, ``Y`` and ``Z``."""
-    x, y, z = (float(parameters.get(f"{prefix}{axis}", 0.0)) for axis in "XYZ")
-    if any((x, y, z)):
-        findings.read.append(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
-    else:
-        findings.assumed.append(f"the accelerometer is at the centre of gravity ({prefix}* 0)")
-    return x, y, z
+    def _setpoint_and_mode(self) -> dict[str, Stream]:
+        streams = {}
+        if found := self.first("setpoint"):
+            messages, rates = found
+            fields = ", ".join(self.table["streams"]["setpoint"][messages.name])
+            self.log.findings.read.append(f"rates asked for: {messages.name}.{fields}")
+            unit = self.table["setpoint_unit"]
+            streams["setpoint"] = Stream(messages.name, messages.stamp_ns, unit * rates)
+        if found := self.first("mode"):
+            messages, values = found
+            ((field,),) = self.table["streams"]["mode"].values()
+            numbers = values[:, 0].astype(int)
+            changed = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
+            names = self.table["modes"]
+            said = np.array([names.get(int(n), f"{field} {n}") for n in numbers[changed]])
+            listed = ", ".join(dict.fromkeys(said))
+            self.log.findings.read.append(f"mode: {messages.name}.{field}: {listed}")
+            streams["mode"] = Stream(messages.name, messages.stamp_ns[changed], said)
+        return streams
 
+    def _lever_arm(self) -> tuple[float, float, float]:
+        """Read the accelerometer's place, m, FRD."""
+        prefix = self.table["parameters"]["lever_arm"].format(self.choice.rates_instance + 1)
+        x, y, z = (self.log.parameter(f"{prefix}{axis}") for axis in "XYZ")
+        if any((x, y, z)):
+            self.log.findings.read.append(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
+        else:
+            self.log.findings.assumed.append(
+                f"the accelerometer is at the centre of gravity ({prefix}* 0)"
+            )
+        return x, y, z
 
-def median_in_flight(t_ns: TimeArray, values: FloatArray, flight: Stretches) -> float:
-    """Return the median of finite values in some stretches, everywhere if there are none; or 0."""
-    inside = np.zeros(len(t_ns), dtype=bool) if flight else np.ones(len(t_ns), dtype=bool)
-    for start, end in flight:
-        inside |= (start <= t_ns) & (t_ns <= end)
-    chosen = values[inside & np.isfinite(values)]
-    return float(np.median(chosen)) if len(chosen) else 0.0
-
-
-def that_explain(parameters: Mapping[str, float], prefixes: tuple[str, ...]) -> dict[str, float]:
-    """Return the parameters that begin with some letters, in the order of their names."""
-    return {name: value for name, value in sorted(parameters.items()) if name.startswith(prefixes)}
-
-
-def say_stretches(
-    state: str, source: str, stretches: Collection[tuple[int, int]], findings: Findings
-) -> None:
-    """Say for how long the vehicle was in a state, armed and so on, and who says so."""
-    seconds = sum(end - start for start, end in stretches) * 1e-9
-    findings.read.append(f"{state} for {seconds:.1f} s in {len(stretches)} stretch(es) ({source})")
-
-
-def say_changes(log: Log, prefixes: tuple[str, ...], findings: Findings) -> None:
-    """Say which parameters that begin so became others in flight."""
-    changes = [change for change in log.changes if change[1].startswith(prefixes)]
-    for t, name, value in changes:
-        findings.lost.append(f"{name} became {value:g} at {t:.1f} s: the first value is used")
+    def _ground_speed(self) -> float:
+        """Return the median speed over ground in flight, m/s; 0 if it is not known."""
+        if (found := self.first("ground_speed")) is None:
+            return 0.0
+        messages, speed = found
+        keep = np.isfinite(speed[:, 0])
+        if self.flown:
+            keep &= inside(messages.stamp_ns, self.flown)
+        return float(np.median(speed[keep, 0])) if keep.any() else 0.0

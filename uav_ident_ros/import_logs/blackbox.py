@@ -10,19 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import (
-    NS_PER_US,
-    Actuators,
     Channel,
     Choice,
     Findings,
     FlightLog,
     ImportLogError,
-    Rates,
+    Stream,
+    gyro_and_force,
 )
 from uav_ident_ros.import_logs.knowledge import effects_of_arms, table
+from uav_ident_ros.import_logs.log import NS_PER_US
 
 MAGIC = b"H Product:Blackbox flight data recorder"
 """First bytes of every blackbox log."""
@@ -68,12 +67,15 @@ def read_blackbox(
             + ": it comes late, which counts as a further delay of the inputs. Betaflight 4.5 logs "
             "gyroUnfilt, too"
         )
-    actuators = _motors(path, headers, fields, values, t_ns, findings)
+    channels = _motors(path, headers, fields, findings)
+    commands = _vector(fields, values, "motor", len(channels))
     findings.assumed.append("all of the log counts as flight: a blackbox begins when it is armed")
+    streams = {
+        "rates": Stream(name, t_ns, gyro_and_force(rates, force)),
+        "actuators": Stream("motor", t_ns, commands),
+    }
     title = str(headers.get("Firmware revision", headers.get("Firmware type", "blackbox")))
-    return FlightLog(
-        path, title, Rates(name, t_ns, rates, force, "flu"), actuators, findings, hovers=True
-    )
+    return FlightLog(path, title, streams, channels, findings, convention="flu", hovers=True)
 
 
 def _read(path: Path, findings: Findings) -> tuple[dict[str, Any], list[str], FloatArray]:
@@ -141,13 +143,8 @@ def _vector(fields: list[str], values: FloatArray, name: str, size: int) -> Floa
 
 
 def _motors(
-    path: Path,
-    headers: dict[str, Any],
-    fields: list[str],
-    values: FloatArray,
-    t_ns: TimeArray,
-    findings: Findings,
-) -> Actuators:
+    path: Path, headers: dict[str, Any], fields: list[str], findings: Findings
+) -> tuple[Channel, ...]:
     """Motors of a quadrotor in X, in Betaflight's order."""
     count = sum(name.startswith("motor[") for name in fields)
     arms = table("betaflight")["quad_x"]
@@ -155,23 +152,20 @@ def _motors(
         raise ImportLogError(
             f"log '{path}' has {count} motors: only quadrotors are known, whose mixer is quad x"
         )
-    if headers.get("yaw_motors_reversed"):
+    turned = ", reversed (yaw_motors_reversed)" if headers.get("yaw_motors_reversed") else ""
+    if turned:
         other = {"cw": "ccw", "ccw": "cw"}
         arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
-    low, high = headers.get(
-        "motorOutput",
-        [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000],
-    )
+    throttle = [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000]
+    low, high = headers.get("motorOutput", throttle)
     if not high > low:
         raise ImportLogError(f"log '{path}': motorOutput is {low}, {high}: no range")
     findings.read.append(f"motor commands from {low} to {high} (motorOutput)")
     findings.assumed.append(
         "a quadrotor in X with Betaflight's motor order (rear right, front right, rear left, front "
-        "left), propellers turning inwards at the front"
-        + (", reversed (yaw_motors_reversed)" if headers.get("yaw_motors_reversed") else "")
+        f"left), propellers turning inwards at the front{turned}"
     )
-    channels = tuple(
+    return tuple(
         Channel(f"motor_{i + 1}", effect, "motor of quad x", 1.0 / (high - low), low, "counts")
         for i, effect in enumerate(effects_of_arms(arms))
     )
-    return Actuators("motor", t_ns, _vector(fields, values, "motor", count), channels)

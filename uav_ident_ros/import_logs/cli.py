@@ -38,6 +38,8 @@ READERS = {
 }
 """Readers by the first bytes of a log."""
 
+PARAMETER_FILE = "identifier.yaml"
+
 WIDTH = 100
 
 _DESCRIPTION = """\
@@ -113,34 +115,25 @@ def import_log(options: argparse.Namespace) -> FlightLog:
     ImportLogError, BagWriteError
         If the log cannot be used or the bag cannot be written.
     """
-    from uav_ident_ros.import_logs.writing import (
-        SLOWEST_FLIGHT,
+    from uav_ident_ros.import_logs.fitting import (
         findings_by_title,
         fitting_parameters,
-        flown_speed,
-        inputs_in_words,
-        write_import,
+        write_parameters,
     )
+    from uav_ident_ros.import_logs.writing import write_import
 
-    folder = options.output or Path(options.log.stem)
+    folder: Path = options.output or Path(options.log.stem)
+    path = folder / PARAMETER_FILE
     if folder.exists():
         raise ImportLogError(f"'{folder}' exists already: choose another --output")
     log = _guarded(options)
-    if options.airspeed and log.airspeed is None:
-        raise ImportLogError(f"log '{log.path}' has no airspeed: leave --airspeed out")
     if options.flight_only:
         log = log.only_flight()
     _say_streams(log)
-    speed = flown_speed(log)
-    use_airspeed = options.airspeed
-    if use_airspeed is None:
-        use_airspeed = speed >= SLOWEST_FLIGHT
-    _say_speed(log, speed, use_airspeed, SLOWEST_FLIGHT)
-    parameters = fitting_parameters(log, options.trim, use_airspeed)
-    path = write_import(log, folder, parameters)
+    parameters = fitting_parameters(log, options.trim, options.airspeed)
+    write_import(log, folder, lambda: write_parameters(log, parameters, path))
     print(f"{log.path.name}: {log.title}")
-    inputs = [("Inputs", inputs_in_words(log, parameters))]
-    for title, sentences in findings_by_title(log.findings) + inputs:
+    for title, sentences in findings_by_title(log, parameters).items():
         print(f"\n{title}")
         for sentence in sentences:
             print(textwrap.fill(sentence, WIDTH, initial_indent="  - ", subsequent_indent="    "))
@@ -213,40 +206,14 @@ def _first_bytes(path: Path) -> bytes:
 
 def _say_streams(log: FlightLog) -> None:
     """Add to the findings what the stamps tell."""
-    for name, stream in log.streams().items():
-        t_ns = stream.t_ns
-        log.findings.read.append(f"{name}: {describe(t_ns)}")
-        log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(t_ns)]
-    used = [i for i, channel in enumerate(log.actuators.channels) if any(channel.effect)]
-    if without := int((~np.isfinite(log.actuators.values[:, used])).any(axis=1).sum()):
+    for name, stream in log.streams.items():
+        log.findings.read.append(f"{name}: {describe(stream.t_ns)}")
+        log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(stream.t_ns)]
+    values = log.streams["actuators"].values[:, [column for column, _ in log.used]]
+    if without := int((~np.isfinite(values)).any(axis=1).sum()):
         log.findings.lost.append(
             f"actuators: {without} samples lack a value of a channel in use, as of a motor that is "
             "off: they will be dropped"
-        )
-
-
-def _say_speed(log: FlightLog, airspeed: float, used: bool, slowest: float) -> None:
-    """Add to the findings which airspeed counts."""
-    if used:
-        log.findings.read.append(
-            f"the airspeed is used; in flight its median is {airspeed:.3g} m/s"
-        )
-    elif log.airspeed is not None:
-        log.findings.lost.append(
-            f"the airspeed is not used: in flight its median is {airspeed:.3g} m/s"
-            if airspeed
-            else "the airspeed is not used: it was not measured for most of the flight"
-        )
-    if airspeed >= slowest or log.hovers:
-        return
-    if log.ground_speed >= slowest:
-        log.findings.assumed.append(
-            f"airspeed.reference is the median speed over ground, {log.ground_speed:.3g} m/s"
-        )
-    else:
-        log.findings.lost.append(
-            "no speed of flight is in the log: set airspeed.reference to the usual airspeed, which "
-            "the forces on wings go with"
         )
 
 

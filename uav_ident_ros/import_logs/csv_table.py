@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import csv
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,14 +17,13 @@ from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.column_map import ColumnMap
 from uav_ident_ros.import_logs.flight_log import (
-    Actuators,
-    Airspeed,
     Findings,
     FlightLog,
     ImportLogError,
-    Rates,
+    Stream,
+    gyro_and_force,
 )
-from uav_ident_ros.import_logs.stamps import LATEST_NS, NS_PER_S, BoolArray
+from uav_ident_ros.import_logs.stamps import LATEST_NS, NS_PER_S
 
 COMMENT = "#"
 """Lines that begin with it are skipped."""
@@ -47,26 +48,38 @@ def read_csv(
     """
     findings = Findings()
     t_ns, table = _read_table(path, columns, findings)
-    _refuse_disorder(path, t_ns)
+    steps = np.diff(t_ns)
+    back, ahead = int((steps < 0).sum()), int((steps > 0).sum())
+    if len(t_ns) > 1 and back >= ahead:
+        raise ImportLogError(
+            f"table '{path}': the time goes on in {ahead} rows and back in {back}: sort the rows "
+            "by their time"
+        )
     part = {name: table[:, i] for i, name in enumerate(columns.columns[1:])}
 
-    def stream(names: tuple[str, ...]) -> FloatArray:
-        return np.column_stack([part[name] for name in names])
+    def stream(
+        what: str, names: Sequence[str], more: Sequence[str] = (), some: Any = np.all
+    ) -> Stream:
+        values = np.column_stack([part[name] for name in (*names, *more)])
+        there = some(np.isfinite(values[:, : len(names)]), axis=1)
+        if not there.any():
+            raise ImportLogError(
+                f"table '{path}' has no {what}: columns {', '.join(names)} are empty"
+            )
+        return Stream("table", t_ns, values).chosen(there)
 
-    rates = stream(columns.rates)
-    there = np.isfinite(rates).all(axis=1)
-    _require(there, path, "rates", columns.rates)
-    force = stream(columns.force)[there] * columns.force_factor if columns.force else None
-    if force is None:
+    rates = stream("rates", columns.rates, columns.force)
+    if not columns.force:
         findings.lost.append("there is no accelerometer: ay and az are zero")
-    actuators = stream(tuple(columns.channels))
-    commanded = np.isfinite(actuators).any(axis=1)
-    _require(commanded, path, "actuators", tuple(columns.channels))
-    airspeed = None
+    gyro = rates.values[:, :3] * columns.rates_factor
+    force = rates.values[:, 3:] * columns.force_factor if columns.force else None
+    streams = {
+        "rates": replace(rates, values=gyro_and_force(gyro, force)),
+        "actuators": stream("actuators", [*columns.channels], some=np.any),
+    }
     if columns.airspeed:
-        speed = part[columns.airspeed] * columns.airspeed_factor
-        known = np.isfinite(speed)
-        airspeed = Airspeed(f"column '{columns.airspeed}'", t_ns[known], speed[known])
+        speed = stream("airspeed", [columns.airspeed])
+        streams["airspeed"] = replace(speed, values=speed.values[:, 0] * columns.airspeed_factor)
     findings.read.append(
         f"units and axes from the column map: rates in body axes {columns.axes}, times "
         f"{columns.rates_factor:.6g} to rad/s"
@@ -78,34 +91,12 @@ def read_csv(
     return FlightLog(
         path,
         "table",
-        Rates("table", t_ns[there], rates[there] * columns.rates_factor, force, columns.axes),
-        Actuators("table", t_ns[commanded], actuators[commanded], tuple(columns.channels.values())),
+        streams,
+        tuple(columns.channels.values()),
         findings,
-        airspeed,
-        columns.lever_arm,
+        convention=columns.axes,
+        lever_arm=columns.lever_arm,
     )
-
-
-def _refuse_disorder(path: Path, t_ns: TimeArray) -> None:
-    """Refuse a table whose time does not go on.
-
-    Raises
-    ------
-    ImportLogError
-        If more rows step back than go on, or none goes on.
-    """
-    steps = np.diff(t_ns)
-    back, ahead = int((steps < 0).sum()), int((steps > 0).sum())
-    if len(t_ns) > 1 and back >= ahead:
-        raise ImportLogError(
-            f"table '{path}': the time goes on in {ahead} rows and back in {back}: sort the rows "
-            "by their time"
-        )
-
-
-def _require(rows: BoolArray, path: Path, what: str, names: tuple[str, ...]) -> None:
-    if not rows.any():
-        raise ImportLogError(f"table '{path}' has no {what}: columns {', '.join(names)} are empty")
 
 
 def _read_table(path: Path, columns: ColumnMap, findings: Findings) -> tuple[TimeArray, FloatArray]:

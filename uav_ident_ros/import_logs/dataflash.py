@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.import_logs.flight_log import Column, ImportLogError
-from uav_ident_ros.import_logs.log import STAMPS, Log, Messages
+from uav_ident_ros.import_logs.flight_log import ImportLogError
+from uav_ident_ros.import_logs.log import STAMPS, Column, Log, Messages
 from uav_ident_ros.import_logs.resync import walk
 
 HEADER = b"\xa3\x95"

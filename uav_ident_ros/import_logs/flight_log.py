@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,23 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.stamps import BoolArray, plausible
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.import_logs.stamps import Stretches, inside, plausible
 
 Effect = tuple[float, float, float, float]
 """Share of a channel in de, dr, da, dth; see `Channel`."""
 
-Column = NDArray[Any]
-"""Values of one field, in the type of the log."""
-
 NO_EFFECT: Effect = (0.0, 0.0, 0.0, 0.0)
 
-NS_PER_US = 1_000
-
-LONGEST_LINE = 2000
-"""Characters of the longest message: damaged or hostile files have names of any length."""
-
-LONGEST_TITLE = 120
+LONGEST_LINE, LONGEST_TITLE = 2000, 120
+"""Characters of the longest message and title: damaged files have names of any length."""
 
 TRIMS = ("flight", "neutral", "learn")
 """Where the trim comes from: the median in flight, the channels' rest positions, or the identifier
@@ -67,72 +60,38 @@ class Channel:
 
 
 @dataclass(frozen=True, eq=False)
-class Rates:
-    """Samples of the gyro and the accelerometer, in one set of axes."""
+class Stream:
+    """Samples of one kind."""
 
     source: str  # Where in the log they are from
     t_ns: TimeArray  # (n,) Stamps, ns, in the order of the log
-    rates: FloatArray  # (n, 3) Angular velocity, rad/s
-    force: FloatArray | None  # (n, 3) Specific force, m/s^2; None if there is no accelerometer
-    convention: str = "frd"  # ``frd`` or ``flu``
+    values: NDArray[Any]  # (n, ...) What was sampled; see `STREAMS`
+
+    def chosen(self, keep: BoolArray) -> Stream:
+        """Return some of the samples only."""
+        return Stream(self.source, self.t_ns[keep], self.values[keep])
 
 
-@dataclass(frozen=True, eq=False)
-class Actuators:
-    """Samples of every channel that was logged."""
-
-    source: str  # Where in the log they are from
-    t_ns: TimeArray  # (m,) Stamps, ns: from when on the values apply
-    values: FloatArray  # (m, C) Raw values
-    channels: tuple[Channel, ...]  # The C channels; those without effect are recorded, but not used
-
-
-@dataclass(frozen=True, eq=False)
-class Airspeed:
-    """Samples of the airspeed."""
-
-    source: str  # Where in the log they are from
-    t_ns: TimeArray  # (m,) Stamps, ns
-    values: FloatArray  # (m,) True airspeed, m/s
-
-
-@dataclass(frozen=True, eq=False)
-class Attitude:
-    """Samples of the autopilot's own estimate of the attitude."""
-
-    source: str  # Where in the log they are from
-    t_ns: TimeArray  # (m,) Stamps, ns
-    # (m, 4) Unit quaternions x, y, z, w that turn vectors from body axes (FRD) to north-east-down
-    quaternion: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Setpoint:
-    """Samples of the rates that the autopilot asked for."""
-
-    source: str  # Where in the log they are from
-    t_ns: TimeArray  # (m,) Stamps, ns
-    rates: FloatArray  # (m, 3) p, q, r, rad/s, FRD
-
-
-@dataclass(frozen=True, eq=False)
-class Mode:
-    """Modes that the autopilot was in, at each change."""
-
-    source: str  # Where in the log they are from
-    t_ns: TimeArray  # (m,) From when on, ns
-    names: NDArray[np.str_]  # (m,) Names, as the autopilot has them
+STREAMS: Mapping[str, str] = {
+    "rates": "(n, 6) Angular velocity, rad/s, and specific force, m/s^2, NaN where there is none",
+    "actuators": "(n, C) Raw values of every channel that was logged, from its stamp on",
+    "airspeed": "(n,) True airspeed, m/s",
+    "attitude": "(n, 4) Unit quaternions x, y, z, w from body axes (FRD) to north-east-down",
+    "setpoint": "(n, 3) Rates that the autopilot asked for, rad/s, FRD",
+    "mode": "(n,) Names of the modes that the autopilot was in, at each change",
+}
+"""What the samples of each stream are; a log has at least the first two."""
 
 
 @dataclass
 class Findings:
     """What there is to say about an import, a sentence each."""
 
+    damage: list[str] = field(default_factory=list)  # How much of the file could not be read
     read: list[str] = field(default_factory=list)  # What the log itself says
     # What it does not say and was taken for granted
     assumed: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)  # What is missing or doubtful
-    damage: list[str] = field(default_factory=list)  # How much of the file could not be read
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,35 +100,34 @@ class FlightLog:
 
     path: Path
     title: str  # What wrote it: ``PX4``, ``ArduPilot`` and so on, with versions
-    rates: Rates
-    actuators: Actuators
+    streams: Mapping[str, Stream]  # By name, those of `STREAMS` that there are
+    channels: tuple[Channel, ...]  # Of the actuators; without effect they are recorded, not used
     findings: Findings  # What there is to say about it
-    airspeed: Airspeed | None = None
+    convention: str = "frd"  # Axes of the rates: ``frd`` or ``flu``
     # Accelerometer from the centre of gravity, m, FRD
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    # Start and end of every stretch in the air, or armed, ns; None if the log does not say
-    flown: list[tuple[int, int]] | None = None
-    # Start and end of every stretch in which it was armed, ns; None if the log does not say
-    armed: list[tuple[int, int]] | None = None
-    attitude: Attitude | None = None
-    setpoint: Setpoint | None = None
-    mode: Mode | None = None
+    # Stretches in the air, or armed; None if the log does not say
+    flown: Stretches | None = None
+    armed: Stretches | None = None  # Stretches in which it was armed; None if it does not say
     hovers: bool = False  # Whether it is a multirotor, or a VTOL by the commands of its hover
     ground_speed: float = 0.0  # Median speed over ground in flight, m/s; 0 if it is not known
     # What the log says of the autopilot's parameters that matter, by name
     parameters: Mapping[str, float] = field(default_factory=dict)
 
-    def streams(self) -> dict[str, Any]:
-        """Return the streams that there are, by name."""
-        names = ("rates", "actuators", "airspeed", "attitude", "setpoint", "mode")
-        return {name: value for name in names if (value := getattr(self, name)) is not None}
+    @property
+    def used(self) -> list[tuple[int, Channel]]:
+        """Column and channel of everything that moves the aircraft."""
+        return [(i, c) for i, c in enumerate(self.channels) if any(c.effect)]
 
-    def in_flight(self, t_ns: TimeArray) -> BoolArray:
-        """Whether each stamp lies in a stretch of flight; everywhere if there is none known."""
-        if not self.flown:
-            return np.ones(len(t_ns), dtype=bool)
-        inside = [(start <= t_ns) & (t_ns <= end) for start, end in self.flown]
-        return np.asarray(np.logical_or.reduce(inside))
+    @property
+    def has_force(self) -> bool:
+        """Whether there is an accelerometer."""
+        return bool(np.isfinite(self.streams["rates"].values[:, 3:]).any())
+
+    def in_flight(self, name: str) -> BoolArray:
+        """Whether each sample lies in a stretch of flight; all if there is none known."""
+        t_ns = self.streams[name].t_ns
+        return inside(t_ns, self.flown) if self.flown else np.ones(len(t_ns), dtype=bool)
 
     def with_plausible_stamps(self) -> FlightLog:
         """Return the log without samples whose stamp no clock gave.
@@ -179,17 +137,14 @@ class FlightLog:
         ImportLogError
             If no rates or no actuators are left.
         """
-        changed: dict[str, Any] = {}
-        for name, stream in self.streams().items():
-            good = plausible(stream.t_ns)
-            if good.all():
-                continue
-            self.findings.damage.append(
-                f"{name}: {int((~good).sum())} of {len(good)} samples have a stamp that no clock "
-                "gave, and were left out"
-            )
-            changed[name] = _chosen(stream, good)
-        return self._with(changed, "left with a usable stamp")
+        good = {name: plausible(stream.t_ns) for name, stream in self.streams.items()}
+        self.findings.damage += [
+            f"{name}: {int((~keep).sum())} of {len(keep)} samples have a stamp that no clock gave, "
+            "and were left out"
+            for name, keep in good.items()
+            if not keep.all()
+        ]
+        return self._only(good, "left with a usable stamp")
 
     def only_flight(self) -> FlightLog:
         """Return the log without what is known to be on the ground.
@@ -202,42 +157,27 @@ class FlightLog:
         if not self.flown:
             reason = "it never flew" if self.flown is not None else "it does not say when it flew"
             raise ImportLogError(f"log '{self.path}': {reason}: leave --flight-only out")
-        log = self._with(
-            {
-                name: _chosen(stream, self.in_flight(stream.t_ns))
-                for name, stream in self.streams().items()
-            },
-            "in flight: leave --flight-only out",
-        )
         self.findings.lost.append("what was logged on the ground is left out (--flight-only)")
-        return log
+        flight = {name: self.in_flight(name) for name in self.streams}
+        return self._only(flight, "in flight: leave --flight-only out")
 
-    def _with(self, changed: dict[str, Any], where: str) -> FlightLog:
-        log = replace(self, **changed)
+    def _only(self, keep: Mapping[str, BoolArray], where: str) -> FlightLog:
         for name in ("rates", "actuators"):
-            if not len(getattr(log, name).t_ns):
+            if not keep[name].any():
                 raise ImportLogError(f"log '{self.path}' has no {name} {where}")
-        return log
+        streams = {name: stream.chosen(keep[name]) for name, stream in self.streams.items()}
+        return replace(self, streams=streams)
 
 
-def _chosen(stream: Any, keep: BoolArray) -> Any:
-    """Return a stream with some of its samples only."""
-    arrays = {
-        f.name: value[keep]
-        for f in fields(stream)
-        if isinstance(value := getattr(stream, f.name), np.ndarray)
-    }
-    return replace(stream, **arrays)
+def gyro_and_force(rates: FloatArray, force: FloatArray | None) -> FloatArray:
+    """Put rates (n, 3) and specific force (n, 3) side by side, NaN if there is no force."""
+    return np.hstack([rates, np.full(rates.shape, np.nan) if force is None else force])
 
 
 def unique_names(names: list[str]) -> list[str]:
     """Return the names with ``_2``, ``_3`` ... behind those that occur again."""
-    seen: dict[str, int] = {}
-    result = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        result.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
-    return result
+    counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
+    return [n if count == 1 else f"{n}_{count}" for n, count in zip(names, counts, strict=True)]
 
 
 def printable(text: str, longest: int = LONGEST_LINE) -> str:

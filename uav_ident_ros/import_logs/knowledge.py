@@ -8,7 +8,6 @@ numbers of one list (MAVLink, MAV_SENSOR_ORIENTATION): roll, pitch, yaw of the b
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
@@ -26,6 +25,10 @@ from uav_ident_ros.import_logs.stamps import interpolate
 SENSES = {"ccw": 1.0, "cw": -1.0}
 """Yawing moment per thrust, right positive, by the rotor's sense of rotation from above."""
 
+ROTATION_RANGE = 2.0
+"""Sum of the weights' absolute values in de, dr, da of a multirotor: one is then half of the
+motors at full and half at nothing. As in config/px4_quadrotor.yaml."""
+
 
 @cache
 def table(name: str) -> dict[Any, Any]:
@@ -35,32 +38,22 @@ def table(name: str) -> dict[Any, Any]:
 
 
 def effect_of(entry: Mapping[str, Any], share: float = 1.0) -> Effect:
-    """Return the effect of an entry with shares in roll, pitch, yaw and thrust."""
+    """Return the effect of what rolls right, pitches up, yaws right and pushes by some shares."""
     roll, pitch, yaw, thrust = (
         float(entry.get(axis, 0.0)) * share for axis in ("roll", "pitch", "yaw", "thrust")
     )
-    return from_torques(roll, pitch, yaw, thrust)
+    return (0.0 - pitch, 0.0 - yaw, roll + 0.0, thrust)  # never -0.0
 
 
 def effects_of_arms(arms: Sequence[str]) -> list[Effect]:
-    """Return the effects of equal rotors, each given as its arm's angle and sense of rotation."""
+    """Return the effects of equal rotors, each given as its arm's angle and sense of rotation.
+
+    The angle is clockwise from the nose, deg.
+    """
     angles, senses = zip(*(arm.split() for arm in arms), strict=True)
-    moments = [SENSES[sense] for sense in senses]
-    return rotor_effects(on_a_circle([float(a) for a in angles]), moments, [1.0] * len(arms))
-
-
-ROTATION_RANGE = 2.0
-"""Sum of the weights' absolute values in de, dr, da of a multirotor: one is then half of the
-motors at full and half at nothing. As in config/px4_quadrotor.yaml."""
-
-
-def from_torques(roll: float, pitch: float, yaw: float, thrust: float = 0.0) -> Effect:
-    """Effect of an actuator with these shares in rolling right, pitching up, yawing right."""
-    return (_positive_zero(-pitch), _positive_zero(-yaw), _positive_zero(roll), thrust)
-
-
-def _positive_zero(value: float) -> float:
-    return value + 0.0
+    bearings = np.radians(np.array(angles, dtype=float))
+    positions = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    return rotor_effects(positions, [SENSES[sense] for sense in senses], [1.0] * len(arms))
 
 
 def rotor_effects(
@@ -73,20 +66,13 @@ def rotor_effects(
     """Effects of the upward rotors of a multirotor, each row of the mixing in a fixed range."""
     thrust = np.asarray(thrusts, dtype=float)
     forward, right = positions.T
-    rows = np.array([forward, moment_ratios, -right]) * thrust  # pitch up, yaw right, roll right
+    rows = np.array([-right, forward, moment_ratios]) * thrust
     rows[np.abs(rows) < 1e-9 * max(np.abs(rows).max(), 1e-9)] = 0.0
     size = np.abs(rows).sum(axis=1, keepdims=True)
     rows = ROTATION_RANGE * np.divide(rows, size, out=np.zeros_like(rows), where=size > 0.0)
-    collective = thrust / thrust.sum()
-    return [
-        from_torques(float(roll), float(pitch), float(yaw), float(share))
-        for pitch, yaw, roll, share in zip(*rows, collective, strict=True)
-    ]
-
-
-def on_a_circle(angles: Sequence[float]) -> FloatArray:
-    """Positions (N, 2), forward and right, of arms at angles clockwise from the nose, deg."""
-    return np.array([[math.cos(math.radians(a)), math.sin(math.radians(a))] for a in angles])
+    names = ("roll", "pitch", "yaw", "thrust")
+    columns = np.vstack([rows, thrust / thrust.sum()]).T.tolist()
+    return [effect_of(dict(zip(names, column, strict=True))) for column in columns]
 
 
 def describe_rotation(number: int) -> str:
@@ -112,10 +98,7 @@ def board_to_body(
     listed = table("rotations").get(number)
     if listed is None:
         return None
-    coarse, fine = (
-        rotation(*(math.radians(angle) for angle in angles)) for angles in (listed, offsets)
-    )
-    return np.asarray(fine @ coarse)
+    return np.asarray(rotation(*np.radians(offsets)) @ rotation(*np.radians(listed)))
 
 
 def quaternions(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
@@ -123,14 +106,9 @@ def quaternions(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatAr
     (cr, sr), (cp, sp), (cy, sy) = (
         (np.cos(angle / 2.0), np.sin(angle / 2.0)) for angle in (roll, pitch, yaw)
     )
-    return np.column_stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ]
-    )
+    x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
+    z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
+    return np.column_stack([x, y, z, w])
 
 
 def at_times(t_ns: TimeArray, samples_ns: TimeArray, quaternion: FloatArray) -> FloatArray:

@@ -5,14 +5,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.import_logs.flight_log import Findings
 from uav_ident_ros.import_logs.resync import Gap, loss_in_words
-from uav_ident_ros.import_logs.stamps import BoolArray, plausible, rate
+from uav_ident_ros.import_logs.stamps import plausible, rate
+
+Column = NDArray[Any]
+"""Values of one field, in the type of the log."""
+
+NS_PER_US = 1_000
 
 STAMPS = {"timestamp": NS_PER_US, "TimeUS": NS_PER_US, "TimeMS": 1_000_000}
 """Fields of the time since the autopilot's start, and their unit, ns; TimeMS until 2015."""
@@ -21,21 +28,21 @@ SAMPLED = ("timestamp_sample", "SampleUS")
 """Fields of the time at which was sampled what a message holds, us."""
 
 
+@dataclass(frozen=True)
 class Messages:
     """All messages of one kind and instance: PX4's topics, ArduPilot's types."""
 
-    def __init__(
-        self,
-        name: str,  # The kind, with ``[i]`` behind it for an instance beyond the first
-        # Array by field name; an entry of an array field is ``field[0]`` and so on
-        columns: dict[str, Column],
-    ) -> None:
-        self.name = name
-        self.columns = columns
+    name: str  # The kind, with ``[i]`` behind it for an instance beyond the first
+    # Array by field name; an entry of an array field is ``field[0]`` and so on
+    columns: dict[str, Column]
 
     def __contains__(self, field: str) -> bool:
         """Whether they have such a field."""
         return field in self.columns
+
+    def has(self, *fields: str) -> bool:
+        """Whether they have all these fields."""
+        return set(fields) <= set(self.columns)
 
     @property
     def stamp_ns(self) -> TimeArray:
@@ -62,9 +69,9 @@ class Messages:
         with np.errstate(invalid="ignore"):  # damaged bytes may be a NaN that signals
             return np.column_stack([self.columns[field] for field in fields]).astype(float)
 
-    def vector(self, field: str, size: int = 3) -> FloatArray:
-        """Values of an array field, shape (k, size)."""
-        return self.values(*(f"{field}[{i}]" for i in range(size)))
+    def array(self, field: str) -> FloatArray:
+        """Values of an array field, shape (k, its length)."""
+        return self.values(*(f"{field}[{i}]" for i in range(self.size(field))))
 
     def size(self, field: str) -> int:
         """Length of an array field."""
@@ -85,8 +92,7 @@ class Log:
     facts: dict[str, int | float | str] = field(default_factory=dict)
     # Lengths of the stretches in which the logger itself lost messages, s
     dropouts: list[float] = field(default_factory=list)
-    damage: list[str] = field(default_factory=list)  # What could not be read, and how much it is
-    remarks: list[str] = field(default_factory=list)  # What else there is to say about the file
+    findings: Findings = field(default_factory=Findings)  # What there is to say about it
     start_ns: int | None = None  # Stamp of the start, ns; None if it is not known
     _found: dict[tuple[str, int], Messages] = field(default_factory=dict)
 
@@ -104,7 +110,7 @@ class Log:
         """
         good = plausible(Messages(name, columns).stamp_ns)
         if not good.all():
-            self.damage.append(
+            self.findings.damage.append(
                 f"{int((~good).sum())} of {len(good)} messages {name} have a stamp that no clock "
                 "gave, and were left out"
             )
@@ -125,9 +131,9 @@ class Log:
         """Instances of a kind that have messages."""
         return sorted(number for kind, number in self._found if kind == name)
 
-    def contents(self) -> str:
-        """List the kinds of messages in one line."""
-        return ", ".join(sorted(self.kinds)) or "no messages at all"
+    def parameter(self, name: str, default: float = 0.0) -> float:
+        """Return a parameter, the default if the log does not say it."""
+        return float(self.parameters.get(name, default))
 
     def set_parameter(self, name: str, value: float, t: float) -> None:
         """Take a parameter; a value that is not the first is a change at the time `t`, s."""
@@ -140,6 +146,6 @@ class Log:
         """Say how much of the file could not be read; a gap at the end may be a `cut`."""
         if gaps and cut:
             gaps.pop()
-            self.remarks.append("the file is cut off at its end: what is there was read")
+            self.findings.lost.append("the file is cut off at its end: what is there was read")
         if gaps:
-            self.damage.insert(0, loss_in_words(gaps, size, sorted(stamped)))
+            self.findings.damage.insert(0, loss_in_words(gaps, size, sorted(stamped)))

@@ -9,53 +9,43 @@ and `actuator_outputs`, behind it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
+from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import choose, find_messages
+from uav_ident_ros.import_logs.autopilot import Actuators, ActuatorsReader, Import
 from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
-    Actuators,
     Channel,
-    Choice,
-    Effect,
-    Findings,
     ImportLogError,
     unique_names,
 )
-from uav_ident_ros.import_logs.knowledge import (
-    effect_of,
-    effects_of_arms,
-    from_torques,
-    rotor_effects,
-    table,
-)
+from uav_ident_ros.import_logs.knowledge import effect_of, effects_of_arms, rotor_effects, table
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.stamps import Stretches, join
+from uav_ident_ros.import_logs.stamps import join
 
 KNOWN = table("px4")
 MULTIROTOR, FIXED_WING = 0, 1
 """CA_AIRFRAME."""
 
-MOTOR_FUNCTION, SERVO_FUNCTION = 101, 201
-"""Output functions of the first motor and the first servo (PWM_MAIN_FUNCn)."""
-
-FUNCTIONS_OF_A_KIND = 16
 QUADROTOR = 2
-"""MAV_TYPE of a quadrotor."""
+"""MAV_TYPE."""
+
+MOTOR_FUNCTION, SERVO_FUNCTION, FUNCTIONS_OF_A_KIND = 101, 201, 16
+"""Output functions of the first motor and servo (PWM_MAIN_FUNCn), and how many there are."""
 
 PWM_MIN, PWM_MAX = 1000.0, 2000.0
 """Pulse widths of no and full command where no parameter says, us."""
 
+CONTROLS = "actuator_controls_"
+SETPOINTS = ("vehicle_torque_setpoint", "vehicle_thrust_setpoint")
+ALLOCATED = {"actuator_motors": "CA_ROTOR_COUNT", "actuator_servos": "CA_SV_CS_COUNT"}
+"""Topics behind the control allocation, and the parameters that say how many of them there are."""
 
-BEFORE_MIXER = ("vehicle_torque_setpoint", "actuator_controls_0", "actuator_controls_1")
 
-
-def read_actuators(log: Log, findings: Findings, choice: Choice, flight: Stretches) -> Actuators:
+def read_actuators(it: Import) -> Actuators:
     """Read the commands from the topic asked for, or from the best there is.
 
     Raises
@@ -63,320 +53,286 @@ def read_actuators(log: Log, findings: Findings, choice: Choice, flight: Stretch
     ImportLogError
         If there is none, or the one asked for is missing or cannot be interpreted.
     """
-    wanted, instance = choice.actuators_topic, choice.actuators_instance
+    wanted = it.choice.actuators_topic
 
     def find(name: str, instance: int) -> Messages | None:
         if not name.startswith(CONTROLS):
-            return log.messages(name, instance)
+            return it.log.messages(name, instance)
         # The sets of a VTOL of old are topics of their own.
-        return log.messages(name) if wanted or name == f"{CONTROLS}{instance}" else None
+        return it.log.messages(name) if wanted or name == f"{CONTROLS}{instance}" else None
 
-    usable = find_messages(log, "actuators", READERS, wanted, instance, find)
-    name = _choose(log, usable, findings, flight, instance)
-    actuators = READERS[name](log, findings, instance)
-    findings.read.append(f"actuators: {actuators.source}")
-    _say_delay(usable[name], findings)
+    usable = it.find("actuators", READERS, find)
+    name = _choose(it, usable)
+    actuators = READERS[name](it, usable[name])
+    it.log.findings.read.append(f"actuators: {actuators[0]}")
+    if "timestamp_sample" in usable[name]:
+        delays = usable[name].stamp_ns - usable[name].sample_ns
+        it.log.findings.read.append(
+            "commands count from their publication (timestamp), in the median "
+            f"{np.median(delays) * 1e-6:.2f} ms after the gyro sample they answer "
+            "(timestamp_sample)"
+        )
     return actuators
 
 
-CONTROLS = "actuator_controls_"
-
-
-def _choose(
-    log: Log, usable: dict[str, Messages], findings: Findings, flight: Stretches, instance: int
-) -> str:
+def _choose(it: Import, usable: dict[str, Messages]) -> str:
     """Name the best topic: nearest to the actuators, of those that say what they move."""
-    parameters = log.parameters
-    if parameters.get("CA_AIRFRAME") in KNOWN["hybrid_airframes"]:
-        _say_hybrid("the setpoints of instance 0", "of instance 1", instance, findings)
-        if SETPOINTS[0] in usable:
+    sets = _sets_of_a_hybrid(it.log)
+    if sets:
+        it.log.findings.assumed.append(
+            f"a VTOL: {sets[0]} are the commands of hover, {sets[1]} those of forward flight "
+            f"(--actuators-instance); {it.choice.actuators_instance} is taken"
+        )
+        if SETPOINTS[0] in sets[0] and SETPOINTS[0] in usable:
             return SETPOINTS[0]
-    elif parameters.get("MAV_TYPE") in KNOWN["hybrid_types"]:
-        _say_hybrid(f"{CONTROLS}0", f"{CONTROLS}1", instance, findings)
-    explained = [n for n in usable if n not in ALLOCATED or _explained(log, n)]
-    streams = {name: (usable[name].stamp_ns, usable[name].rate) for name in explained or usable}
+    counts = {name: it.log.parameter(count) for name, count in ALLOCATED.items()}
+    explained = {name: m for name, m in usable.items() if counts.get(name, 1.0) > 0}
+    streams = explained or dict(usable)
     if set(ALLOCATED) <= set(streams):  # they count as one: what is slower decides
-        del streams[max(reversed(ALLOCATED), key=lambda name: streams[name][1])]
-    return choose(streams, flight, findings, "SDLOG_PROFILE: 'high rate'", BEFORE_MIXER)
+        del streams[max(reversed(ALLOCATED), key=lambda name: streams[name].rate)]
+    return it.choose(streams)
+
+
+def _sets_of_a_hybrid(log: Log) -> tuple[str, str] | None:
+    """Name the commands of a VTOL's hover and of its forward flight; None for any other."""
+    if log.parameters.get("CA_AIRFRAME") in KNOWN["hybrid_airframes"]:
+        return f"{SETPOINTS[0]} of instance 0", "of instance 1"
+    if log.parameters.get("MAV_TYPE") in KNOWN["hybrid_types"]:
+        return f"{CONTROLS}0", f"{CONTROLS}1"
+    return None
 
 
 def hovers(log: Log, instance: int) -> bool:
     """Whether the commands are those of a multirotor: of one, or of a VTOL's hover."""
-    airframe, kind = log.parameters.get("CA_AIRFRAME"), log.parameters.get("MAV_TYPE")
-    hybrid = airframe in KNOWN["hybrid_airframes"] or kind in KNOWN["hybrid_types"]
-    if airframe is not None or hybrid:
-        return airframe == MULTIROTOR or (hybrid and instance == 0)
-    return kind in KNOWN["multirotor_types"]
-
-
-def _say_hybrid(hover: str, forward: str, instance: int, findings: Findings) -> None:
-    findings.assumed.append(
-        f"a VTOL: {hover} are the commands of hover, {forward} those of forward flight "
-        f"(--actuators-instance); {instance} is taken"
-    )
-
-
-SETPOINTS = ("vehicle_torque_setpoint", "vehicle_thrust_setpoint")
-ALLOCATED = ("actuator_motors", "actuator_servos")
-
-
-def _explained(log: Log, name: str) -> bool:
-    """Whether the parameters say what the allocated actuators are."""
-    count = "CA_ROTOR_COUNT" if name == "actuator_motors" else "CA_SV_CS_COUNT"
-    return log.parameters.get(count, 0) > 0
-
-
-def _say_delay(topic: Messages, findings: Findings) -> None:
-    if "timestamp_sample" not in topic:
-        return
-    delay = float(np.median(topic.stamp_ns - topic.sample_ns)) * 1e-9
-    findings.read.append(
-        f"commands count from their publication (timestamp), in the median {delay * 1e3:.2f} ms "
-        "after the gyro sample they answer (timestamp_sample)"
-    )
+    if _sets_of_a_hybrid(log):
+        return instance == 0
+    airframe = log.parameters.get("CA_AIRFRAME")
+    if airframe is not None:
+        return airframe == MULTIROTOR
+    return log.parameters.get("MAV_TYPE") in KNOWN["multirotor_types"]
 
 
 # --- control allocation -----------------------------------------------------------------------
 
 
-def _allocated(log: Log, findings: Findings, instance: int) -> Actuators:
+def _allocated(it: Import, _: Messages) -> Actuators:
     """Motors and servos behind the control allocation."""
-    streams = []
+    log = it.log
+    parts: list[tuple[TimeArray, FloatArray]] = []
     channels: list[Channel] = []
-    sources = []
-    for name, describe in (("actuator_motors", _motors), ("actuator_servos", _servos)):
-        topic = log.messages(name, instance)
-        if topic is None:
-            continue
-        values = topic.vector("control", topic.size("control"))
-        in_use = ~np.isnan(values).all(axis=0)
-        every = describe(log, findings, values.shape[1])
-        channels += [c for c, used in zip(every, in_use, strict=True) if used]
-        streams.append((topic.stamp_ns, values[:, in_use]))
-        sources.append(topic.name)
+    sources: list[str] = []
+    for name, describe in zip(ALLOCATED, (_motors, _servos), strict=True):
+        if (topic := log.messages(name, it.choice.actuators_instance)) is not None:
+            values = topic.array("control")
+            in_use = ~np.isnan(values).all(axis=0)
+            every = describe(log, values.shape[1])
+            channels += [c for c, used in zip(every, in_use, strict=True) if used]
+            parts.append((topic.stamp_ns, values[:, in_use]))
+            sources.append(topic.name)
+    source = " and ".join(sources)
     if not channels:
         raise ImportLogError(
-            f"log '{log.path}': {' and '.join(sources)} hold no value throughout: the motors were "
-            "never on"
+            f"log '{log.path}': {source} hold no value throughout: the motors were never on"
         )
-    t_ns, values = streams[0] if len(streams) == 1 else join(streams[0], streams[1])
-    if not any(any(c.effect) for c in channels):
+    if not any(any(channel.effect) for channel in channels):
         raise ImportLogError(
-            f"log '{log.path}': no parameter (CA_ROTOR*, CA_SV_CS*) says what "
-            f"{' and '.join(sources)} move; try --actuators-topic vehicle_torque_setpoint"
+            f"log '{log.path}': no parameter (CA_ROTOR*, CA_SV_CS*) says what {source} move; try "
+            "--actuators-topic vehicle_torque_setpoint"
         )
-    return Actuators(" and ".join(sources), t_ns, values, tuple(channels))
+    t_ns, values = parts[0] if len(parts) == 1 else join(*parts)
+    return source, t_ns, values, tuple(channels)
 
 
-def _motors(log: Log, findings: Findings, count: int) -> list[Channel]:
+def _motors(log: Log, count: int) -> list[Channel]:
     """Meaning of the entries of actuator_motors."""
-    get = log.parameters.get
-    rotors = min(int(get("CA_ROTOR_COUNT", 0)), count)
-    airframe = get("CA_AIRFRAME")
-    effects: list[Effect] = [NO_EFFECT] * count
+    rotors = min(int(log.parameter("CA_ROTOR_COUNT")), count)
+    airframe = log.parameters.get("CA_AIRFRAME")
+    effects = [NO_EFFECT] * count
     if rotors and airframe == MULTIROTOR:
-        positions = np.array([[_rotor(log, i, "PX"), _rotor(log, i, "PY")] for i in range(rotors)])
-        moments = [_rotor(log, i, "KM", 0.05) for i in range(rotors)]
-        thrusts = [_rotor(log, i, "CT", 6.5) for i in range(rotors)]
-        effects[:rotors] = rotor_effects(positions, moments, thrusts)
-        findings.read.append(
+
+        def of_all(what: str, default: float = 0.0) -> list[float]:
+            return [log.parameter(f"CA_ROTOR{i}_{what}", default) for i in range(rotors)]
+
+        positions = np.column_stack([of_all("PX"), of_all("PY")])
+        effects[:rotors] = rotor_effects(positions, of_all("KM", 0.05), of_all("CT", 6.5))
+        log.findings.read.append(
             f"{rotors} rotors: positions, senses of rotation and thrusts from CA_ROTORi_PX, PY, "
             "KM, CT"
         )
-        findings.assumed.append(
+        log.findings.assumed.append(
             "thrust is taken as proportional to the command about its trim: a constant factor if "
             "THR_MDL_FAC is not"
         )
     elif rotors and airframe == FIXED_WING:
         effects[:rotors] = [(0.0, 0.0, 0.0, 1.0 / rotors)] * rotors
-        findings.read.append(
+        log.findings.read.append(
             f"{rotors} motor(s) of a fixed wing (CA_AIRFRAME 1): dth is their mean"
         )
     elif rotors:
-        findings.assumed.append(
+        log.findings.assumed.append(
             f"CA_AIRFRAME {airframe}: what the motors turn is not known here, they are only "
             "recorded"
         )
-    return [
-        Channel(f"motor_{i + 1}", effect, f"motor {i + 1}, 0 to 1")
-        for i, effect in enumerate(effects)
-    ]
+    return [Channel(f"motor_{i}", effect, f"motor {i}, 0 to 1")
+            for i, effect in enumerate(effects, 1)]  # fmt: skip
 
 
-def _rotor(log: Log, index: int, what: str, default: float = 0.0) -> float:
-    return float(log.parameters.get(f"CA_ROTOR{index}_{what}", default))
-
-
-def _servos(log: Log, findings: Findings, count: int) -> list[Channel]:
+def _servos(log: Log, count: int) -> list[Channel]:
     """Meaning of the entries of actuator_servos: first the control surfaces."""
-    get = log.parameters.get
-    surfaces = min(int(get("CA_SV_CS_COUNT", 0)), count)
-    types = [int(get(f"CA_SV_CS{i}_TYPE", 0)) for i in range(surfaces)]
-    names = [KNOWN["surfaces"].get(kind, f"surface_type_{kind}") for kind in types]
-    names += [f"servo_{i + 1}" for i in range(surfaces, count)]
+    surfaces = min(int(log.parameter("CA_SV_CS_COUNT")), count)
     channels = []
-    for i, name in enumerate(unique_names(names)):
-        torques = [float(get(f"CA_SV_CS{i}_TRQ_{axis}", 0.0)) for axis in "RPY"]
-        turns = i < surfaces and types[i] not in KNOWN["without_torque"]
-        trim = float(get(f"CA_SV_CS{i}_TRIM", 0.0)) if i < surfaces else 0.0
-        words = ", ".join(
-            f"{a} {t:g}" for a, t in zip(("roll", "pitch", "yaw"), torques, strict=True) if t
-        )
-        meaning = (
-            f"CA_SV_CS{i}_TYPE {types[i]}, torques {words or 'none'}" if i < surfaces else "servo"
-        )
-        effect = from_torques(torques[0], torques[1], torques[2]) if turns else NO_EFFECT
-        channels.append(Channel(name, effect, meaning, neutral=trim))
+    for i in range(surfaces):
+        prefix = f"CA_SV_CS{i}_"
+        kind = int(log.parameter(f"{prefix}TYPE"))
+        torques = {
+            a: log.parameter(f"{prefix}TRQ_{a[0].upper()}") for a in ("roll", "pitch", "yaw")
+        }
+        words = ", ".join(f"{axis} {torque:g}" for axis, torque in torques.items() if torque)
+        effect = NO_EFFECT if kind in KNOWN["without_torque"] else effect_of(torques)
+        name = KNOWN["surfaces"].get(kind, f"surface_type_{kind}")
+        meaning = f"{prefix}TYPE {kind}, torques {words or 'none'}"
+        channels.append(Channel(name, effect, meaning, neutral=log.parameter(f"{prefix}TRIM")))
+    channels += [Channel(f"servo_{i + 1}", NO_EFFECT, "servo") for i in range(surfaces, count)]
     if surfaces:
-        findings.read.append(
+        log.findings.read.append(
             f"{surfaces} control surfaces, types and torques from CA_SV_CSi_TYPE and _TRQ_R, _P, "
-            f"_Y: {', '.join(names[:surfaces])}"
+            f"_Y: {', '.join(channel.name for channel in channels[:surfaces])}"
         )
-    return channels
+    return _named_once(channels)
+
+
+def _named_once(channels: list[Channel]) -> list[Channel]:
+    names = unique_names([channel.name for channel in channels])
+    return [replace(c, name=name) for c, name in zip(channels, names, strict=True)]
 
 
 # --- before the allocation or the mixer ---------------------------------------------------------
 
 
-def _setpoints(log: Log, findings: Findings, instance: int) -> Actuators:
+def _setpoints(it: Import, torque: Messages) -> Actuators:
     """Torque and thrust asked of the control allocation."""
-    torque = log.messages("vehicle_torque_setpoint", instance)
-    thrust = log.messages("vehicle_thrust_setpoint", instance)
-    if torque is None:
-        raise ImportLogError(
-            f"log '{log.path}' has no vehicle_torque_setpoint of instance {instance}"
-        )
-    channels = [
-        Channel("roll_torque", from_torques(1.0, 0.0, 0.0), "torque setpoint, right positive"),
-        Channel("pitch_torque", from_torques(0.0, 1.0, 0.0), "torque setpoint, up positive"),
-        Channel("yaw_torque", from_torques(0.0, 0.0, 1.0), "torque setpoint, right positive"),
-    ]
-    findings.assumed.append(
+    log = it.log
+    thrust = log.messages(SETPOINTS[1], it.choice.actuators_instance)
+    log.findings.assumed.append(
         "the allocation delivers the torques asked for: setpoints know no saturation"
     )
-    stream = (torque.stamp_ns, torque.vector("xyz"))
+    channels = [
+        Channel(f"{axis}_torque", effect_of({axis: 1.0}), f"torque setpoint, {way} positive")
+        for axis, way in (("roll", "right"), ("pitch", "up"), ("yaw", "right"))
+    ]
+    stream = (torque.stamp_ns, torque.array("xyz"))
     if thrust is None:
-        findings.lost.append("there is no vehicle_thrust_setpoint: dth is zero throughout")
-        return Actuators(torque.name, *stream, tuple(channels))
-    forces = thrust.vector("xyz")
-    upward = _lifts(log, forces, findings)
+        log.findings.lost.append("there is no vehicle_thrust_setpoint: dth is zero throughout")
+        return torque.name, *stream, tuple(channels)
+    forces = thrust.array("xyz")
+    acting = {"z": -1.0} if _lifts(log, forces) else {"x": 1.0}
     channels += [
-        Channel("thrust_x", NO_EFFECT if upward else (0.0, 0.0, 0.0, 1.0), "thrust forward"),
-        Channel("thrust_y", NO_EFFECT, "thrust right"),
-        Channel("thrust_z", (0.0, 0.0, 0.0, -1.0) if upward else NO_EFFECT, "thrust down"),
+        Channel(f"thrust_{axis}", (0.0, 0.0, 0.0, acting.get(axis, 0.0)), f"thrust {way}")
+        for axis, way in (("x", "forward"), ("y", "right"), ("z", "down"))
     ]
     t_ns, values = join(stream, (thrust.stamp_ns, forces))
-    return Actuators(f"{torque.name} and {thrust.name}", t_ns, values, tuple(channels))
+    return f"{torque.name} and {thrust.name}", t_ns, values, tuple(channels)
 
 
-def _lifts(log: Log, forces: FloatArray, findings: Findings) -> bool:
+def _lifts(log: Log, forces: FloatArray) -> bool:
     """Whether the thrust that counts points up rather than forward."""
     airframe = log.parameters.get("CA_AIRFRAME")
     if airframe in (MULTIROTOR, FIXED_WING):
         return airframe == MULTIROTOR
     up, ahead = (float(np.nanmean(np.abs(forces[:, axis]))) for axis in (2, 0))
-    findings.assumed.append(
+    log.findings.assumed.append(
         f"dth is the {'upward' if up >= ahead else 'forward'} thrust: it is larger"
     )
     return up >= ahead
 
 
-def _controls(name: str, log: Log, findings: Findings, instance: int) -> Actuators:
+def _controls(it: Import, topic: Messages) -> Actuators:
     """One set of controls of logs before v1.13 or so."""
-    topic = log.messages(name)
-    assert topic is not None  # the caller has looked
-    values = topic.vector("control", topic.size("control"))
-    channels = tuple(
-        Channel(entry["name"], effect_of(entry), f"{topic.name}, index {i}, before the mixer")
-        for i, entry in enumerate(KNOWN["control_group"][: values.shape[1]])
-    )
-    findings.read.append(
+    values = topic.array("control")
+    it.log.findings.read.append(
         "controls 0 to 3 are roll, pitch, yaw (-1 to 1, right, up, right positive) and thrust (0 "
         "to 1)"
     )
-    findings.assumed.append(
+    it.log.findings.assumed.append(
         "the mixer delivers what it is asked for: its file is not in the log, and controls know no "
         "saturation"
     )
-    return Actuators(topic.name, topic.stamp_ns, values, channels)
+    return topic.name, topic.stamp_ns, values, tuple(
+        Channel(entry["name"], effect_of(entry), f"{topic.name}, index {i}, before the mixer")
+        for i, entry in enumerate(KNOWN["control_group"][: values.shape[1]])
+    )  # fmt: skip
 
 
 # --- pulse widths -------------------------------------------------------------------------------
 
 
-def _outputs(log: Log, findings: Findings, instance: int) -> Actuators:
+def _outputs(it: Import, topic: Messages) -> Actuators:
     """Pulse widths at the pins, with functions from PWM_*_FUNCn, or a quadrotor's old mixer."""
-    topic = log.messages("actuator_outputs", instance)
-    assert topic is not None  # the caller has looked
+    log, instance = it.log, it.choice.actuators_instance
     count = int(np.max(topic.columns["noutputs"])) or topic.size("output")
-    values = topic.vector("output", topic.size("output"))[:, :count]
+    values = topic.array("output")[:, :count]
     prefix = "PWM_AUX" if instance else "PWM_MAIN"
-    functions = [int(log.parameters.get(f"{prefix}_FUNC{i + 1}", 0)) for i in range(count)]
+    functions = [int(log.parameter(f"{prefix}_FUNC{i + 1}")) for i in range(count)]
     if any(functions):
-        channels = _by_function(log, findings, functions, prefix)
-        findings.assumed.append(f"instance {instance} of actuator_outputs are the pins {prefix}")
+        channels = _by_function(log, functions, prefix)
+        log.findings.assumed.append(
+            f"instance {instance} of actuator_outputs are the pins {prefix}"
+        )
     elif log.parameters.get("MAV_TYPE") == QUADROTOR:
-        channels = _quad_x(log, findings, count)
+        channels = _quad_x(log, count)
     else:
         raise ImportLogError(
             f"log '{log.path}': no parameter {prefix}_FUNCn says what the actuator_outputs move; "
             "try --actuators-topic actuator_controls_0"
         )
-    return Actuators(topic.name, topic.stamp_ns, values, tuple(channels))
+    return topic.name, topic.stamp_ns, values, tuple(channels)
 
 
-def _by_function(log: Log, findings: Findings, functions: list[int], prefix: str) -> list[Channel]:
+def _by_function(log: Log, functions: list[int], prefix: str) -> list[Channel]:
     """Meaning of pins whose functions are parameters."""
-    motors = _motors(log, findings, FUNCTIONS_OF_A_KIND)
-    servos = _servos(log, findings, FUNCTIONS_OF_A_KIND)
-    reversed_pins = int(log.parameters.get(f"{prefix}_REV", 0))
+    motors = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
+    servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
     channels = []
     for i, function in enumerate(functions):
-        low = float(log.parameters.get(f"{prefix}_MIN{i + 1}", PWM_MIN))
-        high = float(log.parameters.get(f"{prefix}_MAX{i + 1}", PWM_MAX))
-        sign = -1.0 if reversed_pins >> i & 1 else 1.0
+        low = log.parameter(f"{prefix}_MIN{i + 1}", PWM_MIN)
+        high = log.parameter(f"{prefix}_MAX{i + 1}", PWM_MAX)
+        sign = -1.0 if int(log.parameter(f"{prefix}_REV")) >> i & 1 else 1.0
         where = f"{prefix}_FUNC{i + 1} {function}, {low:g} to {high:g} us"
-        if MOTOR_FUNCTION <= function < MOTOR_FUNCTION + FUNCTIONS_OF_A_KIND:
-            kind, scale = motors[function - MOTOR_FUNCTION], sign / (high - low)
+        kind, scale, neutral = Channel(f"output_{i + 1}", NO_EFFECT, ""), 1.0, 0.0
+        if function in motors:
+            kind, scale = motors[function], sign / (high - low)
             neutral = low if sign > 0 else high
-        elif SERVO_FUNCTION <= function < SERVO_FUNCTION + FUNCTIONS_OF_A_KIND:
-            kind, scale = servos[function - SERVO_FUNCTION], 2.0 * sign / (high - low)
-            neutral = (low + high) / 2.0
-        else:
-            kind, scale, neutral = Channel(f"output_{i + 1}", NO_EFFECT, ""), 1.0, 0.0
+        elif function in servos:
+            kind, scale, neutral = servos[function], 2.0 * sign / (high - low), (low + high) / 2.0
         channels.append(replace(kind, meaning=where, scale=scale, neutral=neutral, unit="us"))
-    names = unique_names([channel.name for channel in channels])
-    return [replace(c, name=name) for c, name in zip(channels, names, strict=True)]
+    return _named_once(channels)
 
 
-def _quad_x(log: Log, findings: Findings, count: int) -> list[Channel]:
+def _quad_x(log: Log, count: int) -> list[Channel]:
     """Take a quadrotor in X: the mixer file is not in an old log."""
-    low = float(log.parameters.get("PWM_MIN", PWM_MIN))
-    high = float(log.parameters.get("PWM_MAX", PWM_MAX))
-    effects = effects_of_arms(KNOWN["quad_x"])
-    findings.assumed.append(
+    low, high = log.parameter("PWM_MIN", PWM_MIN), log.parameter("PWM_MAX", PWM_MAX)
+    log.findings.assumed.append(
         "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear right) "
         "on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
     )
-    findings.read.append(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
-    return [
-        Channel(f"motor_{i + 1}", effects[i], "output of quad x", 1.0 / (high - low), low, "us")
-        if i < len(effects)
-        else Channel(f"output_{i + 1}", NO_EFFECT, "not a motor", unit="us")
-        for i in range(count)
+    log.findings.read.append(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
+    motors = [
+        Channel(f"motor_{i}", effect, "output of quad x", 1.0 / (high - low), low, "us")
+        for i, effect in enumerate(effects_of_arms(KNOWN["quad_x"]), 1)
     ]
+    more = range(len(motors), count)
+    return [*motors, *(Channel(f"output_{i + 1}", NO_EFFECT, "", unit="us") for i in more)][:count]
 
 
-READERS: dict[str, Callable[[Log, Findings, int], Actuators]] = {
-    "actuator_motors": _allocated,
-    "actuator_servos": _allocated,
-    "vehicle_torque_setpoint": _setpoints,
-    "actuator_controls_0": partial(_controls, "actuator_controls_0"),
-    "actuator_controls_1": partial(_controls, "actuator_controls_1"),
+READERS: dict[str, ActuatorsReader] = {
+    **dict.fromkeys(ALLOCATED, _allocated),
+    SETPOINTS[0]: _setpoints,
+    f"{CONTROLS}0": _controls,
+    f"{CONTROLS}1": _controls,
     "actuator_outputs": _outputs,
 }
 """Readers by topic, nearest to the actuators first; the pulse widths, whose meaning is the least
 certain, last."""
 
-COMMANDS = (*READERS, "vehicle_thrust_setpoint")
+COMMANDS = (*READERS, SETPOINTS[1])
 """Topics of commands."""

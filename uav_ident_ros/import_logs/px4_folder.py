@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.import_logs.flight_log import Column, ImportLogError
-from uav_ident_ros.import_logs.log import Log
+from uav_ident_ros.import_logs.flight_log import ImportLogError
+from uav_ident_ros.import_logs.log import Column, Log
 
 TABLE = re.compile(r"(?P<log>.+?)_(?P<topic>{topics})_(?P<instance>\d+)\.csv")
 """How ulog2csv names its files."""
@@ -18,7 +19,7 @@ PARAMETERS = re.compile(r".*param(s|eters)?\.(csv|txt)")
 """What ulog_params writes: lines of a name and a value."""
 
 
-def read_folder(path: Path, topics: tuple[str, ...]) -> Log:
+def read_folder(path: Path, topics: Collection[str]) -> Log:
     """Read the tables of some topics, and the parameters if they are there.
 
     Raises
@@ -45,7 +46,7 @@ def read_folder(path: Path, topics: tuple[str, ...]) -> Log:
         if PARAMETERS.fullmatch(file.name.lower()):
             log.parameters.update(_parameters(file))
     if not log.parameters:
-        log.remarks.append(
+        log.findings.lost.append(
             "the tables say nothing of the parameters: ulog_params LOG.ulg PARAMS.csv writes them"
         )
     return log

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.import_logs.flight_log import NS_PER_US, Column, ImportLogError
-from uav_ident_ros.import_logs.log import Log
+from uav_ident_ros.import_logs.flight_log import ImportLogError
+from uav_ident_ros.import_logs.log import NS_PER_US, Column, Log
 from uav_ident_ros.import_logs.resync import walk
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
@@ -102,6 +102,11 @@ def read_ulog(path: Path) -> Log:
             log.say_loss(gaps, len(data), stamped, cut=cut)
     except OSError as error:
         raise ImportLogError(f"log '{path}' cannot be read: {error.strerror}") from None
+    if lost := log.dropouts:
+        log.findings.lost.append(
+            f"the logger lost messages {len(lost)} times, together {sum(lost):.3g} s, at most "
+            f"{max(lost):.3g} s (dropouts)"
+        )
     return log
 
 

@@ -7,24 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view as windows
-from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import FloatArray
-
-BoolArray = NDArray[np.bool_]
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
 Stretches = Sequence[tuple[int, int]]
 """Start and end of stretches of time, ns."""
 
 NS_PER_S = 1_000_000_000
 
-GAP_INTERVALS = 3.0
-"""An interval of more than so many median ones is a gap: jitter stays below, a lost sample or
-two hardly matter."""
-
-SHORTEST_GAP = 0.02
-"""A gap shorter than this is not worth a word, s."""
+GAP_INTERVALS, SHORTEST_GAP = 3.0, 0.02
+"""An interval of more than so many median ones, and longer than so many s, is a gap: jitter stays
+below, a lost sample or two hardly matter."""
 
 JOIN_NS = 200_000
 """Samples of two topics this close, ns, are of one cycle of the controller: the fastest run at
@@ -40,6 +34,10 @@ FARTHEST_NS, FARTHEST_STEPS = 1_000_000_000, 20
 """A stamp farther from the median of its neighbours than so many ns, and so many median intervals,
 is none that the clock gave. The node lets a stamp jump by a second, too (time_jump)."""
 
+LONGEST_HOLD_NS = 500_000_000
+"""For how long a sample covers the time after it, ns: five intervals of what a logger thins out to
+10 Hz. Nothing is learned from commands that are older."""
+
 
 def plausible(t_ns: TimeArray) -> BoolArray:
     """Whether each stamp is one that a clock can have given, by the stamps around it.
@@ -48,18 +46,15 @@ def plausible(t_ns: TimeArray) -> BoolArray:
     behind those before. A stamp after a long silence, or before one, is none of these.
     """
     result = (t_ns >= 0) & (t_ns < LATEST_NS)
-    inside = np.flatnonzero(result)
-    stamps = t_ns[inside]
+    stamps = t_ns[result]
     if len(stamps) < NEIGHBOURS:
         return np.asarray(result)
     farthest = max(FARTHEST_NS, FARTHEST_STEPS * float(np.median(np.abs(np.diff(stamps)))))
-    half = NEIGHBOURS // 2
-    around = np.median(windows(np.pad(stamps, half, mode="reflect"), NEIGHBOURS), axis=1)
-    beyond = np.pad(stamps, NEIGHBOURS, constant_values=(0, LATEST_NS))
-    near = windows(beyond, NEIGHBOURS)
+    around = np.pad(stamps, NEIGHBOURS // 2, mode="reflect")
+    lone = np.abs(stamps - np.median(windows(around, NEIGHBOURS), axis=1)) > farthest
+    near = windows(np.pad(stamps, NEIGHBOURS, constant_values=(0, LATEST_NS)), NEIGHBOURS)
     before, after = near[: len(stamps)].max(axis=1), near[-len(stamps) :].min(axis=1)
-    lone = np.abs(stamps - around) > farthest
-    result[inside] = ~(lone & ((stamps > after + farthest) | (stamps < before - farthest)))
+    result[result] = ~(lone & ((stamps > after + farthest) | (stamps < before - farthest)))
     return np.asarray(result)
 
 
@@ -86,10 +81,8 @@ def doubts(t_ns: TimeArray) -> list[str]:
         result.append(f"{back} stamps are earlier than the one before")
     if same := int((steps == 0).sum()):
         result.append(f"{same} stamps repeat the one before")
-    ahead = steps[steps > 0]
-    limit = (
-        max(GAP_INTERVALS * float(np.median(ahead)), SHORTEST_GAP * NS_PER_S) if len(ahead) else 0
-    )
+    usual = rate(t_ns)
+    limit = max(GAP_INTERVALS / usual, SHORTEST_GAP) * NS_PER_S if usual else np.inf
     gaps = np.flatnonzero(steps > limit)
     if len(gaps):
         longest = int(gaps[np.argmax(steps[gaps])])
@@ -101,19 +94,23 @@ def doubts(t_ns: TimeArray) -> list[str]:
     return result
 
 
-LONGEST_HOLD_NS = 500_000_000
-"""For how long a sample covers the time after it, ns: five intervals of what a logger thins out to
-10 Hz. Nothing is learned from commands that are older."""
+def inside(t_ns: TimeArray, stretches: Stretches) -> BoolArray:
+    """Whether each stamp lies in one of some stretches."""
+    result = np.zeros(len(t_ns), dtype=bool)
+    for start, end in stretches:
+        result |= (start <= t_ns) & (t_ns <= end)
+    return result
 
 
 def coverage(t_ns: TimeArray, stretches: Stretches, hold_ns: int = LONGEST_HOLD_NS) -> float:
     """Return which share of some stretches a stream covers, 0 to 1; a sample lasts `hold_ns`."""
-    covered, whole = 0, 0
-    for start, end in stretches:
-        inside = t_ns[(start <= t_ns) & (t_ns <= end)]
-        steps = np.diff(np.append(inside, end))
-        covered += int(np.clip(steps, 0, hold_ns).sum())
-        whole += end - start
+    covered = sum(
+        int(
+            np.clip(np.diff(np.append(t_ns[inside(t_ns, [stretch])], stretch[1])), 0, hold_ns).sum()
+        )
+        for stretch in stretches
+    )
+    whole = sum(end - start for start, end in stretches)
     return min(covered / whole, 1.0) if whole else 0.0
 
 
@@ -129,12 +126,9 @@ def intervals(
     if stamps and start_ns is not None:
         stamps[0] = min(stamps[0], start_ns)
     for start, end, holds in zip(stamps, [*stamps[1:], end_ns], active, strict=True):
-        if not holds or end <= start:
-            continue
-        if result and result[-1][1] == start:
-            result[-1] = (result[-1][0], end)
-        else:
-            result.append((start, end))
+        if holds and end > start:
+            goes_on = bool(result) and result[-1][1] == start
+            result.append((result.pop()[0] if goes_on else start, end))
     return result
 
 
@@ -153,8 +147,7 @@ def join(
         Stamps and values of both.
     """
     every = np.union1d(first[0], second[0])
-    last_of_cycle = np.append(np.diff(every) > JOIN_NS, True)
-    t_ns = every[last_of_cycle]
+    t_ns = every[np.append(np.diff(every) > JOIN_NS, True)]
     return t_ns, np.hstack([hold(t_ns, *first), hold(t_ns, *second)])
 
 

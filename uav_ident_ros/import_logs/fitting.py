@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of the identifier that fit an imported log, and what there is to say of them."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.files.parameter_template import written
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError, printable
+from uav_ident_ros.import_logs.stamps import coverage
+from uav_ident_ros.import_logs.writing import TOPICS
+
+WITHOUT_FORCES, WITHOUT_WINGS = "throttle_coupled", "augmented"
+"""Structure if there is no accelerometer, and that of a multirotor: no angle of attack tells its
+forces. The others have the default."""
+
+SLOWEST_FLIGHT, FASTEST = 5.0, 400.0
+"""Airspeed, m/s, below which forces do not go with it: a multirotor's, or a sensor that is off.
+And what `airspeed.reference` may be at most."""
+
+SLOWEST_NS = 2_500_000_000
+"""For how long a sample of the airspeed counts, ns: the autopilots log one a second or more."""
+
+ENOUGH_AIRSPEED = 0.8
+"""Share of the flight that an airspeed must cover to be used."""
+
+LEARN_TRIM_TIME = 2.0
+"""Length of the steady stretch that the trim is learnt from, s."""
+
+DIRECTIONS = ("nose down", "nose left", "right wing down", "throttle")
+"""What a positive de, dr, da, dth does."""
+
+COMMENT_WIDTH = 96
+
+
+def fitting_parameters(
+    log: FlightLog,  # The log
+    trim: str,  # One of `flight_log.TRIMS`
+    airspeed: bool | None,  # Whether to scale with the airspeed; None if it was measured in flight
+) -> dict[str, Any]:
+    """Return parameters of the identifier that fit the bag, by dotted name.
+
+    Raises
+    ------
+    ImportLogError
+        If there is no airspeed to scale with.
+    """
+    channels = [channel for _, channel in log.used]
+    values: dict[str, Any] = {
+        "imu.type": TOPICS["rates"].msgtype,
+        "imu.convention": log.convention,
+        "imu.lever_arm": list(log.lever_arm),
+        "actuators.type": TOPICS["actuators"].msgtype,
+        "actuators.channels": [channel.name for channel in channels],
+        "actuators.scale": [channel.scale for channel in channels],
+        "actuators.trim": _trim(log, trim),
+        "actuators.estimate_delay": True,
+    }
+    if not log.has_force:
+        values["structure"] = WITHOUT_FORCES
+    elif log.hovers:
+        values["structure"] = WITHOUT_WINGS
+    if trim == "learn":
+        values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
+    for i, name in enumerate(INPUTS):
+        values[f"actuators.mixing.{name}"] = [channel.effect[i] for channel in channels]
+    if log.armed is not None:
+        values["armed.type"] = TOPICS["armed"].msgtype
+    return values | _airspeed(log, airspeed)
+
+
+def _trim(log: FlightLog, trim: str) -> list[float]:
+    """Raw value of each used channel in trimmed flight."""
+    flown = log.streams["actuators"].values[log.in_flight("actuators")]
+    result = []
+    for column, channel in log.used:
+        raw = flown[np.isfinite(flown[:, column]), column]
+        usual = float(np.median(raw)) if trim == "flight" and len(raw) else channel.neutral
+        result.append(usual if channel.trim is None else channel.trim)
+    return result
+
+
+def _airspeed(log: FlightLog, use: bool | None) -> dict[str, Any]:
+    """Return which airspeed counts, and say so."""
+    if use and "airspeed" not in log.streams:
+        raise ImportLogError(f"log '{log.path}' has no airspeed: leave --airspeed out")
+    values: dict[str, Any] = {}
+    speed = _flown_speed(log)
+    if use if use is not None else speed >= SLOWEST_FLIGHT:
+        values["airspeed.type"] = TOPICS["airspeed"].msgtype
+        log.findings.read.append(f"the airspeed is used; in flight its median is {speed:.3g} m/s")
+    elif "airspeed" in log.streams:
+        reason = (
+            f"in flight its median is {speed:.3g} m/s"
+            if speed
+            else "it was not measured for most of the flight"
+        )
+        log.findings.lost.append(f"the airspeed is not used: {reason}")
+    usual = speed or log.ground_speed
+    if usual >= SLOWEST_FLIGHT:
+        values["airspeed.reference"] = round(min(usual, FASTEST), 3)
+    if speed >= SLOWEST_FLIGHT or log.hovers:
+        return values
+    if log.ground_speed >= SLOWEST_FLIGHT:
+        log.findings.assumed.append(
+            f"airspeed.reference is the median speed over ground, {log.ground_speed:.3g} m/s"
+        )
+    else:
+        log.findings.lost.append(
+            "no speed of flight is in the log: set airspeed.reference to the usual airspeed, which "
+            "the forces on wings go with"
+        )
+    return values
+
+
+def _flown_speed(log: FlightLog) -> float:
+    """Return the median airspeed in flight, m/s; 0 if it was not measured for most of it."""
+    if (airspeed := log.streams.get("airspeed")) is None:
+        return 0.0
+    rates = log.streams["rates"].t_ns
+    flown = airspeed.chosen(log.in_flight("airspeed") & (airspeed.values > 0.0))
+    flight = log.flown or [(int(rates.min()), int(rates.max()))]
+    if coverage(flown.t_ns, flight, SLOWEST_NS) < ENOUGH_AIRSPEED:
+        return 0.0
+    return float(np.median(flown.values))
+
+
+# --- words --------------------------------------------------------------------------------------
+
+
+def findings_by_title(log: FlightLog, parameters: dict[str, Any]) -> dict[str, list[str]]:
+    """Return all there is to say under headings, those that are empty left out."""
+    findings = log.findings
+    titled = {
+        "Damaged": findings.damage,
+        "From the log": findings.read,
+        "Assumed": findings.assumed,
+        "Missing or doubtful": findings.lost,
+        "Inputs": _inputs_in_words(log, parameters),
+    }
+    return {title: sentences for title, sentences in titled.items() if sentences}
+
+
+def _inputs_in_words(log: FlightLog, parameters: dict[str, Any]) -> list[str]:
+    """Say what each used channel is and how the inputs come about from them."""
+    channels = [channel for _, channel in log.used]
+    lines = []
+    for channel, trim in zip(channels, parameters["actuators.trim"], strict=True):
+        scale = f", times {channel.scale:.6g}" if channel.scale != 1.0 else ""
+        lines.append(f"{channel.name}: {channel.meaning}; {channel.unit} less {trim:.6g}{scale}")
+    for i, (name, direction) in enumerate(zip(INPUTS, DIRECTIONS, strict=True)):
+        terms = [f"{c.effect[i]:+.4g} {c.name}" for c in channels if c.effect[i]]
+        lines.append(f"{name} ({direction}) = {' '.join(terms) or 'nothing'}")
+    return lines
+
+
+def write_parameters(log: FlightLog, parameters: dict[str, Any], path: Path) -> None:
+    """Write the parameter file, with everything that was found out as comments."""
+    said = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
+    titled = findings_by_title(log, parameters)
+    if log.parameters:
+        named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())
+        titled["Parameters of the autopilot"] = [named]
+    lines = ["# SPDX-License-Identifier: Apache-2.0", *_comment(said)]
+    for title, sentences in titled.items():
+        lines.append(f"# {title}:")
+        lines += [line for sentence in sentences for line in _comment(sentence, "- ", "  ")]
+    lines += ["/**:", "  ros__parameters:"]
+    lines += [f"    {name}: {written(value)}" for name, value in parameters.items()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    Settings.from_values(load_parameters(path, "/identifier"))  # what was written can be used
+
+
+def _comment(text: str, first: str = "", other: str = "") -> list[str]:
+    return textwrap.wrap(
+        printable(text, len(text)),
+        COMMENT_WIDTH,
+        initial_indent=f"# {first}",
+        subsequent_indent=f"# {other}",
+        break_on_hyphens=False,
+    )
