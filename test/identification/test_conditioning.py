@@ -46,8 +46,8 @@ def short_flight() -> Flight:
 
 @pytest.fixture(scope="module")
 def calm_flight() -> Flight:
-    """Half a minute without disturbances, sampled so that every Imu rate is the same flight."""
-    return plant_flight(32.0, force=ColouredNoise(0.3, 0.5), rate=1000.0, max_step=1e-3)
+    """A flight without disturbances, sampled so that every Imu rate is the same flight."""
+    return plant_flight(20.0, force=ColouredNoise(0.3, 0.5), rate=1000.0, max_step=1e-3)
 
 
 def same(a: list[Estimate], b: list[Estimate]) -> bool:
@@ -97,12 +97,13 @@ def test_late_duplicate_and_bad_samples_are_counted_and_change_nothing(
 # -- gaps --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gap", [0.5, 3.0])
-@pytest.mark.parametrize("lost", ["rates", "actuators", "both"])
+@pytest.mark.parametrize(
+    ("lost", "gap"), [("rates", 0.5), ("actuators", 0.5), ("actuators", 3.0), ("both", 3.0)]
+)
 def test_a_gap_leaves_no_jump(calm_flight: Flight, gap: float, lost: str) -> None:
     """No transient of the filters enters: without noise, the coefficients stay."""
     m = measure(calm_flight, Sensors())
-    start = int(m.imu_t_ns[0]) + 15 * S
+    start = int(m.imu_t_ns[0]) + 12 * S
     end = start + round(gap * S)
     kept = [
         message
@@ -126,7 +127,7 @@ def test_a_gap_leaves_no_jump(calm_flight: Flight, gap: float, lost: str) -> Non
 
 def test_a_new_time_base_restarts_without_a_jump(calm_flight: Flight) -> None:
     m = measure(calm_flight, Sensors())
-    break_ns = int(m.imu_t_ns[0]) + 15 * S
+    break_ns = int(m.imu_t_ns[0]) + 14 * S
     moved = [
         message if message.t_ns < break_ns else message._replace(t_ns=message.t_ns - 10_000 * S)
         for message in messages(m)
@@ -170,9 +171,9 @@ PAPER = {
 def test_memory_stays_bounded(feed: str, own: dict[str, Any], interval: int) -> None:
     identifier = OnlineIdentifier(Settings.from_values({"estimator": "least_squares", **own}))
     sizes = []
-    for k in range(60_000 // interval):
+    for k in range(30_000 // interval):
         t = S + k * interval * MS
-        if feed != "actuators" and not (feed == "stopped rates" and k > 1000):
+        if feed != "actuators" and not (feed == "stopped rates" and k > 500):
             identifier.add_rates(t, (0.1, 0.0, 0.0), (0.0, 0.0, 9.8))
         if feed != "rates" and k % 4 == 0:
             identifier.add_actuators(t, (0.0, 0.0, 0.0, 0.0))
@@ -180,24 +181,19 @@ def test_memory_stays_bounded(feed: str, own: dict[str, Any], interval: int) -> 
             identifier.update(due)
         if k % (1000 // interval) == 0:
             sizes.append(held(identifier))
-    assert max(sizes[30:]) < 600
-    assert sizes[-1] <= max(sizes[20:40])
+    assert max(sizes[15:]) < 600
+    assert sizes[-1] <= max(sizes[10:20])
 
 
 # -- what must not matter ----------------------------------------------------------------------
 
 
 VARIANTS: list[tuple[dict[str, Any], float]] = [
-    ({"convention": "frd"}, 0.01),
-    ({"rate": 50.0}, 0.03),  # products of rates are no straight lines between samples
-    ({"rate": 100.0}, 0.03),
-    ({"rate": 1000.0}, 0.01),
-    ({"drop": 0.2}, 0.01),
+    ({"rate": 50.0, "convention": "frd"}, 0.03),  # products of rates are no straight lines
+    ({"rate": 1000.0, "channels": "pwm"}, 0.01),
+    ({"drop": 0.2, "channels": "elevon"}, 0.01),
     ({"stamp_jitter": 0.005}, 0.05),
-    ({"stamped": False}, 0.01),
-    ({"channels": "elevon"}, 0.01),
-    ({"channels": "quadrotor"}, 0.01),
-    ({"channels": "pwm"}, 0.01),
+    ({"stamped": False, "channels": "quadrotor"}, 0.01),
 ]
 
 
@@ -212,6 +208,6 @@ def test_how_it_is_measured_does_not_matter(
 
 @pytest.mark.parametrize(("delay", "lag"), [(0.06, 0.0), (0.04, 0.05)])
 def test_delay_and_lag_are_undone(delay: float, lag: float) -> None:
-    flight = plant_flight(30.0, delay=delay, time_constant=lag)
+    flight = plant_flight(20.0, delay=delay, time_constant=lag)
     _, a = identify(measure(flight), estimator="least_squares", structure="throttle_coupled")
     assert worst(errors(a, "throttle_coupled", flight, linear_names(flight))) < 0.005

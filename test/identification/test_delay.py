@@ -53,26 +53,26 @@ def found(flight: Flight, sensors: Sensors = NOISY, **changes: Any) -> OnlineIde
 
 @cache
 def late() -> OnlineIdentifier:
-    return found(plant_flight(60.0, delay=0.06), Sensors(), structure="throttle_coupled")
+    return found(plant_flight(45.0, delay=0.06), Sensors(), structure="throttle_coupled")
 
 
-@pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.0), (0.15, 0.0), (0.02, 0.12)])
+@pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.0), (0.15, 0.0)])
 def test_in_calm_air_delay_and_lag_are_found_together(delay: float, lag: float) -> None:
-    flight = plant_flight(45.0, delay=delay, time_constant=lag)
+    flight = plant_flight(35.0, delay=delay, time_constant=lag)
     estimate = found(flight, actuators__time_constant=0.0).delay_estimate
     assert estimate.total_sure
     assert estimate.total == pytest.approx(delay + lag, abs=0.015)
 
 
 def test_with_the_lag_in_use_it_is_the_delay() -> None:
-    estimate = found(plant_flight(45.0, delay=0.02, time_constant=0.12)).delay_estimate
+    estimate = found(plant_flight(35.0, delay=0.02, time_constant=0.12)).delay_estimate
     assert estimate.sure and estimate.delay == pytest.approx(0.02, abs=0.015)
     assert estimate.total_sure and estimate.total == pytest.approx(0.14, abs=0.015)
 
 
-@pytest.mark.parametrize("rate", [20.0, 50.0, 1000.0])
+@pytest.mark.parametrize("rate", [20.0, 1000.0])
 def test_at_any_rate_of_the_imu(rate: float) -> None:
-    flight = plant_flight(40.0, delay=0.06, rate=1000.0, max_step=1e-3)
+    flight = plant_flight(30.0, delay=0.06, rate=1000.0, max_step=1e-3)
     identifier = found(flight, Sensors(rate=rate, gyro_noise=0.01))
     assert identifier.delay == pytest.approx(0.06, abs=0.015)
 
@@ -87,7 +87,7 @@ def test_a_wrong_start_is_corrected_in_gusts_under_an_autopilot() -> None:
 def test_without_excitation_it_says_nothing(gusts: float) -> None:
     """The autopilot's answers to gusts tell of the autopilot, not of the delay."""
     flight = plant_flight(
-        60.0,
+        40.0,
         segments=(),
         delay=0.06,
         gusts=ColouredNoise(gusts, 0.3),
@@ -141,13 +141,13 @@ def test_what_was_learned_with_the_wrong_delay_does_not_stay() -> None:
 
 
 def test_the_delay_survives_a_gap_and_a_new_time_base() -> None:
-    m = measure(plant_flight(65.0, delay=0.06), NOISY)
+    m = measure(plant_flight(45.0, delay=0.06), NOISY)
     start = int(m.imu_t_ns[0])
     identifier = OnlineIdentifier(settings(m, actuators__delay=0.0, actuators__estimate_delay=True))
 
     def broken(message: Message) -> Message:
         after = message.t_ns - start
-        return message._replace(t_ns=message.t_ns + (after > 55e9) * 3600 * 10**9)
+        return message._replace(t_ns=message.t_ns + (after > 38e9) * 3600 * 10**9)
 
     kept = [m for m in messages(m) if not 19e9 < m.t_ns - start < 19.6e9]
     run(identifier, [broken(message) for message in kept])
@@ -221,6 +221,6 @@ def test_lags_that_predict_alike_leave_their_sum_with_the_delay_unknown() -> Non
 def test_the_real_flight_has_80_to_120_milliseconds() -> None:
     with Bag(REAL_FLIGHT) as bag:
         flown = OfflineRun(choose_inputs(bag, {"actuators.estimate_delay": True}))
-        flown.run(bag, lambda messages, _: (m for m in messages if m.log_ns < bag.start_ns + 1e11))
+        flown.run(bag, lambda messages, _: (m for m in messages if m.log_ns < bag.start_ns + 6e10))
     assert 0.08 <= flown.identifier.delay <= 0.12
     assert flown.identifier.delay_confidence == "sure"

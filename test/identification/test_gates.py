@@ -64,7 +64,9 @@ def since(estimates: list[Estimate], begin: float, end: float) -> list[Estimate]
     return [e for e in estimates if begin <= (e.t_ns - first) * 1e-9 < end]
 
 
-def test_a_control_check_on_the_ground_teaches_nothing(excited: Measurements) -> None:
+def test_a_control_check_on_the_ground_teaches_nothing_and_its_cost_is_told(
+    excited: Measurements,
+) -> None:
     rng = np.random.default_rng(3)
 
     def stand(t: float, m: Message) -> Message:
@@ -72,27 +74,40 @@ def test_a_control_check_on_the_ground_teaches_nothing(excited: Measurements) ->
         still = rng.normal(0.0, 0.01, 3)
         return with_rates(m, flies * np.array(m.values[:3]) + (1.0 - flies) * still)
 
-    stream = altered(excited, stand)
-    estimates = run(identifier(excited), stream)
+    stream, flown = altered(excited, stand), identifier(excited)
+    estimates = run(flown, stream)
     standing = since(estimates, 1.0, 8.9)
     assert {e.reason for e in standing} == {"at rest: no rate moves beyond the gyro's noise"}
     assert {e.state for e in standing} == {"paused"}
     assert not any(e.coefficients.any() for e in standing)
     assert all(e.adapting for e in since(estimates, 10.5, 30.0))
     assert estimates[-1].usable
-    ungated = run(identifier(excited, supervision__min_motion=0.0), stream)
+    costs = flown.gate_costs()
+    resting = sum(e.reason.startswith("at rest") for e in estimates) / len(estimates)
+    assert costs["rest"].share == pytest.approx(resting, abs=0.01) and 0.25 < resting < 0.35
+    assert costs["rest"].setting == "supervision.min_motion, min_force_motion"
+    assert "channel limit" not in costs
+    flown.adapt = False
+    flown.update(stream[-1].t_ns + 10 * 10**9)
+    assert flown.gate_costs()["adaptation"].reason == "adaptation is switched off"
+    ungated = run(identifier(excited, supervision__min_motion=0.0), stream[: len(stream) // 3])
     assert since(ungated, 1.0, 9.0)[-1].coefficients.any()
 
 
 def test_a_force_that_never_moves_is_the_ground_too(excited: Measurements) -> None:
     # The simulated accelerometer sees noise alone.
-    estimates = run(identifier(excited, supervision__min_force_motion=5.0), messages(excited))
-    assert {e.reason for e in since(estimates, 1.0, 30.0)} == {
+    stream = messages(excited)
+    estimates = run(
+        identifier(excited, supervision__min_force_motion=5.0), stream[: len(stream) // 3]
+    )
+    assert {e.reason for e in since(estimates, 1.0, 10.0)} == {
         "at rest: no specific force has moved by 5 m/s^2"
     }
 
 
-def test_a_saturated_gyro_pauses_and_half_a_second_more(excited: Measurements) -> None:
+def test_a_saturated_gyro_pauses_half_a_second_more_and_is_not_scored(
+    excited: Measurements,
+) -> None:
     def clip(t: float, m: Message) -> Message:
         if not 20.0 <= t < 21.0:
             return m
@@ -104,7 +119,10 @@ def test_a_saturated_gyro_pauses_and_half_a_second_more(excited: Measurements) -
     before = since(estimates, 19.0, 19.9)[-1]
     np.testing.assert_array_equal(paused[-1].coefficients, paused[0].coefficients)
     np.testing.assert_allclose(paused[-1].coefficients, before.coefficients, rtol=0.05, atol=0.5)
-    assert all(e.adapting for e in since(estimates, 21.7, 30.0))
+    after = since(estimates, 21.7, 30.0)
+    assert all(e.adapting for e in after)
+    assert after[-1].usable
+    np.testing.assert_allclose(since(estimates, 24.0, 25.0)[-1].fit, before.fit, atol=3.0)
 
 
 def test_a_stuck_gyro_is_named_and_not_learned_from(
@@ -143,7 +161,8 @@ def test_sticks_at_their_limit_pause(excited: Measurements) -> None:
         "actuators__lower_limit": tuple((raw.min(axis=0) - 1.0).tolist()),
         "actuators__upper_limit": tuple(high.tolist()),
     }
-    estimates = run(identifier(excited, **limits), messages(excited))
+    stream = messages(excited)
+    estimates = run(identifier(excited, **limits), stream[: len(stream) // 2])
     names = settings(excited).actuators.channels
     said = {e.reason for e in estimates if e.state == "paused"}
     assert f"channel {names[0]} is at its limit" in said
@@ -152,7 +171,7 @@ def test_sticks_at_their_limit_pause(excited: Measurements) -> None:
 
 def test_armed_decides_if_there_is_a_topic_that_tells(excited: Measurements) -> None:
     told = identifier(excited, armed__type="std_msgs/msg/Bool")
-    stream = messages(excited)
+    stream = messages(excited)[: len(messages(excited)) // 3]
     third = len(stream) // 3
     deaf = run(told, stream[:third])
     assert {e.reason for e in deaf[5:]} == {"nothing was heard of being armed"}
@@ -170,7 +189,7 @@ def test_armed_decides_if_there_is_a_topic_that_tells(excited: Measurements) -> 
 
 def test_below_flying_speed_nothing_is_learned(excited: Measurements) -> None:
     slow = identifier(excited, airspeed__type="std_msgs/msg/Float64", supervision__min_airspeed=8.0)
-    stream = messages(excited)
+    stream = messages(excited)[: len(messages(excited)) // 3]
     half = len(stream) // 2
     slow.add_airspeed(stream[0].t_ns, 3.0)
     assert {e.reason for e in run(slow, stream[:half])[5:]} == {
@@ -202,13 +221,13 @@ def test_a_knock_is_kept_from_good_coefficients(excited: Measurements, healthy: 
 
 
 def test_a_halved_elevator_is_named_and_not_usable_until_learned_anew() -> None:
-    halved = measured(80.0, changes=(CoefficientChange(45.0, {"qdot/de": 0.5}),))
+    halved = measured(60.0, changes=(CoefficientChange(30.0, {"qdot/de": 0.5}),))
     flown = identifier(halved)
     estimates = run(flown, messages(halved))
     (change,) = flown.changed
     noticed = change.t - estimates[0].t_ns * 1e-9
-    assert (change.name, 45.0 < noticed < 52.0) == ("qdot/de", True)
-    before = since(estimates, 40.0, 45.0)[-1]
+    assert (change.name, 30.0 < noticed < 37.0) == ("qdot/de", True)
+    before = since(estimates, 25.0, 30.0)[-1]
     assert before.usable
     dropped = since(estimates, noticed + 0.1, noticed + 2.9)
     assert {(e.usable, e.reason) for e in dropped} == {
@@ -222,12 +241,12 @@ def test_a_halved_elevator_is_named_and_not_usable_until_learned_anew() -> None:
 
 def test_a_surface_lost_after_a_warm_start_is_learned_anew() -> None:
     """What was known of it must not hold it where it was."""
-    flight = measured(40.0)
+    flight = measured()
     healthy = identifier(flight)
     run(healthy, messages(flight))
     sure = healthy.coefficient_set()
     sure = replace(sure, sigma=0.2 * sure.sigma)
-    halved = measured(60.0, changes=(CoefficientChange(45.0, {"qdot/de": 0.5}),))
+    halved = measured(45.0, changes=(CoefficientChange(30.0, {"qdot/de": 0.5}),))
     flown = OnlineIdentifier(settings(halved, structure=STRUCTURE), sure)
     last = run(flown, messages(halved))[-1]
     assert [change.name for change in flown.changed] == ["qdot/de"]
@@ -250,7 +269,7 @@ def test_a_long_storm_under_an_autopilot_moves_nothing() -> None:
     before = run(flown, messages(calm))[-1]
     assert before.usable
     for gusts, hit in ((4.0, deepcopy(flown)), (1.5, flown)):
-        stream = messages(flight(gusts, 175.0, 4))
+        stream = messages(flight(gusts, 115.0, 4))
         # Its excitation is over by then; its turbulence goes on.
         last = run(hit, [m for m in stream if m.t_ns - stream[0].t_ns > 55e9])[-1]
         moved = np.abs(last.coefficients - before.coefficients)
@@ -261,10 +280,10 @@ def test_a_long_storm_under_an_autopilot_moves_nothing() -> None:
 def test_a_pause_is_told_row_by_row() -> None:
     amplitudes = {k: v for k, v in AMPLITUDES.items() if k != "de"}
     part = measured(
-        30.0,
+        24.0,
         segments=(
-            Segment("multisine", duration=15.0, amplitudes=AMPLITUDES, seed=1),
-            Segment("multisine", start=15.0, amplitudes=amplitudes | {"dth": 0.0}, seed=2),
+            Segment("multisine", duration=12.0, amplitudes=AMPLITUDES, seed=1),
+            Segment("multisine", start=12.0, amplitudes=amplitudes | {"dth": 0.0}, seed=2),
         ),
     )
     flown = identifier(part)
@@ -308,16 +327,6 @@ def test_only_an_instant_out_of_range_is_a_glitch() -> None:
     assert not GlitchFilter().find(saturated, None, 34.9).any()
 
 
-def test_signals_that_cannot_be_read_are_not_scored(excited: Measurements) -> None:
-    def clip(t: float, m: Message) -> Message:
-        return with_rates(m, np.array([*m.values[:2], 34.9])) if 20.0 <= t < 22.0 else m
-
-    estimates = run(identifier(excited), altered(excited, clip))
-    before, after = since(estimates, 19.0, 19.9)[-1], since(estimates, 24.0, 25.0)[-1]
-    assert after.usable
-    np.testing.assert_allclose(after.fit, before.fit, atol=3.0)
-
-
 @pytest.mark.parametrize(
     ("swing", "noise", "resting"),
     [(0.02, 0.003, False), (0.0, 0.003, True), (0.004, 0.0005, True), (0.02, 0.015, True)],
@@ -335,25 +344,6 @@ def test_rest_is_told_by_the_gyros_own_noise(swing: float, noise: float, resting
         if t > 4.0:
             reasons.add(reason)
     assert reasons == {"at rest: no rate moves beyond the gyro's noise" if resting else ""}
-
-
-def test_what_each_gate_cost_is_counted(excited: Measurements) -> None:
-    rng = np.random.default_rng(3)
-
-    def stand(t: float, m: Message) -> Message:
-        return with_rates(m, rng.normal(0.0, 0.01, 3)) if t < 9.0 else m
-
-    flown = identifier(excited)
-    estimates = run(flown, altered(excited, stand))
-    costs = flown.gate_costs()
-    resting = sum(e.reason.startswith("at rest") for e in estimates) / len(estimates)
-    assert costs["rest"].share == pytest.approx(resting, abs=0.01) and 0.25 < resting < 0.35
-    assert costs["rest"].setting == "supervision.min_motion, min_force_motion"
-    assert "channel limit" not in costs
-    flown.adapt = False
-    last = messages(excited)[-1].t_ns
-    flown.update(last + 10 * 10**9)
-    assert flown.gate_costs()["adaptation"].reason == "adaptation is switched off"
 
 
 def test_every_gate_names_settings_that_exist() -> None:
