@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -48,7 +48,7 @@ def flown(
     effect: Callable[[float], FloatArray | float] | float = 1.0,
     reference: Callable[[float], FloatArray] | FloatArray = STEP,
     seconds: float = 4.0,
-    disturbance: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    disturbance: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),  # or (N, 3), a row a sample
     noise: float = 0.0,
     each: Callable[[int], None] = lambda t_ns: None,
 ) -> FloatArray:
@@ -63,8 +63,9 @@ def flown(
         measured = x + noise * rng.standard_normal(3)
         underway.append(flying.update(START + k * DT_NS, measured, wanted))
         u = underway.pop(0)
+        push = np.atleast_2d(disturbance)[k % len(np.atleast_2d(disturbance))]
         plant = coefficients(effect(t) if callable(effect) else effect).values
         for _ in range(10):
             f = STRUCTURE.regressor(x, u)
-            x = x + DT_NS * 1e-10 * (plant @ f + np.array(disturbance))
+            x = x + DT_NS * 1e-10 * (plant @ f + push)
     return np.array(rates)

@@ -107,3 +107,52 @@ def test_a_reversed_surface_is_turned_before_the_aircraft_is_lost(surface: int) 
     assert np.abs(rates - wanted)[1100:].max() < 0.06  # rad/s: as before the fault
     fixed, _ = controller(adaptive=False)
     assert np.abs(flown(fixed, effect, manoeuvre, seconds=14.0, noise=0.005)).max() > 1.0
+
+
+def turns(t: float) -> FloatArray:
+    """Bank to one side and the other, smoothed as by a pilot's hand."""
+    side = 1.0 if t % 4.0 < 2.0 else -1.0
+    return np.array([0.3 * side * (1.0 - np.exp(-(t % 2.0) / 0.2)), 0.0, 0.0])
+
+
+def test_a_halved_effect_is_flown_on_before_it_is_learned() -> None:
+    def effect(t: float) -> FloatArray:
+        return np.array([1.0, 1.0, 1.0 if t < 8.0 else 0.5, 1.0])
+
+    flying, _ = controller()
+    flown(flying, effect, turns, seconds=12.5, noise=0.005)
+    assert flying.effect.sources == ("measured", "nominal", "nominal")
+    assert flying.effect.values[0, 2] == pytest.approx(0.5 * 29.5, rel=0.25)
+    assert flying.effect.base[0, 2] == 29.5
+
+
+def test_gusts_are_not_taken_for_a_lost_effect() -> None:
+    """Least squares alone would take them for that: the inputs answer them."""
+    rng, gust = np.random.default_rng(3), np.zeros((2000, 3))
+    for k in range(1, len(gust)):
+        gust[k] = 0.97 * gust[k - 1] + 0.25 * rng.standard_normal(3)
+    flying, _ = controller()
+    shares, factors = [], []
+
+    def look(t_ns: int) -> None:
+        shares.append(flying.effect.values[0, 2] / 29.5)
+        factors.append(flying.effectiveness.factor[0])
+
+    flown(flying, 1.0, turns, seconds=20.0, disturbance=gust, noise=0.005, each=look)
+    assert np.median(factors) < 0.7
+    assert np.mean(np.abs(np.array(shares) - 1.0) < 0.25) > 0.9
+
+
+def test_an_identified_row_must_not_undo_what_is_measured() -> None:
+    chosen, source = choice()
+    measured = Effectiveness()
+    measured.least[0], measured.most[0] = 0.45, 0.55
+    assert chosen.update(LATER, measured).values[0, 2] == pytest.approx(0.55 * 29.5)
+    source.add(coefficients(1.0, LATER))  # it has not noticed anything yet
+    effect = chosen.update(LATER, measured)
+    assert effect.sources == ("measured", "identified", "identified")
+    assert "0.55 times its effect" in effect.reasons[0]
+    source.add(coefficients(0.5, LATER + 10**8))
+    effect = chosen.update(LATER + 10**8, measured)
+    assert effect.sources == ("identified",) * 3
+    assert effect.values[0, 2] == pytest.approx(0.5 * 29.5)

@@ -6,7 +6,11 @@ Three things keep a row of the newest set from being adopted, and the axis stays
 - the identifier's own word: the set is stale, or its verdict is against it, or the main
   derivative of the row is not known;
 - it cannot be flown: next to nothing moves the axis, or many times more than the nominal set says;
-- it would turn the sign of the axis while the flight does not show that (`Effectiveness`).
+- it contradicts what the flight shows (`Effectiveness`): it would turn the sign of the axis, or
+  undo a change of its effect that was measured.
+
+A row takes seconds to be learned anew after a fault. Until then its main derivative is multiplied
+by what is measured: by the factor nearest to the present one that lies within one sigma.
 """
 
 from __future__ import annotations
@@ -25,6 +29,12 @@ FLYABLE = (0.02, 10.0)
 what a surface's neighbours do: of the c172p's roll the rudder has a tenth, so that a lost
 aileron is adopted as what it is."""
 
+MEASURED_RANGE = (0.5, 2.0)
+"""Factors that are flown: a loop with a gain margin of two stands one that is wrong by that."""
+
+TOLD = 0.2
+"""Change of the effect from which on it is told, and an identified row has to agree with it."""
+
 MAIN = {"pdot": 2, "qdot": 0, "rdot": 1}
 """Column of the main input of each axis: da, de, dr."""
 
@@ -36,8 +46,10 @@ class Effect:
     """Control derivatives to fly on."""
 
     values: FloatArray  # (3, 4) B, rad/s^2 per unit of de, dr, da, dth
+    # (3, 4) The same without the factors that are measured
+    base: FloatArray
     # (3,) Of each row: ``identified``, ``last good``, ``nominal`` or ``measured`` (its sign turned
-    # by what the flight shows)
+    # or its size changed by what the flight shows)
     sources: tuple[str, ...]
     reasons: tuple[str, ...]  # (3,) Why it is not the newest identified one; empty if it is
 
@@ -71,8 +83,9 @@ class AxisChoice:
         adaptive: bool = True,
     ) -> None:
         self._source, self._limits, self._adaptive = source, limits, adaptive
-        self._values = control_derivatives(nominal)[0].copy()
-        self._nominal_authority = authority(self._values, limits)
+        self._base = control_derivatives(nominal)[0].copy()
+        self._factor = np.ones(len(ROWS))
+        self._nominal_authority = authority(self._base, limits)
         self._sources = [NOMINAL] * len(ROWS)
         self._seen: Coefficients | None = None
         self._reasons = [""] * len(ROWS)
@@ -95,7 +108,13 @@ class AxisChoice:
         if self._adaptive:
             self._adopt(t_ns, measured)
             self._turn(measured)
-        return Effect(self._values.copy(), tuple(self._sources), tuple(self._reasons))
+            self._scale(measured)
+        values, axes = self._base.copy(), range(len(ROWS))
+        values[axes, [MAIN[row] for row in ROWS]] *= self._factor
+        sources = tuple(
+            MEASURED if self._rescaled(i) else source for i, source in enumerate(self._sources)
+        )
+        return Effect(values, self._base.copy(), sources, tuple(self._reasons))
 
     def _adopt(self, t_ns: int, measured: Effectiveness) -> None:
         newest = self._source.newest(t_ns)
@@ -108,13 +127,23 @@ class AxisChoice:
                 if old:
                     continue  # it was weighed when it came
                 assert found is not None and known is not None
-                row = np.where(known[i], found[i], self._values[i])
+                row = np.where(known[i], found[i], self._base[i])
                 reason = self._against(i, row, bool(known[i, MAIN[ROWS[i]]]), measured)
                 if not reason:
-                    self._values[i], self._sources[i] = row, IDENTIFIED
+                    if abs(self._share(i, row) - 1.0) > TOLD:
+                        measured.changed(i)
+                        self._factor[i] = 1.0
+                    self._base[i], self._sources[i] = row, IDENTIFIED
             if reason and self._sources[i] == IDENTIFIED:
                 self._sources[i] = LAST_GOOD
             self._reasons[i] = reason
+
+    def _share(self, i: int, row: FloatArray) -> float:
+        """Return the main derivative of a row over the one in use, without its factor."""
+        return float(row[MAIN[ROWS[i]]] / self._base[i, MAIN[ROWS[i]]])
+
+    def _rescaled(self, i: int) -> bool:
+        return bool(abs(self._factor[i] - 1.0) > TOLD)
 
     def _against(self, i: int, found: FloatArray, known: bool, measured: Effectiveness) -> str:
         """Why a row is not adopted; empty if it is."""
@@ -124,14 +153,21 @@ class AxisChoice:
         share = authority(found[None], self._limits)[0] / self._nominal_authority[i]
         if not FLYABLE[0] <= share <= FLYABLE[1]:
             return f"{row} would have {share:.2g} times its nominal authority"
-        turned = found[MAIN[row]] * self._values[i, MAIN[row]] < 0.0
-        if turned and not measured.reversed[i]:
+        share = self._share(i, found)
+        if share < 0.0 and not measured.reversed[i]:
             return f"{row} would turn its sign, which the flight does not show"
+        if self._rescaled(i) and abs(share / self._factor[i] - 1.0) > 2.0 * TOLD:
+            return f"{row} is measured to have {self._factor[i]:.2f} times its effect"
         return ""
 
     def _turn(self, measured: Effectiveness) -> None:
         """Turn the sign of an axis that answers the wrong way."""
         for i in np.flatnonzero(measured.reversed):
-            self._values[i] = -self._values[i]
-            self._sources[i] = MEASURED
-            measured.turned(int(i))
+            self._base[i] = -self._base[i]
+            self._factor[i], self._sources[i] = 1.0, MEASURED
+            measured.changed(int(i))
+
+    def _scale(self, measured: Effectiveness) -> None:
+        """Bring the factors within a sigma of what is measured."""
+        within = np.clip(self._factor, measured.least, measured.most)
+        self._factor = np.clip(within, *MEASURED_RANGE)

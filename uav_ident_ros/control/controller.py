@@ -103,7 +103,9 @@ class RateController:
         acting = self._commands.at(t_ns - self._delay_ns)
         acting = np.zeros(4) if acting is None else acting
         if dt > 0.0:
-            self.effectiveness.update(x, self.effect.values, acting, dt)
+            led = self._references.at(t_ns - self._delay_ns)
+            self.effectiveness.update(x, self.effect.base, acting, dt, led)
+        self._references.add(t_ns, reference)
         self.effect = self._choice.update(t_ns, self.effectiveness)
         if isinstance(self._law, IncrementalLaw):
             dead = self.effectiveness.dead[0] and self.effect.sources[0] != IDENTIFIED
@@ -128,8 +130,9 @@ class RateController:
 
     def _restart(self, t_ns: int, x: FloatArray, reference: FloatArray) -> None:
         self._commands: History[FloatArray] = History()
+        self._references: History[FloatArray] = History()
         self.effectiveness.restart()
         if isinstance(self._law, IncrementalLaw):
             self._law.restart(x, reference, np.zeros(4))
         else:
-            self._law.restart(self._source.model(t_ns), x, reference)
+            self._law.restart(self._source.model(t_ns), self.effect.values, x, reference)

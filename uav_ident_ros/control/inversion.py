@@ -37,9 +37,12 @@ class InversionLaw:
     scale: FloatArray
     gains: Gains = GAINS
 
-    def restart(self, model: AttitudeModel, x: FloatArray, reference: FloatArray) -> None:
+    def restart(
+        self, model: AttitudeModel, effect: FloatArray, x: FloatArray, reference: FloatArray
+    ) -> None:
         """Forget the past: the first sample, or one after a gap."""
-        self._model, self._xhat, self._disturbance = model, x, np.zeros(3)
+        self._model, self._effect = model, effect
+        self._xhat, self._disturbance = x, np.zeros(3)
         self._reference = ReferenceModel(self.gains, reference)
 
     def update(
@@ -52,19 +55,23 @@ class InversionLaw:
         acting: FloatArray,
     ) -> FloatArray:
         """Return de, dr, da, dth; parameters as of `IncrementalLaw.update`, and the model."""
-        known = without_flow(model, x, acting)
+        by_itself = without_flow(model, x)
+        known = by_itself + effect @ acting
         # a new model explains more or less of what goes on: no bump in the sum of both
-        self._disturbance = self._disturbance + without_flow(self._model, x, acting) - known
-        self._model = model
+        before = without_flow(self._model, x) + self._effect @ acting
+        self._disturbance = self._disturbance + before - known
+        self._model, self._effect = model, effect
         error, w = x - self._xhat, self.gains.bandwidth * OBSERVER
         self._xhat = self._xhat + dt * (known + self._disturbance + 2.0 * w * error)
         self._disturbance = self._disturbance + dt * w**2 * error
         wanted = self._reference.wanted(dt, x, reference) - self._disturbance
-        by_itself = without_flow(model, x, np.zeros(4))
         return allocate(effect, wanted - by_itself, self.limits, self.scale)
 
 
-def without_flow(model: AttitudeModel, x: FloatArray, u: FloatArray) -> FloatArray:
-    """Angular acceleration, shape (3,), at flow angles of zero: theirs is left to the observer."""
+def without_flow(model: AttitudeModel, x: FloatArray) -> FloatArray:
+    """Angular acceleration without inputs, shape (3,), at flow angles of zero.
+
+    Theirs is left to the observer.
+    """
     state = np.append(x, (0.0, 0.0)) if model.structure.has_flow else x
-    return model.acceleration(state, u)
+    return model.acceleration(state, np.zeros(4))
