@@ -20,7 +20,6 @@ Numbers survive the way to disk and back to the last bit. Everything is checked 
 
 from __future__ import annotations
 
-import difflib
 import errno
 import glob
 import json
@@ -28,7 +27,7 @@ import math
 import os
 import re
 import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
@@ -38,7 +37,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from uav_ident_ros.files.strict_yaml import StrictLoader, yaml_problem
+from uav_ident_ros.files.strict_yaml import EntryError, StrictLoader, mapping, yaml_problem
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import MAX_DELAY
 from uav_ident_ros.identification.structure import STRUCTURES
@@ -225,7 +224,7 @@ def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[Coe
         reason = "it is nested too deeply"
     except yaml.YAMLError as error:
         reason = yaml_problem(error)
-    except _WrongError as error:
+    except EntryError as error:
         reason = str(error)
     raise CoefficientsFileError(f"coefficients file '{path}': {reason}")
 
@@ -236,9 +235,9 @@ def _text_of(path: Path) -> str:
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder")
     if not stat.S_ISREG(status.st_mode):
-        raise _WrongError("it is not a regular file")
+        raise EntryError("it is not a regular file")
     if status.st_size > LARGEST_FILE:
-        raise _WrongError(f"it has {status.st_size} bytes, more than any such file")
+        raise EntryError(f"it has {status.st_size} bytes, more than any such file")
     return path.read_text(encoding="utf-8")
 
 
@@ -248,15 +247,11 @@ def _reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-class _WrongError(Exception):
-    """What is wrong."""
-
-
 def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:
     """Check the entries that every file has."""
     if content is None:
-        raise _WrongError("it is empty")
-    top = _mapping(content, "the file", _TOP_KEYS, _NOTE_KEYS)
+        raise EntryError("it is empty")
+    top = mapping(content, "the file", _TOP_KEYS, _NOTE_KEYS)
     name = top["structure"]
     for wrong, reason in (
         (top["format"] != FORMAT, f"the format is '{top['format']}', not '{FORMAT}'"),
@@ -271,17 +266,17 @@ def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:
         ),
     ):
         if wrong:
-            raise _WrongError(reason)
+            raise EntryError(reason)
     structure = STRUCTURES[name]
-    entries = _mapping(top["coefficients"], "coefficients", structure.names)
+    entries = mapping(top["coefficients"], "coefficients", structure.names)
     values, sigma = np.zeros(structure.mask.shape), np.zeros(structure.mask.shape)
     for name, index in zip(structure.names, structure.free, strict=True):
-        entry = _mapping(entries[name], name, _ENTRY_KEYS)
+        entry = mapping(entries[name], name, _ENTRY_KEYS)
         values[index] = _number(entry["value"], f"the value of {name}")
         unknown = entry["sigma"] in _INFINITY
         sigma[index] = math.inf if unknown else _number(entry["sigma"], f"the sigma of {name}")
         if sigma[index] < 0.0:
-            raise _WrongError(f"the sigma of {name} is negative")
+            raise EntryError(f"the sigma of {name} is negative")
     return CoefficientSet(structure.name, values, sigma, _stamp(top["stamp"]))
 
 
@@ -289,39 +284,22 @@ def _notes(content: Mapping[str, Any]) -> Notes:
     """Check what stands beside the coefficients, as far as it is there."""
     delay = _number(content["delay"], "delay") if "delay" in content else None
     if delay is not None and not 0.0 <= delay <= MAX_DELAY:
-        raise _WrongError(f"delay is {delay:g}: allowed is 0 to {MAX_DELAY:g} s")
+        raise EntryError(f"delay is {delay:g}: allowed is 0 to {MAX_DELAY:g} s")
     usable = content.get("usable")
     if usable not in (None, "true", "false"):
-        raise _WrongError(f"usable is '{usable}', not true or false")
+        raise EntryError(f"usable is '{usable}', not true or false")
     learned_with = content.get("learned_with", {})
     if not isinstance(learned_with, dict):
-        raise _WrongError("learned_with must be a mapping")
+        raise EntryError("learned_with must be a mapping")
     saved = _time(content["saved"]) if "saved" in content else None
     texts = {name: str(value) for name, value in learned_with.items()}
     return Notes(saved, None if usable is None else usable == "true", delay, texts)
 
 
-def _mapping(
-    content: Any, owner: str, keys: Sequence[str], optional: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Check that a mapping has all the given keys, and of others only the optional ones."""
-    if not isinstance(content, dict):
-        raise _WrongError(f"{owner} must be a mapping with {', '.join(keys)}")
-    allowed = (*keys, *optional)
-    for key in content:
-        if key not in allowed:
-            near = difflib.get_close_matches(str(key), allowed, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(allowed)}"
-            raise _WrongError(f"{owner} has an unknown entry '{key}': {hint}")
-    if missing := [key for key in keys if key not in content]:
-        raise _WrongError(f"{owner} has no {', '.join(missing)}")
-    return content
-
-
 def _number(text: Any, what: str) -> float:
     number = float(text) if isinstance(text, str) and _NUMBER.fullmatch(text) else math.nan
     if not math.isfinite(number):
-        raise _WrongError(f"{what} is '{text}', not a finite number")
+        raise EntryError(f"{what} is '{text}', not a finite number")
     return number
 
 
@@ -330,9 +308,9 @@ def _stamp(text: Any) -> int:
         # Decimal, as seconds since 1970 do not keep their nanoseconds in a float.
         t_ns = int(Decimal(text) * NS_PER_S)
     except (InvalidOperation, ValueError, OverflowError, TypeError):
-        raise _WrongError(f"stamp is '{text}', not a number of seconds") from None
+        raise EntryError(f"stamp is '{text}', not a number of seconds") from None
     if t_ns < 0:
-        raise _WrongError("stamp is negative")
+        raise EntryError("stamp is negative")
     return t_ns
 
 
@@ -340,7 +318,7 @@ def _time(text: Any) -> datetime:
     try:
         time = datetime.fromisoformat(text)
     except (ValueError, TypeError):
-        raise _WrongError(f"saved is '{text}', not a time like 2023-11-14T22:13:25Z") from None
+        raise EntryError(f"saved is '{text}', not a time like 2023-11-14T22:13:25Z") from None
     if time.tzinfo is None:
-        raise _WrongError(f"saved is '{text}', without a time zone: add Z for UTC")
+        raise EntryError(f"saved is '{text}', without a time zone: add Z for UTC")
     return time

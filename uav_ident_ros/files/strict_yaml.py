@@ -1,11 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML as it stands in a file: every scalar is its text, and no key is there twice."""
+"""YAML as it stands in a file, checked entry by entry: scalars are their text, no key is twice."""
 
 from __future__ import annotations
 
+import difflib
+import math
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import yaml
+
+
+class EntryError(Exception):
+    """An entry is wrong; the message names it and what would be right."""
 
 
 class StrictLoader(yaml.BaseLoader):
@@ -33,3 +40,43 @@ def yaml_problem(error: yaml.YAMLError) -> str:
         mark = error.problem_mark or error.context_mark
         return f"line {mark.line + 1 if mark else 1}: {error.problem or error.context}"
     return str(error).splitlines()[0]
+
+
+def mapping(
+    content: Any, owner: str, needed: Collection[str], optional: Collection[str] = ()
+) -> dict[str, Any]:
+    """Return a mapping that has all the needed keys, and of others only the optional ones.
+
+    Raises
+    ------
+    EntryError
+        If it is none, or lacks a key, or has another one.
+    """
+    allowed = (*needed, *optional)
+    if not isinstance(content, Mapping):
+        raise EntryError(f"{owner} must be a mapping with {', '.join(allowed)}")
+    for key in content:
+        if key not in allowed:
+            raise EntryError(f"{owner} has an unknown entry '{key}': {meant(str(key), allowed)}")
+    if missing := [key for key in needed if key not in content]:
+        raise EntryError(f"{owner} has no {', '.join(missing)}")
+    return dict(content)
+
+
+def meant(name: str, known: Collection[str]) -> str:
+    """Return the question for the nearest of the known names, or else all of them."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(known)}"
+
+
+def finite(value: Any, what: str) -> float:
+    """Return a number that is finite.
+
+    Raises
+    ------
+    EntryError
+        If it is none.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise EntryError(f"{what} is {value!r}: a finite number is needed")
+    return float(value)

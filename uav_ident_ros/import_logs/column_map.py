@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -13,11 +12,11 @@ from typing import Any
 
 import yaml
 
-from uav_ident_ros.files.strict_yaml import yaml_problem
+from uav_ident_ros.files.strict_yaml import EntryError, finite, mapping, yaml_problem
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.import_logs.flight_log import Channel, ImportLogError
 
-TIME_UNITS = {"s": Decimal(10**9), "ms": Decimal(10**6), "us": Decimal(10**3), "ns": Decimal(1)}
+TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 """Nanoseconds in each unit of time."""
 
 RATE_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180.0}
@@ -41,28 +40,36 @@ channels:
 
 
 @dataclass(frozen=True)
+class Quantity:
+    """Columns that hold a quantity, and its unit."""
+
+    columns: tuple[str, ...] = ()  # None if the table does not have it
+    factor: float = 1.0  # Of the unit, SI; that of the time in ns
+
+
+@dataclass(frozen=True)
 class ColumnMap:
     """Meaning of the columns of a table."""
 
-    time: str  # Column of the time
-    time_ns: Decimal  # Its unit, ns
-    rates: tuple[str, ...]  # Columns of the rates
-    rates_factor: float  # Their unit, rad/s
-    axes: str  # ``frd`` or ``flu``
+    time: Quantity
+    rates: Quantity
+    force: Quantity  # Specific force
+    airspeed: Quantity  # True airspeed
     channels: dict[str, Channel]  # Channel by column
-    force: tuple[str, ...] = ()  # Columns of the specific force; empty for none
-    force_factor: float = 1.0  # Their unit, m/s^2
-    airspeed: str = ""  # Column of the true airspeed; empty for none
-    airspeed_factor: float = 1.0  # Its unit, m/s
-    # Accelerometer from the centre of gravity, m, FRD
-    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    delimiter: str = ","  # Between the cells
+    axes: str  # ``frd`` or ``flu``
+    lever_arm: tuple[float, float, float]  # Accelerometer from the centre of gravity, m, FRD
+    delimiter: str  # Between the cells
+
+    @property
+    def time_ns(self) -> Decimal:
+        """Unit of the time, ns."""
+        return Decimal(int(self.time.factor))
 
     @property
     def columns(self) -> list[str]:
-        """Every column that is read."""
-        airspeed = [self.airspeed] if self.airspeed else []
-        return [self.time, *self.rates, *self.force, *airspeed, *self.channels]
+        """Every column that is read, the time's first."""
+        quantities = (self.time, self.rates, self.force, self.airspeed)
+        return [c for quantity in quantities for c in quantity.columns] + list(self.channels)
 
 
 def load_column_map(path: Path) -> ColumnMap:
@@ -74,127 +81,95 @@ def load_column_map(path: Path) -> ColumnMap:
         If it cannot be read, an entry is missing, unknown or not allowed.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return _column_map(content)
+        return _column_map(yaml.safe_load(path.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
         raise ImportLogError(f"column map '{path}' cannot be read: {reason}") from None
     except yaml.YAMLError as error:
         raise ImportLogError(f"column map '{path}' is no YAML: {yaml_problem(error)}") from None
-    except _WrongError as error:
-        raise ImportLogError(f"column map '{path}': {error}") from None
-
-
-class _WrongError(Exception):
-    """What is wrong with an entry, and what would be right."""
+    except EntryError as error:
+        raise ImportLogError(f"column map '{path}': {error} (see import_log --help)") from None
 
 
 def _column_map(content: Any) -> ColumnMap:
-    vector, single = ("columns", "unit", "counts"), ("column", "unit")
-    top = _mapping(content, "", ("time", "axes", "rates", "channels"),
-                   ("specific_force", "airspeed", "lever_arm", "delimiter"))  # fmt: skip
-    time = _mapping(top["time"], "time", ("column",), single)
-    rates = _mapping(top["rates"], "rates", ("columns",), vector)
-    force = _mapping(top.get("specific_force", {}), "specific_force", (), vector)
-    airspeed = _mapping(top.get("airspeed", {}), "airspeed", (), single)
-    delimiter = top.get("delimiter", ",")
+    needed = ("time", "axes", "rates", "channels")
+    optional = ("specific_force", "airspeed", "lever_arm", "delimiter")
+    top = mapping(content, "the file", needed, optional)
+    delimiter, axes = top.get("delimiter", ","), top["axes"]
     if not isinstance(delimiter, str) or len(delimiter) != 1:
-        raise _WrongError(f"'delimiter' is {delimiter!r}: one character is needed")
+        raise EntryError(f"delimiter is {delimiter!r}: one character is needed")
+    if axes not in AXES:
+        raise EntryError(f"axes is '{axes}': allowed are {', '.join(AXES)}")
     arm = _three(top.get("lever_arm", [0.0, 0.0, 0.0]), "lever_arm", "numbers forward, right, down")
-    x, y, z = (_number(value, "lever_arm") for value in arm)
+    x, y, z = (finite(value, "lever_arm") for value in arm)
     return ColumnMap(
-        time=str(time["column"]),
-        time_ns=_choice(time.get("unit", "s"), "time.unit", TIME_UNITS),
-        rates=_columns(rates, "rates"),
-        rates_factor=_choice(rates.get("unit"), "rates.unit", RATE_UNITS) / _counts(rates, "rates"),
-        axes=_choice(top["axes"], "axes", {axes: axes for axes in AXES}),
-        channels=_channels(_mapping(top["channels"], "channels")),
-        force=_columns(force, "specific_force") if force else (),
-        force_factor=_choice(force.get("unit", "m/s^2"), "specific_force.unit", FORCE_UNITS)
-        / _counts(force, "specific_force"),
-        airspeed=str(_mapping(airspeed, "airspeed", ("column",), single)["column"])
-        if airspeed
-        else "",
-        airspeed_factor=_choice(airspeed.get("unit", "m/s"), "airspeed.unit", SPEED_UNITS),
+        time=_single(top, "time", TIME_UNITS),
+        rates=_vector(top, "rates", RATE_UNITS),
+        force=_vector(top, "specific_force", FORCE_UNITS, "m/s^2"),
+        airspeed=_single(top, "airspeed", SPEED_UNITS),
+        channels=_channels(top["channels"]),
+        axes=axes,
         lever_arm=(x, y, z),
         delimiter=delimiter,
     )
 
 
-def _channels(entries: Mapping[str, Any]) -> dict[str, Channel]:
-    known = ("column", "trim", "neutral", "scale", "unit", *INPUTS)
+def _single(top: Mapping[str, Any], name: str, units: Mapping[str, float]) -> Quantity:
+    """Return a quantity of one column; the unit is the first if none is given."""
+    if name not in top:
+        return Quantity()
+    entry = mapping(top[name], name, ("column",), ("unit",))
+    return Quantity((str(entry["column"]),), _unit(entry, name, units, next(iter(units))))
+
+
+def _vector(
+    top: Mapping[str, Any], name: str, units: Mapping[str, float], usual: str | None = None
+) -> Quantity:
+    """Return a quantity of three columns, perhaps in counts of a raw sensor."""
+    if name not in top:
+        return Quantity()
+    entry = mapping(top[name], name, ("columns",), ("unit", "counts"))
+    counts = finite(entry.get("counts", 1.0), f"{name}.counts")
+    if not counts:
+        raise EntryError(f"{name}.counts is 0: how many counts make up one unit?")
+    columns = _three(entry["columns"], f"{name}.columns", "columns x, y, z")
+    return Quantity(tuple(map(str, columns)), _unit(entry, name, units, usual) / counts)
+
+
+def _unit(
+    entry: Mapping[str, Any], name: str, units: Mapping[str, float], usual: str | None
+) -> float:
+    unit = entry.get("unit", usual)
+    if unit not in [*units]:
+        said = "missing" if unit is None else f"'{unit}'"
+        raise EntryError(f"{name}.unit is {said}: allowed are {', '.join(units)}")
+    return units[unit]
+
+
+def _channels(content: Any) -> dict[str, Channel]:
+    numbers = ("trim", "neutral", "scale", *INPUTS)
     channels: dict[str, Channel] = {}
-    for name, value in entries.items():
+    for name, value in mapping(content, "channels", (), content or ()).items():
         where = f"channels.{name}"
-        entry = _mapping(value, where, (), known)
+        entry = mapping(value, where, (), ("column", "unit", *numbers))
         column = str(entry.get("column", name))
         if column in channels:
-            raise _WrongError(f"'{where}': column '{column}' is used twice")
-
-        def number(key: str, default: float, entry: Any = entry, where: str = where) -> float:
-            return _number(entry.get(key, default), f"{where}.{key}")
-
-        de, dr, da, dth = (number(u, 0.0) for u in INPUTS)
-        channels[column] = Channel(
-            str(name),
-            (de, dr, da, dth),
-            f"column '{column}'",
-            number("scale", 1.0),
-            number("neutral", 0.0),
-            str(entry.get("unit", "as in the table")),
-            None if entry.get("trim") is None else number("trim", 0.0),
-        )
+            raise EntryError(f"{where}: column '{column}' is used twice")
+        given = {
+            key: finite(entry[key], f"{where}.{key}")
+            for key in numbers
+            if entry.get(key) is not None
+        }
+        de, dr, da, dth = (given.pop(key, 0.0) for key in INPUTS)
+        unit = str(entry.get("unit", "as in the table"))
+        effect, meaning = (de, dr, da, dth), f"column '{column}'"
+        channels[column] = Channel(str(name), effect, meaning, unit=unit, **given)
     if not any(any(channel.effect) for channel in channels.values()):
-        raise _WrongError(f"no channel says what it moves: give weights of {', '.join(INPUTS)}")
+        raise EntryError(f"no channel says what it moves: give weights of {', '.join(INPUTS)}")
     return channels
-
-
-def _mapping(
-    value: Any, name: str, needed: Sequence[str] = (), known: Sequence[str] | None = None
-) -> Mapping[str, Any]:
-    """Check that a mapping has what is needed, and nothing unknown; any names if none are known."""
-    prefix = f"{name}." if name else ""
-    if not isinstance(value, Mapping):
-        owner = f"'{name}'" if name else "the file"
-        raise _WrongError(f"{owner} must hold entries 'name: value' (see import_log --help)")
-    allowed = (*needed, *(known or ()))
-    for key in value if allowed else ():
-        if key not in allowed:
-            near = difflib.get_close_matches(str(key), allowed, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(allowed)}"
-            raise _WrongError(f"there is no entry '{prefix}{key}': {hint}")
-    for key in needed:
-        if key not in value:
-            raise _WrongError(f"'{prefix}{key}' is missing (see import_log --help)")
-    return value
-
-
-def _choice(value: Any, name: str, allowed: Mapping[str, Any]) -> Any:
-    if value not in [*allowed]:
-        said = "missing" if value is None else f"'{value}'"
-        raise _WrongError(f"'{name}' is {said}: allowed are {', '.join(allowed)}")
-    return allowed[value]
 
 
 def _three(value: Any, name: str, what: str) -> list[Any]:
     if not isinstance(value, list) or len(value) != AXES_OF_A_VECTOR:
-        raise _WrongError(f"'{name}' is {value!r}: three {what} are needed")
+        raise EntryError(f"{name} is {value!r}: three {what} are needed")
     return value
-
-
-def _columns(entry: Mapping[str, Any], name: str) -> tuple[str, ...]:
-    return tuple(map(str, _three(entry.get("columns"), f"{name}.columns", "columns x, y, z")))
-
-
-def _counts(entry: Mapping[str, Any], name: str) -> float:
-    """Return how many counts of a raw sensor make up one unit."""
-    counts = _number(entry.get("counts", 1.0), f"{name}.counts")
-    if not counts:
-        raise _WrongError(f"'{name}.counts' is 0: how many counts make up one unit?")
-    return counts
-
-
-def _number(value: Any, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise _WrongError(f"'{name}' is {value!r}: a finite number is needed")
-    return float(value)
