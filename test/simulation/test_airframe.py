@@ -51,7 +51,7 @@ def test_another_speed_scales_what_surfaces_do() -> None:
     ("text", "says"),
     [
         (TEXT.replace("speed", "sped"), "no entry 'sped'.*speed"),
-        (TEXT.replace("roll_gain", "rol_gain"), "no entry 'autopilot.rol_gain'.*roll_gain"),
+        (TEXT.replace("roll_gain", "rol_gain"), "autopilot has no entry 'rol_gain'.*roll_gain"),
         (TEXT.replace("model: c172p\n", ""), "'model' is missing"),
         (TEXT.replace("50.0", "-3.0"), "speed is -3.0"),
         (TEXT.replace("50.0", "fast"), "speed is fast"),

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.simulation.definition import (
-    _aircraft_flight,
-    _plant_flight,
     build_flight,
     build_sensors,
     definition_key,
+    flight_spec,
 )
 from uav_ident_ros.simulation.errors import SimulationError
 
@@ -27,8 +26,7 @@ import flights  # noqa: E402
 @pytest.mark.parametrize("name", flights.names())
 def test_every_definition_can_be_flown(name: str) -> None:
     own = flights.definition(name)
-    values = {k: v for k, v in own.items() if k not in ("sensors", "description")}
-    spec = _plant_flight(values) if "plant" in own else _aircraft_flight(values)
+    _, spec = flight_spec(own)
     assert spec.duration > 0.0 and own["description"] and "seed" in own
     assert spec.rate % build_sensors(own).rate == 0.0
 

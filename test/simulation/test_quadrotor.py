@@ -18,7 +18,8 @@ from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import GRAVITY, Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.quadrotor import AMPLITUDES, Body, Quadrotor, QuadrotorFlight, fly
+from uav_ident_ros.simulation.quadrotor import Body, Quadrotor
+from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight, fly
 
 STILL = (0.0, 0.0, 0.0)
 H = 1e-3

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.airframe import MODELS, Airframe, airframe
+from uav_ident_ros.simulation.airframe import MODELS, airframe
 from uav_ident_ros.simulation.errors import SimulationError
 
 FOOT = 0.3048
@@ -285,15 +285,20 @@ class Aircraft:
 class Autopilot:
     """Attitude, altitude and speed hold; low gains, so that the excitation comes through."""
 
-    def __init__(self, airframe: Airframe, trim: FloatArray, pitch: float) -> None:
-        self.airframe, self.trim, self.pitch = airframe, trim, pitch
+    def __init__(self, aircraft: Aircraft, signals: Sequence[float], rate: float) -> None:
+        self.airframe, self.trim, self.rate = aircraft.airframe, aircraft.surfaces, rate
+        self.pitch, self.altitude = (
+            signals[COLUMN["pitch"]],
+            signals[COLUMN["altitude"]] * FOOT,
+        )
 
-    def surfaces(self, signals: Sequence[float], climb: float, bank: float) -> FloatArray:
-        """Elevator, rudder, aileron, throttle from the signals (JSBSim's units)."""
+    def surfaces(self, signals: Sequence[float], bank: float = 0.0) -> FloatArray:
+        """Elevator, rudder, aileron, throttle from the signals (JSBSim's units), at `rate` Hz."""
         a, gains = self.airframe, self.airframe.autopilot
-        altitude = signals[COLUMN["altitude"]] * FOOT
+        before, self.altitude = self.altitude, signals[COLUMN["altitude"]] * FOOT
+        climb = (self.altitude - before) * self.rate
         speed = signals[COLUMN["airspeed"]] * FOOT
-        reference = self.pitch + gains.altitude_gain * (a.altitude - altitude)
+        reference = self.pitch + gains.altitude_gain * (a.altitude - self.altitude)
         pitch_error = signals[COLUMN["pitch"]] - (reference - gains.climb_gain * climb)
         roll_error = signals[COLUMN["roll"]] - bank
         correction = np.array(
@@ -309,27 +314,22 @@ class Autopilot:
 
 def settle(
     aircraft: Aircraft,  # As trimmed
-    time: float = SETTLING_TIME,  # How long, s
-) -> list[float]:
+    rate: float = AUTOPILOT_RATE,  # Of the autopilot, Hz
+) -> tuple[Autopilot, list[float]]:
     """Fly on the autopilot until nothing moves any more.
 
     Returns
     -------
-    list of float
-        The signals at the end; the surfaces are ``aircraft.surfaces``.
+    Autopilot, list of float
+        What flies it and the signals at the end; the surfaces are ``aircraft.surfaces``.
     """
     signals = aircraft.step()
-    autopilot = Autopilot(aircraft.airframe, aircraft.surfaces, signals[COLUMN["pitch"]])
-    every = round(aircraft.rate / AUTOPILOT_RATE)
-    altitude = signals[COLUMN["altitude"]]
-    for step in range(round(time * aircraft.rate)):
+    autopilot, every = Autopilot(aircraft, signals, rate), round(aircraft.rate / rate)
+    for step in range(round(SETTLING_TIME * rate) * every):
         if step % every == 0:
-            climb = (signals[COLUMN["altitude"]] - altitude) * FOOT * AUTOPILOT_RATE
-            altitude = signals[COLUMN["altitude"]]
-            wanted = autopilot.surfaces(signals, climb, 0.0)
-            aircraft.set_surfaces(aircraft.clip(wanted))
+            aircraft.set_surfaces(aircraft.clip(autopilot.surfaces(signals)))
         signals = aircraft.step()
-    return signals
+    return autopilot, signals
 
 
 def start_turbulence(fdm: Any, severity: int, seed: int) -> None:

@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.values import build
 
 FOLDER = Path(__file__).parent / "airframes"
 MODELS = FOLDER / "jsbsim"
@@ -114,36 +114,17 @@ def airframe(
 def _read(path: Path) -> Airframe:
     import yaml
 
+    where = f"aircraft file '{path}'"
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, yaml.YAMLError) as error:
-        raise SimulationError(f"aircraft file '{path}': {error}") from None
+        raise SimulationError(f"{where}: {error}") from None
     if not isinstance(content, dict):
-        raise SimulationError(f"aircraft file '{path}' has no entries like 'model: c172p'")
-    values: dict[str, Any] = dict(content)
-    _check(path, "", values, Airframe, given=("name",))
-    gains = values["autopilot"] if isinstance(values["autopilot"], dict) else {}
-    _check(path, "autopilot.", gains, Gains)
+        raise SimulationError(f"{where} has no entries like 'model: c172p'")
+    nested = {"autopilot": (Gains, f"{where}, autopilot")}
+    found: Airframe = build(Airframe, {"name": path.stem, **content}, where, nested)
     for key in ("speed", "altitude"):
-        if not (isinstance(values[key], int | float) and values[key] > 0.0):
-            raise SimulationError(f"aircraft file '{path}': {key} is {values[key]}, not positive")
-    return Airframe(name=path.stem, **{**values, "autopilot": Gains(**gains)})
-
-
-def _check(
-    path: Path, prefix: str, values: Mapping[str, Any], cls: Any, given: tuple[str, ...] = ()
-) -> None:
-    """Refuse entries that are unknown, and missing ones."""
-    names = [item.name for item in fields(cls) if item.name not in given]
-    for key in values:
-        if key not in names:
-            raise SimulationError(
-                f"aircraft file '{path}' has no entry '{prefix}{key}': there are "
-                f"{', '.join(prefix + name for name in names)}"
-            )
-    for name in names:
-        if name not in values and name not in _OPTIONAL:
-            raise SimulationError(f"aircraft file '{path}': '{prefix}{name}' is missing")
-
-
-_OPTIONAL = ("excitation", "pitch_damping", "altitude_gain", "climb_gain", "speed_gain")
+        value = getattr(found, key)
+        if not (isinstance(value, int | float) and value > 0.0):
+            raise SimulationError(f"{where}: {key} is {value}, not positive")
+    return found

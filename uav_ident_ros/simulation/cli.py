@@ -18,7 +18,7 @@ from uav_ident_ros.simulation.definition import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.inputs import INPUT_KINDS
 from uav_ident_ros.simulation.noise import FRAME_IDS
-from uav_ident_ros.simulation.quadrotor import AMPLITUDES as QUADROTOR_AMPLITUDES
+from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES as QUADROTOR_AMPLITUDES
 from uav_ident_ros.simulation.vehicles import VEHICLE_NAMES
 
 BASE_RATE = 1000.0

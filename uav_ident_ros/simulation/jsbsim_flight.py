@@ -10,30 +10,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.simulation.aircraft import (
-    COLUMN,
-    FOOT,
-    MAX_TURBULENCE,
-    Aircraft,
-    Autopilot,
-    start_turbulence,
-)
+from uav_ident_ros.simulation.aircraft import COLUMN, MAX_TURBULENCE
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault
 from uav_ident_ros.simulation.flight import (
     STEP_TOLERANCE,
     CoefficientChange,
     Flight,
-    IntArray,
     effect_of,
     stamps,
-    whole_steps,
 )
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
-
-SETTLING_TIME = 20.0
-"""Time on the autopilot before the record begins, s."""
+from uav_ident_ros.simulation.live import LiveAircraft
+from uav_ident_ros.simulation.noise import Sensors
 
 BANK_TIME = 20.0
 """Time of each turn of a banked flight, s, rolled into over `ROLL_TIME`."""
@@ -43,9 +34,6 @@ ROLL_TIME = 4.0
 
 MAX_BANK = 60.0
 """Largest bank angle that the autopilot is asked for, deg."""
-
-LARGEST_UPSET = math.radians(80.0)
-"""Roll or pitch angle at which a flight counts as lost, rad."""
 
 
 @dataclass(frozen=True)
@@ -109,74 +97,38 @@ def fly(
     SimulationError
         If JSBSim is not installed, or the aircraft cannot be trimmed or is lost.
     """
-    aircraft = Aircraft(spec.aircraft, spec.rate, spec.speed)
-    interval, named = 1.0 / spec.actuator_rate, f"actuator rate {spec.actuator_rate:g} Hz"
-    every = whole_steps(interval, spec.rate, named)
-    delay = whole_steps(spec.delay, spec.rate, f"delay {spec.delay:g} s")
-    first = -round(SETTLING_TIME * spec.actuator_rate) * every
-    last = math.floor(spec.duration * spec.rate + STEP_TOLERANCE)
-    steps = np.arange(first, last + 1)
-    command_steps = steps[::every]
-    excitation = sample_inputs(spec.segments, command_steps / spec.rate)
+    faults = [Fault("turbulence", value=spec.turbulence, time=0.0)]
+    for change in spec.changes:
+        effect = effect_of(spec.changes, change.time)
+        faults += [
+            Fault("effect", SURFACE_NAMES[i], effect[i], change.time)
+            for i in map(INPUTS.index, change.factors)
+        ]
+    live = LiveAircraft(
+        spec.aircraft, Sensors(rate=spec.actuator_rate), spec.delay, faults, spec.seed,
+        spec.speed, spec.rate,
+    )  # fmt: skip
+    count = math.floor(spec.duration * spec.rate + STEP_TOLERANCE) + 1
+    times = np.arange(0.0, count / spec.rate, 1.0 / spec.actuator_rate)
+    excitation = sample_inputs(spec.segments, times)
 
-    signals = aircraft.step()
-    autopilot = Autopilot(aircraft.airframe, aircraft.surfaces, signals[COLUMN["pitch"]])
-    commands = np.tile(aircraft.surfaces, (len(command_steps), 1))
-    trim, record, altitude = aircraft.surfaces, [], signals[COLUMN["altitude"]] * FOOT
-    acting, last_effect = -1, effect_of(spec.changes, -math.inf)
-    for k, step in enumerate(steps.tolist()):
-        t = step / spec.rate
-        if step == 0:
-            start_turbulence(aircraft.fdm, spec.turbulence, spec.seed)
-            trim = commands[max(0, k // every - 1)]
-        if k % every == 0:
-            above = signals[COLUMN["altitude"]] * FOOT
-            climb, altitude = (above - altitude) * spec.actuator_rate, above
-            wanted = autopilot.surfaces(signals, climb, _bank_reference(spec, t))
-            commands[k // every] = aircraft.clip(wanted + excitation[k // every])
-            _check_attitude(spec, signals, t)
-        due = max(0, k - delay) // every
-        effect = effect_of(spec.changes, t)
-        if due != acting or np.any(effect != last_effect):
-            acting, last_effect = due, effect
-            aircraft.set_surfaces(trim + effect * (commands[due] - trim))
-        signals = aircraft.step()
-        if step >= 0:
-            record.append(signals)
-    kept = command_steps >= 0
-    return _make_flight(
-        spec, name, aircraft.to_si(np.array(record)), command_steps[kept], commands[kept], trim
-    )
+    def told(k: int) -> FloatArray:
+        wanted = live.autopilot.surfaces(live.signals, _bank_reference(spec, times[k]))
+        return live.aircraft.clip(wanted + excitation[k])
 
-
-def _check_attitude(spec: AircraftFlight, signals: Sequence[float], t: float) -> None:
-    angles = (signals[COLUMN["roll"]], signals[COLUMN["pitch"]])
-    if not all(abs(angle) < LARGEST_UPSET for angle in angles):  # NaN fails too
-        raise SimulationError(
-            f"JSBSim aircraft '{spec.aircraft}' is lost at {t:.1f} s: use smaller amplitudes, "
-            "less bank or less turbulence"
-        )
-
-
-def _make_flight(
-    spec: AircraftFlight,
-    name: str,
-    record: FloatArray,
-    command_steps: IntArray,
-    commands: FloatArray,
-    trim: FloatArray,
-) -> Flight:
+    rows, commands = live.record(count, told)
+    record = live.aircraft.to_si(np.array(rows))
     extra = {key: record[:, COLUMN[key]] for key in ("alpha", "beta", "roll", "pitch", "altitude")}
-    surfaces = [COLUMN[key] for key in ("elevator", "rudder", "aileron", "throttle")]
+    surfaces = [COLUMN[key] for key in SURFACE_NAMES]
     return Flight(
         name=name or airframe(spec.aircraft).name,
-        t_ns=stamps(np.arange(len(record)) / spec.rate),
+        t_ns=stamps(np.arange(count) / spec.rate),
         rates=record[:, 0:3],
         angular_acceleration=record[:, 3:6],
         specific_force=record[:, 6:9],
-        actuator_t_ns=stamps(command_steps / spec.rate),
-        inputs=commands - trim,
-        trim=np.array(trim),
+        actuator_t_ns=stamps(times[: len(commands)]),
+        inputs=commands - live.trim,
+        trim=np.array(live.trim),
         delay=spec.delay,
         changes=spec.changes,
         local_truth=cruise_derivatives(spec.aircraft, spec.speed),

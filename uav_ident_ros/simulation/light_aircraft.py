@@ -17,16 +17,17 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.faults import Schedule
 from uav_ident_ros.simulation.flight import (
     GRAVITY,
     CoefficientChange,
     Flight,
     effect_of,
     stamps,
-    whole_steps,
 )
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
+from uav_ident_ros.simulation.live import Live
+from uav_ident_ros.simulation.noise import Sensors
 
 SPEED = 20.0
 """True airspeed in trim, m/s."""
@@ -54,9 +55,6 @@ TURN_TIME = 10.0
 
 GUST_TIME, ROLL_GUST_TIME = 1.5, 0.3
 """Correlation times of wind and of its rolling part, s: 30 m and 6 m of flight."""
-
-LOST = math.radians(85.0)
-"""Roll or pitch angle at which a flight counts as lost, rad."""
 
 
 @dataclass(frozen=True)
@@ -96,18 +94,23 @@ def fly(spec: LightFlight, name: str = "light_aircraft") -> Flight:
     SimulationError
         If the actuator rate does not divide the rate, or the aircraft is lost.
     """
-    named = f"actuator rate {spec.actuator_rate:g} Hz"
-    every = whole_steps(1.0 / spec.actuator_rate, spec.rate, named)
-    count = round(spec.duration * spec.rate) + 1
-    excitation = sample_inputs(spec.segments, np.arange(0, count, every) / spec.rate)
-    record, commands, surfaces = _integrate(spec, count, every, excitation)
+    live, count = _LiveLight(spec), round(spec.duration * spec.rate) + 1
+    times = np.arange(0, count, round(spec.rate / spec.actuator_rate)) / spec.rate
+    excitation = sample_inputs(spec.segments, times)
+
+    def told(k: int) -> FloatArray:
+        return np.add(_autopilot(spec, live.state, times[k]), excitation[k])
+
+    rows, commands = live.record(count, told)
+    record = np.array(rows)
+    speed = np.linalg.norm(record[:, 3:6], axis=1)
     return Flight(
         name=name,
         t_ns=stamps(np.arange(count) / spec.rate),
         rates=record[:, 0:3],
         angular_acceleration=record[:, 9:12],
         specific_force=record[:, 12:15],
-        actuator_t_ns=stamps(np.arange(0, count, every) / spec.rate),
+        actuator_t_ns=stamps(times),
         inputs=commands,
         trim=np.array(DEFAULT_TRIM),
         delay=spec.delay,
@@ -115,55 +118,46 @@ def fly(spec: LightFlight, name: str = "light_aircraft") -> Flight:
         changes=spec.changes,
         local_truth=dict(spec.truth),
         excitation=excited_intervals(spec.segments, spec.duration),
-        airspeed=np.linalg.norm(record[:, 3:6], axis=1),
+        airspeed=speed,
         extra={
             "alpha": np.arctan2(record[:, 5], record[:, 3]),
-            "beta": np.arcsin(record[:, 4] / np.linalg.norm(record[:, 3:6], axis=1)),
+            "beta": np.arcsin(record[:, 4] / speed),
             "roll": record[:, 6],
             "pitch": record[:, 7],
             "altitude": record[:, 8],
-            "surfaces": surfaces,
+            "surfaces": record[:, 15:19],
         },
     )
 
 
-def _integrate(
-    spec: LightFlight, count: int, every: int, excitation: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fly: record (N, 15), commands (M, 4) and surfaces (N, 4); midpoint rule, 5 ms a step."""
-    h, delay = 1.0 / spec.rate, round(spec.delay * spec.rate)
-    wind = _wind(spec, count)
-    keep = math.exp(-h / spec.time_constant) if spec.time_constant > 0.0 else 0.0
-    state: State = (0.0, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0, 0.0)
-    surface = np.zeros(len(INPUTS))
-    commands = np.zeros_like(excitation)
-    record, surfaces = np.empty((count, 15)), np.empty((count, len(INPUTS)))
-    switches = sorted(change.time for change in spec.changes)
-    effect = effect_of(spec.changes, 0.0)
-    for k in range(count):
-        t = k * h
-        if switches and t >= switches[0]:
-            switches.pop(0)
-            effect = effect_of(spec.changes, t)
-        if k % every == 0:
-            commands[k // every] = _autopilot(spec, state, t) + excitation[k // every]
-        due = k - delay
-        target = commands[due // every] if due >= 0 else np.zeros(len(INPUTS))
-        surface = target + (surface - target) * keep
+class _LiveLight(Live):
+    """It in flight: midpoint rule. A row has state, accelerations, forces and surfaces."""
+
+    def __init__(self, spec: LightFlight) -> None:
+        super().__init__(Sensors(rate=spec.actuator_rate), spec.delay, spec.seed, spec.rate)
+        self.spec, self.faults = spec, Schedule(())
+        self.state: State = (0.0, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._acting = self._surface = np.zeros(len(INPUTS))
+        self._wind = iter(_wind(spec, round(spec.duration * spec.rate) + 1))
+        lag = spec.time_constant
+        self._keep = math.exp(-1.0 / (spec.rate * lag)) if lag > 0.0 else 0.0
+
+    def _fly(self, acting: FloatArray, moved: bool) -> None:
+        spec, h, gust = self.spec, 1.0 / self.rate, next(self._wind)
+        surface = acting + (self._surface - acting) * self._keep
         surface[:3] = np.clip(surface[:3], -spec.travel, spec.travel)
-        surfaces[k] = surface
+        self._surface = surface
+        effect = effect_of(spec.changes, self.time) if spec.changes else 1.0
         u = (surface * effect).tolist()
-        gust = wind[k]
-        slope, acceleration, force = _slope(spec.truth, state, u, gust)
-        record[k] = (*state, *acceleration, *force)
-        middle = tuple(x + 0.5 * h * dx for x, dx in zip(state, slope, strict=True))
+        slope, acceleration, force = _slope(spec.truth, self.state, u, gust)
+        if self.rows is not None:
+            self.rows.append((*self.state, *acceleration, *force, *surface))
+        middle = tuple(x + 0.5 * h * dx for x, dx in zip(self.state, slope, strict=True))
         slope, _, _ = _slope(spec.truth, middle, u, gust)  # type: ignore[arg-type]
-        state = tuple(x + h * dx for x, dx in zip(state, slope, strict=True))  # type: ignore[assignment]
-        if not (abs(state[6]) < LOST and abs(state[7]) < LOST):  # NaN fails too
-            raise SimulationError(
-                f"the light aircraft is lost at {t:.1f} s: use smaller amplitudes or less wind"
-            )
-    return record, commands, surfaces
+        self.state = tuple(x + h * dx for x, dx in zip(self.state, slope, strict=True))  # type: ignore[assignment]
+
+    def _tilt(self) -> Sequence[float]:
+        return self.state[6:8]
 
 
 def _wind(spec: LightFlight, count: int) -> list[list[float]]:

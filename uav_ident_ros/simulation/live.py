@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vehicles that others fly: commands in, Imu samples out, one interval at a time."""
+"""The loop over time of every simulated vehicle: commands in, signals out.
+
+Who flies it is up to others: a controller answers Imu samples one at a time (`Live.sample`,
+`Live.command`, `Live.advance`), or a whole flight is recorded (`Live.record`).
+"""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +53,7 @@ class Sample:
 
 
 class Live:
-    """A vehicle in the loop; what it is like is up to `LiveAircraft` and `LiveQuadrotor`.
+    """A vehicle in flight; what it is like is up to `LiveAircraft` and the others.
 
     Raises
     ------
@@ -60,8 +65,8 @@ class Live:
     faults: Schedule  # What has gone wrong with it
     # (4,) Elevator, rudder, aileron (rad) and throttle of the steady flight that it starts in
     trim: FloatArray
-    # (4,) What the actuators were told last, within their limits. The throttle is its own: it holds
-    # airspeed or height
+    # What the actuators were told last, within their limits. Of `command` the throttle is its own:
+    # it holds airspeed or height
     outputs: FloatArray
     _acting: FloatArray
 
@@ -70,26 +75,30 @@ class Live:
         sensors: Sensors,  # Rate of the samples, noise and bias
         delay: float,  # From a sample to the surface or motor that its command moves, s
         seed: int,  # Seed of the noise
+        rate: float = SIMULATION_RATE,  # Of the simulation, Hz
     ) -> None:
-        self._substeps = whole_steps(
-            1.0 / sensors.rate, SIMULATION_RATE, f"Imu rate {sensors.rate:g} Hz"
-        )
-        self._delay = whole_steps(delay, SIMULATION_RATE, f"delay {delay:g} s")
-        self._sensors = sensors
+        self._substeps = whole_steps(1.0 / sensors.rate, rate, f"rate {sensors.rate:g} Hz")
+        self._delay = whole_steps(delay, rate, f"delay {delay:g} s")
+        self._sensors, self.rate = sensors, rate
         self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(2)]
         self._step = 0
         self._underway: deque[tuple[int, FloatArray]] = deque()
+        self.rows: list[Any] | None = None  # Of each step of a recorded flight
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
         """Return the outputs for elevator, rudder, aileron, rad; None: the last ones hold."""
         raise NotImplementedError
 
     def _fly(self, acting: FloatArray, moved: bool) -> None:
-        """Fly one step of the simulation; `moved` says that something may have changed."""
+        """Fly one step of the simulation and keep its row; `moved` says what may have changed."""
         raise NotImplementedError
 
     def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return rates, specific force, attitude and surfaces."""
+        raise NotImplementedError
+
+    def _tilt(self) -> Sequence[float]:
+        """Return roll and pitch, rad."""
         raise NotImplementedError
 
     def command(
@@ -98,8 +107,29 @@ class Live:
         surfaces: FloatArray | None,
     ) -> None:
         """Answer the newest sample."""
-        self.outputs = self._answer(surfaces)
-        self._underway.append((self._step + self._delay, self.outputs))
+        self._tell(self._answer(surfaces))
+
+    def _tell(self, outputs: FloatArray) -> None:
+        self.outputs = outputs
+        self._underway.append((self._step + self._delay, outputs))
+
+    def _advance_step(self, moved: bool = False) -> list[Fault]:
+        """Fly one step of the simulation."""
+        faults = self.faults.due(self.time)
+        moved |= bool(faults)
+        while self._underway and self._underway[0][0] <= self._step:
+            self._acting, moved = self._underway.popleft()[1], True
+        self._fly(self._acting, moved)
+        self._step += 1
+        return faults
+
+    def _check(self) -> None:
+        for name, angle in zip(("roll", "pitch"), self._tilt(), strict=True):
+            if not abs(angle) < LARGEST_UPSET:  # NaN fails too
+                raise SimulationError(
+                    f"the vehicle is lost at {self.time:.1f} s: its {name}. Smaller commands, "
+                    "weaker gusts or less delay would keep it"
+                )
 
     def advance(self) -> list[Fault]:
         """Fly on to the next sample; return the faults that came at their time.
@@ -109,23 +139,38 @@ class Live:
         SimulationError
             If it is lost.
         """
-        faults = self.faults.due(self.time)
-        moved = True  # a fault may have moved them
-        for _ in range(self._substeps):
-            while self._underway and self._underway[0][0] <= self._step:
-                self._acting, moved = self._underway.popleft()[1], True
-            self._fly(self._acting, moved)
-            moved = False
-            self._step += 1
-        for name, angle in zip(("roll", "pitch"), self._state()[2].tolist(), strict=False):
-            if not abs(angle) < LARGEST_UPSET:  # NaN fails too
-                raise SimulationError(f"the vehicle is lost at {self.time:.1f} s: its {name}")
+        faults = self._advance_step(moved=True)  # a fault at once may have moved them
+        for _ in range(1, self._substeps):
+            faults += self._advance_step()
+        self._check()
         return faults
+
+    def record(
+        self,
+        count: int,  # Steps of the simulation
+        told: Callable[[int], FloatArray],  # The outputs of each interval, within their limits
+    ) -> tuple[list[Any], FloatArray]:
+        """Fly on; return the row of every step and the outputs of every interval.
+
+        Raises
+        ------
+        SimulationError
+            If it is lost.
+        """
+        self.rows = []
+        commands: list[FloatArray] = []
+        for step in range(count):
+            if step % self._substeps == 0:
+                self._check()
+                commands.append(told(len(commands)))
+                self._tell(commands[-1])
+            self._advance_step()
+        return self.rows, np.array(commands)
 
     @property
     def time(self) -> float:
         """Time of the newest sample, s after the first."""
-        return self._step / SIMULATION_RATE
+        return self._step / self.rate
 
     def sample(self) -> Sample:
         """Measure it as it is; to be called once for each sample."""
@@ -143,38 +188,44 @@ class Live:
 
 
 class LiveAircraft(Live):
-    """A JSBSim aircraft in the loop."""
+    """A JSBSim aircraft in flight; a row has its signals, in JSBSim's units."""
 
     names = SURFACE_NAMES
 
     def __init__(
         self,
         name: str,  # As in `uav_ident_ros.simulation.airframe`
-        sensors: Sensors,  # sensors, delay, seed: As in `Live`
+        sensors: Sensors,  # sensors, delay, seed, rate: As in `Live`
         delay: float = 0.0,
         faults: Sequence[Fault] = (),  # Those that come at a time of their own
         seed: int = 0,
         speed: float | None = None,  # True airspeed in place of the aircraft's own, m/s
+        rate: float = SIMULATION_RATE,
     ) -> None:
-        super().__init__(sensors, delay, seed)
-        self.aircraft = Aircraft(name, SIMULATION_RATE, speed)  # JSBSim's aircraft
-        self._signals = settle(self.aircraft)
+        super().__init__(sensors, delay, seed, rate)
+        self.aircraft = Aircraft(name, rate, speed)  # JSBSim's aircraft
+        self.autopilot, self.signals = settle(self.aircraft, sensors.rate)
         self.trim = self.outputs = self._acting = self.aircraft.surfaces
-        self._airspeed = self._signals[COLUMN["airspeed"]]
+        self._airspeed = self.signals[COLUMN["airspeed"]]
         self.faults: Faults = Faults(self.aircraft, self.trim, seed, faults)
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
-        slow = (self._airspeed - self._signals[COLUMN["airspeed"]]) * FOOT
+        slow = (self._airspeed - self.signals[COLUMN["airspeed"]]) * FOOT
         told = self.outputs[:3] if surfaces is None else surfaces
         return self.aircraft.clip(np.append(told, self.trim[3] + SPEED_GAIN * slow))
 
     def _fly(self, acting: FloatArray, moved: bool) -> None:
         if moved:
             self.aircraft.set_surfaces(self.faults.surfaces(acting))
-        self._signals = self.aircraft.step()
+        self.signals = self.aircraft.step()
+        if self.rows is not None:
+            self.rows.append(self.signals)
+
+    def _tilt(self) -> Sequence[float]:
+        return self.signals[COLUMN["roll"]], self.signals[COLUMN["pitch"]]
 
     def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        signals = self.aircraft.to_si(np.array(self._signals))
+        signals = self.aircraft.to_si(np.array(self.signals))
         attitude, surfaces = (
             signals[[COLUMN[name] for name in names]]
             for names in (("roll", "pitch", "yaw"), SURFACE_NAMES)
@@ -183,34 +234,53 @@ class LiveAircraft(Live):
 
 
 class LiveQuadrotor(Live):
-    """A quadrotor in the loop, commanded as an aircraft is.
+    """A quadrotor in flight, commanded as an aircraft is.
 
     Elevator, rudder and aileron stand for pitch, yaw and roll: it mixes them into its motors, and
-    holds its height itself. Parameters are those of `LiveAircraft`.
+    holds its height itself. Parameters are those of `LiveAircraft`; a row has rates, specific
+    force, angular acceleration and angles.
     """
 
     names = QUADROTOR.names
 
     def __init__(
-        self, sensors: Sensors, delay: float = 0.0, faults: Sequence[Fault] = (), seed: int = 0
+        self,
+        sensors: Sensors,
+        delay: float = 0.0,
+        faults: Sequence[Fault] = (),
+        seed: int = 0,
+        rate: float = SIMULATION_RATE,
+        body: Body | None = None,
+        gusts: FloatArray | None = None,  # (N, 3) Angular acceleration of each step, rad/s^2
     ) -> None:
-        super().__init__(sensors, delay, seed)
-        self._craft, self._hold = Quadrotor(Body()), Hold()
-        self.trim = np.array([0.0, 0.0, 0.0, self._craft.body.hover])
+        super().__init__(sensors, delay, seed, rate)
+        self.craft, self.hold = Quadrotor(body or Body()), Hold()
+        self._gusts = iter(() if gusts is None else gusts.tolist())
+        self.trim = np.array([0.0, 0.0, 0.0, self.craft.body.hover])
         self._told: FloatArray = self.trim[:3]
         self.outputs = self._acting = QUADROTOR.trim(self.trim)
-        self.faults = MotorFaults(self._craft, faults)
+        self.faults = MotorFaults(self.craft, faults)
+
+    def motors(self, inputs: FloatArray) -> FloatArray:
+        """Motors' commands for de, dr, da, dth, within what they can do."""
+        return np.clip(QUADROTOR.raw(inputs, self.trim), 0.0, 1.0)
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
         self._told = self._told if surfaces is None else surfaces
-        inputs = np.append(self._told, self._hold.inputs(self._craft)[3])
-        return np.clip(QUADROTOR.raw(inputs, self.trim), 0.0, 1.0)
+        return self.motors(np.append(self._told, self.hold.inputs(self.craft)[3]))
 
     def _fly(self, acting: FloatArray, moved: bool) -> None:
-        self._craft.step(acting.tolist(), 1.0 / SIMULATION_RATE, STILL)
+        craft, gust = self.craft, next(self._gusts, STILL)
+        if self.rows is not None:
+            craft.look(gust)
+            self.rows.append((craft.rates, craft.force, craft.acceleration, craft.angles))
+        craft.step(acting.tolist(), 1.0 / self.rate, gust)
+
+    def _tilt(self) -> Sequence[float]:
+        return self.craft.angles[:2]
 
     def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        craft = self._craft
+        craft = self.craft
         craft.look(STILL)
         surfaces = QUADROTOR.inputs(np.array(craft.speeds), self.trim) + self.trim
         return np.array(craft.rates), np.array(craft.force), np.array(craft.angles), surfaces

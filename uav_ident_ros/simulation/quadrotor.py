@@ -16,21 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.simulation.channels import QUADROTOR
-from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
-from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import GRAVITY, Flight, stamps, whole_steps
-from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.flight import GRAVITY
 
 SIDES = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
 """Forward and right of the centre: motors front right, rear left, front left, rear right."""
 
 SPINS = (1.0, 1.0, -1.0, -1.0)
 """Sense of each rotor's torque on the body: the first two yaw it right."""
-
-LARGEST_UPSET = math.radians(80.0)
-"""Roll or pitch angle at which the flight counts as lost, rad."""
 
 
 @dataclass(frozen=True)
@@ -212,95 +205,3 @@ class Hold:
                 self.height * craft.down + self.sinking * craft.sinking,
             ]
         )
-
-
-@dataclass(frozen=True)
-class QuadrotorFlight:
-    """Everything that defines a flight of a quadrotor in hover."""
-
-    segments: Sequence[Segment]  # Excitation, added to the autopilot's commands
-    duration: float  # s
-    rate: float = 1000.0  # Rate of the simulation and of the noise-free samples, Hz
-    # Rate of the commands, Hz, a whole fraction of `rate`; each is held until the next
-    actuator_rate: float = 250.0
-    delay: float = 0.0  # From recorded command to motor, s; a whole number of simulation steps
-    time_constant: float = Body.time_constant  # Lag of the motors, s
-    gusts: ColouredNoise = CALM  # Angular acceleration, rad/s^2, on each axis
-    seed: int = 0  # Seed of the gusts
-
-    def __post_init__(self) -> None:
-        for name in ("duration", "rate", "actuator_rate", "time_constant"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise SimulationError(f"{name} is {getattr(self, name)}: it must be positive")
-        named = f"actuator rate {self.actuator_rate:g} Hz"
-        whole_steps(1.0 / self.actuator_rate, self.rate, named)
-        whole_steps(self.delay, self.rate, f"delay {self.delay:g} s")
-
-
-def fly(spec: QuadrotorFlight, name: str = "quadrotor") -> Flight:
-    """Fly a quadrotor in hover, on an autopilot that holds attitude and height.
-
-    Raises
-    ------
-    SimulationError
-        If it is lost.
-    """
-    body = Body(time_constant=spec.time_constant)
-    craft, hold = Quadrotor(body), Hold()
-    count = math.floor(spec.duration * spec.rate + 1e-6) + 1
-    every, late = round(spec.rate / spec.actuator_rate), round(spec.delay * spec.rate)
-    gusts = spec.gusts.sample(count, 3, spec.rate, np.random.default_rng([spec.seed, 0]))
-    times = np.arange(0, count, every) / spec.rate
-    inputs = sample_inputs(spec.segments, times)
-    trim = np.array([0.0, 0.0, 0.0, body.hover])
-    motors = np.tile(QUADROTOR.trim(trim), (len(times), 1))
-    out = {key: np.empty((count, 3)) for key in ("rates", "force", "acceleration", "angles")}
-    for step, gust in enumerate(gusts.tolist()):
-        if step % every == 0:
-            k = step // every
-            # within what a motor can do: the channels are what it was told
-            raw = QUADROTOR.raw(inputs[k] + hold.inputs(craft), trim)
-            motors[k] = np.clip(raw, 0.0, 1.0)
-            inputs[k] = QUADROTOR.inputs(motors[k], trim)
-        craft.look(gust)
-        for key, value in (
-            ("rates", craft.rates),
-            ("force", craft.force),
-            ("acceleration", craft.acceleration),
-            ("angles", craft.angles),
-        ):
-            out[key][step] = value
-        acting = max((step - late) // every, 0)
-        craft.step(motors[acting].tolist(), 1.0 / spec.rate, gust)
-        if not max(map(abs, craft.angles[:2])) < LARGEST_UPSET:  # NaN fails too
-            raise SimulationError(
-                f"the quadrotor is lost at {step / spec.rate:.1f} s: use smaller amplitudes, "
-                "gusts, lag or delay"
-            )
-    return Flight(
-        name=name,
-        t_ns=stamps(np.arange(count) / spec.rate),
-        rates=out["rates"],
-        angular_acceleration=out["acceleration"],
-        specific_force=out["force"],
-        actuator_t_ns=stamps(times),
-        inputs=inputs,
-        trim=trim,
-        delay=spec.delay,
-        time_constant=spec.time_constant,
-        local_truth=body.derivatives(),
-        parameters=PARAMETERS,
-        excitation=excited_intervals(spec.segments, spec.duration),
-        extra={"gust": gusts, "angles": out["angles"]},
-    )
-
-
-PARAMETERS = {
-    "structure": "augmented",
-    "fixed_coefficients": ["pdot/ay", "qdot/az", "rdot/ay"],  # no flow angles
-    "actuators.thrust_curve": [1.0] * len(SIDES),
-}
-"""Parameters of the identifier that suit it, beside those of its channels."""
-
-AMPLITUDES = dict(zip(INPUTS, (0.02, 0.05, 0.02, 0.03), strict=True))
-"""Peaks of an excitation that moves it well and keeps it near hover."""
