@@ -15,10 +15,10 @@ from uav_ident_ros.import_logs.ardupilot_names import name_as_today
 from uav_ident_ros.import_logs.ardupilot_outputs import PINS, READERS, is_old_rate, read_outputs
 from uav_ident_ros.import_logs.autopilot import Import
 from uav_ident_ros.import_logs.dataflash import read_dataflash
-from uav_ident_ros.import_logs.flight_log import Choice, FlightLog, ImportLogError, Stream
-from uav_ident_ros.import_logs.knowledge import describe_rotation, quaternions, table
+from uav_ident_ros.import_logs.flight_log import Choice, FlightLog, ImportLogError
+from uav_ident_ros.import_logs.knowledge import table
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.stamps import Stretches, hold, intervals
+from uav_ident_ros.import_logs.stamps import Stretches, intervals
 
 RAW, FILTERED = "GYR", "IMU"
 
@@ -55,16 +55,15 @@ def read_ardupilot(
     name_as_today(log, firmware)
     it.in_the_air(log.messages("STAT"), "isFlying", lambda flying: flying > 0)
     it.say_flight(_armed(log), "ARM, EV")
-    rates = it.read_rates(
-        {RAW: _raw, FILTERED: _filtered}, lambda name, unit: _gyro(log, name, unit)
-    )
+    readers = dict.fromkeys((RAW, FILTERED), _rates)
+    rates = it.read_rates(readers, lambda name, unit: _gyro(log, name, unit))
     actuators = read_outputs(it)
     hovering = firmware == "Copter" or actuators[0] == "RATE"
     statistics = log.messages("DSF")
     if statistics is not None and "Dp" in statistics and statistics.columns["Dp"].max() > 0:
         lost = statistics.columns["Dp"].max()
-        log.findings.lost.append(f"the logger lost {lost:.0f} messages (DSF.Dp)")
-    return it.flight_log(title, rates, actuators, hovers=hovering, **_estimates(it))
+        log.findings.doubt(f"the logger lost {lost:.0f} messages (DSF.Dp)")
+    return it.flight_log(title, rates, actuators, hovers=hovering)
 
 
 def _firmware(text: str) -> str:
@@ -115,63 +114,10 @@ def _gyro(log: Log, name: str, unit: int) -> Messages | None:
     return messages if messages and messages.has(*table("ardupilot")["gyro"]) else None
 
 
-def _raw(it: Import, messages: Messages) -> Rates:
-    it.log.findings.read.append(
-        f"rates: {messages.name}, raw samples stamped when sampled (SampleUS), in body axes "
-        "forward-right-down"
-    )
-    it.log.findings.assumed.append(
-        "GYR is from before the filters: INS_RAW_LOG_OPT can ask for the filtered rates instead"
-    )
-    return _rates(it, messages)
-
-
-def _filtered(it: Import, messages: Messages) -> Rates:
-    it.log.findings.read.append(f"rates: {messages.name}, in body axes forward-right-down")
-    more = ". Raw rates (GYR) are logged if LOG_BITMASK asks for raw IMU"
-    it.say_low_pass(FILTERED, "INS_GYRO_FILTER", more)
-    return _rates(it, messages)
-
-
 def _rates(it: Import, messages: Messages) -> Rates:
     """Rates in body axes, and the specific force from the same messages or others."""
-    number = it.log.parameters.get("AHRS_ORIENTATION")
-    if number is None:
-        it.log.findings.assumed.append(
-            "the log has no AHRS_ORIENTATION; ArduPilot logs in body axes anyway"
-        )
-    else:
-        it.log.findings.read.append(
-            f"board orientation: AHRS_ORIENTATION {number:g}, {describe_rotation(int(number))}; "
-            "ArduPilot has turned IMU and GYR by it"
-        )
+    it.say_orientation("AHRS_ORIENTATION", "ArduPilot has turned IMU and GYR by it")
     names, unit = it.table["force"], it.choice.rates_instance
     own = names[FILTERED]
     force = messages.values(*own) if messages.has(*own) else it.force_at(messages, names, unit)
     return messages.sample_ns, messages.values(*it.table["gyro"]), force
-
-
-# --- the rest -----------------------------------------------------------------------------------
-
-
-def _estimates(it: Import) -> dict[str, Stream]:
-    """Find the airspeed, made true by Plane's ratio if that was logged, and the attitude."""
-    streams, findings = {}, it.log.findings
-    if found := it.first("airspeed"):
-        messages, speed = found
-        tuning = it.log.messages("CTUN")
-        if tuning is not None and "E2T" in tuning:
-            ratio = hold(messages.stamp_ns, tuning.stamp_ns, tuning.values("E2T"))
-            speed = speed * np.where(np.isfinite(ratio), ratio, 1.0)
-            findings.read.append("true airspeed: ARSP.Airspeed times CTUN.E2T")
-        else:
-            findings.assumed.append(
-                "ARSP.Airspeed is indicated; without CTUN.E2T it is taken as true"
-            )
-        streams["airspeed"] = Stream("ARSP", messages.stamp_ns, speed[:, 0])
-    if found := it.first("attitude"):
-        messages, angles = found
-        findings.read.append("attitude: ATT, as the Imu's orientation (FRD to NED)")
-        turned = quaternions(*np.radians(angles).T)
-        streams["attitude"] = Stream("ATT", messages.stamp_ns, turned)
-    return streams

@@ -43,7 +43,7 @@ def _copter(log: Log) -> dict[str, float]:
     if not said:
         used = _pins_with_pulses(log)
         frame_class = known["old_motor_counts"].get(used)
-        log.findings.assumed.append(f"{used} pins carry pulses: they are its motors")
+        log.findings.assume(f"{used} pins carry pulses: they are its motors")
     frame = {"FRAME_CLASS": float(frame_class or 0), "FRAME_TYPE": parameters["FRAME"]}
     _, arms = FRAMES.get((frame["FRAME_CLASS"], frame["FRAME_TYPE"]), ("", []))
     functions = {number: function for function, number in known["motors"].items()}
@@ -53,7 +53,7 @@ def _copter(log: Log) -> dict[str, float]:
             if (value := parameters.get(f"{STICK}{end}")) is not None:
                 frame[f"SERVO{number}_{end}"] = value
     if arms:
-        log.findings.assumed.append(
+        log.findings.assume(
             "a log without SERVOn_FUNCTION: the motors are on the pins of their numbers, their "
             f"range is the throttle's ({STICK}MIN, MAX)"
         )
@@ -72,7 +72,7 @@ def _plane(log: Log) -> dict[str, float]:
     """Surfaces on the pins of the sticks' channels, and what RCn_FUNCTION says of the others."""
     parameters = log.parameters
     if paired := [name for name in PAIRED if parameters.get(name)]:
-        log.findings.lost.append(
+        log.findings.doubt(
             f"{paired[0]} is {parameters[paired[0]]:g}: how such pairs turn is not known here"
         )
         return {}
@@ -88,7 +88,7 @@ def _plane(log: Log) -> dict[str, float]:
             if (reach := parameters.get(f"RC{pin}_{end}")) is not None:
                 result[f"SERVO{pin}_{end}"] = reach
         result[f"SERVO{pin}_REVERSED"] = float(parameters.get(f"RC{pin}_REV", 1.0) < 0)
-    log.findings.assumed.append(
+    log.findings.assume(
         "a log without SERVOn_FUNCTION: aileron, elevator, throttle, rudder are on the pins of "
         "their sticks (RCMAP_*), ranges and directions are those of RCn_MIN, TRIM, MAX, REV"
     )

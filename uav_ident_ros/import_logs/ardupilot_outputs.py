@@ -16,10 +16,9 @@ from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
     Channel,
     Effect,
-    ImportLogError,
     unique_names,
 )
-from uav_ident_ros.import_logs.knowledge import effect_of, effects_of_arms, table
+from uav_ident_ros.import_logs.knowledge import between, effect_of, effects_of_arms, table
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.stamps import join
 
@@ -60,9 +59,9 @@ def read_outputs(it: Import) -> Actuators:
         it.log.findings.lost += [f"RCOU is passed over: {UNNAMED}"] if usable else []
     name = it.choose(usable or found)
     source, t_ns, values, channels = READERS[name](it, found[name])
-    it.log.findings.read.append(f"actuators: {source}, stamped when logged")
+    it.log.findings.say(f"actuators: {source}, stamped when logged")
     if not any(any(channel.effect) for channel in channels):
-        raise ImportLogError(f"log '{it.log.path}': {UNNAMED}")
+        raise it.log.refusal(f": {UNNAMED}")
     return source, t_ns, values, channels
 
 
@@ -117,15 +116,16 @@ def _channels(log: Log, functions: dict[int, int]) -> tuple[Channel, ...]:
     for name, (pin, function) in zip(names, functions.items(), strict=True):
         if function in SURFACES:
             share = 1.0 / every.count(function)  # two servos of one function: their mean
-            channels.append(_surface(log, pin, name, effect_of(SURFACES[function], share)))
+            effect = effect_of(SURFACES[function], share)
+            channels.append(_pulse(log, pin, name, effect, surface=True))
         elif function in THROTTLES:
-            channels.append(_range(log, pin, name, (0.0, 0.0, 0.0, 1.0 / throttles)))
+            channels.append(_pulse(log, pin, name, (0.0, 0.0, 0.0, 1.0 / throttles)))
         elif function in MOTORS:
             effect = rotors.get(MOTORS[function], NO_EFFECT)
-            channels.append(_range(log, pin, name, effect, motor=True))
+            channels.append(_pulse(log, pin, name, effect, motor=True))
         else:
             channels.append(Channel(name, NO_EFFECT, f"SERVO{pin}_FUNCTION {function}", unit="us"))
-    log.findings.read.append(
+    log.findings.say(
         "functions, ranges, directions from SERVOn_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
     )
     return tuple(channels)
@@ -139,40 +139,25 @@ def _name(pin: int, function: int) -> str:
     return str(THROTTLES.get(function, f"output_{pin}"))
 
 
-def _surface(log: Log, pin: int, name: str, effect: Effect) -> Channel:
-    """Return a pin that deflects to both sides of its trim."""
-    low, high, sign = _limits(log, pin)
-    trim = log.parameter(f"SERVO{pin}_TRIM", PWM_TRIM)
-    if abs(trim - (low + high) / 2.0) > OFF_CENTRE * (high - low):
-        log.findings.assumed.append(
+def _pulse(
+    log: Log, pin: int, name: str, effect: Effect, *, surface: bool = False, motor: bool = False
+) -> Channel:
+    """Return a pin that runs from nothing to full, or deflects to both sides of its trim."""
+    prefix = f"SERVO{pin}_"
+    low, high = log.parameter(f"{prefix}MIN", PWM_MIN), log.parameter(f"{prefix}MAX", PWM_MAX)
+    if motor and log.parameter("MOT_PWM_MAX") > 0.0:
+        low, high = log.parameter("MOT_PWM_MIN", low), log.parameter("MOT_PWM_MAX")
+    sign = -1.0 if log.parameter(f"{prefix}REVERSED") else 1.0
+    trim = log.parameter(f"{prefix}TRIM", PWM_TRIM) if surface else None
+    if trim is not None and abs(trim - (low + high) / 2.0) > OFF_CENTRE * (high - low):
+        log.findings.assume(
             f"{name}: one unit is half of {low:g} to {high:g} us to either side, although its "
             f"trim, {trim:g} us, is off the middle"
         )
-    function = log.parameter(f"SERVO{pin}_FUNCTION")
+    span = f"{low:g} to {high:g}" if trim is None else f"{low:g} {trim:g} {high:g}"
     turned = ", reversed" if sign < 0 else ""
-    meaning = f"SERVO{pin}_FUNCTION {function:g}, {low:g} {trim:g} {high:g} us{turned}"
-    return Channel(name, effect, meaning, 2.0 * sign / (high - low), trim, "us")
-
-
-def _range(log: Log, pin: int, name: str, effect: Effect, *, motor: bool = False) -> Channel:
-    """Return a pin that runs from nothing to full."""
-    low, high, sign = _limits(log, pin)
-    if motor and log.parameter("MOT_PWM_MAX") > 0.0:
-        low, high = log.parameter("MOT_PWM_MIN", low), log.parameter("MOT_PWM_MAX")
-    function = log.parameter(f"SERVO{pin}_FUNCTION")
-    meaning = f"SERVO{pin}_FUNCTION {function:g}, {low:g} to {high:g} us"
-    return Channel(name, effect, meaning, sign / (high - low), low if sign > 0 else high, "us")
-
-
-def _limits(log: Log, pin: int) -> tuple[float, float, float]:
-    """Return least and greatest pulse width, us, and the direction."""
-    low = log.parameter(f"SERVO{pin}_MIN", PWM_MIN)
-    high = log.parameter(f"SERVO{pin}_MAX", PWM_MAX)
-    if not high > low:
-        raise ImportLogError(
-            f"log '{log.path}': SERVO{pin}_MIN is {low:g} and SERVO{pin}_MAX is {high:g}: no range"
-        )
-    return low, high, -1.0 if log.parameter(f"SERVO{pin}_REVERSED") else 1.0
+    meaning = f"{prefix}FUNCTION {log.parameter(f'{prefix}FUNCTION'):g}, {span} us{turned}"
+    return Channel(name, effect, meaning, *between(low, high, sign, trim), "us")
 
 
 def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
@@ -180,23 +165,23 @@ def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
     if not any(function in MOTORS for function in functions):
         return {}
     if any(function in SURFACES for function in functions):
-        log.findings.assumed.append(
+        log.findings.assume(
             "a QuadPlane: the surfaces and the forward throttle count, its lift motors are only "
             "recorded"
         )
         return {}
     key = _frame(log)
     if key not in FRAMES:
-        raise ImportLogError(
-            f"log '{log.path}': FRAME_CLASS {key[0]} and FRAME_TYPE {key[1]} are not known here "
+        raise log.refusal(
+            f": FRAME_CLASS {key[0]} and FRAME_TYPE {key[1]} are not known here "
             f"({', '.join(name for name, _ in FRAMES.values())}); try --actuators-topic RATE"
         )
     name, arms = FRAMES[key]
-    log.findings.read.append(
+    log.findings.say(
         f"{name} with ArduPilot's motor order and senses of rotation (FRAME_CLASS {key[0]}, "
         f"FRAME_TYPE {key[1]})"
     )
-    log.findings.assumed.append(
+    log.findings.assume(
         "thrust is taken as proportional to the pulse width about its trim (MOT_THST_EXPO bends it)"
     )
     return dict(enumerate(effects_of_arms(arms), 1))
@@ -217,11 +202,10 @@ def _demands(it: Import, messages: Messages) -> Actuators:
     old = messages.name == "RATE" and is_old_rate(messages)
     known = KNOWN["controls"][f"old {messages.name}" if old else messages.name]
     fields = known["fields"]
-    it.log.findings.assumed.append(known["assumed"])
+    it.log.findings.assume(known["assumed"])
     if missing := [field for field in fields if field not in messages]:
-        raise ImportLogError(
-            f"log '{it.log.path}': {messages.name} has no {', '.join(missing)}; it has "
-            f"{', '.join(messages.columns)}"
+        raise it.log.refusal(
+            f": {messages.name} has no {', '.join(missing)}; it has {', '.join(messages.columns)}"
         )
     channels = tuple(
         Channel(entry["name"], effect_of(entry), f"{messages.name}.{field}", 1.0 / entry["unit"])

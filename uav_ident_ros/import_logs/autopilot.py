@@ -19,12 +19,19 @@ from uav_ident_ros.import_logs.flight_log import (
     Channel,
     Choice,
     FlightLog,
-    ImportLogError,
     Stream,
     gyro_and_force,
 )
+from uav_ident_ros.import_logs.knowledge import describe_rotation, quaternions
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.stamps import Stretches, coverage, inside, interpolate, intervals
+from uav_ident_ros.import_logs.stamps import (
+    Stretches,
+    coverage,
+    hold,
+    inside,
+    interpolate,
+    intervals,
+)
 
 ENOUGH_RATE = 20.0
 """Slowest rates the identifier works with, Hz. Commands slower than this are thinned out too much,
@@ -33,6 +40,9 @@ too: PX4 logs the motors at 10 Hz by default, while it commands them at several 
 ENOUGH_COVERAGE = 0.9
 """Messages that cover less than this part of what the best cover are passed over: a topic that was
 switched on for a part of the flight tells of that part alone."""
+
+EULER_ANGLES = 3
+"""Columns of an attitude that is given as roll, pitch, yaw, deg, in place of a quaternion."""
 
 Actuators = tuple[str, TimeArray, FloatArray, tuple[Channel, ...]]
 """Source, stamps (ns), raw values (m, C) and the C channels of the commands."""
@@ -62,9 +72,8 @@ class Import:
             If it is.
         """
         if (vehicle := self.table["not_aircraft"][key].get(found)) is not None:
-            raise ImportLogError(
-                f"log '{self.log.path}' is of {vehicle} ({source} {found}): the model is that of "
-                "an aircraft's attitude"
+            raise self.log.refusal(
+                f" is of {vehicle} ({source} {found}): the model is that of an aircraft's attitude"
             )
 
     def find(
@@ -84,16 +93,15 @@ class Import:
         wanted: str | None = getattr(self.choice, f"{what}_topic")
         instance: int = getattr(self.choice, f"{what}_instance")
         if wanted is not None and wanted not in names:
-            raise ImportLogError(
-                f"log '{self.log.path}': '{wanted}' are no messages of {what}: there are "
-                f"{', '.join(names)}"
+            raise self.log.refusal(
+                f": '{wanted}' are no messages of {what}: there are {', '.join(names)}"
             )
         looked_for = [wanted] if wanted else names
         found = {name: m for name in looked_for if (m := find(name, instance)) is not None}
         if not found:
             which = f", instance {instance}" if instance else ""
-            raise ImportLogError(
-                f"log '{self.log.path}' has no {what} ({', '.join(looked_for)}{which}); it has "
+            raise self.log.refusal(
+                f" has no {what} ({', '.join(looked_for)}{which}); it has "
                 f"{', '.join(sorted(self.log.kinds)) or 'no messages at all'}"
             )
         return found
@@ -118,7 +126,7 @@ class Import:
         chosen = whole[0] if fast else max(whole, key=lambda name: rates[name])
         if len(names) > 1:
             listed = [f"{n} at {rates[n]:.4g} Hz over {100.0 * shares[n]:.0f} %" for n in names]
-            findings.read.append(f"{chosen} is taken; of the flight there is {', '.join(listed)}")
+            findings.say(f"{chosen} is taken; of the flight there is {', '.join(listed)}")
         before_mixer = self.table["before_mixer"]
         for name in names[: names.index(chosen)]:
             slow = rates[name] < ENOUGH_RATE and shares[name] >= ENOUGH_COVERAGE * most
@@ -129,9 +137,10 @@ class Import:
             )
             loss = ", from before the mixer, and knows nothing of saturation"
             tail = loss if chosen in before_mixer and name not in before_mixer else ""
-            findings.lost.append(f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}")
+            findings.doubt(f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}")
+        self.say_of(chosen, usable[chosen].name)
         if rates[chosen] < ENOUGH_RATE:
-            findings.lost.append(
+            findings.doubt(
                 f"{chosen} has {rates[chosen]:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed"
                 f"{self._to_log_faster(chosen)}"
             )
@@ -155,7 +164,10 @@ class Import:
         for kind, fields in self.table["streams"][name].items():
             messages = self.log.messages(kind)
             if messages is not None and messages.has(*fields):
-                return messages, messages.values(*fields)
+                values = messages.values(*fields)
+                if np.isfinite(values).any():
+                    self.say_of(kind, messages.name)
+                    return messages, values
         return None
 
     def say_flight(self, armed: Stretches | None, where: str) -> None:
@@ -164,7 +176,7 @@ class Import:
         if armed is not None and (self.flown is None or not armed):
             self.flown = self._said("armed", where, armed)
         elif self.flown is None:
-            self.log.findings.assumed.append(
+            self.log.findings.assume(
                 "the log does not say when it flew: all of it counts as flight"
             )
 
@@ -172,11 +184,11 @@ class Import:
         """Say for how long the vehicle was in a state, armed and so on, and who says so."""
         if stretches:
             seconds = sum(end - start for start, end in stretches) * 1e-9
-            self.log.findings.read.append(
+            self.log.findings.say(
                 f"{state} for {seconds:.1f} s in {len(stretches)} stretch(es) ({source})"
             )
         else:
-            self.log.findings.lost.append(
+            self.log.findings.doubt(
                 f"the vehicle was never {state} ({source}): no model can come of this log"
             )
         return stretches
@@ -197,22 +209,37 @@ class Import:
         for name, fields in names.items():
             messages = self.log.messages(name, instance)
             if messages is not None and messages.has(*fields) and messages.rate >= ENOUGH_RATE:
-                self.log.findings.read.append(
+                self.log.findings.say(
                     f"specific force: {messages.name}, interpolated to the stamps of the rates"
                 )
                 return interpolate(rates.sample_ns, messages.sample_ns, messages.values(*fields))
-        self.log.findings.lost.append(
-            "there is no accelerometer at a useful rate: ay and az are zero"
-        )
+        self.log.findings.doubt("there is no accelerometer at a useful rate: ay and az are zero")
         return None
 
-    def say_low_pass(self, name: str, parameter: str, more: str = "") -> None:
-        """Say that rates are filtered."""
-        cutoff = self.log.parameters.get(parameter)
-        at = f" at {cutoff:g} Hz ({parameter})" if cutoff else ""
-        self.log.findings.lost.append(
-            f"{name} is low-passed{at} by the autopilot: it comes late, which counts as a further "
-            f"delay of the inputs{more}"
+    def say_of(self, kind: str, name: str) -> None:
+        """Say what the table has to say of messages that are taken."""
+        said, findings = self.table["said"].get(kind, {}), self.log.findings
+        if "read" in said:
+            findings.say(said["read"].format(name=name))
+        if "assumed" in said:
+            findings.assume(said["assumed"])
+        if "low_pass" in said:
+            cutoff = self.log.parameter(said["low_pass"])
+            at = f" at {cutoff:g} Hz ({said['low_pass']})" if cutoff else ""
+            findings.doubt(
+                f"{kind} is low-passed{at} by the autopilot: it comes late, which counts as a "
+                f"further delay of the inputs{said['more']}"
+            )
+
+    def say_orientation(self, parameter: str, consequence: str, more: str = "") -> None:
+        """Say how the board stands in the body, and who has turned the rates by it."""
+        if parameter not in self.log.parameters:
+            self.log.findings.assume(f"the log has no {parameter}: rotation none ({consequence})")
+            return
+        number = int(self.log.parameter(parameter))
+        self.log.findings.say(
+            f"board orientation: {parameter} {number}, {describe_rotation(number)}{more}; "
+            f"{consequence}"
         )
 
     def read_rates(
@@ -227,19 +254,16 @@ class Import:
         t_ns, rates, force = readers[name](self, usable[name])
         instances = self.log.instances(sensor or name)
         if len(instances) > 1:
-            self.log.findings.read.append(
-                f"instances {instances} of {sensor or name} (--rates-instance)"
-            )
+            self.log.findings.say(f"instances {instances} of {sensor or name} (--rates-instance)")
         return Stream(usable[name].name, t_ns, gyro_and_force(rates, force))
 
     def flight_log(
-        self, title: str, rates: Stream, actuators: Actuators, *, hovers: bool, **found: Stream
+        self, title: str, rates: Stream, actuators: Actuators, *, hovers: bool
     ) -> FlightLog:
         """Put together what was read with all that the table tells to read."""
         source, t_ns, values, channels = actuators
-        streams = {"rates": rates, "actuators": Stream(source, t_ns, values), **found}
-        streams |= self._setpoint_and_mode()
-        self.log.findings.read.append(
+        streams = {"rates": rates, "actuators": Stream(source, t_ns, values)} | self._estimates()
+        self.log.findings.say(
             "stamps are the autopilot's time since its start, not the time of day"
         )
         imported = tuple(self.table["parameters"]["imported"])
@@ -267,12 +291,23 @@ class Import:
             },
         )
 
-    def _setpoint_and_mode(self) -> dict[str, Stream]:
+    def _estimates(self) -> dict[str, Stream]:
+        """Find what the autopilot knew and wanted: airspeed, attitude, rates asked for, mode."""
         streams = {}
+        if found := self.first("airspeed"):
+            messages, speed = found
+            if self.table["streams"]["airspeed_ratio"]:
+                speed = speed * self._airspeed_ratio(messages)
+            streams["airspeed"] = Stream(messages.name, messages.sample_ns, speed[:, 0])
+        if found := self.first("attitude"):
+            messages, turned = found
+            if turned.shape[1] == EULER_ANGLES:
+                turned = quaternions(*np.radians(turned).T)
+            streams["attitude"] = Stream(messages.name, messages.sample_ns, turned)
         if found := self.first("setpoint"):
             messages, rates = found
             fields = ", ".join(self.table["streams"]["setpoint"][messages.name])
-            self.log.findings.read.append(f"rates asked for: {messages.name}.{fields}")
+            self.log.findings.say(f"rates asked for: {messages.name}.{fields}")
             unit = self.table["setpoint_unit"]
             streams["setpoint"] = Stream(messages.name, messages.stamp_ns, unit * rates)
         if found := self.first("mode"):
@@ -283,20 +318,29 @@ class Import:
             names = self.table["modes"]
             said = np.array([names.get(int(n), f"{field} {n}") for n in numbers[changed]])
             listed = ", ".join(dict.fromkeys(said))
-            self.log.findings.read.append(f"mode: {messages.name}.{field}: {listed}")
+            self.log.findings.say(f"mode: {messages.name}.{field}: {listed}")
             streams["mode"] = Stream(messages.name, messages.stamp_ns[changed], said)
         return streams
+
+    def _airspeed_ratio(self, airspeed: Messages) -> FloatArray:
+        """Return the ratio of true to indicated airspeed (k, 1); 1 where it is not logged."""
+        if (found := self.first("airspeed_ratio")) is None:
+            self.log.findings.assume(
+                f"{airspeed.name} is indicated airspeed; without a ratio it is taken as true"
+            )
+            return np.ones((1, 1))
+        messages, ratios = found
+        ratio = hold(airspeed.stamp_ns, messages.stamp_ns, ratios)
+        return np.where(np.isfinite(ratio), ratio, 1.0)
 
     def _lever_arm(self) -> tuple[float, float, float]:
         """Read the accelerometer's place, m, FRD."""
         prefix = self.table["parameters"]["lever_arm"].format(self.choice.rates_instance + 1)
         x, y, z = (self.log.parameter(f"{prefix}{axis}") for axis in "XYZ")
         if any((x, y, z)):
-            self.log.findings.read.append(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
+            self.log.findings.say(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
         else:
-            self.log.findings.assumed.append(
-                f"the accelerometer is at the centre of gravity ({prefix}* 0)"
-            )
+            self.log.findings.assume(f"the accelerometer is at the centre of gravity ({prefix}* 0)")
         return x, y, z
 
     def _ground_speed(self) -> float:

@@ -20,7 +20,7 @@ from uav_ident_ros.import_logs.flight_log import (
     Stream,
     gyro_and_force,
 )
-from uav_ident_ros.import_logs.knowledge import effects_of_arms, table
+from uav_ident_ros.import_logs.knowledge import between, effects_of_arms, table
 from uav_ident_ros.import_logs.log import NS_PER_US
 
 MAGIC = b"H Product:Blackbox flight data recorder"
@@ -57,11 +57,11 @@ def read_blackbox(
     if "accSmooth[2]" in fields:
         force = _vector(fields, values, "accSmooth", 3) * GRAVITY / float(headers["acc_1G"])
     else:
-        findings.lost.append("there is no accelerometer (accSmooth): ay and az are zero")
-    findings.read.append(f"rates: {name}, in body axes forward-left-up")
+        findings.doubt("there is no accelerometer (accSmooth): ay and az are zero")
+    findings.say(f"rates: {name}, in body axes forward-left-up")
     if name == GYROS[1]:
         cutoff = headers.get("gyro_lowpass_hz", headers.get("gyro_lpf1_static_hz"))
-        findings.lost.append(
+        findings.doubt(
             "gyroADC is behind the filters"
             + (f" (low-pass at {cutoff} Hz)" if cutoff else "")
             + ": it comes late, which counts as a further delay of the inputs. Betaflight 4.5 logs "
@@ -69,7 +69,7 @@ def read_blackbox(
         )
     channels = _motors(path, headers, fields, findings)
     commands = _vector(fields, values, "motor", len(channels))
-    findings.assumed.append("all of the log counts as flight: a blackbox begins when it is armed")
+    findings.assume("all of the log counts as flight: a blackbox begins when it is armed")
     streams = {
         "rates": Stream(name, t_ns, gyro_and_force(rates, force)),
         "actuators": Stream("motor", t_ns, commands),
@@ -93,7 +93,7 @@ def _read(path: Path, findings: Findings) -> tuple[dict[str, Any], list[str], Fl
     longest = int(np.argmax(np.diff(starts))) + 1
     parser.set_log_index(longest)
     if len(starts) > 2:
-        findings.read.append(f"log {longest} of {len(starts) - 1} in this file, the longest")
+        findings.say(f"log {longest} of {len(starts) - 1} in this file, the longest")
     fields = parser.field_names
     frames: list[tuple[float, ...]] = []
     try:
@@ -102,7 +102,7 @@ def _read(path: Path, findings: Findings) -> tuple[dict[str, Any], list[str], Fl
     except Exception as error:  # damaged bytes make a parser fail in many ways
         reader = parser.reader
         if reader.tell() >= len(reader):
-            findings.lost.append("the file is cut off at its end: what is there was read")
+            findings.doubt("the file is cut off at its end: what is there was read")
         else:
             findings.damage.append(
                 f"the file is damaged: orangebox stopped at byte {reader.tell()} of {len(reader)} "
@@ -126,7 +126,7 @@ def _say_missing(fields: list[str], frames: list[tuple[float, ...]], findings: F
     gaps = steps[steps > 1.5 * usual]
     if len(gaps):
         missing = round(float((gaps / usual - 1.0).sum()))
-        findings.lost.append(
+        findings.doubt(
             f"{missing} of {missing + len(frames)} frames are missing or damaged, in "
             f"{len(gaps)} places"
         )
@@ -158,14 +158,13 @@ def _motors(
         arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
     throttle = [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000]
     low, high = headers.get("motorOutput", throttle)
-    if not high > low:
-        raise ImportLogError(f"log '{path}': motorOutput is {low}, {high}: no range")
-    findings.read.append(f"motor commands from {low} to {high} (motorOutput)")
-    findings.assumed.append(
+    span = between(float(low), float(high))
+    findings.say(f"motor commands from {low} to {high} (motorOutput)")
+    findings.assume(
         "a quadrotor in X with Betaflight's motor order (rear right, front right, rear left, front "
         f"left), propellers turning inwards at the front{turned}"
     )
     return tuple(
-        Channel(f"motor_{i + 1}", effect, "motor of quad x", 1.0 / (high - low), low, "counts")
+        Channel(f"motor_{i + 1}", effect, "motor of quad x", *span, "counts")
         for i, effect in enumerate(effects_of_arms(arms))
     )

@@ -207,11 +207,11 @@ def _first_bytes(path: Path) -> bytes:
 def _say_streams(log: FlightLog) -> None:
     """Add to the findings what the stamps tell."""
     for name, stream in log.streams.items():
-        log.findings.read.append(f"{name}: {describe(stream.t_ns)}")
+        log.findings.say(f"{name}: {describe(stream.t_ns)}")
         log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(stream.t_ns)]
     values = log.streams["actuators"].values[:, [column for column, _ in log.used]]
     if without := int((~np.isfinite(values)).any(axis=1).sum()):
-        log.findings.lost.append(
+        log.findings.doubt(
             f"actuators: {without} samples lack a value of a channel in use, as of a motor that is "
             "off: they will be dropped"
         )

@@ -57,12 +57,12 @@ def read_csv(
     except (csv.Error, EntryError) as error:
         raise ImportLogError(f"table '{path}': {error}") from None
     if not columns.force.columns:
-        findings.lost.append("there is no accelerometer: ay and az are zero")
-    findings.read.append(
+        findings.doubt("there is no accelerometer: ay and az are zero")
+    findings.say(
         f"units and axes from the column map: rates in body axes {columns.axes}, times "
         f"{columns.rates.factor:.6g} to rad/s"
     )
-    findings.assumed.append(
+    findings.assume(
         "the stamp of a row is that of all its values, unfiltered; the table does not say when it "
         "flew"
     )
@@ -137,7 +137,7 @@ def _read_table(
     if not values:
         raise EntryError("it has no complete row below its header")
     if short:
-        findings.lost.append(
+        findings.doubt(
             f"{len(short)} rows have too few cells and were left out, the first in line {short[0]}"
         )
     return np.array(t_ns, dtype=np.int64), np.array(values)

@@ -95,25 +95,25 @@ def _airspeed(log: FlightLog, use: bool | None) -> dict[str, Any]:
     speed = _flown_speed(log)
     if use if use is not None else speed >= SLOWEST_FLIGHT:
         values["airspeed.type"] = TOPICS["airspeed"].msgtype
-        log.findings.read.append(f"the airspeed is used; in flight its median is {speed:.3g} m/s")
+        log.findings.say(f"the airspeed is used; in flight its median is {speed:.3g} m/s")
     elif "airspeed" in log.streams:
         reason = (
             f"in flight its median is {speed:.3g} m/s"
             if speed
             else "it was not measured for most of the flight"
         )
-        log.findings.lost.append(f"the airspeed is not used: {reason}")
+        log.findings.doubt(f"the airspeed is not used: {reason}")
     usual = speed or log.ground_speed
     if usual >= SLOWEST_FLIGHT:
         values["airspeed.reference"] = round(min(usual, FASTEST), 3)
     if speed >= SLOWEST_FLIGHT or log.hovers:
         return values
     if log.ground_speed >= SLOWEST_FLIGHT:
-        log.findings.assumed.append(
+        log.findings.assume(
             f"airspeed.reference is the median speed over ground, {log.ground_speed:.3g} m/s"
         )
     else:
-        log.findings.lost.append(
+        log.findings.doubt(
             "no speed of flight is in the log: set airspeed.reference to the usual airspeed, which "
             "the forces on wings go with"
         )

@@ -93,6 +93,18 @@ class Findings:
     assumed: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)  # What is missing or doubtful
 
+    def say(self, sentence: str) -> None:
+        """Add what the log itself says."""
+        self.read.append(sentence)
+
+    def assume(self, sentence: str) -> None:
+        """Add what was taken for granted."""
+        self.assumed.append(sentence)
+
+    def doubt(self, sentence: str) -> None:
+        """Add what is missing or doubtful."""
+        self.lost.append(sentence)
+
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
@@ -157,7 +169,7 @@ class FlightLog:
         if not self.flown:
             reason = "it never flew" if self.flown is not None else "it does not say when it flew"
             raise ImportLogError(f"log '{self.path}': {reason}: leave --flight-only out")
-        self.findings.lost.append("what was logged on the ground is left out (--flight-only)")
+        self.findings.doubt("what was logged on the ground is left out (--flight-only)")
         flight = {name: self.in_flight(name) for name in self.streams}
         return self._only(flight, "in flight: leave --flight-only out")
 

@@ -19,7 +19,7 @@ import yaml
 from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.flight_log import Effect
+from uav_ident_ros.import_logs.flight_log import Effect, ImportLogError
 from uav_ident_ros.import_logs.stamps import interpolate
 
 SENSES = {"ccw": 1.0, "cw": -1.0}
@@ -73,6 +73,26 @@ def rotor_effects(
     names = ("roll", "pitch", "yaw", "thrust")
     columns = np.vstack([rows, thrust / thrust.sum()]).T.tolist()
     return [effect_of(dict(zip(names, column, strict=True))) for column in columns]
+
+
+def between(
+    low: float,  # low, high: raw values at the ends of the range
+    high: float,
+    sign: float = 1.0,  # -1 if the range is turned round
+    centre: float | None = None,  # Raw value at rest of what deflects to both sides
+) -> tuple[float, float]:
+    """Return scale and neutral of a channel that runs from nothing to full, or to both sides.
+
+    Raises
+    ------
+    ImportLogError
+        If that is no range.
+    """
+    if not high > low:
+        raise ImportLogError(f"an output is said to run from {low:g} to {high:g}: no range")
+    if centre is None:
+        return sign / (high - low), low if sign > 0.0 else high
+    return 2.0 * sign / (high - low), centre
 
 
 def describe_rotation(number: int) -> str:

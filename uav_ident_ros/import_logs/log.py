@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
-from uav_ident_ros.import_logs.flight_log import Findings
+from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError
 from uav_ident_ros.import_logs.resync import Gap, loss_in_words
 from uav_ident_ros.import_logs.stamps import plausible, rate
 
@@ -96,6 +96,10 @@ class Log:
     start_ns: int | None = None  # Stamp of the start, ns; None if it is not known
     _found: dict[tuple[str, int], Messages] = field(default_factory=dict)
 
+    def refusal(self, reason: str) -> ImportLogError:
+        """Return the error that says why the log cannot be imported."""
+        return ImportLogError(f"log '{self.path}'{reason}")
+
     @property
     def end_ns(self) -> int:
         """Newest stamp, ns."""
@@ -146,6 +150,6 @@ class Log:
         """Say how much of the file could not be read; a gap at the end may be a `cut`."""
         if gaps and cut:
             gaps.pop()
-            self.findings.lost.append("the file is cut off at its end: what is there was read")
+            self.findings.doubt("the file is cut off at its end: what is there was read")
         if gaps:
             self.findings.damage.insert(0, loss_in_words(gaps, size, sorted(stamped)))

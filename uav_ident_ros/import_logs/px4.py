@@ -10,8 +10,8 @@ import numpy as np
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.autopilot import Import, RatesReader
-from uav_ident_ros.import_logs.flight_log import Choice, FlightLog, ImportLogError, Stream
-from uav_ident_ros.import_logs.knowledge import board_to_body, describe_rotation, table
+from uav_ident_ros.import_logs.flight_log import Choice, FlightLog
+from uav_ident_ros.import_logs.knowledge import board_to_body, table
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.px4_actuators import COMMANDS, hovers, read_actuators
 from uav_ident_ros.import_logs.px4_folder import read_folder
@@ -62,27 +62,10 @@ def read_px4(
     rates = it.read_rates(RATES_READERS, log.messages, "sensor_gyro")
     actuators = read_actuators(it)
     hovering = hovers(log, choice.actuators_instance)
-    return it.flight_log(title_of(log), rates, actuators, hovers=hovering, **_estimates(it))
+    return it.flight_log(title_of(log), rates, actuators, hovers=hovering)
 
 
 LANDED = "vehicle_land_detected"
-
-
-def _estimates(it: Import) -> dict[str, Stream]:
-    """Find the true airspeed, validated by PX4 (newer logs) or as measured, and the attitude."""
-    streams = {}
-    found = it.first("airspeed")
-    if found is not None and np.isfinite(found[1]).any():
-        messages, speed = found
-        it.log.findings.read.append(f"true airspeed: {messages.name}.true_airspeed_m_s")
-        streams["airspeed"] = Stream(messages.name, messages.stamp_ns, speed[:, 0])
-    if found := it.first("attitude"):
-        messages, quaternion = found
-        it.log.findings.read.append(
-            "attitude: vehicle_attitude.q, as the Imu's orientation (FRD to NED)"
-        )
-        streams["attitude"] = Stream(messages.name, messages.sample_ns, quaternion)
-    return streams
 
 
 # --- rates --------------------------------------------------------------------------------------
@@ -91,21 +74,17 @@ def _estimates(it: Import) -> dict[str, Stream]:
 def _from_sensor_combined(it: Import, topic: Messages) -> Rates:
     """Calibrated mean rates over each gyro period, in the body's axes."""
     findings = it.log.findings
-    findings.read.append(
-        "rates: sensor_combined, calibrated means over the gyro's period, before PX4's low-pass, "
-        "in body axes forward-right-down"
-    )
-    _say_orientation(it.log, "PX4 has turned sensor_combined by it")
+    _say_orientation(it, "PX4 has turned sensor_combined by it")
     relative = topic.columns["accelerometer_timestamp_relative"]
     valid = relative != RELATIVE_STAMP_INVALID
     if not valid.any():
-        findings.lost.append("there is no valid accelerometer sample: ay and az are zero")
+        findings.doubt("there is no valid accelerometer sample: ay and az are zero")
         return topic.stamp_ns, topic.array("gyro_rad"), None
     if not valid.all():
-        findings.lost.append(f"{int((~valid).sum())} accelerometer samples are invalid: held over")
+        findings.doubt(f"{int((~valid).sum())} accelerometer samples are invalid: held over")
     last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))
     if offset := float(np.median(relative[valid])) * 1e-3:
-        findings.read.append(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
+        findings.say(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
     return topic.stamp_ns, topic.array("gyro_rad"), topic.array("accelerometer_m_s2")[last]
 
 
@@ -113,31 +92,24 @@ def _from_sensor_gyro(it: Import, topic: Messages) -> Rates:
     """Uncalibrated rates of one gyro, in the board's axes: offset and rotation applied here."""
     log, raw = it.log, topic.values(*"xyz")
     if "timestamp_sample" not in topic:
-        log.findings.assumed.append(
+        log.findings.assume(
             "sensor_gyro without timestamp_sample (before v1.11) is calibrated, filtered and "
             "turned into body axes by its driver"
         )
         return topic.stamp_ns, raw, it.force_at(topic, it.table["force"])
     matrix = board_to_body(_rotation_number(log), _board_offsets(log))
     if matrix is None:
-        raise ImportLogError(
-            f"log '{log.path}': SENS_BOARD_ROT is {_rotation_number(log)}, which is not known: "
+        raise log.refusal(
+            f": SENS_BOARD_ROT is {_rotation_number(log)}, which is not known: "
             "--rates-topic sensor_combined or vehicle_angular_velocity needs no rotation"
         )
     offset = _gyro_offset(log, topic)
-    _say_orientation(log, "applied here to sensor_gyro, which is in the board's axes")
-    log.findings.read.append(
-        f"rates: {topic.name}, unfiltered, stamped when sampled (timestamp_sample)"
-    )
+    _say_orientation(it, "applied here to sensor_gyro, which is in the board's axes")
     return topic.sample_ns, (raw - offset) @ matrix.T, it.force_at(topic, it.table["force"])
 
 
 def _from_angular_velocity(it: Import, topic: Messages) -> Rates:
     """Take the rates that PX4 controls with."""
-    it.log.findings.read.append(
-        "rates: vehicle_angular_velocity, in body axes forward-right-down, stamped when sampled"
-    )
-    it.say_low_pass("vehicle_angular_velocity", "IMU_GYRO_CUTOFF", "; notches add to it")
     return topic.sample_ns, topic.array("xyz"), it.force_at(topic, it.table["force"])
 
 
@@ -158,16 +130,10 @@ def _board_offsets(log: Log) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _say_orientation(log: Log, consequence: str) -> None:
-    if "SENS_BOARD_ROT" not in log.parameters:
-        log.findings.assumed.append(f"the log has no SENS_BOARD_ROT: rotation none ({consequence})")
-        return
-    number, offsets = _rotation_number(log), _board_offsets(log)
+def _say_orientation(it: Import, consequence: str) -> None:
+    offsets = _board_offsets(it.log)
     fine = ", fine offsets {:.2f} {:.2f} {:.2f} deg".format(*offsets) if any(offsets) else ""
-    log.findings.read.append(
-        f"board orientation: SENS_BOARD_ROT {number}, {describe_rotation(number)}{fine}; "
-        f"{consequence}"
-    )
+    it.say_orientation("SENS_BOARD_ROT", consequence, fine)
 
 
 def _gyro_offset(log: Log, topic: Messages) -> FloatArray:
@@ -175,7 +141,7 @@ def _gyro_offset(log: Log, topic: Messages) -> FloatArray:
     device = int(topic.columns["device_id"][0]) if "device_id" in topic else 0
     for i in range(MOST_GYROS):
         if device and int(log.parameter(f"CAL_GYRO{i}_ID")) == device:
-            log.findings.read.append(f"gyro offset: CAL_GYRO{i}_XOFF, YOFF, ZOFF, subtracted")
+            log.findings.say(f"gyro offset: CAL_GYRO{i}_XOFF, YOFF, ZOFF, subtracted")
             return np.array([log.parameter(f"CAL_GYRO{i}_{axis}OFF") for axis in "XYZ"])
-    log.findings.assumed.append("no CAL_GYROi_ID is this gyro's: its offset is taken as zero")
+    log.findings.assume("no CAL_GYROi_ID is this gyro's: its offset is taken as zero")
     return np.zeros(3)

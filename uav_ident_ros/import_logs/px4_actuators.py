@@ -19,10 +19,15 @@ from uav_ident_ros.import_logs.autopilot import Actuators, ActuatorsReader, Impo
 from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
     Channel,
-    ImportLogError,
     unique_names,
 )
-from uav_ident_ros.import_logs.knowledge import effect_of, effects_of_arms, rotor_effects, table
+from uav_ident_ros.import_logs.knowledge import (
+    between,
+    effect_of,
+    effects_of_arms,
+    rotor_effects,
+    table,
+)
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.stamps import join
 
@@ -64,10 +69,10 @@ def read_actuators(it: Import) -> Actuators:
     usable = it.find("actuators", READERS, find)
     name = _choose(it, usable)
     actuators = READERS[name](it, usable[name])
-    it.log.findings.read.append(f"actuators: {actuators[0]}")
+    it.log.findings.say(f"actuators: {actuators[0]}")
     if "timestamp_sample" in usable[name]:
         delays = usable[name].stamp_ns - usable[name].sample_ns
-        it.log.findings.read.append(
+        it.log.findings.say(
             "commands count from their publication (timestamp), in the median "
             f"{np.median(delays) * 1e-6:.2f} ms after the gyro sample they answer "
             "(timestamp_sample)"
@@ -79,7 +84,7 @@ def _choose(it: Import, usable: dict[str, Messages]) -> str:
     """Name the best topic: nearest to the actuators, of those that say what they move."""
     sets = _sets_of_a_hybrid(it.log)
     if sets:
-        it.log.findings.assumed.append(
+        it.log.findings.assume(
             f"a VTOL: {sets[0]} are the commands of hover, {sets[1]} those of forward flight "
             f"(--actuators-instance); {it.choice.actuators_instance} is taken"
         )
@@ -131,12 +136,10 @@ def _allocated(it: Import, _: Messages) -> Actuators:
             sources.append(topic.name)
     source = " and ".join(sources)
     if not channels:
-        raise ImportLogError(
-            f"log '{log.path}': {source} hold no value throughout: the motors were never on"
-        )
+        raise log.refusal(f": {source} hold no value throughout: the motors were never on")
     if not any(any(channel.effect) for channel in channels):
-        raise ImportLogError(
-            f"log '{log.path}': no parameter (CA_ROTOR*, CA_SV_CS*) says what {source} move; try "
+        raise log.refusal(
+            f": no parameter (CA_ROTOR*, CA_SV_CS*) says what {source} move; try "
             "--actuators-topic vehicle_torque_setpoint"
         )
     t_ns, values = parts[0] if len(parts) == 1 else join(*parts)
@@ -155,21 +158,19 @@ def _motors(log: Log, count: int) -> list[Channel]:
 
         positions = np.column_stack([of_all("PX"), of_all("PY")])
         effects[:rotors] = rotor_effects(positions, of_all("KM", 0.05), of_all("CT", 6.5))
-        log.findings.read.append(
+        log.findings.say(
             f"{rotors} rotors: positions, senses of rotation and thrusts from CA_ROTORi_PX, PY, "
             "KM, CT"
         )
-        log.findings.assumed.append(
+        log.findings.assume(
             "thrust is taken as proportional to the command about its trim: a constant factor if "
             "THR_MDL_FAC is not"
         )
     elif rotors and airframe == FIXED_WING:
         effects[:rotors] = [(0.0, 0.0, 0.0, 1.0 / rotors)] * rotors
-        log.findings.read.append(
-            f"{rotors} motor(s) of a fixed wing (CA_AIRFRAME 1): dth is their mean"
-        )
+        log.findings.say(f"{rotors} motor(s) of a fixed wing (CA_AIRFRAME 1): dth is their mean")
     elif rotors:
-        log.findings.assumed.append(
+        log.findings.assume(
             f"CA_AIRFRAME {airframe}: what the motors turn is not known here, they are only "
             "recorded"
         )
@@ -194,7 +195,7 @@ def _servos(log: Log, count: int) -> list[Channel]:
         channels.append(Channel(name, effect, meaning, neutral=log.parameter(f"{prefix}TRIM")))
     channels += [Channel(f"servo_{i + 1}", NO_EFFECT, "servo") for i in range(surfaces, count)]
     if surfaces:
-        log.findings.read.append(
+        log.findings.say(
             f"{surfaces} control surfaces, types and torques from CA_SV_CSi_TYPE and _TRQ_R, _P, "
             f"_Y: {', '.join(channel.name for channel in channels[:surfaces])}"
         )
@@ -213,16 +214,13 @@ def _setpoints(it: Import, torque: Messages) -> Actuators:
     """Torque and thrust asked of the control allocation."""
     log = it.log
     thrust = log.messages(SETPOINTS[1], it.choice.actuators_instance)
-    log.findings.assumed.append(
-        "the allocation delivers the torques asked for: setpoints know no saturation"
-    )
     channels = [
         Channel(f"{axis}_torque", effect_of({axis: 1.0}), f"torque setpoint, {way} positive")
         for axis, way in (("roll", "right"), ("pitch", "up"), ("yaw", "right"))
     ]
     stream = (torque.stamp_ns, torque.array("xyz"))
     if thrust is None:
-        log.findings.lost.append("there is no vehicle_thrust_setpoint: dth is zero throughout")
+        log.findings.doubt("there is no vehicle_thrust_setpoint: dth is zero throughout")
         return torque.name, *stream, tuple(channels)
     forces = thrust.array("xyz")
     acting = {"z": -1.0} if _lifts(log, forces) else {"x": 1.0}
@@ -240,23 +238,13 @@ def _lifts(log: Log, forces: FloatArray) -> bool:
     if airframe in (MULTIROTOR, FIXED_WING):
         return airframe == MULTIROTOR
     up, ahead = (float(np.nanmean(np.abs(forces[:, axis]))) for axis in (2, 0))
-    log.findings.assumed.append(
-        f"dth is the {'upward' if up >= ahead else 'forward'} thrust: it is larger"
-    )
+    log.findings.assume(f"dth is the {'upward' if up >= ahead else 'forward'} thrust: it is larger")
     return up >= ahead
 
 
 def _controls(it: Import, topic: Messages) -> Actuators:
     """One set of controls of logs before v1.13 or so."""
     values = topic.array("control")
-    it.log.findings.read.append(
-        "controls 0 to 3 are roll, pitch, yaw (-1 to 1, right, up, right positive) and thrust (0 "
-        "to 1)"
-    )
-    it.log.findings.assumed.append(
-        "the mixer delivers what it is asked for: its file is not in the log, and controls know no "
-        "saturation"
-    )
     return topic.name, topic.stamp_ns, values, tuple(
         Channel(entry["name"], effect_of(entry), f"{topic.name}, index {i}, before the mixer")
         for i, entry in enumerate(KNOWN["control_group"][: values.shape[1]])
@@ -275,14 +263,12 @@ def _outputs(it: Import, topic: Messages) -> Actuators:
     functions = [int(log.parameter(f"{prefix}_FUNC{i + 1}")) for i in range(count)]
     if any(functions):
         channels = _by_function(log, functions, prefix)
-        log.findings.assumed.append(
-            f"instance {instance} of actuator_outputs are the pins {prefix}"
-        )
+        log.findings.assume(f"instance {instance} of actuator_outputs are the pins {prefix}")
     elif log.parameters.get("MAV_TYPE") == QUADROTOR:
         channels = _quad_x(log, count)
     else:
-        raise ImportLogError(
-            f"log '{log.path}': no parameter {prefix}_FUNCn says what the actuator_outputs move; "
+        raise log.refusal(
+            f": no parameter {prefix}_FUNCn says what the actuator_outputs move; "
             "try --actuators-topic actuator_controls_0"
         )
     return topic.name, topic.stamp_ns, values, tuple(channels)
@@ -300,10 +286,10 @@ def _by_function(log: Log, functions: list[int], prefix: str) -> list[Channel]:
         where = f"{prefix}_FUNC{i + 1} {function}, {low:g} to {high:g} us"
         kind, scale, neutral = Channel(f"output_{i + 1}", NO_EFFECT, ""), 1.0, 0.0
         if function in motors:
-            kind, scale = motors[function], sign / (high - low)
-            neutral = low if sign > 0 else high
+            kind, (scale, neutral) = motors[function], between(low, high, sign)
         elif function in servos:
-            kind, scale, neutral = servos[function], 2.0 * sign / (high - low), (low + high) / 2.0
+            centre = (low + high) / 2.0
+            kind, (scale, neutral) = servos[function], between(low, high, sign, centre)
         channels.append(replace(kind, meaning=where, scale=scale, neutral=neutral, unit="us"))
     return _named_once(channels)
 
@@ -311,13 +297,13 @@ def _by_function(log: Log, functions: list[int], prefix: str) -> list[Channel]:
 def _quad_x(log: Log, count: int) -> list[Channel]:
     """Take a quadrotor in X: the mixer file is not in an old log."""
     low, high = log.parameter("PWM_MIN", PWM_MIN), log.parameter("PWM_MAX", PWM_MAX)
-    log.findings.assumed.append(
+    log.findings.assume(
         "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear right) "
         "on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
     )
-    log.findings.read.append(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
+    log.findings.say(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
     motors = [
-        Channel(f"motor_{i}", effect, "output of quad x", 1.0 / (high - low), low, "us")
+        Channel(f"motor_{i}", effect, "output of quad x", *between(low, high), "us")
         for i, effect in enumerate(effects_of_arms(KNOWN["quad_x"]), 1)
     ]
     more = range(len(motors), count)

@@ -46,7 +46,7 @@ def read_folder(path: Path, topics: Collection[str]) -> Log:
         if PARAMETERS.fullmatch(file.name.lower()):
             log.parameters.update(_parameters(file))
     if not log.parameters:
-        log.findings.lost.append(
+        log.findings.doubt(
             "the tables say nothing of the parameters: ulog_params LOG.ulg PARAMS.csv writes them"
         )
     return log

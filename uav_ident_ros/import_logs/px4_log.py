@@ -103,7 +103,7 @@ def read_ulog(path: Path) -> Log:
     except OSError as error:
         raise ImportLogError(f"log '{path}' cannot be read: {error.strerror}") from None
     if lost := log.dropouts:
-        log.findings.lost.append(
+        log.findings.doubt(
             f"the logger lost messages {len(lost)} times, together {sum(lost):.3g} s, at most "
             f"{max(lost):.3g} s (dropouts)"
         )
