@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from excerpts import BAGS
+from once import made_once
 
 from uav_ident_ros.offline import main
 
@@ -14,8 +15,10 @@ from uav_ident_ros.offline import main
 @pytest.fixture(scope="session")
 def replayed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a replay with a report."""
-    folder = tmp_path_factory.mktemp("replayed")
-    bag = BAGS / "c172p"
-    parameters = ["--params-file", str(bag / "identifier.yaml")]
-    assert main([str(bag), *parameters, "--output", str(folder), "--report"]) == 0
-    return folder
+
+    def replay(folder: Path) -> None:
+        bag = BAGS / "c172p"
+        parameters = ["--params-file", str(bag / "identifier.yaml")]
+        assert main([str(bag), *parameters, "--output", str(folder), "--report"]) == 0
+
+    return made_once(tmp_path_factory, "report", replay)
