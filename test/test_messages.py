@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import subprocess
 import sys
@@ -49,20 +50,19 @@ STAMP_NS = 1_700_000_001_250_000_003
 PX4_US = 1_700_000_001_250_007
 
 
-def stamp() -> SimpleNamespace:
-    return SimpleNamespace(sec=1_700_000_001, nanosec=250_000_003)
+M = SimpleNamespace
 
 
 def header(frame_id: str = "base_link") -> SimpleNamespace:
-    return SimpleNamespace(stamp=stamp(), frame_id=frame_id)
+    return M(stamp=M(sec=1_700_000_001, nanosec=250_000_003), frame_id=frame_id)
 
 
 def vector(x: float, y: float, z: float) -> SimpleNamespace:
-    return SimpleNamespace(x=x, y=y, z=z)
+    return M(x=x, y=y, z=z)
 
 
 def imu(rate_covariance: float = 0.01, force_covariance: float = 0.1) -> SimpleNamespace:
-    return SimpleNamespace(
+    return M(
         header=header(),
         angular_velocity=vector(0.1, -0.2, 0.3),
         angular_velocity_covariance=[rate_covariance] + [0.0] * 8,
@@ -76,45 +76,35 @@ def imu(rate_covariance: float = 0.01, force_covariance: float = 0.1) -> SimpleN
 CHANNELS = [1.5, -0.5, 0.25, 0.75]
 PX4 = {"timestamp": PX4_US + 5, "timestamp_sample": PX4_US}
 ACTUATOR_MESSAGES: dict[str, tuple[Any, int | None]] = {
-    "std_msgs/msg/Float64MultiArray": (SimpleNamespace(data=CHANNELS), None),
-    "std_msgs/msg/Float32MultiArray": (
-        SimpleNamespace(data=np.array(CHANNELS, dtype=np.float32)),
-        None,
-    ),
+    "std_msgs/msg/Float64MultiArray": (M(data=CHANNELS), None),
+    "std_msgs/msg/Float32MultiArray": (M(data=np.array(CHANNELS, dtype=np.float32)), None),
     "sensor_msgs/msg/JointState": (
-        SimpleNamespace(
-            header=header(), name=list("abcd"), position=CHANNELS, velocity=[], effort=[]
-        ),
+        M(header=header(), name=list("abcd"), position=CHANNELS, velocity=[], effort=[]),
         STAMP_NS,
     ),
     "actuator_msgs/msg/Actuators": (
-        SimpleNamespace(header=header(), position=CHANNELS, velocity=[], normalized=[]),
+        M(header=header(), position=CHANNELS, velocity=[], normalized=[]),
         STAMP_NS,
     ),
-    "mavros_msgs/msg/RCOut": (
-        SimpleNamespace(header=header(), channels=CHANNELS),
-        STAMP_NS,
-    ),
+    "mavros_msgs/msg/RCOut": (M(header=header(), channels=CHANNELS), STAMP_NS),
     "mavros_msgs/msg/ActuatorControl": (
-        SimpleNamespace(header=header(), group_mix=0, controls=np.array([*CHANNELS, 0, 0, 0, 0])),
+        M(header=header(), group_mix=0, controls=np.array([*CHANNELS, 0, 0, 0, 0])),
         STAMP_NS,
     ),
     "px4_msgs/msg/ActuatorMotors": (
-        SimpleNamespace(**PX4, control=np.array([*CHANNELS] + [math.nan] * 8)),
+        M(**PX4, control=np.array([*CHANNELS] + [math.nan] * 8)),
         PX4_US * 1000,
     ),
     "px4_msgs/msg/ActuatorServos": (
-        SimpleNamespace(**PX4, control=np.array([*CHANNELS] + [math.nan] * 4)),
+        M(**PX4, control=np.array([*CHANNELS] + [math.nan] * 4)),
         PX4_US * 1000,
     ),
     "px4_msgs/msg/ActuatorOutputs": (
-        SimpleNamespace(timestamp=PX4_US, noutputs=4, output=np.array([*CHANNELS] + [0.0] * 12)),
+        M(timestamp=PX4_US, noutputs=4, output=np.array([*CHANNELS] + [0.0] * 12)),
         PX4_US * 1000,
     ),
 }
 
-
-M = SimpleNamespace
 OPTIONAL = [
     ("std_msgs/msg/Float64", M(data=21.5), (None, 21.5)),
     ("std_msgs/msg/Float32", M(data=21.5), (None, 21.5)),
@@ -133,10 +123,9 @@ OPTIONAL = [
 ]
 
 
-@pytest.mark.parametrize(("name", "message", "wanted"), OPTIONAL)
-def test_every_type_of_airspeed_and_armed(name: str, message: Any, wanted: tuple) -> None:
-    stamp_ns, value = {**AIRSPEEDS, **ARMINGS}[name](message)
-    assert (stamp_ns, pytest.approx(value)) == wanted
+def test_every_type_of_airspeed_and_armed() -> None:
+    for name, message, (stamp_ns, value) in OPTIONAL:
+        assert {**AIRSPEEDS, **ARMINGS}[name](message) == (stamp_ns, pytest.approx(value)), name
 
 
 def reader(**actuators: Any) -> ActuatorReader:
@@ -154,22 +143,18 @@ def test_every_declared_type_has_an_adapter() -> None:
     assert {name for name, _, _ in OPTIONAL} == {*AIRSPEEDS, *ARMINGS}
 
 
-@pytest.mark.parametrize("msgtype", ACTUATOR_TYPES)
-def test_actuator_type(msgtype: str) -> None:
-    message, stamp_ns = ACTUATOR_MESSAGES[msgtype]
-    read = reader(type=msgtype, channels=[3, 0])
-    assert read(message) == (stamp_ns, (0.75, 1.5))
-    assert ACTUATORS[msgtype].stamped is (stamp_ns is not None)
+def test_every_type_of_actuators() -> None:
+    for msgtype, (message, stamp_ns) in ACTUATOR_MESSAGES.items():
+        read = reader(type=msgtype, channels=[3, 0])
+        assert read(message) == (stamp_ns, (0.75, 1.5)), msgtype
+        assert ACTUATORS[msgtype].stamped is (stamp_ns is not None)
 
 
-def test_px4_message_without_sample_time_uses_its_own() -> None:
-    message = SimpleNamespace(timestamp=12, timestamp_sample=0, xyz=[1.0, 2.0, 3.0])
+def test_rates_of_px4() -> None:
+    message = M(timestamp=12, timestamp_sample=0, xyz=[1.0, 2.0, 3.0])  # has no time of the sample
     read = RATES["px4_msgs/msg/VehicleAngularVelocity"].read
     assert read(message) == RatesReading(12_000, (1.0, 2.0, 3.0), None, "")
-
-
-def test_px4_sensor_combined() -> None:
-    message = SimpleNamespace(
+    message = M(
         timestamp=PX4_US,
         gyro_rad=np.array([1.0, 2.0, 3.0]),
         accelerometer_timestamp_relative=0,
@@ -189,64 +174,57 @@ def test_imu() -> None:
     assert read(imu(force_covariance=-1.0)).specific_force is None
 
 
+def joints(name: list[str], position: list[float], **more: Any) -> SimpleNamespace:
+    return M(header=header(), name=name, position=position, **more)
+
+
+def by_name(*channels: str | int, **more: Any) -> ActuatorReader:
+    return reader(type="sensor_msgs/msg/JointState", channels=list(channels), **more)
+
+
 def test_channels_by_name_follow_the_names_of_each_message() -> None:
-    read = reader(type="sensor_msgs/msg/JointState", channels=["rudder", "elevator"])
-    message = SimpleNamespace(
-        header=header(), name=["elevator", "rudder"], position=[1.0, 2.0], effort=[3.0, 4.0]
-    )
+    read, unnamed = by_name("rudder", "elevator"), joints([], [1.0, 2.0])
+    message = joints(["elevator", "rudder"], [1.0, 2.0], effort=[3.0, 4.0])
     assert read(message)[1] == (2.0, 1.0)
+    assert by_name("elevator", field="effort")(message)[1] == (3.0,)
+    for _ in range(2):
+        with pytest.raises(ChannelError, match="no channel 'rudder': the message names none"):
+            read(unnamed)
     message.name = ["rudder", "elevator"]
     assert read(message)[1] == (1.0, 2.0)
-    by_effort = reader(type="sensor_msgs/msg/JointState", field="effort", channels=["elevator"])
-    assert by_effort(message)[1] == (4.0,)
-
-
-def test_unknown_channel_name() -> None:
-    read = reader(type="sensor_msgs/msg/JointState", channels=["elevater"])
-    message = SimpleNamespace(header=header(), name=["elevator"], position=[1.0])
-    with pytest.raises(ChannelError, match=r"'elevater' among elevator; did you mean 'elevator'"):
-        read(message)
-
-
-def test_a_complaint_lists_some_names_not_thousands() -> None:
-    read = reader(type="sensor_msgs/msg/JointState", channels=["elevator"])
-    names = [f"servo{i}" for i in range(5000)]
-    message = SimpleNamespace(header=header(), name=names, position=[1.0] * 5000)
-    with pytest.raises(ChannelError, match=r"servo19 and 4980 more") as error:
-        read(message)
-    assert len(str(error.value)) < 500
-
-
-def test_no_names_at_all() -> None:
-    read = reader(type="sensor_msgs/msg/JointState", channels=["elevator", "rudder"])
-    unnamed = SimpleNamespace(header=header(), name=[], position=[1.0, 2.0])
-    for _ in range(2):
-        with pytest.raises(ChannelError, match="no channel 'elevator': the message names none"):
-            read(unnamed)
-    named = SimpleNamespace(header=header(), name=["rudder", "elevator"], position=[1.0, 2.0])
-    assert read(named)[1] == (2.0, 1.0)
-    with pytest.raises(ChannelError, match="no channel 'elevator': the message names none"):
+    with pytest.raises(ChannelError, match="no channel 'rudder': the message names none"):
         read(unnamed)
-    by_index = reader(type="sensor_msgs/msg/JointState", channels=[1, 0])
-    assert by_index(unnamed)[1] == (2.0, 1.0)
+    assert by_name(1, 0)(unnamed)[1] == (2.0, 1.0)
 
 
-def test_too_few_values() -> None:
-    read = reader(channels=[0, 4])
-    with pytest.raises(ChannelError, match="'data' has 4 values, too few for channels 0, 4"):
-        read(SimpleNamespace(data=CHANNELS))
-    named = reader(type="sensor_msgs/msg/JointState", channels=["b"])
-    with pytest.raises(ChannelError, match="'position' has 1 values"):
-        named(SimpleNamespace(header=header(), name=["a", "b"], position=[1.0]))
+def test_channels_that_are_not_there_are_named() -> None:
+    many = joints([f"servo{i}" for i in range(5000)], [1.0] * 5000)  # some are listed, not all
+    for read, message, words in (
+        (
+            by_name("elevater"),
+            joints(["elevator"], [1.0]),
+            "'elevater' among elevator; did you mean",
+        ),
+        (by_name("elevator"), many, "servo19 and 4980 more"),
+        (
+            reader(channels=[0, 4]),
+            M(data=CHANNELS),
+            "'data' has 4 values, too few for channels 0, 4",
+        ),
+        (by_name("b"), joints(["a", "b"], [1.0]), "'position' has 1 values"),
+    ):
+        with pytest.raises(ChannelError, match=words) as error:
+            read(message)
+        assert len(str(error.value)) < 500
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_only_channels_in_use_must_be_finite(bad: float) -> None:
-    message = SimpleNamespace(data=[1.0, bad, 2.0])
-    assert reader(channels=[0, 2])(message)[1] == (1.0, 2.0)
-    with pytest.raises(ChannelError, match="not all finite") as caught:
-        reader(channels=[0, 1])(message)
-    assert caught.value.reason == "not finite"
+def test_only_channels_in_use_must_be_finite() -> None:
+    for bad in (math.nan, math.inf, -math.inf):
+        message = M(data=[1.0, bad, 2.0])
+        assert reader(channels=[0, 2])(message)[1] == (1.0, 2.0)
+        with pytest.raises(ChannelError, match="not all finite") as caught:
+            reader(channels=[0, 1])(message)
+        assert caught.value.reason == "not finite"
 
 
 def test_wrong_field_and_names_without_names() -> None:
@@ -256,13 +234,10 @@ def test_wrong_field_and_names_without_names() -> None:
         reader(type="mavros_msgs/msg/RCOut", channels=["elevator"])
 
 
-@pytest.mark.parametrize("frame_id", ["base_link_frd", "map_ned"])
-def test_frame_that_contradicts_flu(frame_id: str) -> None:
-    assert frame_id in frame_fault("flu", frame_id, "sensor_msgs/msg/Imu")
-    assert not frame_fault("frd", frame_id, "sensor_msgs/msg/Imu")
-
-
-def test_frames_that_agree() -> None:
+def test_frames_that_contradict_the_convention_and_those_that_agree() -> None:
+    for frame_id in ("base_link_frd", "map_ned"):
+        assert frame_id in frame_fault("flu", frame_id, "sensor_msgs/msg/Imu")
+        assert not frame_fault("frd", frame_id, "sensor_msgs/msg/Imu")
     assert not frame_fault("flu", "base_link", "sensor_msgs/msg/Imu")
     assert not frame_fault("frd", "", "px4_msgs/msg/SensorCombined")
     assert "'frd'" in frame_fault("flu", "", "px4_msgs/msg/SensorCombined")
@@ -286,25 +261,21 @@ def real_imu(frame_id: str, rate_covariance: float = 0.0, force_covariance: floa
     )
 
 
-@pytest.mark.parametrize("length", range(18))
-@pytest.mark.parametrize("little_endian", [True, False])
-def test_cdr_reader_agrees_with_the_decoder(length: int, little_endian: bool) -> None:
-    message = real_imu("x" * length)
-    data = bytes(STORE.serialize_cdr(message, "sensor_msgs/msg/Imu", little_endian=little_endian))
-    expected = RATES["sensor_msgs/msg/Imu"].read(message)
-    assert expected.stamp_ns == 17_999_999_999
-    assert decode_imu_cdr(data) == expected
-    assert decode_imu_cdr(memoryview(data)) == expected
-    for cut in (0, 1, 4, 12, 16, 40, len(data) - 1):
-        assert decode_imu_cdr(data[:cut]) is None
-
-
-def test_cdr_reader_of_missing_measurements() -> None:
+def test_cdr_reader_agrees_with_the_decoder() -> None:
+    for length, little_endian in itertools.product(range(18), (True, False)):
+        message = real_imu("x" * length)
+        data = bytes(
+            STORE.serialize_cdr(message, "sensor_msgs/msg/Imu", little_endian=little_endian)
+        )
+        expected = RATES["sensor_msgs/msg/Imu"].read(message)
+        assert expected.stamp_ns == 17_999_999_999
+        assert decode_imu_cdr(data) == decode_imu_cdr(memoryview(data)) == expected
+        for cut in (0, 1, 4, 12, 16, 40, len(data) - 1):
+            assert decode_imu_cdr(data[:cut]) is None
     data = bytes(STORE.serialize_cdr(real_imu("a", -1.0, -1.0), "sensor_msgs/msg/Imu"))
     reading = decode_imu_cdr(data)
     assert reading is not None
-    assert reading.rates is None
-    assert reading.specific_force is None
+    assert (reading.rates, reading.specific_force) == (None, None)
 
 
 def test_cdr_reader_leaves_other_encodings_alone() -> None:
@@ -315,6 +286,8 @@ def test_cdr_reader_leaves_other_encodings_alone() -> None:
 
 
 def test_import_type() -> None:
+    sensor_msgs = pytest.importorskip("sensor_msgs.msg")
+    assert import_type("sensor_msgs/msg/Imu") is sensor_msgs.Imu
     for name, words in (
         ("nothing_here/msg/Imu", "'nothing_here/msg/Imu' is not installed"),
         ("Imu", "package/msg/Type"),
@@ -322,11 +295,6 @@ def test_import_type() -> None:
     ):
         with pytest.raises(MessageTypeError, match=words):
             import_type(name)
-
-
-def test_import_of_a_real_type() -> None:
-    sensor_msgs = pytest.importorskip("sensor_msgs.msg")
-    assert import_type("sensor_msgs/msg/Imu") is sensor_msgs.Imu
 
 
 def test_messages_import_no_ros() -> None:
@@ -338,24 +306,21 @@ def test_messages_import_no_ros() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_layout_of_the_dense_matrix() -> None:
-    rows, columns = coefficients_layout(STRUCTURES["augmented"])
-    assert rows == ("pdot,qdot,rdot", 3, 45)
-    assert columns == ("pq,qr,pr,pp,rr,p,q,r,de,dr,da,dth,1,ay,az", 15, 15)
-    rows, columns = coefficients_layout(STRUCTURES["flight_dynamics"])
-    assert rows == ("pdot,qdot,rdot,ay,az", 5, 75)
-    assert columns == ("pq,qr,pr,pp,rr,p,q,r,de,dr,da,dth,1,beta,alpha", 15, 15)
-
-
-def test_the_dense_matrix_leaves_out_the_kinematics() -> None:
-    structure = STRUCTURES["flight_dynamics"]
-    values = np.arange(105.0).reshape(7, 15)
-    dense = dense_coefficients(estimate_of(values), structure)
-    np.testing.assert_array_equal(np.ravel(dense), np.arange(75.0))
-    plain = np.arange(36.0).reshape(3, 12)
-    np.testing.assert_array_equal(
-        dense_coefficients(estimate_of(plain), STRUCTURES["baseline"]), plain
-    )
+def test_the_dense_matrix_and_its_layout_leave_out_the_kinematics() -> None:
+    for name, labels, regressors in (
+        ("augmented", "pdot,qdot,rdot", "pq,qr,pr,pp,rr,p,q,r,de,dr,da,dth,1,ay,az"),
+        (
+            "flight_dynamics",
+            "pdot,qdot,rdot,ay,az",
+            "pq,qr,pr,pp,rr,p,q,r,de,dr,da,dth,1,beta,alpha",
+        ),
+    ):
+        structure, count = STRUCTURES[name], 15 * len(labels.split(","))
+        rows, columns = coefficients_layout(structure)
+        assert (rows, columns) == ((labels, count // 15, count), (regressors, 15, 15))
+        values = np.arange(float(structure.mask.size)).reshape(structure.mask.shape)
+        dense = dense_coefficients(estimate_of(values), structure)
+        np.testing.assert_array_equal(np.ravel(dense), np.arange(float(count)))
 
 
 def estimate_of(values: np.ndarray, flow: FlowState | None = None) -> Estimate:
