@@ -217,8 +217,8 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Short flights of two aircraft, and a file that is none."""
     folder = tmp_path_factory.mktemp("logs")
     for k in range(3):
-        excerpt(folder / "red" / f"flight{k}", 8.0, begin=5.0 * k)
-    excerpt(folder / "blue" / "maiden", 6.0)
+        excerpt(folder / "red" / f"flight{k}", 4.0, begin=5.0 * k)
+    excerpt(folder / "blue" / "maiden", 3.0)
     (folder / "blue" / "broken.mcap").write_bytes(b"not a bag")
     return folder
 

@@ -51,10 +51,16 @@ def options(name: str) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def replayed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of one replay of a committed bag."""
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first part of a committed bag."""
+    return excerpt(tmp_path_factory.mktemp("flight") / "multisine", 40.0)
+
+
+@pytest.fixture(scope="module")
+def replayed(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of one replay of it."""
     folder = tmp_path_factory.mktemp("replayed") / "results"
-    arguments = [str(BAGS / "multisine"), *options("multisine"), "--output", str(folder)]
+    arguments = [str(flight), *options("multisine"), "--output", str(folder)]
     assert main([*arguments, "--plot"]) == 0
     return folder
 
@@ -89,8 +95,15 @@ def fed_by_hand(
     return identifier, estimates
 
 
-def test_estimates_are_those_of_the_core_to_the_bit(replayed: Path) -> None:
-    _, estimates = fed_by_hand("multisine")
+@pytest.fixture(scope="module")
+def by_hand(flight: Path) -> list[Estimate]:
+    return fed_by_hand("multisine", flight)[1]
+
+
+def test_estimates_are_those_of_the_core_to_the_bit(
+    by_hand: list[Estimate], replayed: Path
+) -> None:
+    estimates = by_hand
     structure = STRUCTURES["augmented"]
     types = jazzy_types()
     found: dict[str, list[Any]] = {}
@@ -162,9 +175,9 @@ def test_states_and_forces_of_the_default_structure_are_those_of_the_core(tmp_pa
     assert values["state/airspeed"] == parameters("c172p")["airspeed.reference"]
 
 
-def test_mcap_reader_finds_schemas_stamps_and_qos(replayed: Path) -> None:
+def test_mcap_reader_finds_schemas_stamps_and_qos(by_hand: list[Estimate], replayed: Path) -> None:
     mcap_reader = pytest.importorskip("mcap.reader")
-    ticks = [e.t_ns for e in fed_by_hand("multisine")[1]]
+    ticks = [e.t_ns for e in by_hand]
     times: dict[str, list[int]] = {}
     with (replayed / "estimates" / "estimates.mcap").open("rb") as file:
         reader = mcap_reader.make_reader(file, validate_crcs=True)
@@ -195,7 +208,7 @@ def test_summary_and_coefficients(replayed: Path) -> None:
         for axis in "pqr":
             assert fit["model"][axis] > 85.0
             assert fit["hold"][axis] < 0.0
-    assert content["inputs"]["rates"]["received"] == 15001
+    assert content["inputs"]["rates"]["received"] == 8001
     assert content["inputs"]["actuators"]["dropped"] == {}
     saved = load_coefficients(replayed / "coefficients.yaml", "augmented")
     assert saved.t_ns == content["last_tick_ns"]
@@ -209,8 +222,8 @@ def test_picture(replayed: Path) -> None:
     assert len(picture) > 20_000
 
 
-def test_same_bag_same_bytes(replayed: Path, tmp_path: Path) -> None:
-    file = BAGS / "multisine" / "multisine.mcap"
+def test_same_bag_same_bytes(flight: Path, replayed: Path, tmp_path: Path) -> None:
+    file = flight / "multisine.mcap"
     assert main([str(file), *options("multisine"), "--output", str(tmp_path / "again")]) == 0
     for name in ("summary.json", "coefficients.yaml", "estimates/estimates.mcap"):
         assert (tmp_path / "again" / name).read_bytes() == (replayed / name).read_bytes()
@@ -448,10 +461,13 @@ def test_only_a_bag_is_replaced(tmp_path: Path) -> None:
 @pytest.mark.skipif(not REAL_FLIGHT.exists(), reason="recorded flights are not here")
 def test_real_flight_start_to_end(tmp_path: Path) -> None:
     # An autopilot flew it, and nobody moved the surfaces on purpose: what they do is not sure.
-    assert main([str(REAL_FLIGHT), "--output", str(tmp_path)]) == NOT_USABLE
-    assert "t-ratio" in (tmp_path / "table.txt").read_text()
-    content = summary(tmp_path)
-    assert content["ticks"] > 5900
+    bag, output = excerpt(tmp_path / "flight", 60.0, str(REAL_FLIGHT)), tmp_path / "out"
+    late = tmp_path / "late.yaml"
+    late.write_text("/**:\n  ros__parameters:\n    actuators.delay: 0.09\n")
+    assert main([str(bag), "--params-file", str(late), "--output", str(output)]) == NOT_USABLE
+    assert "t-ratio" in (output / "table.txt").read_text()
+    content = summary(output)
+    assert content["ticks"] > 1150
     assert all(c["value"] is not None for c in content["coefficients"].values())
     fit = content["prediction_fit"]["last_40_percent"]
     assert all(fit["model"][axis] > fit["hold"][axis] for axis in "pqr")
