@@ -31,8 +31,8 @@ class Indi(Node):
         subscribe(self, source)
         self.choice = AxisChoice(source, nominal, LIMITS)  # whose derivatives, axis by axis
         self.law = IncrementalLaw(LIMITS, self.choice.scale)
-        self.measured = Effectiveness()  # turns an axis whose inputs act the other way
-        self.sent: History[np.ndarray] = History()
+        self.measured = Effectiveness()  # turns and rescales an axis that answers otherwise
+        self.sent: History[tuple[np.ndarray, np.ndarray]] = History()  # inputs and reference
         self.reference = np.zeros(3)
         self.last_ns = 0
         self.publisher = self.create_publisher(JointState, "command", 10)
@@ -49,17 +49,16 @@ class Indi(Node):
         w = message.angular_velocity
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
         dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns
-        acting = self.sent.at(t_ns - DELAY_NS)
-        acting = np.zeros(4) if acting is None else acting
+        acting, led = self.sent.at(t_ns - DELAY_NS) or (np.zeros(4), self.reference)
         if not 0.0 < dt < 0.1:  # the first sample, or a gap
             self.law.restart(x, self.reference, acting)
             self.measured.restart()
             dt = 0.0
-        effect = self.choice.update(t_ns, self.measured).values
+        effect = self.choice.update(t_ns, self.measured)
         if dt:
-            self.measured.update(x, effect, acting, dt)
-        u = self.law.update(dt, effect, x, self.reference, acting)
-        self.sent.add(t_ns, u)
+            self.measured.update(x, effect.base, acting, dt, led)
+        u = self.law.update(dt, effect.values, x, self.reference, acting)
+        self.sent.add(t_ns, (u, self.reference))
         names = ["elevator", "rudder", "aileron"]
         self.publisher.publish(
             JointState(header=message.header, name=names, position=u[:3].tolist())

@@ -49,13 +49,13 @@ class Inversion(Node):
         w = message.angular_velocity
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
         model = self.source.model(t_ns)  # identified, or the last good set, or the nominal one
+        effect = control_derivatives(model)[0]
         dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns
         if not 0.0 < dt < 0.1:  # the first sample, or a gap
-            self.law.restart(model, x, self.reference)
+            self.law.restart(model, effect, x, self.reference)
             dt = 0.0
         acting = self.sent.at(t_ns - DELAY_NS)
         acting = np.zeros(4) if acting is None else acting
-        effect = control_derivatives(model)[0]
         u = self.law.update(dt, model, effect, x, self.reference, acting)
         self.sent.add(t_ns, u)
         names = ["elevator", "rudder", "aileron"]
