@@ -335,7 +335,7 @@ def test_gyro_noise_is_told_from_motion() -> None:
     assert not gyro_noise(rates[:3]).any()
 
 
-def evidence_of(name: str, changes: dict[str, Any], seconds: float = 60.0) -> Evidence:
+def evidence_of(name: str, changes: dict[str, Any], seconds: float) -> Evidence:
     """What is measured on the beginning of an example bag with changed parameters."""
 
     def first(messages: Iterable[Message]) -> Iterator[Message]:
@@ -359,20 +359,22 @@ def test_what_is_measured_on_a_flight_of_known_truth() -> None:
 
 
 def test_a_delay_too_long_and_a_missing_regressor_are_found() -> None:
-    e = evidence_of("multisine", {"actuators.delay": 0.08})
+    e = evidence_of("multisine", {"actuators.delay": 0.08}, seconds=45.0)
     assert e.delay_in_use - e.delay.delay == pytest.approx(0.08, abs=0.01)
     assert "wrong_delay" in {advice.name for advice in advise(e)}
 
-    e = evidence_of("c172p", {"structure": "baseline"})
+    e = evidence_of("c172p", {"structure": "baseline"}, seconds=30.0)
     assert set(e.force_share) == {"pdot", "qdot", "rdot"}
     assert min(e.force_share.values()) > 0.5
-    plant = evidence_of("multisine", {"structure": "baseline"})  # it has no flow angles
+    plant = evidence_of(
+        "multisine", {"structure": "baseline"}, seconds=30.0
+    )  # it has no flow angles
     assert max(plant.force_share.values()) < 0.05
 
 
 def test_channels_that_do_not_move_are_found() -> None:
     mixing = {"actuators.mixing.dr": [0.0, 0.0, 0.0, 0.0]}
-    e = evidence_of("multisine", mixing)
+    e = evidence_of("multisine", mixing, seconds=8.0)
     assert e.input_spread[INPUTS.index("dr")] == 0.0
     texts = [advice.text for advice in advise(e)]
     assert "the rudder never moved: nothing is known of what it does" in texts

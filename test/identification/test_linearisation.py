@@ -91,11 +91,11 @@ def test_the_standard_deviations_are_those_of_a_monte_carlo() -> None:
     share, rng, values = 0.02, np.random.default_rng(1), aircraft()
     own = found(values, share)
     draws: dict[str, list[Any]] = {name: [] for name in own}
-    for _ in range(1500):
+    for _ in range(600):
         for name, mode in found(values * (1.0 + share * rng.normal(size=values.shape))).items():
             draws[name].append(sampled(mode))
     for name, mode in own.items():
-        assert len(draws[name]) == 1500
+        assert len(draws[name]) == 600
         spread = np.std(draws[name], axis=0)
         told = (
             *mode.eigenvalue_sigma, mode.frequency_sigma, mode.damping_sigma,
