@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimates import estimate_of
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.excitation_run import (
@@ -33,12 +34,9 @@ def estimate(
     t_ns: int, ratio: float = 1.0, state: str = "learning", value: float = 1.0
 ) -> Estimate:
     """An estimate whose coefficients are `ratio` times their sigma."""
-    coefficients = value * STRUCTURE.mask
-    three = np.zeros(3)
-    sigma = coefficients / ratio
-    usable = (False, False, False)
-    return Estimate(
-        t_ns, coefficients, sigma, three, three, three, True, False, usable, state, "why it waits"
+    values = value * STRUCTURE.mask
+    return estimate_of(
+        values, values / ratio, t_ns=t_ns, usable=False, state=state, reason="why it waits"
     )
 
 

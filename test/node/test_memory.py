@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy.logging
+from estimates import estimate_of
 from node_process import wait_for
 from recordings import NODE, Fly, call, recording
 from std_srvs.srv import Trigger
@@ -34,23 +35,6 @@ NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
 def coefficients(value: float, structure: str = "augmented") -> CoefficientSet:
     mask = STRUCTURES[structure].mask
     return CoefficientSet(structure, mask * value, mask * 0.1 * abs(value), 5)
-
-
-def estimate(identifier: OnlineIdentifier, *, usable: bool) -> Estimate:
-    shown = identifier.coefficient_set()
-    return Estimate(
-        t_ns=1_000_000_000,
-        coefficients=shown.values,
-        sigma=shown.sigma,
-        predicted_rates=np.zeros(3),
-        prediction_error=np.zeros(3),
-        fit=np.zeros(3),
-        adapting=True,
-        usable=usable,
-        usable_rows=(usable,) * 3,
-        state="learning",
-        reason="",
-    )
 
 
 @pytest.fixture(autouse=True)
@@ -78,7 +62,8 @@ class Vehicle:
         self.identifier.resume(coefficients(value))
 
     def estimate(self, *, usable: bool) -> Estimate:
-        return estimate(self.identifier, usable=usable)
+        shown = self.identifier.coefficient_set()
+        return estimate_of(shown.values, shown.sigma, t_ns=10**9, usable=usable)
 
 
 @pytest.fixture
