@@ -22,7 +22,7 @@ from uav_ident_ros.simulation.flight import (
     stamps,
 )
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
-from uav_ident_ros.simulation.linearisation import cruise_derivatives
+from uav_ident_ros.simulation.linearisation import at_airspeed, cruise_derivatives
 from uav_ident_ros.simulation.live import LiveAircraft
 from uav_ident_ros.simulation.noise import Sensors
 
@@ -120,6 +120,8 @@ def fly(
     record = live.aircraft.to_si(np.array(rows))
     extra = {key: record[:, COLUMN[key]] for key in ("alpha", "beta", "roll", "pitch", "altitude")}
     surfaces = [COLUMN[key] for key in SURFACE_NAMES]
+    airspeed = record[:, COLUMN["airspeed"]]
+    truth = cruise_derivatives(spec.aircraft, spec.speed)
     return Flight(
         name=name or airframe(spec.aircraft).name,
         t_ns=stamps(np.arange(count) / spec.rate),
@@ -131,8 +133,9 @@ def fly(
         trim=np.array(live.trim),
         delay=spec.delay,
         changes=spec.changes,
-        local_truth=cruise_derivatives(spec.aircraft, spec.speed),
+        # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
+        local_truth=at_airspeed(truth, float(airspeed.mean() / airspeed[0])),
         excitation=excited_intervals(spec.segments, spec.duration),
-        airspeed=record[:, COLUMN["airspeed"]],
+        airspeed=airspeed,
         extra={**extra, "surfaces": record[:, surfaces]},
     )

@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.identification.structure import INPUTS, RATES, FloatArray
 from uav_ident_ros.simulation.aircraft import COLUMN, Aircraft, settle
 
 STATES = ("p", "q", "r", "beta", "alpha")
@@ -103,6 +103,15 @@ def cruise_derivatives(name: str, speed: float | None = None) -> dict[str, float
         key: float(f"{value:.4g}")
         for key, value in found.items()
         if abs(value) > LEAST_DERIVATIVE and not key.endswith("/dth")
+    }
+
+
+def at_airspeed(derivatives: Mapping[str, float], ratio: float) -> dict[str, float]:
+    """Return derivatives at another airspeed, `ratio` times theirs: with V by rates, else V^2."""
+    rates = tuple(f"/{rate}" for rate in RATES)
+    return {
+        name: float(f"{value * ratio ** (1 if name.endswith(rates) else 2):.4g}")
+        for name, value in derivatives.items()
     }
 
 
