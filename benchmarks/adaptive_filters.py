@@ -7,6 +7,7 @@ import numpy as np
 import padasip
 from numpy.typing import NDArray
 
+from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, FloatArray
 
@@ -20,7 +21,7 @@ FILTERS = {"RLS": padasip.filters.FilterRLS, "NLMS": padasip.filters.FilterNLMS}
 
 
 class RegressionRecorder:
-    """Stands in an estimator's place and keeps the newest sample of each tick."""
+    """Stands in an estimator's place and keeps the samples."""
 
     def __init__(
         self,
@@ -33,7 +34,7 @@ class RegressionRecorder:
         self.clear = np.ones(3, dtype=bool)
         self.model_error = np.zeros(3)
         self.changes: list[tuple[int, int]] = []
-        self.y: list[FloatArray] = []  # (3,) Accelerations; one entry per update
+        self.y: list[FloatArray] = []  # (3,) Accelerations; one entry per sample
         self.f: list[FloatArray] = []  # (n,) Regressors
 
     @property
@@ -41,16 +42,16 @@ class RegressionRecorder:
         """Control derivatives: none are known."""
         return self.coefficients[:, INPUT_COLUMNS]
 
-    def residual(self, sample: Regression) -> FloatArray:
-        """Return what no coefficients leave of a sample: all of it."""
-        return np.asarray(sample.residual(self.coefficients)[0])
+    def residual(self, samples: Regression) -> FloatArray:
+        """Return what no coefficients leave of samples: all of it."""
+        return samples.residual(self.coefficients)
 
     def update(
-        self, data: Regression, sample: Regression, residual: FloatArray, weight: FloatArray
+        self, samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
     ) -> None:
-        """Keep the last sample."""
-        self.y.append(data.y[-1].copy())
-        self.f.append(data.f[-1].copy())
+        """Keep the samples."""
+        self.y.extend(samples.y)
+        self.f.extend(samples.f)
 
 
 def run_filter(

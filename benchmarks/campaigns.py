@@ -29,6 +29,7 @@ import output_error
 import padasip
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 
@@ -398,9 +399,11 @@ def _update_times(case: cases.Case, estimator: str) -> tuple[FloatArray, FloatAr
     identifier = OnlineIdentifier(case.settings({"estimator": estimator}))
     update, times, own = identifier._estimator.update, [], []
 
-    def timed(data: Regression, mean: Regression, residual: FloatArray, weight: FloatArray) -> None:
+    def timed(
+        samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
+    ) -> None:
         began = time.thread_time()
-        update(data, mean, residual, weight)
+        update(samples, residual, white, weight)
         own.append(time.thread_time() - began)
 
     setattr(identifier._estimator, "update", timed)  # noqa: B010  (a method, to the type checker)

@@ -13,14 +13,15 @@ import numpy as np
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
+from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.offline.run import run_over
 
-LARGEST_STEP = 0.03
-"""What a coefficient may move by in a tick, standard deviations."""
+LARGEST_STEP = 0.01
+"""What a coefficient may move by in an update, standard deviations."""
 
 
 class Gentle(RecursiveRegression):
@@ -30,11 +31,11 @@ class Gentle(RecursiveRegression):
         super().__init__(start, settings, instrumental=True)
 
     def update(
-        self, data: Regression, mean: Regression, residual: FloatArray, weight: FloatArray
+        self, samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
     ) -> None:
         """Learn as the instrumental variable does, and go there step by step."""
         before = self.coefficients
-        super().update(data, mean, residual, weight)
+        super().update(samples, residual, white, weight)
         largest = LARGEST_STEP * self.sigma
         self.coefficients = before + np.clip(self.coefficients - before, -largest, largest)
 

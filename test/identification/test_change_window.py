@@ -21,7 +21,7 @@ def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> N
     detector = ChangeDetector(STRUCTURE.mask, 15.0)
     for length in lengths:
         f = chance.normal(size=(10, STRUCTURE.size))
-        data = Regression(y=chance.normal(size=(10, 3)), f=f, z=f, dt=length / 10)
+        data = Regression(y=chance.normal(size=(10, 3)), f=f, z=f, dt=length / 10).means()
         changed = detector.update(
             data,
             np.zeros((3, STRUCTURE.size)),
@@ -44,7 +44,7 @@ def test_a_window_does_not_reach_over_a_gap() -> None:
     )
     for k in range(130):
         f = chance.normal(size=(10, STRUCTURE.size))
-        data = Regression(chance.normal(size=(10, 3)), f, f, 0.005, restarted=k == 120)
+        data = Regression(chance.normal(size=(10, 3)), f, f, 0.005, restarted=k == 120).means()
         detector.update(data, *everything)
     assert len(detector.recent) == 10
 
@@ -74,7 +74,7 @@ def test_a_change_stands_out_from_noise_and_from_learning(
         lost = 12.0 if k >= first else 0.0
         y = f @ coefficients.T + noise * chance.normal(size=3)
         y[:, 1] += lost * f[:, 8]
-        data = Regression(y, f, f, 0.005)
+        data = Regression(y, f, f, 0.005).means()
         changed = detector.update(data, coefficients, np.full((3, 4), sigma), everywhere, nowhere)
         found += [(k, *change) for change in changed]
     assert [(i, j) for _, i, j in found[:1]] == ([(1, 0)] if noticed else [])
@@ -95,7 +95,7 @@ def test_what_a_still_input_seems_to_do_is_not_remembered() -> None:
         y = f @ coefficients.T + 0.05 * chance.normal(size=3)
         y[:, 1] += 12.0 * f[:, 8] if k >= 1000 else 0.0
         found += detector.update(
-            Regression(y, f, f, 0.005),
+            Regression(y, f, f, 0.005).means(),
             coefficients,
             np.zeros((3, 4)),
             np.full(4, size == 1.0),
@@ -124,7 +124,7 @@ def test_a_moment_that_steps_is_the_constant_though_the_controller_answers() -> 
         y = f @ coefficients.T + 0.05 * chance.normal(size=3)
         y[:, 1] += smooth[0]
         found += detector.update(
-            Regression(y, f, f, 0.005),
+            Regression(y, f, f, 0.005).means(),
             coefficients,
             np.zeros((3, 4)),
             np.ones(4, dtype=bool),

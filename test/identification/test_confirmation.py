@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.identification.confirmation import Confirmation
+from uav_ident_ros.identification.noise import NoiseModel
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS
 
@@ -25,6 +26,7 @@ class Flown:
 
     def __init__(self, seed: int = 1) -> None:
         self.confirmed = Confirmation()
+        self._noise = NoiseModel(3)
         self.max_age = MAX_AGE
         self._rng = np.random.default_rng(seed)
         self._gust = np.zeros(3)
@@ -43,7 +45,8 @@ class Flown:
             f[0, INPUT_COLUMNS] = self._u
             sample = Regression(np.zeros((1, 3)), f, f, DT, self.restarted)
             self.restarted = False
-            self.confirmed.add(sample, residual, BELIEVED, self.max_age)
+            white = self._noise.whiten(sample, residual[None])
+            self.confirmed.add(white, BELIEVED, self.max_age)
 
     def doubts(self) -> list[str]:
         return [self.confirmed.doubt(row) for row in range(3)]
@@ -125,10 +128,10 @@ def test_a_gap_does_not_undo_what_was_confirmed() -> None:
 
 
 def test_a_flight_without_noise_is_judged_too() -> None:
-    confirmed = Confirmation()
+    confirmed, noise = Confirmation(), NoiseModel(3)
     for k in range(200):
         f = np.zeros((1, 15))
         f[0, INPUT_COLUMNS] = 0.05 * np.sin(0.3 * k * np.arange(1.0, 5.0))
         sample = Regression(np.zeros((1, 3)), f, f, DT)
-        confirmed.add(sample, np.zeros(3), BELIEVED, MAX_AGE)
+        confirmed.add(noise.whiten(sample, np.zeros((1, 3))), BELIEVED, MAX_AGE)
     assert [confirmed.doubt(row) for row in range(3)] == ["", "", ""]

@@ -123,7 +123,7 @@ def block_of(u: FloatArray, h: float, *, restarted: bool = True) -> tuple[Block,
     return block, FlowSignals(whole[:, 3:5], whole[:, 5:], SPEED)
 
 
-@pytest.mark.parametrize("h", [0.001, 0.005, 0.01, 0.025])
+@pytest.mark.parametrize("h", [0.001, 0.005, 0.0125, 0.025])
 def test_a_run_over_a_block_is_the_solution_of_the_equations(h: float) -> None:
     """Whatever the width of the cells; inputs change every 50 ms, where no step crosses."""
     u = np.repeat(RNG.uniform(-0.1, 0.1, (20, 4)), round(0.05 / h), axis=0)

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from uav_ident_ros.identification.noise import MEMORY, ORDER, NoiseModel, Whitener
+from uav_ident_ros.identification.noise import MEMORY, ORDER, Innovations, NoiseModel
+from uav_ident_ros.identification.regression import Regression
 
 DT = 0.05
 WEIGHTS = np.array([[1.2, -0.5, 0.1], [0.0, 0.0, 0.0], [-0.4, 0.2, 0.3]])
@@ -27,65 +29,66 @@ def correlation(signals: np.ndarray, lag: int) -> np.ndarray:
     return (signals[lag:] * signals[:-lag]).mean(axis=0) / (signals**2).mean(axis=0)
 
 
+def whiten(model: NoiseModel, residual: np.ndarray, restarted: bool = False) -> Innovations:
+    """Whiten residuals (m, rows), with regressors that are their multiples."""
+    f = np.stack([residual[:, 0], -3.0 * residual[:, 0]], axis=1)
+    return model.whiten(Regression(2.0 * residual, f, f, DT, restarted), residual)
+
+
 def test_the_autoregression_of_each_row_is_found() -> None:
     """Averaged over several stretches of the memory: each is an estimate from that much."""
     model, found = NoiseModel(3), []
-    for k, residual in enumerate(residuals(12_000)[0]):
-        model.add(residual, DT)
-        if k and k % round(MEMORY / DT) == 0:
-            found.append((model.weights.copy(), model.variance.copy()))
+    for part in np.split(residuals(12_000)[0], 12_000 * DT / MEMORY):
+        for pair in np.split(part, len(part) // 2):
+            whiten(model, pair)
+        found.append((model.weights.copy(), model.variance.copy()))
     weights, variance = (np.mean(part, axis=0) for part in zip(*found, strict=True))
     np.testing.assert_allclose(weights, WEIGHTS, atol=0.08)
     np.testing.assert_allclose(variance, SPREAD**2, rtol=0.15)
 
 
 def test_what_is_left_after_whitening_is_white() -> None:
-    model, whitener, out = NoiseModel(3), Whitener((3,)), []
-    coloured = residuals(6_000)[0]
-    for residual in coloured:
-        model.add(residual, DT)
-        out.append(whitener.apply(residual, model))
-    assert all(part is None for part in out[:ORDER])
-    white = np.array(out[1000:])
+    model, coloured = NoiseModel(3), residuals(6_000)[0]
+    white = [whiten(model, part).residual for part in np.split(coloured, 2_000)]
+    assert white[0].shape == (3, 0)  # nothing is known of what was before
+    late = np.concatenate(white[300:], axis=1).T
     for lag in (1, 2, 3, 5):
-        assert np.abs(correlation(white, lag)).max() < 0.1
+        assert np.abs(correlation(late, lag)).max() < 0.1
     assert correlation(coloured, 1)[0] > 0.7
 
 
-def test_with_the_true_weights_the_innovations_come_back() -> None:
-    """Each signal of a row goes through the model of that row, whatever their number."""
-    coloured, white = residuals(200)
-    model, whitener = NoiseModel(3), Whitener((3, 2))
-    model.weights = WEIGHTS
-    for k, residual in enumerate(coloured):
-        out = whitener.apply(np.stack([residual, -3.0 * residual], axis=1), model)
-        if k < ORDER:
-            assert out is None
-        else:
-            assert out is not None
-            np.testing.assert_allclose(out[:, 0], white[k], atol=1e-12)
-            np.testing.assert_allclose(out[:, 1], -3.0 * white[k], atol=1e-12)
+@pytest.mark.parametrize("m", [1, 2, 5, 200])
+def test_with_the_true_weights_the_innovations_come_back(m: int) -> None:
+    """Each signal of a row goes through the model of that row, however many come at once."""
+    coloured, expected = residuals(200)
+    model, out = NoiseModel(3), []
+    for part in np.split(coloured, 200 // m):
+        model.weights = WEIGHTS
+        model._since_fit = -1e9  # no fit: the weights are to stay
+        out.append(whiten(model, part))
+    residual = np.concatenate([white.residual for white in out], axis=1)
+    np.testing.assert_allclose(residual, expected[ORDER:].T, atol=1e-12)
+    y = np.concatenate([white.y for white in out], axis=1)
+    np.testing.assert_allclose(y, 2.0 * residual, atol=1e-12)
+    for part in ("f", "z"):
+        signals = np.concatenate([getattr(white, part) for white in out], axis=1)
+        np.testing.assert_allclose(signals[0, :, 1], -3.0 * residual[0], atol=1e-12)
 
 
 def test_a_new_stretch_does_not_continue_the_old_one() -> None:
-    model, whitener = NoiseModel(3), Whitener((3,))
-    for residual in residuals(100)[0]:
-        model.add(residual, DT)
-        whitener.apply(residual, model)
+    model = NoiseModel(3)
+    whiten(model, residuals(100)[0])
     weights = model.weights.copy()
-    model.restart()
-    whitener.restart()
+    assert whiten(model, np.ones((2, 3)), restarted=True).residual.shape == (3, 0)
     np.testing.assert_array_equal(model.weights, weights)  # what was learned stays
-    for k in range(ORDER):
-        assert whitener.apply(np.ones(3), model) is None, k
-    assert whitener.apply(np.ones(3), model) is not None
+    assert whiten(model, np.ones((2, 3))).residual.shape == (3, 1)
 
 
 def test_nothing_and_next_to_nothing_are_no_trouble() -> None:
     for value in (0.0, 1e-300, 1e150):
         model = NoiseModel(2)
         for k in range(100):
-            model.add(np.array([value, 0.0]) * (-1.0) ** k, DT)
+            whiten(model, np.array([[value, 0.0]]) * (-1.0) ** k)
         assert np.isfinite(model.weights).all()
         assert np.isfinite(model.variance).all()
         assert (model.variance >= 0.0).all()

@@ -4,8 +4,10 @@
 A gust moves the aircraft, an autopilot answers, and the input is correlated with the gust: the
 estimate of a control derivative is then off by ``cov(u, w) / var(u)``, and no residual shows it.
 What a gust alone makes of the motion is what the model's run on the inputs does not explain. If
-that motion explains the share R^2 of an input, the error is at most ``R sigma_w / sigma_u``, and
-sigma is at least that (Soderstrom and Stoica, System Identification, 1989, ch. 10).
+that motion explains the share R^2 of an input, the error is at most ``R sigma_w / sigma_u``, and of
+the disturbance w the residual e shows ``sigma_e = sigma_w sqrt(1 - R^2)``: the rest went into the
+estimate. So sigma is at least ``R / sqrt(1 - R^2) sigma_e / sigma_u`` (Soderstrom and Stoica,
+System Identification, 1989, ch. 10).
 """
 
 from __future__ import annotations
@@ -58,61 +60,63 @@ class Feedback:
         self._forces = forces
         self._columns = 7 + 2 * forces  # rates, angles, forces, constant
         self._angles: FloatArray = np.zeros(len(ROWS))
-        self._information: FloatArray = np.zeros((self._columns, self._columns))
-        self._product: FloatArray = np.zeros((self._columns, len(INPUTS)))
-        self._input_square: FloatArray = np.zeros(len(INPUTS))
+        size = self._columns + len(INPUTS)
+        self._products: FloatArray = np.zeros((size, size))
         self._residual_square: FloatArray = np.zeros(len(ROWS))
-        self._time = 0.0
         self._since_look = 0.0
         self.share: FloatArray = np.zeros(len(INPUTS))
         self.bound: FloatArray = np.zeros((len(ROWS), len(INPUTS)))
 
-    def add(self, sample: Regression, residual: FloatArray, weight: FloatArray) -> None:
-        """Take one tick.
+    def add(self, samples: Regression, residual: FloatArray, weight: FloatArray) -> None:
+        """Take samples.
 
         Parameters
         ----------
-        sample : Regression
-            Mean of the tick's samples; its instruments are the model's run on all inputs.
-        residual : (3,) array
-            Its residuals in the moment rows, rad/s^2.
+        samples : Regression
+            m samples; their instruments are the model's run on all inputs.
+        residual : (m, 3) array
+            Their residuals in the moment rows, rad/s^2.
         weight : (3,) array
-            How much the rows learn from it, 0 ... 1.
+            How much the rows learn from them, 0 ... 1.
         """
-        if sample.restarted:
-            self._angles[:] = 0.0
-        dt = sample.time
-        disturbed = sample.f[0] - sample.z[0]
-        rates = disturbed[RATE_COLUMNS]
-        self._angles += dt * (rates - self._angles / ANGLE_TIME)
-        force = disturbed[LAST_COLUMNS] if self._forces else ()
-        motion = np.concatenate((rates, self._angles, force, (1.0,)))
+        if samples.restarted:
+            self._angles = np.zeros(len(ROWS))
+        dt, m = samples.dt, len(residual)
+        disturbed, inputs = samples.f - samples.z, samples.f[:, INPUT_COLUMNS]
+        rates = disturbed[:, RATE_COLUMNS]
+        angles = np.empty_like(rates)
+        for k in range(m):
+            self._angles = self._angles + dt * (rates[k] - self._angles / ANGLE_TIME)
+            angles[k] = self._angles
+        force = disturbed[:, LAST_COLUMNS] if self._forces else disturbed[:, :0]
+        if not samples.f[:, LAST_COLUMNS].any():  # no accelerometer tells of a disturbed force
+            force = np.zeros_like(force)
+        motion = np.concatenate((rates, angles, force, np.ones((m, 1))), axis=1)
         counted = dt * float(weight.max())
-        keep = np.exp(-counted / MEMORY)
-        inputs = sample.f[0, INPUT_COLUMNS]
-        self._information = keep * self._information + counted * np.outer(motion, motion)
-        self._product = keep * self._product + counted * np.outer(motion, inputs)
-        self._input_square = keep * self._input_square + counted * inputs * inputs
-        self._residual_square = keep * self._residual_square + counted * residual * residual
-        self._time = keep * self._time + counted
-        self._since_look += dt
-        if self._since_look >= LOOK_TIME and self._time > 0.0:
+        keep = np.exp(-m * counted / MEMORY)
+        signals = np.concatenate((motion, inputs), axis=1)
+        self._products = keep * self._products + counted * (signals.T @ signals)
+        square = np.add.reduce(residual * residual)
+        self._residual_square = keep * self._residual_square + counted * square
+        self._since_look += m * dt
+        if self._since_look >= LOOK_TIME and self._products[self._columns - 1].any():
             self._since_look = 0.0
             self._look()
 
     def _look(self) -> None:
-        matrix = self._information.copy()
+        n = self._columns
+        time = self._products[n - 1, n - 1]
+        mean = self._products[n - 1] / time
+        covariance = self._products / time - np.outer(mean, mean)
+        matrix = covariance[: n - 1, : n - 1].copy()
         diagonal = np.einsum("jj->j", matrix)
         diagonal += LOADING * diagonal + np.finfo(float).tiny
-        slopes = np.linalg.solve(matrix, self._product)
-        mean_input = self._product[-1] / self._time
-        variance = self._input_square / self._time - mean_input**2
-        mean = self._information[-1] / self._time
-        covariance = self._information / self._time - np.outer(mean, mean)
-        explained = np.einsum("ji,jk,ki->i", slopes, covariance, slopes)
+        across = covariance[: n - 1, n:]
+        explained = np.einsum("ji,ji->i", across, np.linalg.solve(matrix, across))
+        variance = np.diag(covariance)[n:]
         moved = variance > np.finfo(float).tiny
         share = np.divide(explained, variance, out=np.zeros(len(INPUTS)), where=moved)
-        by_chance = self._columns * CORRELATION_TIME / self._time
-        self.share = np.clip(share - by_chance, 0.0, 1.0)
-        ratio = np.divide(self.share, variance, out=np.zeros(len(INPUTS)), where=moved)
-        self.bound = np.sqrt(np.outer(self._residual_square / self._time, ratio))
+        self.share = np.clip(share - n * CORRELATION_TIME / time, 0.0, 1.0)
+        told = np.maximum(1.0 - self.share, np.finfo(float).tiny) * variance
+        ratio = np.divide(self.share, told, out=np.zeros(len(INPUTS)), where=moved)
+        self.bound = np.sqrt(np.outer(self._residual_square / time, ratio))

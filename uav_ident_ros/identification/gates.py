@@ -174,9 +174,9 @@ class Gates:
             self._reasons[name] = self.closed
         return self.closed
 
-    def charge(self, name: str, share: float) -> None:
-        """Count a gate of `ROW_GATES` that kept a share of the rows from this tick."""
-        self._closed[name] += share  # type: ignore[assignment]
+    def charge(self, name: str, ticks: float) -> None:
+        """Count a gate of `ROW_GATES` that kept some rows from ticks, in ticks of all rows."""
+        self._closed[name] += ticks  # type: ignore[assignment]
 
     def costs(self) -> dict[str, Cost]:
         """Return what each gate has cost so far, by name, the dearest first; those that did."""

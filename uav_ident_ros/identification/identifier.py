@@ -37,17 +37,19 @@ from uav_ident_ros.identification.intake import (
     Intake,
 )
 from uav_ident_ros.identification.model import FlowSignals, IdentifiedModel
+from uav_ident_ros.identification.noise import NoiseModel
 from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.plausibility import Finding, Plausibility
 from uav_ident_ros.identification.prior import Start, resumed, start_from, without_flow
-from uav_ident_ros.identification.regression import Regression, StateVariableFilter
+from uav_ident_ros.identification.regression import Regression, StateVariableFilter, layout
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
+from uav_ident_ros.identification.stretch import STRETCH_TIME, Stretch, join_stretches
 from uav_ident_ros.identification.structure import ROWS, STRUCTURES, BoolArray, FloatArray
-from uav_ident_ros.identification.supervision import Change, State, Supervisor, Verdict
+from uav_ident_ros.identification.supervision import Change, State, Supervisor
 
 START_TIME = 20.0
 """Time of learning for which the coefficients count as poor, s."""
@@ -184,6 +186,7 @@ class OnlineIdentifier:
             }
         )
         self._intake.fault = ""
+        self._noise = NoiseModel(layout(self.structure).rows)
         self._learned_time = 0.0
         self.restart()
 
@@ -206,6 +209,8 @@ class OnlineIdentifier:
         self._glitches = GlitchFilter()
         self._intake.restart()
         self._filter: StateVariableFilter | None = None
+        self._stretch: list[Stretch] = []
+        self._news = True
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
         self._looked_ns = NO_TICK
@@ -476,24 +481,47 @@ class OnlineIdentifier:
         self._supervisor.look(t_ns * NS, rates.v[new:], raw, self._speed.newest, fault)
 
     def _filtered_tick(self) -> bool:
-        """Learn from the blocks that this tick completes; return whether there were any."""
-        fed = renewed = False
+        """Follow the blocks that this tick completes; return whether there were any."""
+        fed = False
         for block in self._sampler.blocks():
             self._look_for_accelerometer(block)
-            coefficients = self._coefficients()
-            flow = self._follow_flow(block, coefficients)
-            saved = None if self._saved is None else self._saved * self._speed.scale
-            if self._supervisor.gates.unreadable:
-                self.running_fit.restart()
-            else:
-                self.running_fit.add(block, flow, coefficients, saved)
-            self._learn(block, flow, coefficients)
-            if not self._supervisor.closed:
-                renewed = self._delay.add(block, flow, self.delay) or renewed
+            part = self._follow(block)
+            if self._stretch and not self._stretch[-1].continued_by(part):
+                self._end_stretch()
+            self._stretch.append(part)
+            length = sum(p.block.time for p in self._stretch)
+            if length >= STRETCH_TIME - 0.5 * block.h or self._learned_time < START_TIME:
+                self._end_stretch()
             fed = True
-        if renewed:
-            self._heed_delay()
         return fed
+
+    def _follow(self, block: Block) -> Stretch:
+        """Run the model over a block."""
+        coefficients = self._coefficients()
+        flow = self._follow_flow(block, coefficients)
+        leak = self.settings.model.leak_time
+        if leak > 0.0 and self._learned_time < START_TIME:
+            leak = min(leak, START_LEAK_TIME)
+        states = self._model.run(coefficients, block, flow, leak)
+        if injected := self._injected(block):
+            states = self._response.respond(coefficients, block, flow, leak)
+        learns = self._speed.known and not self._supervisor.closed
+        readable = not self._supervisor.gates.unreadable
+        return Stretch(block, flow, states, learns, readable, injected)
+
+    def _end_stretch(self) -> None:
+        """Score the coefficients on the stretch that ends, then learn from it."""
+        stretch, ticks = join_stretches(self._stretch), len(self._stretch)
+        self._stretch.clear()
+        self._news = True
+        if stretch.readable:
+            saved = None if self._saved is None else self._saved * self._speed.scale
+            self.running_fit.add(stretch.block, stretch.flow, self._coefficients(), saved)
+        else:
+            self.running_fit.restart()
+        self._learn(stretch, ticks)
+        if stretch.learns and self._delay.add(stretch.block, stretch.flow, self.delay):
+            self._heed_delay()
 
     def _look_for_accelerometer(self, block: Block) -> None:
         """Leave out the flow angles while nothing tells of them."""
@@ -504,6 +532,7 @@ class OnlineIdentifier:
             self._estimator.start = without_flow(self._start, self.structure)
         elif before is False and self._has_accelerometer:
             # What was learned without flow angles took their moments for something else.
+            self._stretch.clear()
             self._estimator = self._make_estimator(self.settings, self._start)
             self._learned_time = 0.0
 
@@ -538,35 +567,36 @@ class OnlineIdentifier:
         self._saved = saved.values
         self.running_fit.save()
 
-    def _learn(self, block: Block, flow: FlowSignals | None, coefficients: FloatArray) -> None:
-        """Run the model over a block and learn from it."""
+    def _learn(self, stretch: Stretch, ticks: int) -> None:
+        """Learn from a stretch of some ticks."""
+        block = stretch.block
         if self._filter is None:
             self._filter = StateVariableFilter(
                 self.structure, self.settings.filter.cutoff, block.h, self._arm
             )
-        leak = self.settings.model.leak_time
-        if leak > 0.0 and self._learned_time < START_TIME:
-            leak = min(leak, START_LEAK_TIME)
-        states, driven_by = self._model.run(coefficients, block, flow, leak), None
-        if self._injected(block):
-            driven_by = block.excitation
-            states = self._response.respond(coefficients, block, flow, leak)
         scale = self._speed.scale[0] if self._speed.enabled else None
-        regression = self._filter.apply(block, states, scale, flow, coefficients, driven_by)
-        learns = self._speed.known and not self._supervisor.closed
-        if learns:
-            self._learned_time += regression.time
-            mean = regression.mean()
-            residual = self._estimator.residual(mean)
-            weight = self._supervisor.weigh(
-                residual[None, :3], regression.time, self._estimator.clear
-            )
-            self._supervisor.confirm(mean, residual[:3], self._estimator.inputs)
-            self._estimator.update(regression, mean, residual, weight)
+        driven_by = block.excitation if stretch.injected else None
+        regression = self._filter.apply(
+            block, stretch.states, scale, stretch.flow, self._coefficients(), driven_by
+        )
         t = int(block.t_ns[-1]) * NS
-        self._supervisor.follow(t, self._estimator, learns)
-        if learns and self._estimator.changes:
+        if not stretch.learns:
+            self._supervisor.follow(t, self._estimator, ticks, learned=False)
+            return
+        self._update(regression.means(), t, ticks)
+        if self._estimator.changes:
             self.running_fit.forget()
+
+    def _update(self, samples: Regression, t: float, ticks: int) -> None:
+        """Update the coefficients with samples that end at `t` s."""
+        estimator, supervisor = self._estimator, self._supervisor
+        self._learned_time += samples.time
+        residual = estimator.residual(samples)
+        white = self._noise.whiten(samples, residual)
+        weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
+        supervisor.confirm(white, estimator.inputs)
+        estimator.update(samples, residual, white, weight)
+        supervisor.follow(t, estimator, ticks, learned=True)
 
     def _injected(self, block: Block) -> bool:
         """Whether the aircraft still answers inputs that were injected on purpose."""
@@ -590,13 +620,11 @@ class OnlineIdentifier:
         self._model.euler(
             self._estimator.coefficients, x, u, force, dt, self.settings.model.leak_time
         )
-        learns = not self._supervisor.closed
-        if learns:
-            mean = regression.mean()
-            residual = self._estimator.residual(mean)
-            self._supervisor.confirm(mean, residual, self._estimator.inputs)
-            self._estimator.update(regression, mean, residual, np.ones(3))
-        self._supervisor.follow(t_ns * NS, self._estimator, learns)
+        self._news = True
+        if self._supervisor.closed:
+            self._supervisor.follow(t_ns * NS, self._estimator, 1, learned=False)
+        else:
+            self._update(regression, t_ns * NS, 1)
         return True
 
     def _estimate(self, t_ns: int, fed: bool) -> Estimate:
@@ -604,18 +632,10 @@ class OnlineIdentifier:
         predicted = self._model.state[:3]
         coefficients = self._coefficients()
         sigma = self._estimator.sigma * self._speed.scale
-        verdict = self._supervisor.judge(
-            t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error
-        )
-        contradiction = self.delay_estimate.contradiction(self.delay)
-        # Without flow angles a gust looks like a late input: it denies nothing.
-        if contradiction and self._flow is not None:
-            verdict = Verdict((contradiction, contradiction, contradiction))
-        if self.settings.supervision.plausibility:
-            self._plausibility.judge(coefficients, sigma)
-        state, reason = self._waiting(fed) or self._supervisor.state(verdict)
+        self._judge(t_ns, coefficients, sigma)
+        state, reason = self._waiting(fed) or self._supervisor.state(self._verdict)
         sound = state is not State.FAULT and not self._plausibility.doubted
-        usable = verdict.rows if sound else (False, False, False)
+        usable = self._verdict.rows if sound else (False, False, False)
         return Estimate(
             t_ns=t_ns,
             coefficients=coefficients,
@@ -630,6 +650,20 @@ class OnlineIdentifier:
             state=state.value,
             reason=reason,
         )
+
+    def _judge(self, t_ns: int, coefficients: FloatArray, sigma: FloatArray) -> None:
+        """Give the verdict anew where something was learned, or scored, since the last one."""
+        if not self._news:
+            return
+        self._news = False
+        contradiction = self.delay_estimate.contradiction(self.delay)
+        # Without flow angles a gust looks like a late input: it denies nothing.
+        late = contradiction if self._flow is not None else ""
+        self._verdict = self._supervisor.judge(
+            t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error, late
+        )
+        if self.settings.supervision.plausibility:
+            self._plausibility.judge(coefficients, sigma)
 
     def _waiting(self, fed: bool) -> tuple[State, str] | None:
         """Return state word and reason while something is wrong or missing; None if not."""

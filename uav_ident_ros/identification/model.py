@@ -43,9 +43,9 @@ from uav_ident_ros.identification.structure import (
 GRAVITY = 9.80665
 """Standard acceleration of gravity, m/s^2."""
 
-STEP = 0.01
+STEP = 0.025
 """Integration step aimed at, s: between steps the states are straight lines, which for a motion of
-20 rad/s are off by half a percent. Shorter cells are joined, longer ones are cut."""
+10 rad/s are off by less than a percent. Shorter cells are joined, longer ones are cut."""
 
 LARGEST_RATE = 30.0
 """Rate beyond which the model's state has diverged, rad/s: no aircraft here turns faster."""

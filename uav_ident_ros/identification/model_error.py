@@ -21,7 +21,7 @@ from uav_ident_ros.identification.structure import (
 )
 
 LAGS = 4
-"""Ticks back to which the residual is held against an input: 0.2 s, a slow servo's lag."""
+"""Samples back to which the residual is held against an input: 0.2 s, a slow servo's lag."""
 
 MEMORY = 60.0
 """Time constant of the running sums, s."""
@@ -33,9 +33,10 @@ CORRELATION_TIME = 0.3
 """Time after which residuals count as independent, s: that of gusts on a small aircraft."""
 
 LOADING = 1e-4
-"""Added to the information, relative to its diagonal: inputs of neighbouring ticks are alike."""
+"""Added to the information, relative to its diagonal: neighbouring inputs are alike."""
 
 _COLUMNS = LAGS + 4  # the input now and before, its signed square, its sign, the constant
+_MAIN = [INPUTS.index(MAIN_INPUTS[row]) for row in ROWS]
 
 
 class ModelError:
@@ -48,13 +49,11 @@ class ModelError:
     """
 
     def __init__(self) -> None:
-        self._main = [INPUTS.index(MAIN_INPUTS[row]) for row in ROWS]
-        self._past: FloatArray = np.zeros((LAGS + 1, len(ROWS)))
+        self._inputs: FloatArray = np.zeros((0, len(ROWS)))
         self._information: FloatArray = np.zeros((len(ROWS), _COLUMNS, _COLUMNS))
         self._product: FloatArray = np.zeros((len(ROWS), _COLUMNS))
         self._square: FloatArray = np.zeros(len(ROWS))
         self._time: FloatArray = np.zeros(len(ROWS))
-        self._known = 0
         self._since_look = 0.0
         self.share: FloatArray = np.zeros(len(ROWS))
 
@@ -65,48 +64,47 @@ class ModelError:
 
     def add(
         self,
-        sample: Regression,
+        samples: Regression,
         residual: FloatArray,
         derivatives: FloatArray,
         weight: FloatArray,
     ) -> None:
-        """Take one tick.
+        """Take samples.
 
         Parameters
         ----------
-        sample : Regression
-            Mean of the tick's samples.
-        residual : (3,) array
-            Its residuals, rad/s^2.
+        samples : Regression
+            m samples.
+        residual : (m, 3) array
+            Their residuals, rad/s^2.
         derivatives : (3, 4) array
             Control derivatives that go with them.
         weight : (3,) array
-            How much the rows learn from it, 0 ... 1.
+            How much the rows learn from them, 0 ... 1.
         """
-        if sample.restarted:
-            self._known = 0
-        inputs = sample.f[0, INPUT_COLUMNS][self._main]
-        self._past[1:] = self._past[:-1].copy()
-        self._past[0] = inputs
-        self._known += 1
-        if self._known <= LAGS:
+        inputs = samples.f[:, INPUT_COLUMNS][:, _MAIN]
+        if not samples.restarted:
+            inputs = np.concatenate((self._inputs, inputs))
+        self._inputs = inputs[-LAGS:]
+        m = min(len(inputs) - LAGS, len(residual))
+        if m <= 0:
             return
-        bent = (inputs * np.abs(inputs), np.sign(inputs), np.ones(len(ROWS)))
-        f = np.vstack((self._past, *bent)).T
-        dt = weight * sample.time
-        keep = np.exp(-dt / MEMORY)
-        weighted = f * dt[:, None]
+        residual, now = residual[-m:].T, inputs[-m:].T
+        past = [inputs[len(inputs) - m - lag : len(inputs) - lag].T for lag in range(LAGS + 1)]
+        f = np.stack((*past, now * np.abs(now), np.sign(now), np.ones_like(now)), axis=1)
+        dt = weight * samples.dt
+        keep = np.exp(-m * dt / MEMORY)
+        weighted = f * dt[:, None, None]
         self._information *= keep[:, None, None]
-        self._information += weighted[:, :, None] * f[:, None, :]
+        self._information += weighted @ f.transpose(0, 2, 1)
         self._product *= keep[:, None]
-        self._product += weighted * residual[:, None]
-        self._square = keep * self._square + dt * residual * residual
-        self._time = keep * self._time + dt
-        self._since_look += sample.time
+        self._product += (weighted @ residual[:, :, None])[:, :, 0]
+        self._square = keep * self._square + dt * np.add.reduce(residual * residual, axis=1)
+        self._time = keep * self._time + m * dt
+        self._since_look += samples.time
         if self._since_look >= LOOK_TIME:
             self._since_look = 0.0
-            main = derivatives[np.arange(len(ROWS)), self._main]
-            self._look(main)
+            self._look(derivatives[np.arange(len(ROWS)), _MAIN])
 
     def _look(self, derivatives: FloatArray) -> None:
         """Solve for what is explained, less what noise alone would seem to explain."""

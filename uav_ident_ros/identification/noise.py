@@ -8,12 +8,15 @@ instruments, inputs (prewhitening; Box, Jenkins and Reinsel, Time Series Analysi
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.structure import FloatArray
 
 ORDER = 3
-"""Order of the autoregression, ticks: gust, filter and one more."""
+"""Order of the autoregression, samples: gust, filter and one more."""
 
 MEMORY = 30.0
 """Time constant of the residual's running autocovariances, s."""
@@ -26,8 +29,32 @@ LOADING = 0.01
 slow input after whitening above what rounding and sampling leave."""
 
 
+@dataclass(frozen=True)
+class Innovations:
+    """Samples of the regression problem, whitened by the noise of each row.
+
+    Parameters
+    ----------
+    y, residual : (rows, m) array
+        What is explained, and what the coefficients before left of it.
+    f, z : (rows, m, c) array
+        Regressors and instruments.
+    variance : (rows,) array
+        Variance of the innovation, as the noise model has it.
+    dt : float
+        Time that each sample stands for, s.
+    """
+
+    y: FloatArray
+    residual: FloatArray
+    f: FloatArray
+    z: FloatArray
+    variance: FloatArray
+    dt: float
+
+
 class NoiseModel:
-    """Autoregressive models of the residuals of several rows, a tick at a time.
+    """Autoregressive models of the residuals of several rows.
 
     Parameters
     ----------
@@ -45,23 +72,55 @@ class NoiseModel:
     def __init__(self, rows: int) -> None:
         self.weights: FloatArray = np.zeros((rows, ORDER))
         self.variance: FloatArray = np.zeros(rows)
-        self._covariances: FloatArray = np.zeros((ORDER + 1, rows))
-        self._past: FloatArray = np.zeros((ORDER + 1, rows))
+        self._covariances: FloatArray = np.zeros((rows, ORDER + 1))
         self._time = self._since_fit = 0.0
         self._lags = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
+        self._past: FloatArray | None = None
+        self._known = 0
 
-    def restart(self) -> None:
-        """Begin a new stretch: what comes does not continue what was."""
-        self._past[:] = 0.0
+    def whiten(self, samples: Regression, residual: FloatArray) -> Innovations:
+        """Learn from residuals, and whiten the samples that they belong to.
 
-    def add(self, residual: FloatArray, dt: float) -> None:
-        """Take the residuals of a tick, shape (rows,), that stand for `dt` s."""
-        self._past[1:] = self._past[:-1].copy()
-        self._past[0] = residual
-        self._time += dt
-        share = min(dt / min(self._time, MEMORY), 1.0)
-        self._covariances += share * (self._past * residual - self._covariances)
-        self._since_fit += dt
+        Parameters
+        ----------
+        samples : Regression
+            m samples.
+        residual : (m, rows) array
+            What the coefficients before left of them.
+
+        Returns
+        -------
+        Innovations
+            Of all samples but the first `ORDER` of a stretch.
+        """
+        rows, (m, c) = len(self.weights), samples.f.shape
+        own = np.stack((residual.T, samples.y.T), axis=2)
+        shared = np.concatenate((samples.f, samples.z), axis=1)
+        new = np.concatenate((own, np.broadcast_to(shared, (rows, *shared.shape))), axis=2)
+        if samples.restarted or self._past is None:
+            self._past, self._known = np.zeros((rows, ORDER, new.shape[2])), 0
+        signals = np.concatenate((self._past, new), axis=1)
+        self._past = signals[:, -ORDER:]
+        self._learn(signals[:, :, 0], samples.dt)
+        white = new.copy()
+        for lag in range(1, ORDER + 1):
+            before = signals[:, ORDER - lag : ORDER - lag + m]
+            white -= self.weights[:, lag - 1, None, None] * before
+        white = white[:, max(ORDER - self._known, 0) :]
+        self._known = min(self._known + m, ORDER)
+        f, z = white[:, :, 2 : 2 + c], white[:, :, 2 + c :]
+        return Innovations(white[:, :, 1], white[:, :, 0], f, z, self.variance, samples.dt)
+
+    def _learn(self, residual: FloatArray, dt: float) -> None:
+        """Take residuals (rows, ORDER + m), the first `ORDER` of which are known already."""
+        new = residual[:, ORDER:]
+        m = new.shape[1]
+        self._time += m * dt
+        share = min(m * dt / min(self._time, MEMORY), 1.0)
+        for lag in range(ORDER + 1):
+            product = np.add.reduce(new * residual[:, ORDER - lag : ORDER - lag + m], axis=1) / m
+            self._covariances[:, lag] += share * (product - self._covariances[:, lag])
+        self._since_fit += m * dt
         if self._since_fit >= FIT_TIME:
             self._since_fit = 0.0
             self._fit()
@@ -69,37 +128,9 @@ class NoiseModel:
     def _fit(self) -> None:
         """Solve the Yule-Walker equations."""
         c = self._covariances
-        matrix = c[self._lags].transpose(2, 0, 1).copy()
-        level = np.maximum(c[0], np.finfo(float).tiny)
+        matrix = c[:, self._lags]
+        level = np.maximum(c[:, 0], np.finfo(float).tiny)
         np.einsum("ijj->ij", matrix)[...] += (LOADING * level)[:, None]
-        self.weights = np.linalg.solve(matrix, c[1:].T[:, :, None])[:, :, 0]
-        self.variance = np.maximum(c[0] - (self.weights * c[1:].T).sum(axis=1), LOADING * c[0])
-
-
-class Whitener:
-    """Signals through the noise models of their rows.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Shape of the signals of a tick; its first axis are the rows.
-    """
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self._past: FloatArray = np.zeros((ORDER, *shape))
-        self._known = 0
-
-    def restart(self) -> None:
-        """Begin a new stretch."""
-        self._known = 0
-
-    def apply(self, signals: FloatArray, noise: NoiseModel) -> FloatArray | None:
-        """Return the signals less what the noise model predicts; None while too few are known."""
-        white = None
-        if self._known >= ORDER:
-            weights = noise.weights.T.reshape(ORDER, -1, *(1,) * (signals.ndim - 1))
-            white = signals - np.add.reduce(weights * self._past)
-        self._past[1:] = self._past[:-1].copy()
-        self._past[0] = signals
-        self._known += 1
-        return white
+        self.weights = np.linalg.solve(matrix, c[:, 1:, None])[:, :, 0]
+        left = c[:, 0] - (self.weights * c[:, 1:]).sum(axis=1)
+        self.variance = np.maximum(left, LOADING * c[:, 0])

@@ -37,6 +37,9 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
+SAMPLE_TIME = 0.05
+"""Time over which the filtered signals are averaged, s: the filter leaves nothing quicker."""
+
 NEGLIGIBLE = 1e-30
 """Magnitude below which a signal counts as zero, SI: no sensor resolves it, and the square of
 its square must be a number still."""
@@ -138,11 +141,14 @@ class Regression:
         """Time that all samples together stand for, s."""
         return self.dt * len(self.y)
 
-    def mean(self) -> Regression:
-        """Return the one sample that stands for all: their mean."""
+    def means(self) -> Regression:
+        """Return the means over stretches of `SAMPLE_TIME`, or nearly."""
         m = len(self.y)
-        y, f, z = (np.add.reduce(part, keepdims=True) / m for part in (self.y, self.f, self.z))
-        return Regression(y, f, z, self.time, self.restarted, self.injected)
+        count = min(m, max(1, round(self.time / SAMPLE_TIME)))
+        begin = np.arange(count) * m // count
+        width = np.diff(begin, append=m)[:, None]
+        y, f, z = (np.add.reduceat(part, begin) / width for part in (self.y, self.f, self.z))
+        return Regression(y, f, z, self.time / count, self.restarted, self.injected)
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
         """Return ``e = y - A f`` of coefficients of shape (rows, c); shape (m, rows)."""

@@ -8,15 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from uav_ident_ros.identification.model import FlowSignals, IdentifiedModel, bounded
-from uav_ident_ros.identification.sampling import Block, join
+from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import FloatArray, Structure
 
 PREDICTION_TIME = 1.0
 """Length of a prediction, s, as in the score of record."""
-
-PIECE_TIME = 0.25
-"""Length of the pieces in which a prediction is computed, s: all at once, it would make one tick
-a second twice as long as the others."""
 
 FIT_MEMORY = 30.0
 """Time constant of the running fit, s; half of its age while that is less, so that the first
@@ -76,8 +72,7 @@ class RunningFit:
 
     def restart(self) -> None:
         """Give up the prediction under way."""
-        self._blocks: list[Block] = []
-        self._piece_time = self._time = 0.0
+        self._time = 0.0
         self._now: FloatArray = np.zeros((6, 3))
 
     def forget(self) -> None:
@@ -98,7 +93,7 @@ class RunningFit:
         coefficients: FloatArray,
         saved: FloatArray | None,
     ) -> None:
-        """Take a block of signals; once a second is full, predict it.
+        """Predict a block of signals; once a second is full, it counts.
 
         Parameters
         ----------
@@ -113,19 +108,13 @@ class RunningFit:
         """
         if block.restarted:
             self.restart()
-        if self._time == 0.0 and not self._blocks:
+        if self._time == 0.0:
             self._coefficients, self._saved = coefficients, saved
             self._flow, self._force = flow, block.specific_force[:1]
             self._start = block.x[0]
             self._predicted = self._predicted_by_saved = self._model.measured(block, flow)[0]
-        self._blocks.append(block)
-        self._piece_time += block.time
-        rest = PREDICTION_TIME - self._time
-        if self._piece_time >= min(PIECE_TIME, rest) - 0.5 * block.h:
-            self._predict(join(self._blocks))
-            self._time += self._piece_time
-            self._piece_time = 0.0
-            self._blocks.clear()
+        self._predict(block)
+        self._time += block.time
         if self._time >= PREDICTION_TIME - 0.5 * block.h:
             self._count()
             self.restart()

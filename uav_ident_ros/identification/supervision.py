@@ -20,7 +20,7 @@ from uav_ident_ros.identification.gates import (
     ResidualGate,
     grounded,
 )
-from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
@@ -131,8 +131,6 @@ class Supervisor:
         Whether the motors are armed; None if nothing was heard of it.
     gates : Gates
         The gates, and what each has cost.
-    learning : (3,) bool array
-        Rows that learned from the last block.
     changed : list of Change
         The changes found in flight, the oldest first.
     """
@@ -151,7 +149,7 @@ class Supervisor:
         self._relearning: dict[tuple[int, int], Change] = {}
         self._residuals = ResidualGate()
         self._within: BoolArray = np.ones(3, dtype=bool)
-        self.learning: BoolArray = np.zeros(3, dtype=bool)
+        self._learned: BoolArray = np.ones(3, dtype=bool)
         self._confirmed = Confirmation()
         self._sigma: FloatArray | None = None
         self._proven = False
@@ -202,15 +200,19 @@ class Supervisor:
         self._within = weight > 0.0
         return weight
 
-    def follow(self, t: float, estimator: Estimator, learned: bool) -> None:
-        """Take note of what the estimator made of a block that ends at `t` s."""
-        self.learning = estimator.learning & learned
-        if learned:
-            held = ~self._within
-            self.gates.charge("residual", float(held.mean()))
-            self.gates.charge("excitation", float((~self.learning & ~held).mean()))
+    @property
+    def learning(self) -> BoolArray:
+        """Rows that learn, shape (3,)."""
+        return self._learned & (not self.closed)
+
+    def follow(self, t: float, estimator: Estimator, ticks: int, *, learned: bool) -> None:
+        """Take note of what the estimator made of a stretch of some ticks that ends at `t` s."""
         if not learned:
             return
+        self._learned = estimator.learning
+        held = ~self._within
+        self.gates.charge("residual", ticks * float(held.mean()))
+        self.gates.charge("excitation", ticks * float((~self._learned & ~held).mean()))
         for i, j in estimator.changes:
             before = float("inf") if self._sigma is None else float(self._sigma[i, j])
             change = Change(f"{ROWS[i]}/{self._structure.regressors[j]}", t, before)
@@ -219,19 +221,17 @@ class Supervisor:
             self._residuals.release(i)
             self._confirmed.forget(i)
 
-    def confirm(self, sample: Regression, residual: FloatArray, inputs: FloatArray) -> None:
-        """Let what the inputs did at a tick confirm the control derivatives, or contradict them.
+    def confirm(self, white: Innovations, inputs: FloatArray) -> None:
+        """Let what the inputs did confirm the control derivatives, or contradict them.
 
         Parameters
         ----------
-        sample : Regression
-            Mean of the tick's samples.
-        residual : (3,) array
-            Its residuals in the moment rows, rad/s^2.
+        white : Innovations
+            Whitened samples.
         inputs : (3, 4) array
-            Control derivatives that go with the residuals.
+            Control derivatives that go with their residuals.
         """
-        self._confirmed.add(sample, residual, inputs, self.settings.supervision.max_age)
+        self._confirmed.add(white, inputs, self.settings.supervision.max_age)
 
     def pauses(self) -> dict[str, str]:
         """Return why each row that does not learn pauses: row to reason."""
@@ -250,6 +250,7 @@ class Supervisor:
         sigma: FloatArray,
         running: RunningFit,
         model_error: FloatArray,
+        late: str = "",
     ) -> Verdict:
         """Give the verdict on the coefficients at `t` s; parameters as in `judge`."""
         self._sigma = sigma
@@ -271,6 +272,7 @@ class Supervisor:
             running,
             model_error,
             self._confirmed,
+            late,
         )
         first, second, third = (
             changed or reason for changed, reason in zip(relearning, found.reasons, strict=True)
@@ -299,6 +301,7 @@ def judge(
     running: RunningFit,
     model_error: FloatArray,
     confirmed: Confirmation,
+    late: str = "",
 ) -> Verdict:
     """Give the verdict on a set of coefficients, row by row.
 
@@ -320,12 +323,15 @@ def judge(
         What the main inputs still explain of the residuals, relative to their effect.
     confirmed : Confirmation
         Which control derivatives the flight has confirmed.
+    late : str
+        Why the delay in use cannot be right; empty if it can.
     """
     if running.predictions < MIN_PREDICTIONS:
         few = f"only {running.predictions} predictions of 1 s to judge by"
         return Verdict((few, few, few))
     first, second, third = (
-        _poor_fit(settings, running, i)
+        late
+        or _poor_fit(settings, running, i)
         or _unknown_input(settings, structure, i, coefficients, sigma)
         or _incomplete(i, float(model_error[i]))
         or confirmed.doubt(i)

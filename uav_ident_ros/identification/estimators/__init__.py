@@ -12,6 +12,7 @@ from typing import Protocol
 from uav_ident_ros.identification.estimators.gradient import GradientEstimator
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
+from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.settings import Settings
@@ -32,9 +33,9 @@ class Estimator(Protocol):
     problem : str
         What went wrong, in a sentence; empty if nothing did.
     learning : (3,) bool array
-        Rows that learned at the last tick; the others saw no excitation.
+        Rows that learned at the last update; the others saw no excitation.
     changes : list of (row, column)
-        Coefficients that were found changed, and released, at the last tick.
+        Coefficients that were found changed, and released, at the last update.
     """
 
     coefficients: FloatArray
@@ -60,24 +61,24 @@ class Estimator(Protocol):
     def information(self) -> Information:
         """What the flight has told, by which excitation and uncertainty are judged."""
 
-    def residual(self, sample: Regression) -> FloatArray:
-        """Return ``y - A f`` of the one sample of a tick, shape (rows,)."""
+    def residual(self, samples: Regression) -> FloatArray:
+        """Return ``y - A f`` of m samples, shape (m, rows)."""
 
     def update(
-        self, data: Regression, sample: Regression, residual: FloatArray, weight: FloatArray
+        self, samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
     ) -> None:
-        """Learn from the samples of a tick.
+        """Learn from samples.
 
         Parameters
         ----------
-        data : Regression
+        samples : Regression
             m samples.
-        sample : Regression
-            Their mean.
-        residual : (rows,) array
-            Its residuals from the coefficients as they are, rad/s^2.
+        residual : (m, rows) array
+            Their residuals from the coefficients as they are, rad/s^2.
+        white : Innovations
+            The same samples, whitened.
         weight : (3,) array
-            How much it counts in each moment row, 0 ... 1.
+            How much they count in each moment row, 0 ... 1.
         """
 
     def reconfigure(self, settings: Settings) -> None:

@@ -65,26 +65,17 @@ LIVELY_SHARE = 0.25
 """Variance of an input, relative to its mean while learning, below which it shows no change."""
 
 LARGEST_CORRELATION = 0.9
-"""Correlation of the residuals from tick to tick up to which they are whitened: beyond it, what
+"""Correlation of the residuals from sample to sample up to which they are whitened: beyond it, what
 is left of a slow input would be noise."""
 
-FEWEST_TICKS = 3
-"""Ticks from which a slope can be told at all: after a stall one may fill the window."""
+FEWEST_SAMPLES = 3
+"""Samples from which a slope can be told at all: a slow Imu has few in the window."""
 
 CORRELATION_TIME = 1.0
 """Time after which residuals count as independent, s."""
 
 SURFACES = np.array([label != "dth" for label in INPUTS])
 """Which of the inputs are control surfaces."""
-
-
-@dataclass(frozen=True)
-class TickMean:
-    """Means of the regression problem over one tick."""
-
-    y: FloatArray
-    f: FloatArray
-    dt: float
 
 
 PASSED = 6.0
@@ -100,7 +91,7 @@ class Step:
 
     size: float
     explained: float  # Share of the row's whitened residual that it explains, 0 ... 1
-    ticks: int  # How many ticks ago it had passed the filter
+    samples: int  # How many samples ago it had passed the filter
 
 
 @dataclass(frozen=True)
@@ -129,8 +120,8 @@ class ChangeDetector:
 
     Attributes
     ----------
-    recent : deque of TickMean
-        The ticks of the window.
+    recent : deque of Regression
+        The samples of the window.
     found : Slopes
         What the last look found.
     """
@@ -143,7 +134,7 @@ class ChangeDetector:
         self._has_constant: BoolArray = constants.any(axis=1)
         self._residual: FloatArray = np.zeros((0, 3))
         self._rho: FloatArray = np.zeros(3)
-        self.recent: deque[TickMean] = deque()
+        self.recent: deque[Regression] = deque()
         nothing = np.zeros((3, 4))
         self.found = Slopes(nothing, nothing, nothing, nothing, np.zeros(4))
         self._recent_time = 0.0
@@ -166,7 +157,7 @@ class ChangeDetector:
 
     def update(
         self,
-        data: Regression,
+        samples: Regression,
         coefficients: FloatArray,
         sigma: FloatArray,
         lively: BoolArray,
@@ -180,8 +171,8 @@ class ChangeDetector:
 
         Parameters
         ----------
-        data : Regression
-            Samples of this tick.
+        samples : Regression
+            New samples.
         coefficients : (3, n) array
             The estimate: whitened, as the residuals are.
         sigma : (3, 4) array
@@ -191,18 +182,18 @@ class ChangeDetector:
         clear : (3,) bool array
             Rows in which the inputs stand out from all else that moves the aircraft.
         """
-        if data.restarted:
+        if samples.restarted:
             self.restart()
-        dt, m = data.time, len(data.y)
-        y, f = (np.add.reduce(part) / m for part in (data.y[:, :3], data.f))
-        self.recent.append(TickMean(y, f, dt))
-        self._recent_time += dt
+        self.recent.append(samples)
+        self._recent_time += samples.time
         while self._recent_time > WINDOW_TIME:
-            self._recent_time -= self.recent.popleft().dt
-        self._since_look += dt
-        if self._since_look < CHECK_TIME or self._recent_time < WINDOW_TIME - 2.0 * dt:
+            self._recent_time -= self.recent.popleft().time
+        self._since_look += samples.time
+        if self._since_look < CHECK_TIME - 0.5 * samples.dt:
             return []
-        if len(self.recent) < FEWEST_TICKS:
+        if self._recent_time < WINDOW_TIME - 1.5 * samples.time:
+            return []
+        if sum(len(part.y) for part in self.recent) < FEWEST_SAMPLES:
             return []
         elapsed, self._since_look = self._since_look, 0.0
         self._hold_off = np.maximum(self._hold_off - elapsed, 0.0)
@@ -263,9 +254,8 @@ class ChangeDetector:
 
     def _slopes(self, coefficients: FloatArray) -> Slopes:
         """Look for slopes over the window."""
-        # Far quicker than to make an array of a list of arrays.
-        y = np.concatenate([tick.y for tick in self.recent]).reshape(-1, 3)
-        f = np.concatenate([tick.f for tick in self.recent]).reshape(len(y), -1)
+        y = np.concatenate([part.y[:, :3] for part in self.recent])
+        f = np.concatenate([part.f for part in self.recent])
         residual = y - f @ coefficients.T
         residual -= np.add.reduce(residual) / len(y)
         u = f[:, INPUT_COLUMNS]
@@ -291,10 +281,10 @@ class ChangeDetector:
     def step(self, row: int) -> Step:
         """Return the step of the constant that explains most of a row's last window."""
         residual, rho = self._residual[:, row], self._rho[row]
-        ticks = len(residual)
-        # column k: a step at the start of tick k + 1 as the regression's filter passes it, taken
-        # at the middle of each tick
-        after = np.maximum(np.arange(ticks)[:, None] - np.arange(1, ticks) + 0.5, 0.0)
+        count = len(residual)
+        # column k: a step at the start of sample k + 1 as the regression's filter passes it, taken
+        # at the middle of each sample
+        after = np.maximum(np.arange(count)[:, None] - np.arange(1, count) + 0.5, 0.0)
         phase = self._cutoff * self.recent[-1].dt * after / np.sqrt(2.0)
         steps = 1.0 - np.exp(-phase) * (np.cos(phase) + np.sin(phase))
         steps -= steps.mean(axis=0)
@@ -305,7 +295,7 @@ class ChangeDetector:
         share = float(_ratio(explained[best], white @ white))
         passed = round(PASSED / (self._cutoff * self.recent[-1].dt))
         size = float(product[best] / power[best])
-        return Step(size, share, max(0, ticks - 1 - best - passed))
+        return Step(size, share, max(0, count - 1 - best - passed))
 
     def _scatter(self, values: FloatArray) -> FloatArray:
         """Values of the watched coefficients at their places, zero elsewhere, shape (3, 4)."""
@@ -314,19 +304,19 @@ class ChangeDetector:
         return out
 
     def _long_run(self, scores: FloatArray) -> FloatArray:
-        """Return the variance of the sums of scores of shape (ticks, k), shape (k,).
+        """Return the variance of the sums of scores of shape (m, k), shape (k,).
 
         Sums over sliding blocks of the correlation time give the Bartlett estimate.
         """
-        ticks = len(scores)
-        sums = np.zeros((ticks + 1, scores.shape[1]))
+        count = len(scores)
+        sums = np.zeros((count + 1, scores.shape[1]))
         np.add.accumulate(scores, out=sums[1:])
-        length = min(max(1, round(CORRELATION_TIME / self.recent[-1].dt)), ticks)
+        length = min(max(1, round(CORRELATION_TIME / self.recent[-1].dt)), count)
         blocks = sums[length:] - sums[:-length]
-        return np.asarray(np.add.reduce(blocks * blocks) * (ticks / (length * len(blocks))))
+        return np.asarray(np.add.reduce(blocks * blocks) * (count / (length * len(blocks))))
 
     def _correlation(self, residual: FloatArray) -> FloatArray:
-        """Return the running correlation of the residuals from tick to tick, shape (3,)."""
+        """Return the running correlation of the residuals from sample to sample, shape (3,)."""
         square = np.add.reduce(residual * residual)
         product = np.add.reduce(residual[1:] * residual[:-1])
         keep = np.exp(-CHECK_TIME / HISTORY_TIME)

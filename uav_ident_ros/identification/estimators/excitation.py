@@ -75,24 +75,24 @@ class ExcitationGate:
         self.clear: BoolArray = np.ones(3, dtype=bool)
 
     def update(
-        self, data: Regression, residual: FloatArray, coefficients: FloatArray
+        self, samples: Regression, residual: FloatArray, coefficients: FloatArray
     ) -> FloatArray:
-        """Return how much the rows may learn from the samples of this tick, shape (3,).
+        """Return how much the rows may learn from samples, shape (3,).
 
         Parameters
         ----------
-        data : Regression
-            Samples of the tick.
+        samples : Regression
+            The samples.
         residual : (m, 3) array
             Their residuals, rad/s^2.
         coefficients : (3, n) array
             What is known.
         """
-        u = data.f[:, INPUT_COLUMNS]
+        u = samples.f[:, INPUT_COLUMNS]
         sums = (np.add.reduce(u), np.add.reduce(u * u), np.add.reduce(residual * residual))
-        self._window.append(data.dt * np.concatenate(((len(u),), *sums)))
-        self._since_look += data.time
-        if self._since_look >= LOOK_TIME or len(self._window) == 1:
+        self._window.append(samples.dt * np.concatenate(((len(u),), *sums)))
+        self._since_look += samples.time
+        if self._since_look >= LOOK_TIME - 0.5 * samples.dt or len(self._window) == 1:
             self._look(coefficients[:, INPUT_COLUMNS])
         return self.weight
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.information import Information
-from uav_ident_ros.identification.estimators.recursive import InstrumentalVariable, Sample
+from uav_ident_ros.identification.estimators.information import Information, RowSamples
+from uav_ident_ros.identification.estimators.recursive import InstrumentalVariable
+from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, layout
 from uav_ident_ros.identification.settings import (
@@ -115,7 +116,7 @@ def gradient_step(
 
 
 class GradientEstimator:
-    """The paper's law at the rate of the ticks.
+    """The paper's law, sample by sample.
 
     Parameters
     ----------
@@ -160,35 +161,33 @@ class GradientEstimator:
         """Information of the instrumental variable that runs beside the law."""
         return self._reference.information
 
-    def residual(self, sample: Regression) -> FloatArray:
-        """Return ``y - A f`` of the one sample of a tick, shape (3,)."""
-        return np.asarray(sample.residual(self.coefficients)[0])
+    def residual(self, samples: Regression) -> FloatArray:
+        """Return ``y - A f`` of samples, shape (m, 3)."""
+        return samples.residual(self.coefficients)
 
     def update(
-        self, data: Regression, mean: Regression, residual: FloatArray, weight: FloatArray
+        self, samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
     ) -> None:
-        """Take one step of the law over the time that the samples stand for.
+        """Take a step of the law with each of the samples.
 
         The law knows no weights: a row that counts at all takes the whole step.
         """
-        dt = data.time
         self.learning = weight > 0.0
-        index, used = self.information.layout.index, self.information.layout.used
-        f, z = (np.where(used, part[0][index], 0.0) for part in (mean.f, mean.z))
-        self._reference.add(Sample(mean.y[0], residual, f, z, dt), dt * weight)
-        self._step(data, dt)
+        gathered = RowSamples.gather(self.information.layout, samples, residual)
+        self._reference.add(gathered, weight)
+        for y, f in zip(samples.y, samples.f, strict=True):
+            self._step(y, f, samples.dt)
         reference = self._reference.solve(self.coefficients)
         distance = self.coefficients - reference.values
         self.sigma = np.where(self.start.free, np.hypot(reference.sigma, distance), 0.0)
 
-    def _step(self, data: Regression, dt: float) -> None:
+    def _step(self, y: FloatArray, f: FloatArray, dt: float) -> None:
         """Step the law."""
-        y, f = data.y[-1], data.f[-1]
         moved, step = gradient_step(
             self.coefficients,
             y,
             f,
-            self._gain_now(data, dt),
+            self._gain_now(f, dt),
             self.start.free,
             dt,
             guarded=self._guarded,
@@ -215,16 +214,15 @@ class GradientEstimator:
         """Let all that was learned so far count for `weight`; the law itself keeps no memory."""
         self._reference.discount(weight)
 
-    def _gain_now(self, data: Regression, dt: float) -> FloatArray:
-        """K in SI units at this tick."""
+    def _gain_now(self, f: FloatArray, dt: float) -> FloatArray:
+        """K in SI units at a sample."""
         if self._normalisation == "none":
             return self._gain
-        f = data.f[-1]
         if self._normalisation == "power":
             return np.asarray(self._gain / (1.0 + f @ self._gain @ f))
         self._power_time = min(self._power_time + dt, VARIANCE_TIME)
         share = dt / self._power_time
-        self._power += share * ((data.f**2).mean(axis=0) - self._power)
+        self._power += share * (f**2 - self._power)
         scale = np.zeros_like(self._power)
         excited = self._power > 0.0
         scale[excited] = 1.0 / np.sqrt(self._power[excited])

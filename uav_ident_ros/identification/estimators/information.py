@@ -13,13 +13,15 @@ which is R^-1 r where the instruments are strong, and goes to the prior where th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
 
+from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.prior import Start
-from uav_ident_ros.identification.regression import Layout
+from uav_ident_ros.identification.regression import Layout, Regression
 from uav_ident_ros.identification.structure import (
     BoolArray,
     FloatArray,
@@ -53,6 +55,65 @@ regressors are uncorrelated."""
 
 COLLINEAR_SHARE = 0.4
 """Component of the eigenvector from which a regressor belongs to the group."""
+
+
+@dataclass(frozen=True)
+class RowSamples:
+    """Samples of the regression problem, gathered from its columns row by row.
+
+    Parameters
+    ----------
+    y, residual : (rows, m) array
+        What is explained, and what the coefficients before left of it.
+    f, z : (rows, m, k) array
+        Regressors and instruments.
+    dt : float
+        Time that each sample stands for, s.
+    """
+
+    y: FloatArray
+    residual: FloatArray
+    f: FloatArray
+    z: FloatArray
+    dt: float
+
+    @classmethod
+    def gather(cls, layout: Layout, samples: Regression, residual: FloatArray) -> Self:
+        """Return samples with residuals (m, rows)."""
+        f, z = (
+            np.where(layout.used[:, None], part[:, layout.index].transpose(1, 0, 2), 0.0)
+            for part in (samples.f, samples.z)
+        )
+        return cls(samples.y.T, residual.T, f, z, samples.dt)
+
+    @classmethod
+    def whitened(cls, layout: Layout, white: Innovations) -> Self:
+        """Return samples that were whitened."""
+        index, used = layout.index[:, None], layout.used[:, None]
+        f, z = (
+            np.where(used, np.take_along_axis(part, index, axis=2), 0.0)
+            for part in (white.f, white.z)
+        )
+        return cls(white.y, white.residual, f, z, white.dt)
+
+    @classmethod
+    def join(cls, parts: Sequence[RowSamples], newest: int) -> Self:
+        """Return the newest of samples that follow one another."""
+        y, residual, f, z = (
+            np.concatenate([getattr(part, name) for part in parts], axis=1)
+            for name in ("y", "residual", "f", "z")
+        )
+        first = max(y.shape[1] - newest, 0)
+        return cls(y[:, first:], residual[:, first:], f[:, first:], z[:, first:], parts[-1].dt)
+
+    @property
+    def time(self) -> float:
+        """Time that all samples together stand for, s."""
+        return self.dt * self.y.shape[1]
+
+    def uninstrumented(self) -> RowSamples:
+        """Return the samples with the regressors as their own instruments."""
+        return replace(self, z=self.f)
 
 
 @dataclass
@@ -98,12 +159,12 @@ class Sums:
             *(getattr(self, field.name) + getattr(other, field.name) for field in fields(self))
         )
 
-    def add(self, f: FloatArray, z: FloatArray, y: FloatArray, dt: FloatArray) -> None:
-        """Add one sample a row: f, z (rows, k), y (rows,), that stands for dt (rows,) s."""
-        weighted = z * dt[:, None]
-        self.zf += weighted[:, :, None] * f[:, None, :]
-        self.zz += weighted[:, :, None] * z[:, None, :]
-        self.zy += weighted * y[:, None]
+    def add(self, samples: RowSamples, weight: FloatArray) -> None:
+        """Add samples, which count for `weight` (rows,) in each row."""
+        weighted = (samples.z * (samples.dt * weight)[:, None, None]).transpose(0, 2, 1)
+        self.zf += weighted @ samples.f
+        self.zz += weighted @ samples.z
+        self.zy += (weighted @ samples.y[:, :, None])[:, :, 0]
 
     def weigh(self, keep: FloatArray) -> None:
         """Let all samples so far count for `keep` (rows,) of what they did."""
@@ -242,26 +303,20 @@ class Information:
         """Residual variance times its correlation time: the unit of information, (rows,)."""
         return self.variance * self._unit_time
 
-    def add(
-        self, f: FloatArray, z: FloatArray, y: FloatArray, residual: FloatArray, dt: FloatArray
-    ) -> None:
-        """Add one sample a row.
-
-        Parameters
-        ----------
-        f, z : (rows, k) array
-            Regressors and instruments.
-        y, residual : (rows,) array
-            What is explained, and what the coefficients before left of it.
-        dt : (rows,) array
-            Time that the sample counts for, s; a row with 0 stays as it is.
-        """
-        self.sums.add(f, z, y, dt)
-        square = np.minimum(residual * residual, LARGEST_OUTLIER * self.variance)
-        share = dt / np.minimum(RESIDUAL_TIME, self.time + BLOCK_TIME)
-        self.variance += np.minimum(share, 1.0) * (square - self.variance)
+    def add(self, samples: RowSamples, weight: FloatArray) -> None:
+        """Add samples, which count for `weight` (rows,) in each row; with 0 it stays as it is."""
+        m = samples.y.shape[1]
+        if not m:
+            return
+        self.sums.add(samples, weight)
+        known, dt = self.time > 0.0, weight * samples.time
+        # What coefficients that know nothing leave is no residual.
+        residual = np.where(known[:, None], samples.residual, 0.0)
+        square = np.minimum(residual * residual, LARGEST_OUTLIER * self.variance[:, None])
+        share = np.minimum(dt / np.minimum(RESIDUAL_TIME, self.time + BLOCK_TIME), 1.0)
+        self.variance += known * share * (np.add.reduce(square, axis=1) / m - self.variance)
         self.time += dt
-        self._score += z * (residual * dt)[:, None]
+        self._score += (weight * samples.dt)[:, None] * (residual[:, None] @ samples.z)[:, 0]
         self._score_time += dt
         if max(self._score_time.tolist()) >= BLOCK_TIME:
             self._close_blocks(self._score_time >= BLOCK_TIME)

@@ -21,10 +21,15 @@ from uav_ident_ros.identification.estimators.change import (
     ChangeDetector,
 )
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
-from uav_ident_ros.identification.estimators.information import Information, Solution, Sums
+from uav_ident_ros.identification.estimators.information import (
+    Information,
+    RowSamples,
+    Solution,
+    Sums,
+)
 from uav_ident_ros.identification.feedback import Feedback
 from uav_ident_ros.identification.model_error import ModelError
-from uav_ident_ros.identification.noise import NoiseModel, Whitener
+from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.prior import Start, slope_bounds, weak_sigma
 from uav_ident_ros.identification.regression import Regression, layout
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
@@ -87,27 +92,6 @@ class Trial:
     time: float = 0.0
 
 
-@dataclass(frozen=True)
-class Sample:
-    """The regression problem of a tick, one sample a row, gathered from its columns.
-
-    Parameters
-    ----------
-    y, residual : (rows,) array
-        What is explained, and what the coefficients before left of it.
-    f, z : (rows, k) array
-        Regressors and instruments.
-    dt : float
-        Time that the sample stands for, s.
-    """
-
-    y: FloatArray
-    residual: FloatArray
-    f: FloatArray
-    z: FloatArray
-    dt: float
-
-
 class InstrumentalVariable:
     """Information with instruments, after a least-squares start that fades.
 
@@ -129,16 +113,15 @@ class InstrumentalVariable:
         self.warming_up = True
         self._start: Sums | None = None
 
-    def add(self, sample: Sample, dt: FloatArray) -> None:
-        """Add a sample; each row counts for `dt` (rows,) s."""
+    def add(self, samples: RowSamples, weight: FloatArray) -> None:
+        """Add samples, which count for `weight` (rows,) in each row."""
         information = self.information
         if self.warming_up and information.time.max() >= WARM_UP_TIME:
             self.warming_up = False
             self._start, information.sums = information.sums, information.sums.nothing_alike()
         if self._start is not None:
-            self._start.weigh(np.exp(-dt / FADE_TIME))
-        z = sample.f if self.warming_up else sample.z
-        information.add(sample.f, z, sample.y, sample.residual, dt)
+            self._start.weigh(np.exp(-weight * samples.time / FADE_TIME))
+        information.add(samples.uninstrumented() if self.warming_up else samples, weight)
 
     @property
     def sums(self) -> Sums:
@@ -163,65 +146,13 @@ class InstrumentalVariable:
             self._start.set_row(row, self._start.nothing_alike())
 
 
-class Whitened:
-    """The same estimate with the residuals whitened: what both agree on is known.
-
-    Where an autopilot answers gusts, and nothing else moves its surfaces, the plain estimate is the
-    autopilot's; the whitened one is less so. With excitation they agree.
-
-    Parameters
-    ----------
-    estimate : InstrumentalVariable
-        Where to accumulate what was whitened.
-    """
-
-    def __init__(self, estimate: InstrumentalVariable) -> None:
-        self.estimate = estimate
-        layout = estimate.information.layout
-        self._noise = NoiseModel(layout.rows)
-        self._signals = Whitener((layout.rows, 2 + 2 * layout.width))
-        self.solution: Solution | None = None
-        self._since = 0.0
-
-    def add(self, sample: Sample, dt: FloatArray, *, restarted: bool) -> None:
-        """Add a sample; each row counts for `dt` (rows,) s."""
-        if restarted:
-            self._noise.restart()
-            self._signals.restart()
-        self._noise.add(sample.residual, sample.dt)
-        signals = np.column_stack((sample.y, sample.residual, sample.f, sample.z))
-        white = self._signals.apply(signals, self._noise)
-        if white is None:
-            return
-        k = sample.f.shape[1]
-        self.estimate.add(
-            Sample(white[:, 0], white[:, 1], white[:, 2 : 2 + k], white[:, 2 + k :], sample.dt), dt
-        )
-        self._since += sample.dt
-
-    def widened(
-        self, sigma: FloatArray, values: FloatArray, coefficients: FloatArray
-    ) -> FloatArray:
-        """Return standard deviations, shape (R, n), that cover the distance from this estimate.
-
-        Parameters
-        ----------
-        sigma, values : (R, n) arrays
-            The plain solution.
-        coefficients : (R, n) array
-            The coefficients before.
-        """
-        if self.solution is None or self._since >= WHITENED_TIME:
-            self.solution = self.estimate.solve(coefficients)
-            self._since = 0.0
-        white = self.solution
-        return np.asarray(np.hypot(np.maximum(sigma, white.sigma), values - white.values))
-
-
 class RecursiveRegression:
     """Least squares or instrumental variable, in one pass.
 
-    Rows pause in quiet flight, and a control derivative that changes is released alone.
+    Rows pause in quiet flight, and a control derivative that changes is released alone. Beside it
+    runs the same estimate with the residuals whitened: where an autopilot answers gusts, and
+    nothing else moves its surfaces, the plain estimate is the autopilot's, the whitened one less
+    so; with excitation they agree. Sigma covers their distance.
 
     Parameters
     ----------
@@ -240,9 +171,9 @@ class RecursiveRegression:
         are widened by its distance from the instrumental variable: its bias in gusts is many
         times what its own residuals tell.
     learning : (3,) bool array
-        Moment rows that learned at the last tick.
+        Moment rows that learned at the last update.
     changes : list of (row, column)
-        Coefficients released at the last tick.
+        Coefficients released at the last update.
     information : Information
         What the flight has told, least squares or instrumental variable.
     """
@@ -257,9 +188,8 @@ class RecursiveRegression:
         self._injected = False
         self._error = ModelError()
         self._feedback = Feedback(forces=self._structure.size > CONSTANT_COLUMN + 1)
-        used = self._layout.used[:3]
-        self._moment_rows = np.nonzero(used)[0]
-        self._moment_columns = self._layout.index[:3][used]
+        self._used_rows = np.nonzero(self._layout.used)[0]
+        self._used_columns = self._layout.index[self._layout.used]
         self._start = start
         self.problem = ""
         self.learning = np.ones(3, dtype=bool)
@@ -273,18 +203,19 @@ class RecursiveRegression:
 
         self._reference = InstrumentalVariable(information())
         self._least_squares = None if instrumental else information()
-        self._whitened = Whitened(InstrumentalVariable(information()))
+        self._whitened = InstrumentalVariable(information())
         self.information = self._least_squares or self._reference.information
         self.coefficients: FloatArray = start.values.copy()
         self.sigma: FloatArray = start.sigma.copy()
+        self._white = self._whitened.solve(self.coefficients)
         self._solution = self._solve()
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
         self._cutoff = settings.filter.cutoff
         self._detector = ChangeDetector(start.free[:3], self._cutoff)
-        self._recent: deque[Sample] = deque()
+        self._recent: deque[RowSamples] = deque()
         self._snapshots: deque[Solution] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
         self._trials: dict[int, Trial] = {}
-        self._since_snapshot = 0.0
+        self._since_snapshot = self._since_white = 0.0
 
     @property
     def start(self) -> Start:
@@ -296,7 +227,7 @@ class RecursiveRegression:
         self._start = start
         for information in (
             self._reference.information,
-            self._whitened.estimate.information,
+            self._whitened.information,
             self.information,
         ):
             information.start = start
@@ -316,39 +247,41 @@ class RecursiveRegression:
     @property
     def inputs(self) -> FloatArray:
         """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
-        return self._linear(self._solution)[:, INPUT_COLUMNS]
+        return self._linear(self._solution)[: len(ROWS), INPUT_COLUMNS]
 
     def _linear(self, solution: Solution) -> FloatArray:
-        """Moment rows of the linear problem in the place of their columns, shape (3, c)."""
-        linear = np.zeros((3, self._layout.size))
-        linear[self._moment_rows, self._moment_columns] = solution.linear[:3][self._layout.used[:3]]
+        """Coefficients of the linear problem in the place of their columns, shape (rows, c)."""
+        linear = np.zeros((self._layout.rows, self._layout.size))
+        linear[self._used_rows, self._used_columns] = solution.linear[self._layout.used]
         return linear
 
-    def residual(self, data: Regression) -> FloatArray:
-        """Return ``y - A f`` of the tick's mean, shape (rows,); `data` is one sample."""
-        f = data.f[0][self._layout.index]
-        return np.asarray(data.y[0] - np.add.reduce(f * self._solution.linear, axis=1))
+    def residual(self, samples: Regression) -> FloatArray:
+        """Return ``y - A f`` of samples, shape (m, rows)."""
+        return samples.residual(self._linear(self._solution))
 
     def update(
-        self, data: Regression, mean: Regression, residual: FloatArray, weight: FloatArray
+        self, samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
     ) -> None:
-        """Add the samples of a tick and solve."""
-        index, used = self._layout.index, self._layout.used
-        f, z = (np.where(used, part[0][index], 0.0) for part in (mean.f, mean.z))
-        sample = Sample(mean.y[0], residual, f, z, data.time)
-        seen = self._gate.update(mean, residual[None, :3], self.coefficients[:3])
+        """Add samples and solve."""
+        moments = residual[:, : len(ROWS)]
+        seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.learning = self._gate.learning & (weight > 0.0)
-        self._injected = mean.injected
+        self._injected = samples.injected
         weight = weight * seen
-        self._error.add(mean, residual[:3], self.inputs, weight)
-        if not mean.injected:
-            self._feedback.add(mean, residual[:3], weight)
-        dt = data.time * self._row_weights(weight)
-        self._reference.add(sample, dt)
-        self._whitened.add(sample, dt, restarted=mean.restarted)
+        self._error.add(samples, moments, self.inputs, weight)
+        if not samples.injected:
+            self._feedback.add(samples, moments, weight)
+        weight = self._row_weights(weight)
+        gathered = RowSamples.gather(self._layout, samples, residual)
+        self._reference.add(gathered, weight)
+        self._whitened.add(RowSamples.whitened(self._layout, white), weight)
         if self._least_squares is not None:
-            self._least_squares.add(f, f, sample.y, residual, dt)
-        self._follow_changes(mean, sample, dt)
+            self._least_squares.add(gathered.uninstrumented(), weight)
+        self._follow_changes(samples, gathered, weight)
+        self._since_white += samples.time
+        if self._since_white >= WHITENED_TIME - 0.5 * samples.dt:
+            self._white = self._whitened.solve(self.coefficients)
+            self._since_white = 0.0
         self._accept(self._solve())
 
     def _row_weights(self, weight: FloatArray) -> FloatArray:
@@ -364,7 +297,8 @@ class RecursiveRegression:
         if self._least_squares is not None:
             solution = self._least_squares.solve(self.coefficients)
             sigma = np.hypot(solution.sigma, solution.values - reference.values)
-        sigma = self._whitened.widened(sigma, solution.values, self.coefficients)
+        sigma = np.maximum(sigma, self._white.sigma)
+        sigma = np.hypot(sigma, solution.values - self._white.values)
         if self._reference.warming_up or not self._injected:
             moments = np.s_[: len(ROWS), INPUT_COLUMNS]
             sigma[moments] = np.hypot(sigma[moments], self._feedback.bound)
@@ -385,14 +319,14 @@ class RecursiveRegression:
     def reconfigure(self, settings: Settings) -> None:
         """Take over the settings that may change in flight."""
         self._reference.information.forgetting_time = settings.forgetting_time
-        self._whitened.estimate.information.forgetting_time = settings.forgetting_time
+        self._whitened.information.forgetting_time = settings.forgetting_time
         self.information.forgetting_time = settings.forgetting_time
         self._gate.settings = settings.supervision
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""
         self._reference.discount(weight)
-        self._whitened.estimate.discount(weight)
+        self._whitened.discount(weight)
         if self._least_squares is not None:
             self._least_squares.discount(weight)
         self._detector = ChangeDetector(self._start.free[:3], self._cutoff)
@@ -402,24 +336,26 @@ class RecursiveRegression:
 
     # -- changes in flight -----------------------------------------------------------------
 
-    def _follow_changes(self, data: Regression, sample: Sample, dt: FloatArray) -> None:
+    def _follow_changes(
+        self, samples: Regression, gathered: RowSamples, weight: FloatArray
+    ) -> None:
         """Release what has changed, and take back a release that does not prove itself."""
-        self._recent.append(sample)
-        if len(self._recent) * sample.dt > READD_TIME:
+        self._recent.append(gathered)
+        while sum(part.time for part in self._recent) > READD_TIME + 0.5 * gathered.dt:
             self._recent.popleft()
         for row in list(self._trials):
-            self._continue_trial(row, sample, dt)
+            self._continue_trial(row, gathered, weight)
         lively = self._gate.share >= LIVELY_SHARE
-        white = self._whitened.solution or self._solution
-        sigma = white.sigma[: len(ROWS), INPUT_COLUMNS]
-        changed = self._detector.update(data, self._linear(white), sigma, lively, self.clear)
+        sigma = self._white.sigma[: len(ROWS), INPUT_COLUMNS]
+        linear = self._linear(self._white)[: len(ROWS)]
+        changed = self._detector.update(samples, linear, sigma, lively, self.clear)
         self.changes = []
         for i, j in changed:
             self.changes.append((i, CONSTANT_COLUMN if j == CONSTANT else INPUT_COLUMNS.start + j))
-            self._release(i, j, white)
-        self._since_snapshot += data.time
-        if self._since_snapshot >= SNAPSHOT_TIME:
-            self._snapshots.append(white)
+            self._release(i, j)
+        self._since_snapshot += samples.time
+        if self._since_snapshot >= SNAPSHOT_TIME - 0.5 * samples.dt:
+            self._snapshots.append(self._white)
             self._since_snapshot = 0.0
 
     def _sums(self) -> Sums:
@@ -434,10 +370,10 @@ class RecursiveRegression:
     def _beside(self) -> list[InstrumentalVariable]:
         """Estimates whose distance sigma covers: they must follow a change too."""
         if self._least_squares is None:
-            return [self._whitened.estimate]
-        return [self._whitened.estimate, self._reference]
+            return [self._whitened]
+        return [self._whitened, self._reference]
 
-    def _release(self, row: int, j: int, white: Solution) -> None:
+    def _release(self, row: int, j: int) -> None:
         """Forget what input `j` did in one row, back to before the change, and learn it anew.
 
         A covariance reset: of all that was known before, the covariance of this coefficient and of
@@ -445,18 +381,18 @@ class RecursiveRegression:
         by so much allows. Where the constant alone has changed, by a step, what came before the
         step tells nothing of it.
         """
-        found, information = self._detector.found, self.information
+        found, information, white = self._detector.found, self.information, self._white
         sums = self._sums().copy()
         beside = [other.sums.copy() for other in self._beside()]
         self._trials[row] = Trial(sums.copy(), white.linear[row].copy(), beside)
         known = self._snapshots[0] if self._snapshots else white
         mean, covariance = known.linear[row].copy(), known.covariance[row].copy()
         columns = self._layout.index[row].tolist()
-        since = list(self._recent)
+        newest = sum(part.y.shape[1] for part in self._recent)
         if j == CONSTANT:
             step = self._detector.step(row)
             mean[columns.index(CONSTANT_COLUMN)] += step.size
-            since = since[max(0, len(since) - step.ticks) :]
+            newest = step.samples
         else:
             entry, shift = columns.index(INPUT_COLUMNS.start + j), float(found.slope[row, j])
             mean[entry] += shift
@@ -475,10 +411,7 @@ class RecursiveRegression:
             other.set_row(row, known_there)
         alone = np.zeros(self._layout.rows)
         alone[row] = 1.0
-        for sample in since:
-            plain = self._least_squares is not None or self._reference.warming_up
-            z = sample.f if plain else sample.z
-            sums.add(sample.f, z, sample.y, alone * sample.dt)
+        sums.add(self._instrumented(RowSamples.join(self._recent, newest)), alone)
         self._set_row(row, sums)
         self._error.forget(row)
 
@@ -488,15 +421,19 @@ class RecursiveRegression:
         sigma[row, column] = weak_sigma(self._structure)[row, column]
         self.start = replace(self._start, sigma=sigma)
 
-    def _continue_trial(self, row: int, sample: Sample, dt: FloatArray) -> None:
+    def _instrumented(self, samples: RowSamples) -> RowSamples:
+        """Return samples with the instruments that the estimate in use has."""
+        plain = self._least_squares is not None or self._reference.warming_up
+        return samples.uninstrumented() if plain else samples
+
+    def _continue_trial(self, row: int, samples: RowSamples, weight: FloatArray) -> None:
         """Compare the old with the new coefficients on samples that neither has seen."""
         trial = self._trials[row]
-        plain = self._least_squares is not None or self._reference.warming_up
-        trial.before.add(sample.f, sample.f if plain else sample.z, sample.y, dt)
-        y = sample.y[row]
-        trial.old_error += float(y - sample.f[row] @ trial.old) ** 2
-        trial.new_error += float(y - sample.f[row] @ self._solution.linear[row]) ** 2
-        trial.time += sample.dt
+        trial.before.add(self._instrumented(samples), weight)
+        y, f = samples.y[row], samples.f[row]
+        trial.old_error += float(((y - f @ trial.old) ** 2).sum())
+        trial.new_error += float(((y - f @ self._solution.linear[row]) ** 2).sum())
+        trial.time += samples.time
         if trial.time >= TRIAL_TIME:
             del self._trials[row]
             if trial.new_error > TRIAL_RATIO * trial.old_error:
