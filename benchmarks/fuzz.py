@@ -29,16 +29,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "test" / "import_logs"))
+sys.path[:0] = [str(ROOT / "test"), str(ROOT / "test" / "import_logs")]
 
 from blackbox_writing import blackbox  # noqa: E402
 from dataflash_writing import DataflashWriter  # noqa: E402
 from mcap.writer import CompressionType  # noqa: E402
-from mcap.writer import Writer as McapWriter  # noqa: E402
+from mcap_writing import rewritten  # noqa: E402
 from ulog_writing import commands, sensor_combined, write_ulog  # noqa: E402
 
 from uav_ident_ros.bags.reading import Bag, BagError  # noqa: E402
-from uav_ident_ros.bags.writing import jazzy_types  # noqa: E402
 from uav_ident_ros.identification.settings import SettingsError  # noqa: E402
 from uav_ident_ros.import_logs.cli import main as import_log  # noqa: E402
 from uav_ident_ros.offline.run import OfflineRun, choose_inputs  # noqa: E402
@@ -90,7 +89,8 @@ def write_whole(folder: Path) -> dict[str, Path]:
     files["bbl"].write_bytes(blackbox())
     for compression in CompressionType:
         name = f"mcap {compression.name.lower()}"
-        files[name] = _mcap(folder / f"{name}.mcap", compression)
+        path = folder / f"{name}.mcap"
+        files[name] = rewritten(path, compression=compression, seconds=SECONDS, chunk=50_000)
     return files
 
 
@@ -116,24 +116,6 @@ def _dataflash(folder: Path, t_ns: np.ndarray, values: np.ndarray) -> Path:
     rows += [(int(t_ns[0]) // 1000, "ARM", (1,)), (int(t_ns[9]) // 1000, "ARSP", (0, 16.0))]
     writer.add_rows(rows)
     return writer.write(folder / "whole.bin")
-
-
-def _mcap(path: Path, compression: CompressionType) -> Path:
-    """Copy the start of a flight, in small chunks."""
-    types = {"/imu/data": "sensor_msgs/msg/Imu", "/actuators": "sensor_msgs/msg/JointState"}
-    with Bag(ROOT / "bags" / "multisine") as bag, path.open("wb") as file:
-        writer = McapWriter(file, chunk_size=50_000, compression=compression)
-        writer.start(profile="ros2", library="fuzz")
-        channels = {}
-        for topic, name in types.items():
-            definition = jazzy_types().generate_msgdef(name)[0].encode()
-            schema = writer.register_schema(name, "ros2msg", definition)
-            channels[topic] = writer.register_channel(topic, "cdr", schema)
-        for topic, log_ns, data in bag.messages(types):
-            if log_ns < bag.start_ns + SECONDS * 1e9:
-                writer.add_message(channels[topic], log_ns, data, log_ns)
-        writer.finish()
-    return path
 
 
 # --- mutations ------------------------------------------------------------------------------------

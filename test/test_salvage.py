@@ -9,51 +9,20 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from excerpts import ACTUATORS, BAGS, IMU, SECOND_NS, Entry, excerpt
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
+from mcap_writing import TYPES, rewritten
 
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.salvage import SalvageReader
-from uav_ident_ros.bags.writing import BagWriter, jazzy_types
+from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.offline import main
 from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
 
-TYPES = {IMU: "sensor_msgs/msg/Imu", ACTUATORS: "sensor_msgs/msg/JointState"}
 SECONDS, MESSAGES = 12, 12 * 250 + 2
-CHUNK = 100_000
-"""Size of the chunks here, bytes: about a second of the flight."""
-
 COMPRESSIONS = [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4]
-
-
-def rewritten(
-    target: Path,
-    *,
-    compression: CompressionType = CompressionType.NONE,
-    use_chunking: bool = True,
-    seconds: float,
-) -> Path:
-    """Write the start of a flight with the mcap library: small chunks, with checksums."""
-    with Bag(BAGS / "multisine") as bag, target.open("wb") as file:
-        end_ns = bag.start_ns + round(seconds * SECOND_NS)
-        writer = McapWriter(
-            file, chunk_size=CHUNK, compression=compression, use_chunking=use_chunking
-        )
-        writer.start(profile="ros2", library="test")
-        channels = {}
-        for topic, name in TYPES.items():
-            definition = jazzy_types().generate_msgdef(name)[0].encode()
-            schema = writer.register_schema(name, "ros2msg", definition)
-            channels[topic] = writer.register_channel(topic, "cdr", schema)
-        for topic, log_ns, data in bag.messages(TYPES):
-            if log_ns <= end_ns:
-                writer.add_message(channels[topic], log_ns, data, log_ns)
-        writer.finish()
-    return target
 
 
 def messages(path: Path) -> tuple[list[tuple[str, int, bytes]], list[str]]:
@@ -245,27 +214,6 @@ def test_without_the_mcap_library_its_name_is_said(
     with pytest.raises(BagError, match=r"install the Python package 'mcap'"):
         Bag(copy)
     assert len(messages(flight)[0]) == MESSAGES  # a whole one needs no such library
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_random_damage_gives_messages_or_one_line(seed: int, flight: Path, copy: Path) -> None:
-    rng = np.random.default_rng(seed)
-    content = bytearray(copy.read_bytes())
-    for position in rng.integers(8, len(content), rng.integers(1, 30)):
-        content[position] = rng.integers(256)
-    if seed % 3 == 0:
-        content = content[: rng.integers(8, len(content))]
-    copy.write_bytes(content)
-    try:
-        with Bag(copy) as bag:
-            for topic in bag.types:
-                decode = bag.decoder(topic)
-                for message in bag.messages([topic]):
-                    decode(message.data)
-            assert all("\n" not in line for line in bag.damage)
-    except BagError as error:
-        assert "flight.mcap" in str(error)
-        assert "\n" not in str(error)
 
 
 # --- replay ------------------------------------------------------------------------------------
