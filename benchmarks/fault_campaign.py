@@ -35,7 +35,7 @@ from uav_ident_ros.client import CoefficientSource, Fallback
 from uav_ident_ros.control import Law
 from uav_ident_ros.control.choice import control_derivatives
 from uav_ident_ros.control.controller import OWN_GAINS
-from uav_ident_ros.control.pid import SURFACES, PidGains
+from uav_ident_ros.control.pid import SURFACES, PidController, PidGains
 from uav_ident_ros.identification.structure import RATE_COLUMNS, FloatArray
 from uav_ident_ros.simulation.airframe import airframe_names
 from uav_ident_ros.simulation.flight import EPOCH_NS
@@ -44,7 +44,6 @@ from uav_ident_ros.simulation.loop import (
     Controller,
     Mission,
     Outcome,
-    PidController,
     fly_loop,
     make_identifier,
     nominal_of,

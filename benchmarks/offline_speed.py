@@ -21,7 +21,6 @@ from rosbags.rosbag2 import Reader
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.offline.advice import advise
 from uav_ident_ros.offline.evidence import measure
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.job import write_results
@@ -79,8 +78,8 @@ def replay(path: Path, output: Path) -> tuple[Split, OfflineRun]:
     split[TICKS] = done.tick_time
     split[READING] = whole - done.tick_time
     split[SCORING], fits = timed(done.score)
-    split[ADVICE], advice = timed(lambda: advise(measure(done, fits)))
-    replayed = Replayed("flight", done, fits, (), advice)
+    split[ADVICE], evidence = timed(lambda: measure(done, fits))
+    replayed = Replayed("flight", path, done, fits, evidence)
     split[WRITING], _ = timed(lambda: write_results(output, replayed, NODE))
     return split, done
 

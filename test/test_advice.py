@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from estimates import estimate_of
 from excerpts import BAGS, parameters, replayed_run
 
 from uav_ident_ros.bags.reading import Message
@@ -276,10 +277,7 @@ def test_the_first_cause_hides_what_follows_from_it() -> None:
 
 def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
     def at(adapting: bool, reason: str) -> Estimate:
-        return Estimate(
-            0, *[np.zeros(3)] * 5, adapting=adapting, usable=True, usable_rows=(True,) * 3,
-            state="paused", reason=reason,
-        )  # type: ignore[misc] # fmt: skip
+        return estimate_of(np.zeros(3), adapting=adapting, state="paused", reason=reason)
 
     estimates = [
         at(True, "why 1"),

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from estimates import as_message, estimate_of
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -22,11 +22,10 @@ from uav_ident_ros.client import (
     Refusal,
 )
 from uav_ident_ros.files.coefficients_file import save_coefficients
-from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
-from uav_ident_ros.messages.published import named_entries
 
 AUGMENTED = STRUCTURES["augmented"]
 FLIGHT = STRUCTURES["flight_dynamics"]
@@ -59,27 +58,11 @@ def message(
     spread = np.where(AUGMENTED.mask, sigma if isinstance(sigma, float) else 0.01, 0.0)
     for name, value in ({} if isinstance(sigma, float) else sigma).items():
         spread[AUGMENTED.index(name)] = value
-    entries = named_entries(
-        Estimate(
-            t_ns=t_ns, coefficients=matrix({**VALUES, **(values or {})}), sigma=spread,
-            predicted_rates=np.zeros(3), prediction_error=np.zeros(3),
-            fit=np.array([90.0, 80.0, 85.0]), adapting=True, usable=usable,
-            usable_rows=(True, usable, True), state="", reason="",
-        ),
-        AUGMENTED,
+    estimate = estimate_of(
+        matrix({**VALUES, **(values or {})}), spread, t_ns=t_ns, usable=usable,
+        usable_rows=(True, usable, True), fit=np.array([90.0, 80.0, 85.0]),
     )  # fmt: skip
-    return as_message(entries, t_ns)
-
-
-def as_message(entries: Any, t_ns: int = START) -> Any:
-    """Return the message of entries of the identifier's own making, as attributes."""
-    stamp = SimpleNamespace(sec=t_ns // SECOND, nanosec=t_ns % SECOND)
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp),
-        name=list(entries.names),
-        position=np.asarray(entries.positions).tolist(),
-        effort=np.asarray(entries.efforts).tolist(),
-    )
+    return as_message(estimate, AUGMENTED)
 
 
 def model(**changes: Any) -> AttitudeModel:
@@ -110,11 +93,9 @@ FLOW = FlowState(
 )
 
 
-def estimate_of(structure: Structure, values: FloatArray) -> Estimate:
-    return Estimate(
-        START, values, np.zeros_like(values), np.zeros(3), np.zeros(3), np.zeros(3),
-        True, True, (True, True, True), "", "", FLOW if structure.has_flow else None,
-    )  # fmt: skip
+def told(structure: Structure, values: FloatArray) -> Any:
+    flow = FLOW if structure.has_flow else None
+    return as_message(estimate_of(values, t_ns=START, flow=flow), structure)
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
@@ -122,8 +103,7 @@ def test_every_structure_is_recognised_by_its_names(name: str) -> None:
     structure = STRUCTURES[name]
     shape = structure.mask.shape
     numbered = np.where(structure.mask, np.arange(structure.mask.size).reshape(shape), 0.0)
-    entries = named_entries(estimate_of(structure, numbered), structure)
-    read = Coefficients.from_message(as_message(entries))
+    read = Coefficients.from_message(told(structure, numbered))
     assert read.structure is structure
     np.testing.assert_array_equal(read.values, numbered)
     assert read.flow == (FLOW if structure.has_flow else None)
@@ -209,7 +189,7 @@ def flying(**changes: float) -> AttitudeModel:
     for name, value in {**FLIGHT_VALUES, **changes}.items():
         values[FLIGHT.index(name)] = value
     source = CoefficientSource(Fallback.REFUSE)
-    source.take(as_message(named_entries(estimate_of(FLIGHT, values), FLIGHT)))
+    source.take(told(FLIGHT, values))
     return source.model(START)
 
 

@@ -17,16 +17,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from estimates import as_message, estimate_of
 from repository import ROOT, console_scripts
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.client import Refusal
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.files.parameter_table import TABLES, full_tables, renew
-from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.settings import Settings, declarations
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages.published import named_entries
 from uav_ident_ros.offline.run import choose_inputs
 
 README = ROOT / "README.md"
@@ -298,29 +297,8 @@ def test_the_controller_of_the_readme_inverts_the_model_and_heeds_the_verdict() 
         coefficients[structure.index(name)] = value
 
     def receive(t_ns: int, usable: bool) -> None:
-        estimate = Estimate(
-            t_ns=t_ns,
-            coefficients=coefficients,
-            sigma=np.zeros_like(coefficients),
-            predicted_rates=np.zeros(3),
-            prediction_error=np.zeros(3),
-            fit=np.zeros(3),
-            adapting=True,
-            usable=usable,
-            usable_rows=(usable,) * 3,
-            state="learning",
-            reason="",
-        )
-        entries = named_entries(estimate, structure)
-        stamp = SimpleNamespace(sec=0, nanosec=t_ns)
-        subscribed[0](
-            SimpleNamespace(
-                header=SimpleNamespace(stamp=stamp),
-                name=list(entries.names),
-                position=list(entries.positions),
-                effort=list(entries.efforts),
-            )
-        )
+        estimate = estimate_of(coefficients, t_ns=t_ns, usable=usable)
+        subscribed[0](as_message(estimate, structure))
 
     receive(1, usable=False)
     with pytest.raises(Refusal, match="not usable"):

@@ -17,6 +17,7 @@ import pytest
 pytest.importorskip("rclpy", reason="the examples are ROS nodes")
 
 import rclpy
+from estimates import as_message, estimate_of
 from excerpts import BAGS, excerpt
 from geometry_msgs.msg import Vector3, Vector3Stamped
 from plants import DT_NS, START, STRUCTURE, coefficients
@@ -24,11 +25,10 @@ from sensor_msgs.msg import Imu, JointState
 
 from uav_ident_ros.client import AttitudeModel, Coefficients
 from uav_ident_ros.files.coefficients_file import save_coefficients
-from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.prior import first_values
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages.published import named_entries
 
 FOLDER = Path(__file__).parents[1] / "examples"
 REFERENCE = np.array([0.2, 0.05, 0.03])
@@ -132,17 +132,9 @@ def test_the_prediction_from_a_message_is_that_of_the_client() -> None:
     rng = np.random.default_rng(3)
     a = first_values(flight) + flight.mask * rng.normal(0.0, 2.0, flight.mask.shape)
     flow = FlowState(0.05, 0.08, 0.0, 0.0, roll=0.4, pitch=-0.2, airspeed=23.0)
-    estimate = Estimate(
-        t_ns=START, coefficients=a, sigma=0.01 * np.abs(a), predicted_rates=np.zeros(3),
-        prediction_error=np.zeros(3), fit=np.full(3, 80.0), adapting=True, usable=True,
-        usable_rows=(True, True, True), state="converged", reason="", flow=flow,
-    )  # fmt: skip
-    entries = named_entries(estimate, flight)
-    message = JointState(
-        name=list(entries.names),
-        position=entries.positions.tolist(),
-        effort=entries.efforts.tolist(),
-    )
+    told = estimate_of(a, 0.01 * np.abs(a), t_ns=START, flow=flow)
+    made = as_message(told, flight)
+    message = JointState(name=made.name, position=made.position, effort=made.effort)
     rates, u = [0.3, -0.1, 0.2], [0.05, -0.03, 0.1, 0.2]
     read = Coefficients.from_message(message)
     model = AttitudeModel(read.structure, read.values, read.structure.mask, read.flow)

@@ -132,11 +132,7 @@ def test_foxglove_finds_every_panel_once() -> None:
     assert {panel.partition("!")[0] for panel in shown} == kinds
 
 
-def test_foxglove_labels_an_index_with_its_name() -> None:
-    names = entry_names(STRUCTURE)
-    for curve in foxglove_curves():
-        assert curve["enabled"]
-        assert curve["timestampMethod"] == "headerStamp"
-        index = re.fullmatch(rf"{NAMED}\.\w+\[(\d+)\]", curve["value"])
-        if index is not None:
-            assert names[int(index.group(1))].removeprefix("verdict/") == curve["label"]
+def test_foxglove_draws_by_the_stamps() -> None:
+    curves = foxglove_curves()
+    assert curves
+    assert all(c["enabled"] and c["timestampMethod"] == "headerStamp" for c in curves)

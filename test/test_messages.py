@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from estimates import estimate_of
 from rosbags.typesys import Stores, get_typestore
 
 from uav_ident_ros.identification.estimate import Estimate
@@ -319,31 +320,21 @@ def test_the_dense_matrix_and_its_layout_leave_out_the_kinematics() -> None:
         rows, columns = coefficients_layout(structure)
         assert (rows, columns) == ((labels, count // 15, count), (regressors, 15, 15))
         values = np.arange(float(structure.mask.size)).reshape(structure.mask.shape)
-        dense = dense_coefficients(estimate_of(values), structure)
+        dense = dense_coefficients(paused(values), structure)
         np.testing.assert_array_equal(np.ravel(dense), np.arange(float(count)))
 
 
-def estimate_of(values: np.ndarray, flow: FlowState | None = None) -> Estimate:
-    return Estimate(
-        t_ns=1,
-        coefficients=values,
-        sigma=values / 10.0,
-        predicted_rates=np.zeros(3),
-        prediction_error=np.zeros(3),
-        fit=np.array([90.0, 80.0, -5.0]),
-        usable=False,
-        usable_rows=(True, False, True),
-        adapting=False,
-        state="paused",
-        reason="",
-        flow=flow,
-    )
+def paused(values: np.ndarray, flow: FlowState | None = None) -> Estimate:
+    return estimate_of(
+        values, values / 10.0, usable=False, usable_rows=(True, False, True), flow=flow,
+        fit=np.array([90.0, 80.0, -5.0]), adapting=False, state="paused",
+    )  # fmt: skip
 
 
 def test_named_entries() -> None:
     structure = STRUCTURES["baseline"]
     values = np.arange(36.0).reshape(3, 12)
-    names, positions, efforts = named_entries(estimate_of(values), structure)
+    names, positions, efforts = named_entries(paused(values), structure)
     assert names == entry_names(structure)
     assert names[-7:] == (
         "fit/p", "fit/q", "fit/r", "verdict/usable",
@@ -365,7 +356,7 @@ def test_named_entries_with_flow_angles() -> None:
         beta=0.1, alpha=0.2, beta_sigma=0.01, alpha_sigma=0.02, roll=0.3, pitch=-0.4, airspeed=18.0
     )
     values = np.arange(105.0).reshape(7, 15)
-    names, positions, efforts = named_entries(estimate_of(values, flow), structure)
+    names, positions, efforts = named_entries(paused(values, flow), structure)
     assert names == entry_names(structure)
     entries = dict(zip(names, zip(positions, efforts, strict=True), strict=True))
     assert entries["ay/beta"] == (3 * 15 + 13, 5.8)

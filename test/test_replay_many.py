@@ -20,7 +20,7 @@ from uav_ident_ros.offline import main
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.job import Job, Outcome, replay
 from uav_ident_ros.offline.options import parser
-from uav_ident_ros.offline.overview import WORST_FIT, columns, mean_fit, overview, ranked, ranking
+from uav_ident_ros.offline.overview import WORST_FIT, mean_fit, overview, percent, ranked, ranking
 from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
 
@@ -230,7 +230,7 @@ def test_configurations_are_ranked_on_one_bag(
     printed = capsys.readouterr().out
     assert printed.startswith("flight: 2 configurations, by their 1-second prediction fit")
     first, second, holding = (line for line in printed.splitlines() if re.match(r" +[12h]", line))
-    assert re.match(r" 1 good +\d\d\.\d +\d\d\.\d +\d\d\.\d +\d\d\.\d   0\.000  usable", first)
+    assert re.match(r" 1 good +\d\d\.\d +\d\d\.\d +\d\d\.\d +\d\d\.\d +0\.000  usable", first)
     assert re.match(r" 2 late +.* 0\.150  ", second)
     assert holding.strip().startswith("holding the rates")
     # each on top of the parameter file, each in its folder
@@ -250,7 +250,7 @@ def test_a_refused_configuration_is_no_result(
     captured = capsys.readouterr()
     assert re.search(r"^replay: wrong: .*'update_rate' is 20", captured.err)
     assert re.search(r"^ 1 identifier .* not usable", captured.out, re.MULTILINE)
-    assert re.search(r"^ 2 wrong +- +- +- +- +-  no result: ", captured.out, re.MULTILINE)
+    assert re.search(r"^ 2 wrong( +-){5}  no result: ", captured.out, re.MULTILINE)
 
 
 def test_compare_takes_one_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -287,7 +287,7 @@ def test_ranking_puts_usable_ones_first_and_one_bad_axis_does_not_hide_the_other
     assert "line one" in table
     assert "line two" not in table
     assert overview(everything).endswith("5 bags: 1 usable, 3 not usable, 1 no result")
-    assert columns([1.04, None, -1000.0]) == "     1.0       -  <-1000"
+    assert [str(percent(value)) for value in (1.04, None, -1000.0)] == ["1.0", "-", "<-1000"]
 
 
 # --- options -----------------------------------------------------------------------------------

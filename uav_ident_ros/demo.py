@@ -29,7 +29,7 @@ from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import ACTUATORS, MessageTypeError, import_type
 from uav_ident_ros.monitor.listener import Listener
-from uav_ident_ros.monitor.views import make_view
+from uav_ident_ros.monitor.view import View
 from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.run import Inputs, choose_inputs
 from uav_ident_ros.offline.status import NO_RESULT
@@ -225,20 +225,20 @@ def play(
         listener = Listener()
         open_.callback(listener.close)
         heard = listener.listen(NODE_NAME)
-        view = make_view(as_text=False)
+        view = View()
         open_.callback(view.close)
         period = view.period if sys.stdout.isatty() else BLOCK_EVERY
         shown = time.monotonic()
 
         def show(_: int) -> None:
             nonlocal shown
-            listener.spin(LISTEN)
+            listener.spin_for(LISTEN)
             if time.monotonic() - shown >= period:
                 view.show(heard)
                 shown = time.monotonic()
 
         player.play(flight.messages, speed=speed, on_time=show, in_step=True)
-        listener.spin(1.0)
+        listener.spin_for(1.0)
         view.show(heard)
         return heard.tick is not None
 

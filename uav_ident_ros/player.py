@@ -18,15 +18,13 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.srv import ListParameters
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from uav_ident_ros.bags.reading import Message
+from uav_ident_ros.guest import Guest
 
 SECOND_NS = 1_000_000_000
 
@@ -97,7 +95,7 @@ def to_stamp(t_ns: int) -> Time:
     return Time(sec=t_ns // SECOND_NS, nanosec=t_ns % SECOND_NS)
 
 
-class Player:
+class Player(Guest):
     """Publishes recorded messages and /clock, and listens to the node."""
 
     def __init__(
@@ -107,16 +105,10 @@ class Player:
         domain_id: int | None = None,  # ROS domain; the environment's if left out
         clock: bool = True,  # Whether to publish /clock
     ) -> None:
+        super().__init__("player", domain_id)
         self.outputs = Outputs()
         self._node_name = node_name
         self._clock_ns = 0
-        self._context = Context()
-        self._context.init(args=[], domain_id=domain_id)
-        self.node = Node(
-            "player", context=self._context, use_global_arguments=False, enable_rosout=False
-        )
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
         self._publishers = {
             topic: self.node.create_publisher(kind, topic, DEPTH) for topic, kind in topics.items()
         }
@@ -140,18 +132,6 @@ class Player:
     def _keep_status(self, message: DiagnosticArray) -> None:
         self.outputs.status += [s for s in message.status if s.name == self._node_name]
 
-    def close(self) -> None:
-        """Leave the graph."""
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
-
-    def spin_for(self, seconds: float) -> None:
-        """Listen for a while."""
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
-
     def wait_until(
         self, condition: Callable[[], bool], what: str, timeout: float = PATIENCE
     ) -> None:
@@ -162,11 +142,8 @@ class Player:
         PlayerError
             If it does not within `timeout` seconds; the message says `what` was waited for.
         """
-        end = time.monotonic() + timeout
-        while not condition():
-            if time.monotonic() > end:
-                raise PlayerError(f"waited {timeout:g} s in vain for {what}")
-            self._executor.spin_once(timeout_sec=0.02)
+        if not self.spin_for(timeout, condition):
+            raise PlayerError(f"waited {timeout:g} s in vain for {what}")
 
     def node_is_there(self) -> bool:
         """Whether the node listens to everything and offers its outputs."""
@@ -200,12 +177,9 @@ class Player:
         while time.monotonic() < end:
             self.wait_until(client.service_is_ready, f"node '{self._node_name}'", timeout)
             answer = client.call_async(ListParameters.Request())
-            again = time.monotonic() + CALL_AGAIN_AFTER
-            while time.monotonic() < again:
-                self._executor.spin_once(timeout_sec=NUDGE_AFTER)
-                if answer.done():
-                    self.node.destroy_client(client)
-                    return
+            if self.spin_for(CALL_AGAIN_AFTER, answer.done):
+                self.node.destroy_client(client)
+                return
             client.remove_pending_request(answer)
         raise PlayerError(f"waited {timeout:g} s in vain for node '{self._node_name}' to answer")
 
@@ -218,13 +192,6 @@ class Player:
         self._clock_ns = t_ns
         if self._clock is not None:
             self._clock.publish(Clock(clock=to_stamp(t_ns)))
-
-    def _begin_clock(self, t_ns: int) -> None:
-        """Publish the first time of a recording; a jump back must arrive before the messages."""
-        back = t_ns < self._clock_ns
-        self.send_clock(t_ns)
-        if back:
-            self.spin_for(SETTLE)
 
     def _advance_clock(self, t_ns: int) -> None:
         """Publish a time on /clock unless it is there already."""
@@ -258,7 +225,10 @@ class Player:
         start_ns, start = messages[0].log_ns, time.monotonic()
         late: list[float] = []
         clock_ns = start_ns
-        self._begin_clock(clock_ns)
+        back = clock_ns < self._clock_ns
+        self.send_clock(clock_ns)
+        if back:  # which must arrive before the messages
+            self.spin_for(SETTLE)
         for message in messages:
             while clock_ns + CLOCK_PERIOD_NS <= message.log_ns:
                 clock_ns += CLOCK_PERIOD_NS
@@ -305,10 +275,7 @@ class Player:
                     f"waited {PATIENCE:g} s in vain for the output of "
                     f"{(wanted_ns - start_ns) / SECOND_NS:.2f} s into the recording"
                 )
-            pause = time.monotonic() + NUDGE_AFTER
-            while self.outputs.newest_ns < wanted_ns and time.monotonic() < pause:
-                self._executor.spin_once(timeout_sec=NUDGE_AFTER)
-            if self.outputs.newest_ns < wanted_ns:
+            if not self.spin_for(NUDGE_AFTER, lambda: self.outputs.newest_ns >= wanted_ns):
                 furthest = wanted_ns + ANSWER_WITHIN_NS + CLOCK_AHEAD_NS
                 furthest += int((time.monotonic() - begun) / STUCK_AFTER) * CLOCK_AHEAD_NS // 2
                 self._advance_clock(min(self._clock_ns + CLOCK_PERIOD_NS, furthest))

@@ -9,7 +9,7 @@ from plants import DT_NS, START, STEP, coefficients, controller, flown
 
 from uav_ident_ros.client import Coefficients, CoefficientSource
 from uav_ident_ros.control import Effectiveness, Law
-from uav_ident_ros.control.pid import PidGains, PidLaw
+from uav_ident_ros.control.pid import PidController, PidGains
 from uav_ident_ros.control.sideslip import SIDESLIP_RATE, yaw_for_roll
 from uav_ident_ros.control.smoothing import Smoother
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
@@ -121,12 +121,11 @@ def test_pid_follows_and_stops_its_integrator_at_a_limit() -> None:
         derivative=np.zeros(3),
     )
     limits = np.array([[-0.4, -0.3, -0.3, 0.0], [0.4, 0.3, 0.3, 0.0]])
-    law = PidLaw(limits, gains)
-    law.restart(np.zeros(3))
+    law, times = PidController(limits, gains), iter(range(START, START + 1200 * DT_NS, DT_NS))
     for _ in range(1000):
-        u = law.update(0.01, np.zeros(3), np.array([3.0, 0.0, 0.0]))
+        u = law.update(next(times), np.zeros(3), np.array([3.0, 0.0, 0.0]))
     assert u[2] == 0.3 and u[0] == u[1] == u[3] == 0.0
-    back = [law.update(0.01, np.array([0.3, 0.0, 0.0]), np.zeros(3))[2] for _ in range(200)]
+    back = [law.update(next(times), np.array([0.3, 0.0, 0.0]), np.zeros(3))[2] for _ in range(200)]
     assert min(back) < 0.0  # it let go at once, not after ten seconds of unwinding
 
 

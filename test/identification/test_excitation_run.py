@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from estimates import estimate_of
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.excitation_run import (
@@ -33,12 +34,9 @@ def estimate(
     t_ns: int, ratio: float = 1.0, state: str = "learning", value: float = 1.0
 ) -> Estimate:
     """An estimate whose coefficients are `ratio` times their sigma."""
-    coefficients = value * STRUCTURE.mask
-    three = np.zeros(3)
-    sigma = coefficients / ratio
-    usable = (False, False, False)
-    return Estimate(
-        t_ns, coefficients, sigma, three, three, three, True, False, usable, state, "why it waits"
+    values = value * STRUCTURE.mask
+    return estimate_of(
+        values, values / ratio, t_ns=t_ns, usable=False, state=state, reason="why it waits"
     )
 
 
@@ -146,49 +144,36 @@ def test_an_abort_asks_for_zero_from_now_on_whatever_the_state(ticks: int) -> No
     assert after[-1] is None
 
 
-@pytest.mark.parametrize(
-    ("flying", "named"),
-    [
-        (replace(LEVEL, rates=np.array([0.0, 1.6, 0.0])), "pitch rate 1.60"),
-        (replace(LEVEL, rates=np.array([np.nan, 0.0, 0.0])), "roll rate nan"),
-        (replace(LEVEL, rates=None), "no rates"),
-        (replace(LEVEL, roll=-0.9), "roll angle -0.90"),
-        (replace(LEVEL, pitch=0.81), "pitch angle 0.81"),
-        (replace(LEVEL, airspeed=14.0), "airspeed 14.0"),
-        (replace(LEVEL, airspeed=26.0), "airspeed 26.0"),
-        (replace(LEVEL, grounded="not armed"), "not armed"),
-    ],
-)
-def test_beyond_a_limit_it_does_not_start_and_a_run_ends_at_once(
-    flying: Flying, named: str
-) -> None:
+BEYOND = [
+    (replace(LEVEL, rates=np.array([0.0, 1.6, 0.0])), "learning", "pitch rate 1.60"),
+    (replace(LEVEL, rates=np.array([np.nan, 0.0, 0.0])), "learning", "roll rate nan"),
+    (replace(LEVEL, rates=None), "learning", "no rates"),
+    (replace(LEVEL, roll=-0.9), "learning", "roll angle -0.90"),
+    (replace(LEVEL, pitch=0.81), "learning", "pitch angle 0.81"),
+    (replace(LEVEL, airspeed=14.0), "learning", "airspeed 14.0"),
+    (replace(LEVEL, airspeed=26.0), "learning", "airspeed 26.0"),
+    (replace(LEVEL, grounded="not armed"), "learning", "not armed"),
+    (LEVEL, "waiting", "waiting: why it waits"),  # its inputs are missing
+    (LEVEL, "fault", "fault: why it waits"),
+]
+
+
+def test_beyond_a_limit_it_does_not_start_and_a_run_ends_at_once() -> None:
     settings = replace(SETTINGS, min_airspeed=15.0, max_airspeed=25.0)
-    assert named in ExcitationRun(STRUCTURE).start(settings, flying, estimate(T0_NS))
-    run = started(settings)
-    flown(run, 100)
-    t_ns = T0_NS + 101 * TICK_NS
-    asked = run.step(flying, estimate(t_ns))
-    assert asked is not None
-    assert asked.t_ns == t_ns and not asked.values.any()
-    assert run.why.startswith("aborted: ") and named in run.why
+    for flying, state, named in BEYOND:
+        said = ExcitationRun(STRUCTURE).start(settings, flying, estimate(T0_NS, state=state))
+        assert named in said
+        run = started(settings)
+        flown(run, 100)
+        t_ns = T0_NS + 101 * TICK_NS
+        asked = run.step(flying, estimate(t_ns, state=state))
+        assert asked is not None
+        assert asked.t_ns == t_ns and not asked.values.any()
+        assert run.why.startswith("aborted: ") and named in run.why
 
 
-@pytest.mark.parametrize("state", ["waiting", "fault"])
-def test_without_its_inputs_it_does_not_start_and_a_run_ends_at_once(state: str) -> None:
-    waiting = estimate(T0_NS, state=state)
-    said = ExcitationRun(STRUCTURE).start(SETTINGS, LEVEL, waiting)
-    assert said == f"{state}: why it waits"
-    run = started()
-    asked = run.step(LEVEL, estimate(T0_NS + TICK_NS, state=state))
-    assert asked is not None and not asked.values.any()
-    assert run.why == f"aborted: {state}: why it waits"
-
-
-def test_what_is_not_known_of_the_flight_is_no_limit() -> None:
+def test_a_start_that_cannot_be_says_why_and_what_is_not_known_is_no_limit() -> None:
     assert ExcitationRun(STRUCTURE).start(SETTINGS, Flying(np.zeros(3)), estimate(T0_NS)) == ""
-
-
-def test_a_start_that_cannot_be_says_why() -> None:
     assert "going on" in started().start(SETTINGS, LEVEL, estimate(T0_NS))
     still = replace(SETTINGS, amplitude=(0.0,) * 4)
     assert "'excitation.amplitude'" in ExcitationRun(STRUCTURE).start(still, LEVEL, estimate(T0_NS))
@@ -196,18 +181,15 @@ def test_a_start_that_cannot_be_says_why() -> None:
     assert "'excitation.band'" in ExcitationRun(STRUCTURE).start(narrow, LEVEL, estimate(T0_NS))
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
+def test_wrong_settings_are_refused_by_name() -> None:
+    for name, value in (
         ("excitation.amplitude", (0.1, 0.1, 0.1)),
         ("excitation.amplitude", (0.1, -0.1, 0.1, 0.0)),
         ("excitation.band", (2.0, 0.2)),
         ("excitation.form", "sweep"),
-    ],
-)
-def test_wrong_settings_are_refused_by_name(name: str, value: object) -> None:
-    with pytest.raises(SettingsError, match=name):
-        Settings.from_values({name: value})
+    ):
+        with pytest.raises(SettingsError, match=name):
+            Settings.from_values({name: value})
 
 
 # --- enough ------------------------------------------------------------------------------------
@@ -229,13 +211,9 @@ def test_it_fades_out_when_everything_is_known_but_not_before_a_period() -> None
     plain = np.abs([ProgrammedInput(settings).sample(0.05 * (i + 1)) for i in range(k)]).max(axis=1)
     share = size[-20:-1] / plain[-20:-1]
     assert (np.diff(share) < 0.0).all()  # out, not off
-
-
-def test_it_goes_on_to_the_end_if_that_is_wanted() -> None:
-    run = started(replace(SETTINGS, min_t_ratio=0.0))
+    run = started(replace(SETTINGS, min_t_ratio=0.0))  # to the end, if that is wanted
     for k in range(1, 399):
-        t_ns = T0_NS + k * TICK_NS
-        run.step(LEVEL, estimate(t_ns, ratio=100.0))
+        run.step(LEVEL, estimate(T0_NS + k * TICK_NS, ratio=100.0))
     assert run.active
 
 

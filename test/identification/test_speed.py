@@ -65,7 +65,7 @@ def worst_linear(found: FloatArray, truth: FloatArray) -> float:
 
 @pytest.fixture(scope="module")
 def flown() -> tuple[FloatArray, FloatArray, FloatArray]:
-    return flight(60.0)
+    return flight(40.0)
 
 
 def identify(

@@ -24,7 +24,7 @@ from uav_ident_ros.simulation.errors import SimulationError
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
-SHORT = Loop(duration=12.0)
+SHORT = Loop(duration=10.0)
 TIMEOUT = 200.0
 
 
@@ -74,7 +74,7 @@ def said(running: ClosedLoop, name: str, words: str) -> bool:
 
 def test_a_flight_is_the_same_however_fast_the_machine_is(tmp_path: Path) -> None:
     """A faulty flight on coefficients that are adopted in flight, once disturbed from outside."""
-    loop = replace(SHORT, heed_verdict=False, faults=("6.0: aileron effect 0.5",))
+    loop = replace(SHORT, heed_verdict=False, faults=("5.0: aileron effect 0.5",))
 
     def hold_up(running: ClosedLoop) -> None:
         """Stop the controller and the identifier for a moment, somewhere in the flight."""
@@ -91,7 +91,7 @@ def test_a_flight_is_the_same_however_fast_the_machine_is(tmp_path: Path) -> Non
     assert "flying on identified coefficients" in logs["controller"]
     for name in ("rates", "measured", "reference", "outputs", "surfaces"):
         np.testing.assert_array_equal(first[name], again[name])
-    assert tracking_error(first, 3.0, 6.0).max() < 5.0
+    assert tracking_error(first, 3.0, 5.0).max() < 5.0
 
 
 def test_the_identifier_may_be_killed_and_faults_come_by_topic(tmp_path: Path) -> None:
@@ -141,14 +141,14 @@ def publish_faults(running: ClosedLoop, *commands: str) -> None:
 def test_fixed_coefficients_never_ask_the_identifier(commanded: Commanded) -> None:
     assert "flying on nominal coefficients" in commanded.log("controller")
     assert "identified" not in commanded.log("controller")
-    assert len(commanded.record["tick"]) > 150  # it runs all the same, and is recorded
+    assert len(commanded.record["tick"]) > 120  # it runs all the same, and is recorded
     assert tracking_error(commanded.record, 3.0, 6.0).max() < 5.0
 
 
 def test_the_command_says_how_well_the_reference_was_followed(commanded: Commanded) -> None:
     words = [line.split() for line in commanded.said.splitlines()]
-    (last,) = (line for line in words if line[:5] == ["6", "s", "to", "11", "s"])
-    error = tracking_error(commanded.record, 6.0, 11.0)
+    (last,) = (line for line in words if line[:5] == ["5", "s", "to", "10", "s"])
+    error = tracking_error(commanded.record, 5.0, float(commanded.record["time"][-1]))
     np.testing.assert_allclose([float(v) for v in last[5:]], error, atol=0.005)
 
 

@@ -28,7 +28,7 @@ def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_pa
     )
     assert run.returncode == 0, run.stderr
     fits = re.findall(
-        r"^identified model, 1 s(.*)\n +holding the rates(.*)$", run.stdout, re.MULTILINE
+        r"^free prediction, 1 s(.*)\nholding the rates for 1 s(.*)$", run.stdout, re.MULTILINE
     )
     model, hold = ([float(value) for value in line.split()] for line in fits[0])
     assert all(m > 50.0 > h for m, h in zip(model, hold, strict=True))

@@ -13,12 +13,9 @@ from uav_ident_ros.control.effectiveness import Effectiveness
 from uav_ident_ros.control.incremental import GAINS, IncrementalLaw
 from uav_ident_ros.control.inversion import GAINS as INVERSION_GAINS
 from uav_ident_ros.control.inversion import InversionLaw
-from uav_ident_ros.control.reference import Gains
+from uav_ident_ros.control.reference import MAX_INTERVAL, Gains
 from uav_ident_ros.control.sideslip import yaw_for_roll
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-
-MAX_INTERVAL = 0.1
-"""Interval of the Imu above which the loop starts afresh, s."""
 
 
 class Law(Enum):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_ident_ros.control.reference import MAX_INTERVAL
 from uav_ident_ros.control.smoothing import Smoother
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
@@ -31,20 +32,19 @@ class PidGains:
     bandwidth: float = 30.0  # Of the filter of the derivative, rad/s
 
 
-class PidLaw:
+class PidController:
     """PID rate control; `limits` as of `IncrementalLaw`."""
 
     def __init__(self, limits: FloatArray, gains: PidGains) -> None:
         self._low, self._high = limits[:, SURFACES]
-        self.gains = gains
+        self.gains, self._last_ns = gains, 0
 
-    def restart(self, x: FloatArray) -> None:
-        """Forget the past."""
-        self._rates = Smoother(self.gains.bandwidth, x)
-        self._integral = np.zeros(3)
-
-    def update(self, dt: float, x: FloatArray, reference: FloatArray) -> FloatArray:
-        """Return de, dr, da, dth, deviations from trim; parameters as of `IncrementalLaw`."""
+    def update(self, t_ns: int, x: FloatArray, reference: FloatArray) -> FloatArray:
+        """Return de, dr, da, dth, deviations from trim; parameters as of `RateController`."""
+        dt, self._last_ns = (t_ns - self._last_ns) * 1e-9, t_ns
+        if not 0.0 < dt < MAX_INTERVAL:
+            self._rates, self._integral = Smoother(self.gains.bandwidth, x), np.zeros(3)
+            dt = 0.0
         g, error = self.gains, reference - x
         self._rates.update(x, dt)
         wanted = g.forward * reference + g.proportional * error - g.derivative * self._rates.slope

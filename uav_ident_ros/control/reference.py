@@ -9,6 +9,9 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
 
+MAX_INTERVAL = 0.1
+"""Interval of the Imu above which a loop starts afresh, s."""
+
 
 @dataclass(frozen=True)
 class Gains:

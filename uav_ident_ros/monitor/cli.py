@@ -8,10 +8,10 @@ import importlib.util
 import math
 import os
 import sys
+from contextlib import closing
 from typing import NoReturn
 
 from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c
-from uav_ident_ros.monitor.heard import Heard
 from uav_ident_ros.monitor.listener import Listener
 
 USABLE = 0
@@ -80,16 +80,12 @@ def _seconds(text: str) -> float:
 
 
 def _the_one(found: list[str]) -> str:
-    """Return the only identifier of a list.
-
-    Raises
-    ------
-    MonitorError
-        If there are several.
-    """
+    """Return the only identifier of a list, or raise `MonitorError`."""
     if len(found) > 1:
-        raise MonitorError(f"there are {len(found)} identifiers: choose one with --node\n  "
-                           + "\n  ".join(found))  # fmt: skip
+        listed = "\n  ".join(found)
+        raise MonitorError(
+            f"there are {len(found)} identifiers: choose one with --node\n  {listed}"
+        )
     return found[0]
 
 
@@ -102,38 +98,30 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
             return NOTHING_HEARD
         node = _the_one(found)
     heard = listener.listen(node)
-    listener.spin(timeout, lambda: heard.fresh and bool(heard.status.state))
+    listener.spin_for(timeout, lambda: heard.fresh and bool(heard.status.state))
     if heard.tick is None and not heard.status.state:
         print(f"monitor: nothing was heard of '{node}' for {timeout:g} s", file=sys.stderr)
         return NOTHING_HEARD
-    from uav_ident_ros.monitor.views import Blocks
+    from uav_ident_ros.monitor.view import View
 
-    Blocks().show(heard)
+    View(plain=True).show(heard)
     return USABLE if heard.usable else NOT_USABLE
 
 
-def watch(listener: Listener, node: str | None, as_text: bool) -> NoReturn:
+def watch(listener: Listener, node: str | None, plain: bool) -> NoReturn:
     """Show an identifier for as long as this runs; wait for one if there is none."""
-    from uav_ident_ros.monitor.views import make_view
+    from uav_ident_ros.monitor.view import View
 
-    heard = _wait_for(listener, node)
-    view = make_view(as_text)
-    try:
+    if node is None:
+        print("monitor: looking for an identifier (Ctrl-C ends it)", file=sys.stderr)
+        while not (found := listener.find(LOOK_AGAIN)):
+            pass
+        node = _the_one(found)
+    heard = listener.listen(node)
+    with closing(View(plain)) as view:
         while True:
             view.show(heard)
-            listener.spin(view.period)
-    finally:
-        view.close()
-
-
-def _wait_for(listener: Listener, node: str | None) -> Heard:
-    """Begin to listen to the node, or to the only one, once it is there."""
-    if node is not None:
-        return listener.listen(node)
-    print("monitor: looking for an identifier (Ctrl-C ends it)", file=sys.stderr)
-    while not (found := listener.find(LOOK_AGAIN)):
-        pass
-    return listener.listen(_the_one(found))
+            listener.spin_for(view.period)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uav_ident_ros.identification.linearisation import Mode, level_modes
-from uav_ident_ros.identification.structure import KINEMATIC_ROWS, STRUCTURES
+from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME
 from uav_ident_ros.messages.types import NS_PER_S
 
@@ -48,6 +48,11 @@ class Coefficient:
     sigma: float
     # Its values over the last `TREND_TIME`, oldest first, the newest included
     past: tuple[float, ...] = ()
+
+    @property
+    def row(self) -> str:
+        """Row of the model that it is in."""
+        return self.name.partition("/")[0]
 
     @property
     def t_ratio(self) -> float | None:
@@ -106,8 +111,7 @@ class Heard:
         self._clock = clock
         self._arrived: float | None = None
         self._newest_ns: int | None = None
-        self._names: tuple[str, ...] = ()
-        self._values: tuple[float, ...] = ()
+        self._entries: dict[str, float] = {}
         self._sigmas: tuple[float, ...] = ()
         self._past: deque[tuple[int, tuple[float, ...]]] = deque()
 
@@ -121,14 +125,14 @@ class Heard:
         sigmas: Sequence[float],
     ) -> None:
         """Take the content of one ~/coefficients_named message, stamped `t_ns`."""
-        if self._newest_ns is not None and (t_ns < self._newest_ns or tuple(names) != self._names):
+        if self._newest_ns is not None and (t_ns < self._newest_ns or [*names] != [*self._entries]):
             self._past.clear()  # it started again, from other data or with another structure
         self.ticks += t_ns != self._newest_ns
         self._newest_ns, self._arrived = t_ns, self._clock()
-        self._names, self._values, self._sigmas = tuple(names), tuple(values), tuple(sigmas)
+        self._entries, self._sigmas = dict(zip(names, values, strict=True)), tuple(sigmas)
         step_ns = round(TREND_TIME / TREND_POINTS * NS_PER_S)
         if not self._past or t_ns - self._past[-1][0] >= step_ns:
-            self._past.append((t_ns, self._values))
+            self._past.append((t_ns, tuple(values)))
         while t_ns - self._past[0][0] > TREND_TIME * NS_PER_S:
             self._past.popleft()
 
@@ -157,13 +161,13 @@ class Heard:
     @property
     def usable(self) -> bool:
         """Whether a controller may act on the coefficients now."""
-        verdict = self._entries().get(USABLE_NAME, 0.0) >= 1.0
+        verdict = self._entries.get(USABLE_NAME, 0.0) >= 1.0
         return verdict and self.fresh and self.status.state not in STATES_WITHOUT_DATA
 
     @property
     def states(self) -> dict[str, float]:
         """States of the model beside the rates, rad and m/s, by name; empty if it has none."""
-        entries = self._entries()
+        entries = self._entries
         return {k.removeprefix(STATE): v for k, v in entries.items() if k.startswith(STATE)}
 
     def modes(self) -> list[Mode]:
@@ -183,42 +187,26 @@ class Heard:
 
         None before the first, and where the node does not publish it.
         """
-        axis, entries = AXIS_OF[row], self._entries()
+        axis, entries = AXIS_OF[row], self._entries
         known = any(entries.get(name) for name in FIT_NAMES)
         hold = self.status.number(f"hold {axis} [%]")
         return (entries.get(f"fit/{axis}") if known else None), hold
 
     def rows(self) -> list[str]:
         """Rows of the model, in the order of the message; the moment equations before any."""
-        return list(
-            dict.fromkeys([*AXIS_OF, *(c.name.partition("/")[0] for c in self.coefficients())])
-        )
-
-    @staticmethod
-    def is_moment(row: str) -> bool:
-        """Whether a row is a moment equation, which has a fit."""
-        return row in AXIS_OF
-
-    @staticmethod
-    def is_kinematic(row: str) -> bool:
-        """Whether a row is what the kinematics of a flow angle miss."""
-        return row in KINEMATIC_ROWS
+        return list(dict.fromkeys([*AXIS_OF, *(c.row for c in self.coefficients())]))
 
     def usable_row(self, row: str) -> bool | None:
         """Return the verdict on a row; None if the node gives none."""
-        verdict = self._entries().get(f"{USABLE_NAME}/{row}")
+        verdict = self._entries.get(f"{USABLE_NAME}/{row}")
         return None if verdict is None else verdict >= 1.0 and self.fresh
 
     def coefficients(self) -> list[Coefficient]:
         """Every coefficient, in the order of the message."""
-        past = [*(values for _, values in self._past), self._values]
+        past = [*(values for _, values in self._past), tuple(self._entries.values())]
+        entries = zip(self._entries.items(), self._sigmas, zip(*past, strict=True), strict=True)
         return [
-            Coefficient(name, value, sigma, tuple(values[i] for values in past))
-            for i, (name, value, sigma) in enumerate(
-                zip(self._names, self._values, self._sigmas, strict=True)
-            )
+            Coefficient(name, value, sigma, history)
+            for (name, value), sigma, history in entries
             if not name.startswith(NOT_COEFFICIENTS)
         ]
-
-    def _entries(self) -> dict[str, float]:
-        return dict(zip(self._names, self._values, strict=True))

@@ -18,7 +18,8 @@ from rich.text import Text
 
 from uav_ident_ros.identification.linearisation import Mode
 from uav_ident_ros.identification.settings import SupervisionSettings
-from uav_ident_ros.monitor.heard import Coefficient, Heard
+from uav_ident_ros.identification.structure import KINEMATIC_ROWS
+from uav_ident_ros.monitor.heard import AXIS_OF, Coefficient, Heard
 
 COLUMN_WIDTH = 26
 """Characters of a column: name, value, sigma, t-ratio, trend."""
@@ -78,8 +79,8 @@ def picture(heard: Heard, console: Console) -> RenderableType:
     glyphs = ASCII if console.options.ascii_only else Glyphs()
     sparks = console.width >= AXES * (COLUMN_WIDTH + SPARKS + GAP) - GAP
     width = COLUMN_WIDTH + SPARKS if sparks else COLUMN_WIDTH
-    rows = [_row(heard, row, glyphs, sparks) for row in heard.rows() if not heard.is_kinematic(row)]
-    if any(map(heard.is_kinematic, heard.rows())):
+    rows = [_row(heard, row, glyphs, sparks) for row in heard.rows() if row not in KINEMATIC_ROWS]
+    if set(KINEMATIC_ROWS) & set(heard.rows()):
         rows.append(_kinematics(heard))
     return Group(
         *_head(heard),
@@ -142,25 +143,29 @@ def _row(heard: Heard, row: str, glyphs: Glyphs, sparks: bool) -> RenderableType
         head.append(f" {verdict[0]}", verdict[1])
     if excitation is not None:
         head.append(f"   excited {excitation:.2f}", "not bold dim")
-    table = Table.grid(padding=(0, GAP, 0, 0))
-    for cell, width in enumerate(CELL_WIDTHS):
-        table.add_column(justify="right" if cell else "left", width=width, no_wrap=True)
+    table = _grid(CELL_WIDTHS)
     table.add_column(no_wrap=True)
     for coefficient in heard.coefficients():
-        if coefficient.name.startswith(f"{row}/"):
+        if coefficient.row == row:
             table.add_row(*_cells(coefficient, glyphs, sparks))
-    fit = [_fit(heard, row)] if heard.is_moment(row) else []
+    fit = [_fit(heard, row)] if row in AXIS_OF else []
     return Group(head, *fit, table)
+
+
+def _grid(widths: Sequence[int]) -> Table:
+    """Return an empty table: a name, and numbers right of it."""
+    table = Table.grid(padding=(0, GAP, 0, 0))
+    for cell, width in enumerate(widths):
+        table.add_column(justify="right" if cell else "left", width=width, no_wrap=True)
+    return table
 
 
 def _kinematics(heard: Heard) -> Table:
     """Return what the kinematics miss, by its full name, without trend."""
-    table = Table.grid(padding=(0, GAP, 0, 0))
-    for cell, width in enumerate((LONGEST_NAME, *CELL_WIDTHS[1:3])):
-        table.add_column(justify="right" if cell else "left", width=width, no_wrap=True)
+    table = _grid((LONGEST_NAME, *CELL_WIDTHS[1:3]))
     table.add_row(Text("kinematics", "bold"))
     for coefficient in heard.coefficients():
-        if heard.is_kinematic(coefficient.name.partition("/")[0]):
+        if coefficient.row in KINEMATIC_ROWS:
             value, sigma = _value(coefficient.value), _sigma(coefficient.sigma)
             table.add_row(coefficient.name, value, sigma)
     return table

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.samples import NS, TimeArray
-from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import (
     INPUTS,
@@ -28,9 +27,6 @@ from uav_ident_ros.offline.run import OfflineRun, Refusals, Stretch
 
 FULL = STRUCTURES["augmented"]
 FIT_WINDOWS = "last_40_percent"
-
-PIECE_TIME = 10.0
-"""Length of the pieces in which a flight is filtered once more, s."""
 
 ROW_FORCES: Mapping[str, str] = {"pdot": "ay", "qdot": "az", "rdot": "ay"}
 """The specific force that stands for the flow angle of each row."""
@@ -153,60 +149,32 @@ def _rate(t_ns: TimeArray) -> float:
 
 
 def _force_share(run: OfflineRun, part: Stretch) -> dict[str, float]:
-    """Find what the forces that are no regressors would explain."""
-    settings = run.inputs.settings
-    if run.structure.size >= FULL.size:
+    """Return the share of each row's residual that the force which is no regressor would explain.
+
+    Residuals are those of the filtered accelerations on the filtered regressors of the whole part.
+    """
+    settings, structure = run.inputs.settings, run.structure
+    if structure.size >= FULL.size:
         return {}
-    moments = _Moments(settings.filter.cutoff, np.array(settings.imu.lever_arm))
-    for block in _pieces(run.blocks(part), PIECE_TIME):
-        moments.add(block)
-    return moments.force_share(run.structure)
-
-
-def _pieces(blocks: Iterator[Block], seconds: float) -> Iterator[Block]:
-    """Cut blocks into pieces of some length."""
-    for block in blocks:
-        cells = max(1, round(seconds / block.h))
-        for k in range(0, len(block.u), cells):
-            inner, edges = slice(k, k + cells), slice(k, k + cells + 1)
-            yield replace(
-                block,
-                t_ns=block.t_ns[edges],
-                x=block.x[edges],
-                u=block.u[inner],
-                specific_force=block.specific_force[edges],
-                restarted=block.restarted and k == 0,
-            )
-
-
-class _Moments:
-    """Products of all filtered regressors and accelerations, summed over a flight."""
-
-    def __init__(self, cutoff: float, arm: FloatArray) -> None:
-        self._cutoff, self._arm = cutoff, arm
-        self._filter: StateVariableFilter | None = None
-        self._sum: FloatArray = np.zeros((FULL.size + len(ROWS),) * 2)
-
-    def add(self, block: Block) -> None:
-        if self._filter is None:
-            self._filter = StateVariableFilter(FULL, self._cutoff, block.h, self._arm)
-        data = self._filter.apply(block, block.x)
+    arm, whole = np.array(settings.imu.lever_arm), None
+    products: FloatArray = np.zeros((FULL.size + len(ROWS),) * 2)
+    for block in run.blocks(part):
+        whole = whole or StateVariableFilter(FULL, settings.filter.cutoff, block.h, arm)
+        data = whole.apply(block, block.x)
         signals = np.hstack([data.f, data.y])
-        self._sum += signals.T @ signals
+        products += signals.T @ signals
 
-    def force_share(self, structure: Structure) -> dict[str, float]:
-        """Share of each row's residual that its specific force would explain."""
-        shares = {}
-        for i, (row, force) in enumerate(ROW_FORCES.items()):
-            present = [*np.flatnonzero(structure.mask[i]), FULL.regressors.index("1")]
-            left = self._residual(i, present)
-            with_force = self._residual(i, [*present, FULL.regressors.index(force)])
-            shares[row] = 1.0 - with_force / left if left > 0.0 else 0.0
-        return shares
-
-    def _residual(self, row: int, columns: list[int]) -> float:
+    def residual(row: int, columns: list[int]) -> float:
         """Residual sum of squares of a row's acceleration on some columns."""
-        matrix, y = self._sum[np.ix_(columns, columns)], FULL.size + row
-        vector = self._sum[columns, y]
-        solution = np.linalg.lstsq(matrix, vector, rcond=None)[0]
-        return max(float(self._sum[y, y] - vector @ solution), 0.0)
+        y = FULL.size + row
+        vector = products[columns, y]
+        solution = np.linalg.lstsq(products[np.ix_(columns, columns)], vector, rcond=None)[0]
+        return max(float(products[y, y] - vector @ solution), 0.0)
+
+    shares = {}
+    for i, (row, force) in enumerate(ROW_FORCES.items()):
+        present = [*np.flatnonzero(structure.mask[i]), FULL.regressors.index("1")]
+        left = residual(i, present)
+        with_force = residual(i, [*present, FULL.regressors.index(force)])
+        shares[row] = 1.0 - with_force / left if left > 0.0 else 0.0
+    return shares

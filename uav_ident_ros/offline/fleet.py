@@ -22,6 +22,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
 from uav_ident_ros.offline.flights_table import VERDICTS, FlightRow
 from uav_ident_ros.offline.status import USABLE
+from uav_ident_ros.offline.tables import Number, Row, Table
 
 FALSE_NAMES = 1e-5
 """False alarms allowed for each flight and coefficient: one in ten fleets of 60 flights in which
@@ -183,6 +184,23 @@ class Aircraft:
         value, sigma = self.values[name], self.sigmas[name]
         known = np.isfinite(value)
         return bool(np.median(np.abs(value[known]) / sigma[known]) >= CLEAR)
+
+    @property
+    def table(self) -> Table:
+        """The pooled coefficients."""
+        rows = [
+            Row(
+                name,
+                [
+                    *(Number(v, s) for v, s in zip(p, (".4g", ".2g", ".2g"), strict=False)),
+                    Number(p.next_sigma, ".2g"),
+                    Number(p.flights, "d"),
+                ],
+            )
+            for name, p in self.pooled.items()
+        ]
+        head = ("coefficient", "pooled", "sigma", "scatter", "sigma of the next flight", "flights")
+        return Table(f"Pooled, SI, structure {self.structure}", head, rows)
 
     def coefficient_set(self) -> CoefficientSet:
         """Return the pooled coefficients with the sigmas of the next flight.

@@ -15,6 +15,7 @@ from uav_ident_ros.files.coefficients_file import CoefficientsFileError, save_co
 from uav_ident_ros.offline.fleet import Aircraft, fleet_of
 from uav_ident_ros.offline.flights_table import read_flights
 from uav_ident_ros.offline.picture import PictureError
+from uav_ident_ros.offline.tables import columns
 
 NO_RESULT = 2
 """Exit status: no table can be used."""
@@ -103,11 +104,7 @@ def describe(aircraft: Aircraft) -> Iterator[str]:
     count = len(aircraft.flights)
     yield f"{aircraft.name}: {count} usable flights, {len(aircraft.unusable)} others"
     if aircraft.pooled:
-        yield f"structure {aircraft.structure}"
-        yield f"{'coefficient':<12}{'pooled':>12}{'sigma':>10}{'scatter':>10}{'flights':>9}"
-    for name, pooled in aircraft.pooled.items():
-        numbers = f"{pooled.value:>+12.4g}{pooled.sigma:>10.2g}{pooled.scatter:>10.2g}"
-        yield f"{name:<12}{numbers}{pooled.flights:>9}"
+        yield from columns(aircraft.table)
     for finding in aircraft.findings:
         yield f"change: {finding.text}"
     for flight, why in aircraft.unusable:

@@ -20,7 +20,6 @@ from uav_ident_ros.files.parameter_file import ParameterFileError, load_paramete
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
-from uav_ident_ros.offline.advice import advise
 from uav_ident_ros.offline.estimates_bag import write_estimates
 from uav_ident_ros.offline.evidence import measure
 from uav_ident_ros.offline.inputs import choose_inputs
@@ -29,7 +28,7 @@ from uav_ident_ros.offline.picture import PictureError, write_picture
 from uav_ident_ros.offline.progress import Progress
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.status import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
-from uav_ident_ros.offline.summary import Replayed, summarise
+from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.table import write_table
 from uav_ident_ros.report.page import write_report
 
@@ -106,50 +105,43 @@ def replay(job: Job, progress: Progress = SILENT) -> Outcome:
         progress.enter("scoring")
         fits = run.score()
         progress.enter("measuring")
-        evidence = measure(run, fits)
+        replayed = Replayed(job.name, job.bag, run, fits, measure(run, fits), notes)
         progress.enter("writing")
-        replayed = Replayed(job.name, run, fits, notes, advise(evidence))
-        summary, table = write_results(job.folder, replayed, NODE_NAME)
+        table = write_results(job.folder, replayed, NODE_NAME)
         progress.enter("drawing")
         if job.plot:
-            write_picture(job.folder / "replay.png", job.bag, replayed)
+            write_picture(job.folder / "replay.png", replayed)
         if job.report:
-            write_report(job.folder / "report.html", job.bag, run, summary, evidence)
+            write_report(job.folder / "report.html", replayed)
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (*warnings, str(error)))
     status = NOT_USABLE if replayed.doubt else USABLE
-    return Outcome(job, status, tuple(warnings), table, summary)
+    return Outcome(job, status, tuple(warnings), table, replayed.summary)
 
 
 def write_results(
     folder: Path,  # Where to; made if it is not there
     replayed: Replayed,  # The replay
     node: str,  # Node whose topics the bag of estimates has
-) -> tuple[dict[str, Any], str]:
-    """Write the bag of estimates, the summary, the table and the coefficients.
-
-    Returns
-    -------
-    dict, str
-        Content of summary.json and of table.txt.
+) -> str:
+    """Write summary, table, bag of estimates and coefficients; return the table.
 
     Raises
     ------
     BagWriteError, CoefficientsFileError
         If something cannot be written.
     """
-    run = replayed.run
-    summary, table = summarise(replayed), write_table(replayed)
+    run, table = replayed.run, write_table(replayed.summary)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+        text = json.dumps(replayed.summary, indent=2, allow_nan=False) + "\n"
         (folder / "summary.json").write_text(text, encoding="utf-8")
         (folder / "table.txt").write_text(f"{table}\n", encoding="utf-8")
     except OSError as error:
         raise BagWriteError(f"cannot write to '{folder}': {error.strerror}") from None
     write_estimates(folder / "estimates", run.estimates, run.structure, node, run.frame_id or "")
     save_coefficients(run.result(), folder / "coefficients.yaml")
-    return summary, table
+    return table
 
 
 def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:

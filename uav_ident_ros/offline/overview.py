@@ -4,55 +4,46 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.flights_table import VERDICTS
 from uav_ident_ros.offline.job import Outcome
 from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE
-from uav_ident_ros.offline.summary import AXES
+from uav_ident_ros.offline.tables import AXES, NONE, Cell, Number, Row, Table, Words, columns
 
-HOLDING = "holding the rates"
 WORST_FIT = -100.0
 """Fit below which an axis counts no worse, percent: one that diverges must not hide the others."""
 
 LOWEST_SHOWN = -1000.0
 """Fit below which the number says nothing more, percent."""
 
-
-def fit_of(outcome: Outcome) -> tuple[float | None, ...]:
-    """Return the 1-second prediction fit of p, q, r over the last windows, percent."""
-    fit = outcome.summary["prediction_fit"][FIT_WINDOWS]["model"]
-    return tuple(fit[axis] for axis in AXES)
+HEAD = tuple(f"fit {axis}" for axis in AXES)
 
 
-def fit_columns(outcome: Outcome) -> str:
-    """Return the fit of each axis in columns."""
-    return columns(fit_of(outcome) if outcome.summary else [None] * len(AXES))
+def percent(value: float | None) -> Cell:
+    """Return a percentage, or that it is below all that says something."""
+    if value is not None and value <= LOWEST_SHOWN:
+        return f"<{LOWEST_SHOWN:.0f}"
+    return Number(value, ".1f")
 
 
-def columns(values: Iterable[float | None]) -> str:
-    """Return percentages in columns; a dash where there is none."""
-
-    def word(value: float | None) -> str:
-        if value is None:
-            return "-"
-        return f"{value:.1f}" if value > LOWEST_SHOWN else f"<{LOWEST_SHOWN:.0f}"
-
-    return "".join(f"{word(value):>8}" for value in values)
+def fit_cells(outcome: Outcome, kind: str = "model") -> list[Cell]:
+    """Return the 1-second prediction fit of p, q, r over the last windows, or that of holding."""
+    fit: Mapping[str, float | None] = dict.fromkeys(AXES)
+    if outcome.summary:
+        fit = outcome.summary["prediction_fit"][FIT_WINDOWS][kind]
+    return [percent(fit[axis]) for axis in AXES]
 
 
 def overview(outcomes: Sequence[Outcome]) -> str:
     """Return a table of several replays."""
-    width = max(len(outcome.job.name) for outcome in outcomes) + 2
-    heads = "".join(f"{f'fit {axis}':>8}" for axis in AXES)
-    lines = [f"{'bag':<{width}}{heads}  verdict"]
-    for outcome in outcomes:
-        lines.append(f"{outcome.job.name:<{width}}{fit_columns(outcome)}  {verdict(outcome)}")
+    rows = [Row(o.job.name, [*fit_cells(o), Words(verdict(o))]) for o in outcomes]
     counts = Counter(outcome.status for outcome in outcomes)
     counted = ", ".join(f"{counts[s]} {word}" for s, word in VERDICTS.items() if counts[s])
     kept = sum(outcome.kept for outcome in outcomes)
     before = f"; {kept} of them as replayed before" if kept else ""
+    lines = columns(Table("", ("bag", *HEAD, Words("verdict")), rows))
     return "\n".join([*lines, "", f"{len(outcomes)} bags: {counted}{before}"])
 
 
@@ -69,8 +60,8 @@ def mean_fit(outcome: Outcome) -> float:
     """Return the mean over the axes of the 1-second prediction fit, percent."""
     if not outcome.summary:
         return WORST_FIT
-    fits = [WORST_FIT if fit is None else max(fit, WORST_FIT) for fit in fit_of(outcome)]
-    return sum(fits) / len(fits)
+    fits = outcome.summary["prediction_fit"][FIT_WINDOWS]["model"].values()
+    return sum(WORST_FIT if f is None else max(f, WORST_FIT) for f in fits) / len(fits)
 
 
 def ranked(outcomes: Sequence[Outcome]) -> list[Outcome]:
@@ -83,25 +74,19 @@ def ranking(
     outcomes: Sequence[Outcome],  # One for each configuration
 ) -> str:
     """Return a table of the configurations of one bag, the best first."""
-    width = max(len(HOLDING), *(len(outcome.job.name) for outcome in outcomes)) + 2
-    heads = "".join(f"{f'fit {axis}':>8}" for axis in AXES)
-    lines = [
-        f"{bag}: {len(outcomes)} configurations, by their 1-second prediction fit over the last "
-        "40 % of the flight [%]",
-        "",
-        f"   {'configuration':<{width}}{heads}{'mean':>8}{'delay':>8}  verdict",
-    ]
+    rows = []
     for place, outcome in enumerate(ranked(outcomes), start=1):
-        name = f"{place:>2} {outcome.job.name:<{width}}"
-        lines.append(f"{name}{fit_columns(outcome)}{_rest(outcome)}  {verdict(outcome)}")
-    holding = next((o.summary for o in outcomes if o.summary), None)
-    if holding is not None:
-        hold = holding["prediction_fit"][FIT_WINDOWS]["hold"]
-        lines.append(f"   {HOLDING:<{width}}{columns([hold[axis] for axis in AXES])}")
-    return "\n".join(lines)
-
-
-def _rest(outcome: Outcome) -> str:
-    if not outcome.summary:
-        return f"{'-':>8}{'-':>8}"
-    return f"{mean_fit(outcome):>8.1f}{outcome.summary['delay']:>8.3f}"
+        mean = Number(mean_fit(outcome) if outcome.summary else None, ".1f")
+        delay = Number(outcome.summary.get("delay"), ".3f")
+        cells = [*fit_cells(outcome), mean, delay, Words(verdict(outcome))]
+        rows.append(Row(f"{place:>2} {outcome.job.name}", cells))
+    with_fit = next((o for o in outcomes if o.summary), None)
+    if with_fit is not None:
+        blank = [NONE, NONE, Words("")]
+        rows.append(Row("   holding the rates", [*fit_cells(with_fit, "hold"), *blank]))
+    head = ("   configuration", *HEAD, "mean", "delay", Words("verdict"))
+    title = (
+        f"{bag}: {len(outcomes)} configurations, by their 1-second prediction fit over the last "
+        "40 % of the flight [%]\n"
+    )
+    return "\n".join(columns(Table(title, head, rows)))

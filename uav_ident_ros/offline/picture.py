@@ -41,8 +41,7 @@ class PictureError(Exception):
 
 def write_picture(
     path: Path,  # The PNG
-    bag: Path,  # The bag that was replayed; the truth lies beside it if the flight was simulated
-    replayed: Replayed,  # The replay
+    replayed: Replayed,  # The replay; the truth lies beside its bag if the flight was simulated
 ) -> None:
     """Draw a replay as a PNG.
 
@@ -57,7 +56,7 @@ def write_picture(
         raise PictureError("pictures need matplotlib (python3-matplotlib)") from None
     flight = collect(replayed.name, replayed.run)
     ahead, fit = predict(flight, HORIZON), replayed.fits[FIT_WINDOWS]
-    truth = read_truth(bag, flight.structure).values
+    truth = read_truth(replayed.bag, flight.structure).values
     figure = Figure(figsize=SIZE, layout="constrained")
     panels = figure.subplots(3, 2, sharex="col", width_ratios=(1.1, 1.0))
     for axis, (left, right) in enumerate(panels):

@@ -40,8 +40,8 @@ __all__ = ["Inputs", "OfflineRun", "Refusals", "Stretch", "choose_inputs"]
 BATCH = 2048
 """Messages that are read at a time: enough to make the arrays of a batch worth their while."""
 
-BLOCK = 65_536
-"""Samples of an Imu that are conditioned at a time: some minutes, which take some ten MB."""
+BLOCK = 8192
+"""Samples of an Imu that are conditioned at a time: a minute or less, which takes some MB."""
 
 PIECE = 4096
 """Ticks that are predicted at a time: as many as the models that run side by side."""

@@ -5,22 +5,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from uav_ident_ros.identification.linearisation import Mode, level_modes
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
-from uav_ident_ros.identification.structure import ROWS
+from uav_ident_ros.identification.structure import ROWS, FloatArray
 from uav_ident_ros.messages.streams import STREAMS
-from uav_ident_ros.offline.advice import Advice
-from uav_ident_ros.offline.inputs import Inputs
+from uav_ident_ros.offline.advice import advise
+from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
 from uav_ident_ros.offline.run import OfflineRun
+from uav_ident_ros.offline.tables import AXES
 
 SUMMARY_VERSION = 2
-AXES = ("p", "q", "r")
-
-VERDICT_WINDOWS = "last_40_percent"
-"""The windows of the score that the verdict must not contradict."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +29,12 @@ class Replayed:
     """Everything that the results of a replay are made of."""
 
     name: str  # Name of the flight
+    bag: Path  # Where it was recorded
     run: OfflineRun  # The replay, with at least one estimate
     fits: Mapping[str, PredictionFit]  # Its score of record, by windows
+    evidence: Evidence  # What the flight measures of itself
     # What the bag is like: damage, topics that were not read, inputs that end early
     notes: tuple[str, ...] = ()
-    advice: tuple[Advice, ...] = ()  # What to do about the model
 
     @property
     def doubt(self) -> str:
@@ -40,91 +42,82 @@ class Replayed:
 
         The verdict of the last tick, unless the score beside it loses to holding the rates.
         """
-        last = self.run.estimates[-1]
+        last, score = self.run.estimates[-1], self.fits[FIT_WINDOWS]
         if not last.usable:
             return last.reason or "the verdict of the last tick"
-        score = self.fits[VERDICT_WINDOWS]
-        worse = [
-            axis
-            for axis, model, hold in zip("pqr", score.model, score.hold, strict=True)
-            if model < hold
-        ]
+        worse = [axis for axis, lost in zip(AXES, score.model < score.hold, strict=True) if lost]
         if worse:
             return f"over the last part of the flight {', '.join(worse)} loses to holding the rate"
         return ""
 
+    @cached_property
     def modes(self) -> list[Mode]:
-        """Return the modes of the model, level at the airspeed flown; none without flow angles."""
+        """The modes of the model, level at the airspeed flown; none without flow angles."""
         last = self.run.estimates[-1]
         airspeed = last.flow.airspeed if last.flow is not None else 0.0
         return level_modes(self.run.structure, last.coefficients, last.sigma, airspeed)
 
-
-def summarise(replayed: Replayed) -> dict[str, Any]:
-    """Return everything worth keeping about a replay, ready for JSON."""
-    run = replayed.run
-    last = run.estimates[-1]
-    result = run.result()
-    settings = run.inputs.settings
-    return {
-        "version": SUMMARY_VERSION,
-        "bag": replayed.name,
-        "ticks": len(run.estimates),
-        "first_tick_ns": run.estimates[0].t_ns,
-        "last_tick_ns": last.t_ns,
-        "frame_id": run.frame_id,
-        "inputs": {
-            stream: {
-                "topic": topic,
-                "type": msgtype,
-                "received": run.refusals(stream).received,
-                "dropped": run.refusals(stream).dropped,
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """Everything worth keeping, ready for JSON."""
+        run, identifier = self.run, self.run.identifier
+        last, result, settings = run.estimates[-1], run.result(), run.inputs.settings
+        content: dict[str, Any] = _json(
+            {
+                "version": SUMMARY_VERSION,
+                "bag": self.name,
+                "ticks": len(run.estimates),
+                "first_tick_ns": run.estimates[0].t_ns,
+                "last_tick_ns": last.t_ns,
+                "frame_id": run.frame_id,
+                "inputs": {
+                    stream.name: {
+                        "topic": run.inputs.streams[stream.name],
+                        "type": stream.type_of(settings),
+                        **asdict(run.refusals(stream.name)),
+                    }
+                    for stream in STREAMS
+                    if stream.name in run.inputs.streams
+                },
+                "state": last.state,
+                "reason": last.reason,
+                "fault": run.fault,
+                "usable": not self.doubt,
+                "doubt": self.doubt,
+                "usable_rows": dict(zip(ROWS, last.usable_rows, strict=True)),
+                "gates": {name: cost._asdict() for name, cost in identifier.gate_costs().items()},
+                "implausible": [found.text for found in identifier.noted],
+                "delay": identifier.delay,
+                "delay_sigma": identifier.delay_sigma,
+                "structure": run.structure.name,
+                "coefficients": {
+                    name: {"value": result.values[index], "sigma": result.sigma[index]}
+                    for name, index in zip(run.structure.names, run.structure.free, strict=True)
+                },
+                "modes": [_mode(mode) for mode in self.modes],
+                "notes": self.notes,
+                "advice": [advice._asdict() for advice in advise(self.evidence)],
+                "prediction_fit": {windows: _fit(fit) for windows, fit in self.fits.items()},
+                "settings": settings.values(),
             }
-            for stream, topic, msgtype in streams(run.inputs)
-        },
-        "state": last.state,
-        "reason": last.reason,
-        "fault": run.fault,
-        "usable": not replayed.doubt,
-        "usable_rows": dict(zip(ROWS, last.usable_rows, strict=True)),
-        "gates": {name: cost._asdict() for name, cost in run.identifier.gate_costs().items()},
-        "implausible": [found.text for found in run.identifier.noted],
-        "delay": run.identifier.delay,
-        "delay_sigma": _json(run.identifier.delay_sigma),
-        "structure": run.structure.name,
-        "coefficients": {
-            coefficient: {
-                "value": _json(result.values[index]),
-                "sigma": _json(result.sigma[index]),
-            }
-            for coefficient, index in zip(run.structure.names, run.structure.free, strict=True)
-        },
-        "modes": [_json_mode(mode) for mode in replayed.modes()],
-        "notes": list(replayed.notes),
-        "advice": [advice._asdict() for advice in replayed.advice],
-        "prediction_fit": {windows: _json_fit(fit) for windows, fit in replayed.fits.items()},
-        "settings": {key: _json_setting(v) for key, v in settings.values().items()},
-    }
+        )
+        return content
 
 
-def streams(inputs: Inputs) -> tuple[tuple[str, str, str], ...]:
-    """Return name, topic and message type of the streams that are read."""
-    return tuple(
-        (stream.name, inputs.streams[stream.name], stream.type_of(inputs.settings))
-        for stream in STREAMS
-        if stream.name in inputs.streams
-    )
+def _json(value: Any) -> Any:
+    """Return plain values; JSON knows neither tuples, nor NumPy's numbers, nor NaN or infinity."""
+    if isinstance(value, Mapping):
+        return {key: _json(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json(entry) for entry in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return bool(value) if isinstance(value, np.bool_) else value
 
 
-def _json(value: float) -> float | None:
-    """Return a number for JSON, which knows neither NaN nor infinity."""
-    number = float(value)
-    return number if math.isfinite(number) else None
-
-
-def _json_fit(fit: PredictionFit) -> dict[str, Any]:
-    def by_axis(values: Any) -> dict[str, float | None]:
-        return {axis: _json(value) for axis, value in zip(AXES, values, strict=True)}
+def _fit(fit: PredictionFit) -> dict[str, Any]:
+    def by_axis(values: FloatArray) -> dict[str, float]:
+        return dict(zip(AXES, values, strict=True))
 
     return {
         "unit": "percent",
@@ -140,15 +133,10 @@ def _json_fit(fit: PredictionFit) -> dict[str, Any]:
     }
 
 
-def _json_mode(mode: Mode) -> dict[str, Any]:
-    numbers = {
-        field.name: _json(getattr(mode, field.name))
-        for field in fields(mode)
-        if isinstance(getattr(mode, field.name), float)
+def _mode(mode: Mode) -> dict[str, Any]:
+    numbers = {name: value for name, value in asdict(mode).items() if isinstance(value, float)}
+    return {
+        "name": mode.name,
+        "eigenvalue": [mode.eigenvalue.real, mode.eigenvalue.imag],
+        **numbers,
     }
-    eigenvalue = [_json(mode.eigenvalue.real), _json(mode.eigenvalue.imag)]
-    return {"name": mode.name, "eigenvalue": eigenvalue, **numbers}
-
-
-def _json_setting(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value

@@ -46,15 +46,6 @@ def signals(flight: Flight) -> FloatArray:
     return np.concatenate([flight.u[every], flight.rates[every], flight.force[every]], axis=1)
 
 
-def correlations(values: FloatArray) -> FloatArray:
-    """Return the correlation of the columns (N, m), (m, m); NaN where one is still."""
-    deviation = values - values.mean(axis=0)
-    size = np.linalg.norm(deviation, axis=0)
-    size[size == 0.0] = np.nan
-    scaled = deviation / size
-    return np.asarray(scaled.T @ scaled)
-
-
 def autocorrelation(residual: FloatArray, lags: int) -> FloatArray:
     """Return the correlation of residuals (N, m) with themselves 1 to `lags` samples later.
 
@@ -99,25 +90,19 @@ def spectra(flight: Flight) -> Spectra | None:
 
     def densities(columns: FloatArray) -> FloatArray:
         resampled = [np.interp(even, flight.t, column) for column in columns.T]
-        return welch(np.stack(resampled, axis=1), segment, SAMPLE_RATE)[shown]
+        return np.stack([welch(column, segment) for column in resampled], axis=1)[shown]
 
     return Spectra(frequency[shown], densities(flight.u), densities(flight.rates))
 
 
-def welch(values: FloatArray, segment: int, rate: float) -> FloatArray:
-    """Return one-sided power densities of signals (N, m): half overlapping Hann windows.
+def welch(values: FloatArray, segment: int) -> FloatArray:
+    """Return the one-sided power density of a signal (N,): half overlapping Hann windows."""
+    from matplotlib import mlab
 
-    Each segment loses its straight line first (Welch 1967). Shape (segment // 2 + 1, m).
-    """
-    window = np.hanning(segment)[:, None]
-    line = np.stack([np.ones(segment), np.linspace(-1.0, 1.0, segment)], axis=1)
-    pieces = [values[k : k + segment] for k in range(0, len(values) - segment + 1, segment // 2)]
-    power = np.zeros((segment // 2 + 1, values.shape[1]))
-    for piece in pieces:
-        level = piece - line @ np.linalg.lstsq(line, piece, rcond=None)[0]
-        power += np.abs(np.fft.rfft(level * window, axis=0)) ** 2
-    power[1:-1] *= 2.0  # the negative frequencies
-    return np.asarray(power / (len(pieces) * rate * (window**2).sum()))
+    power, _ = mlab.psd(
+        values, segment, SAMPLE_RATE, "linear", np.hanning(segment), noverlap=segment // 2
+    )
+    return np.asarray(power)
 
 
 def thirds(frequency: FloatArray, density: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,8 @@ import numpy as np
 
 from uav_ident_ros.offline.fleet import Aircraft, Pooled
 from uav_ident_ros.offline.picture import PictureError
-from uav_ident_ros.report.page import render, write_page
+from uav_ident_ros.offline.tables import Row, Table, Words
+from uav_ident_ros.report.page import NO_BOKEH, render, write_page
 
 MOST_CHARTS = 24
 """Charts of an aircraft: its control derivatives first."""
@@ -28,12 +29,10 @@ def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
         If Bokeh or Jinja2 is missing.
     """
     try:
-        from uav_ident_ros.report import sections as parts
+        from uav_ident_ros.report.sections import Section
     except ImportError as error:
-        raise PictureError(
-            f"the page needs bokeh and jinja2 (pip install bokeh jinja2): {error}"
-        ) from None
-    sections = [_section(parts.Section, k, aircraft) for k, aircraft in enumerate(fleet)]
+        raise PictureError(NO_BOKEH.format(error)) from None
+    sections = [_section(Section, k, aircraft) for k, aircraft in enumerate(fleet)]
     findings = [f"{a.name}: {finding.text}" for a in fleet for finding in a.findings]
     flights = sum(len(a.flights) for a in fleet)
     others = sum(len({flight for flight, _ in a.unusable}) for a in fleet)
@@ -41,11 +40,11 @@ def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
     if findings:
         text = f"{len(findings)} changes in {sum(bool(a.findings) for a in fleet)} aircraft"
     page = render(
-        "page.html",
         sections,
         name="Fleet",
         facts=[f"{len(fleet)} aircraft", f"{flights} usable flights", f"{others} others"],
-        verdict={"words": text, "usable": not findings, "doubt": "", "state": ""},
+        usable=not findings,
+        verdict=text,
         advice=findings,
         notes=[],
     )
@@ -54,18 +53,11 @@ def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
 
 def _section(section: Any, k: int, aircraft: Aircraft) -> Any:
     """Return tables and charts of an aircraft."""
-    from uav_ident_ros.report.tables import Row, Table, number, words
-
-    pooled = [
-        Row(name, [*(number(v, ".4g") for v in p[:3]), number(p.next_sigma, ".2g"), str(p.flights)])
-        for name, p in aircraft.pooled.items()
-    ]
-    head = ("name", "value", "sigma", "scatter", "sigma of the next flight", "flights")
-    tables = [Table(f"Pooled, SI, structure {aircraft.structure}", head, pooled)] if pooled else []
-    others = [Row(flight, [words(why)]) for flight, why in aircraft.unusable]
+    tables = [aircraft.table] if aircraft.pooled else []
+    others = [Row(flight, [Words(why)]) for flight, why in aircraft.unusable]
     if others:
         folded = f"{len(others)} flights without a usable model"
-        tables.append(Table("Not usable", ("flight", "reason"), others, folded=folded))
+        tables.append(Table("Not usable", ("flight", Words("reason")), others, folded))
     text = (
         f"{len(aircraft.flights)} usable flights. The band is what the next flight will show with "
         "a probability of 68 %: scatter from flight to flight, and what is not known of the mean. "

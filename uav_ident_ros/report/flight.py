@@ -76,6 +76,10 @@ class Flight:
         """Measured p, q, r, shape (N, 3)."""
         return _joined([part.rates for part in self.time_bases])
 
+    def rates_at(self, t: FloatArray) -> FloatArray:
+        """Return p, q, r at times (k,), s, by straight lines, shape (k, 3)."""
+        return np.stack([np.interp(t, self.t, column) for column in self.rates.T], axis=1)
+
     @cached_property
     def force(self) -> FloatArray:
         """Measured ay, az, m/s^2, shape (N, 2)."""

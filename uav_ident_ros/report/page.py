@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.offline.picture import PictureError
-from uav_ident_ros.offline.run import OfflineRun
+from uav_ident_ros.offline.summary import Replayed
+from uav_ident_ros.offline.tables import Words
+from uav_ident_ros.report.flight import collect
 
-if TYPE_CHECKING:  # replay imports the report
-    from uav_ident_ros.offline.evidence import Evidence
-    from uav_ident_ros.report.flight import Flight
+if TYPE_CHECKING:  # needs Bokeh
     from uav_ident_ros.report.timeline import Chart
+
+NO_BOKEH = "the page needs bokeh and jinja2 (pip install bokeh jinja2): {}"
 
 EARLIEST_DATE_NS = 946_684_800_000_000_000
 """The year 2000, ns: earlier stamps count from the start of a computer and say no date."""
@@ -28,10 +30,7 @@ _NAMES = re.compile(r'(?<=")p\d{4,}(?=")')
 
 def write_report(
     path: Path,  # The file; its folder exists
-    bag: Path,  # The bag that was replayed
-    run: OfflineRun,  # The replay, with at least one estimate
-    summary: Mapping[str, Any],  # Content of its summary.json
-    evidence: Evidence,  # What the flight measures of itself
+    replayed: Replayed,  # The replay
 ) -> None:
     """Write the report of a replay.
 
@@ -45,20 +44,18 @@ def write_report(
         If Bokeh or Jinja2 is missing.
     """
     try:
-        from uav_ident_ros.report import flight as flights
-        from uav_ident_ros.report import sections as parts
-        from uav_ident_ros.report.tables import verdict_of
+        from uav_ident_ros.report.sections import sections
     except ImportError as error:
-        raise PictureError(
-            f"the report needs bokeh and jinja2 (pip install bokeh jinja2): {error}"
-        ) from None
-    flight = flights.collect(str(summary["bag"]), run)
+        raise PictureError(NO_BOKEH.format(error)) from None
+    summary, doubt = replayed.summary, replayed.doubt
+    state = f" ({summary['reason']})" if summary["reason"] and not doubt else ""
     text = render(
-        "page.html",
-        [*parts.sections(flight, bag, summary, evidence)],
-        name=flight.name,
-        facts=_facts(flight, summary),
-        verdict=verdict_of(summary),
+        [*sections(replayed, collect(replayed.name, replayed.run))],
+        name=replayed.name,
+        facts=_facts(summary),
+        usable=not doubt,
+        verdict=f"not usable: {doubt}" if doubt else "usable",
+        state=f"State at the end: {summary['state']}{state}.",
         advice=[entry["text"] for entry in summary["advice"]],
         notes=summary["notes"],
     )
@@ -73,28 +70,19 @@ def write_page(path: Path, text: str) -> None:
         raise BagWriteError(f"cannot write '{path}': {error.strerror}") from None
 
 
-def render(template: str, sections: Sequence[Any], **content: Any) -> str:
-    """Return a page with the charts of its sections, and all that they need.
-
-    Parameters
-    ----------
-    template : str
-        One of the templates.
-    sections : sequence of Section
-        The sections.
-    content : Any
-        What else the template asks for.
-    """
+def render(sections: Sequence[Any], **content: Any) -> str:
+    """Return a page with sections and their charts; `content` is what else it is to show."""
     from jinja2 import Environment, PackageLoader
 
     from uav_ident_ros.report.style import COLORS
-    from uav_ident_ros.report.tables import WORDY, cell
+    from uav_ident_ros.report.tables import cell
 
     loader = PackageLoader("uav_ident_ros.report")
     page = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     page.filters |= {"cell": cell, "sentence": _sentence}
+    page.tests["words"] = lambda heading: isinstance(heading, Words)
     drawn, names = _embed([chart for section in sections for chart in section.charts])
-    return page.get_template(template).render(
+    return page.get_template("page.html").render(
         sections=sections,
         colors=COLORS,
         style=page.get_template("style.css").render(),
@@ -102,7 +90,6 @@ def render(template: str, sections: Sequence[Any], **content: Any) -> str:
         script=page.get_template("charts.js").render(),
         drawn=drawn,
         names=names,
-        wordy=WORDY,
         **content,
     )
 
@@ -132,14 +119,17 @@ def _library() -> str:
     return "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
 
 
-def _facts(flight: Flight, summary: Mapping[str, Any]) -> list[str]:
+def _facts(summary: Mapping[str, Any]) -> list[str]:
     """Return when the flight was, how long, and how it was identified."""
-    seconds = (summary["last_tick_ns"] - summary["first_tick_ns"]) * NS
-    facts = [f"{seconds:.0f} s of flight", f"{summary['ticks']} ticks"]
-    if summary["first_tick_ns"] > EARLIEST_DATE_NS:
-        start = datetime.fromtimestamp(summary["first_tick_ns"] * NS, tz=UTC)
-        facts.insert(0, f"{start:%Y-%m-%d %H:%M} UTC")
-    return [*facts, f"{flight.settings.estimator}, {flight.settings.structure}"]
+    first_ns, settings = summary["first_tick_ns"], summary["settings"]
+    facts = [
+        f"{(summary['last_tick_ns'] - first_ns) * NS:.0f} s of flight",
+        f"{summary['ticks']} ticks",
+        f"{settings['estimator']}, {settings['structure']}",
+    ]
+    if first_ns > EARLIEST_DATE_NS:
+        facts.insert(0, f"{datetime.fromtimestamp(first_ns * NS, tz=UTC):%Y-%m-%d %H:%M} UTC")
+    return facts
 
 
 def _sentence(text: str) -> str:

@@ -7,11 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.identification.prediction import LAST_PART, Flown, Published, predict_ahead
-from uav_ident_ros.identification.samples import NS, TimeArray
+from uav_ident_ros.identification.prediction import LAST_PART, Published, predict_ahead
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.offline.run import Stretch
-from uav_ident_ros.offline.ticks import Ticks
 from uav_ident_ros.report.flight import Flight
 
 SHORTEST_FIT = 2
@@ -59,30 +56,12 @@ def predict(
     horizon: float,  # How far ahead, s
 ) -> Predictions:
     """Run the model of every tick for `horizon` s."""
-    horizon_ns = round(horizon / NS)
-    parts = [
-        _of_piece(flight, part, piece, horizon_ns)
-        for part in flight.stretches
-        for piece in part.pieces(horizon)
-    ]
-    t, predicted, measured, before = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.argsort(t, kind="stable")
-    return Predictions(horizon, t[order], predicted[order], measured[order], before[order])
-
-
-def _of_piece(
-    flight: Flight, part: Stretch, piece: tuple[Flown, Ticks], horizon_ns: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return time, prediction, measurement, and measurement one horizon before."""
-    flown, ticks = piece
-    published = Published.of(ticks, flight.structure)
-    t_ns, predicted = predict_ahead(flown, published, horizon_ns * NS)
-    t = flight.clock.seconds(part.era, t_ns)
-    return t, predicted, _rates_at(part, t_ns), _rates_at(part, t_ns - horizon_ns)
-
-
-def _rates_at(part: Stretch, t_ns: TimeArray) -> FloatArray:
-    """Measured rates by straight lines, shape (len(t_ns), 3)."""
-    origin = int(part.t_ns[0])
-    columns = [np.interp(t_ns - origin, part.t_ns - origin, column) for column in part.rates.T]
-    return np.stack(columns, axis=1)
+    parts = []
+    for part in flight.stretches:
+        for flown, ticks in part.pieces(horizon):
+            t_ns, predicted = predict_ahead(flown, Published.of(ticks, flight.structure), horizon)
+            t = flight.clock.seconds(part.era, t_ns)
+            parts.append((t, predicted, *(flight.rates_at(s) for s in (t, t - horizon))))
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.argsort(columns[0], kind="stable")
+    return Predictions(horizon, *(column[order] for column in columns))

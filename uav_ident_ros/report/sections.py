@@ -7,34 +7,35 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import uav_ident_ros
 from uav_ident_ros.files.truth_file import read_truth
-from uav_ident_ros.identification.linearisation import level_modes
 from uav_ident_ros.offline.done import bag_files
+from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
+from uav_ident_ros.offline.summary import Replayed
+from uav_ident_ros.offline.tables import (
+    AXES,
+    Table,
+    coefficients_table,
+    fit_row,
+    fit_tables,
+    modes_table,
+)
 from uav_ident_ros.report import diagrams, tables
 from uav_ident_ros.report.analysis import spectra
 from uav_ident_ros.report.charts import (
-    AXIS_WORDS,
     coefficient_charts,
     rate_charts,
     signal_charts,
     state_chart,
 )
-from uav_ident_ros.report.flight import AXES, Flight
+from uav_ident_ros.report.flight import Flight
 from uav_ident_ros.report.predictions import predict
 from uav_ident_ros.report.timeline import Chart, Timeline
 
-if TYPE_CHECKING:  # replay imports the report
-    from uav_ident_ros.offline.evidence import Evidence
-
 HORIZON = 1.0
 """How far ahead the score of record predicts, s."""
-
-LOWEST_SHOWN = -100.0
-"""Fit below which the number says nothing more, percent."""
 
 
 @dataclass(frozen=True)
@@ -44,31 +45,28 @@ class Section:
     id: str
     heading: str
     texts: Sequence[str] = ()
-    tables: Sequence[tables.Table] = ()
+    tables: Sequence[Table] = ()
     charts: Sequence[Chart] = ()
-    cards: Sequence[Mapping[str, str]] = ()
+    cards: Sequence[Mapping[str, Any]] = ()
 
 
-def sections(
-    flight: Flight, bag: Path, summary: Mapping[str, Any], evidence: Evidence
-) -> Iterator[Section]:
-    """Yield the sections; parameters as in `write_report`, with the flight collected."""
+def sections(replayed: Replayed, flight: Flight) -> Iterator[Section]:
+    """Yield the sections of a replay; the flight is that of its run."""
+    summary, evidence = replayed.summary, replayed.evidence
     line = Timeline(flight.span, flight.clock.restarts)
     second, tick = predict(flight, HORIZON), predict(flight, 1.0 / flight.settings.update_rate)
-    fit = summary["prediction_fit"]["last_40_percent"]
-    yield Section(
-        "fit",
-        "Fit",
-        [_FIT_TEXT],
-        [*tables.fit_tables(summary, tick, flight.span[1])],
-        cards=[_card(fit, axis) for axis in AXES],
-    )
+    ahead = f"one tick ({tick.horizon:g} s) ahead", "holding the rates for one tick"
+    fits = zip(ahead, tick.fit(flight.span[1]), strict=True)
+    more = {FIT_WINDOWS: [fit_row(name, values.tolist()) for name, values in fits]}
+    fit = summary["prediction_fit"][FIT_WINDOWS]
+    cards = [tables.card(fit, axis) for axis in AXES]
+    yield Section("fit", "Fit", [_FIT_TEXT], [*fit_tables(summary, more)], cards=cards)
     states = state_chart(flight, line, evidence.lost)
     yield Section("learning", "Learning", [], [tables.gates_table(evidence.lost)], [states])
     whiteness = diagrams.whiteness_chart(flight, tick)
     charts = [*rate_charts(flight, line, second, tick), *([whiteness] if whiteness else [])]
     yield Section("rates", "Rates, measured and predicted", [_RATES_TEXT], [], charts)
-    truth = read_truth(bag, flight.structure)
+    truth = read_truth(replayed.bag, flight.structure)
     coefficients = [*coefficient_charts(flight, line, truth)]
     text = _COEFFICIENTS_TEXT
     if flight.settings.airspeed.type:
@@ -76,10 +74,12 @@ def sections(
             " The charts are at the airspeed flown, the table is at the reference, "
             f"{flight.settings.airspeed.reference:g} m/s."
         )
-    known = [*tables.coefficient_correlations(evidence)]
-    table = tables.coefficients_table(summary, truth)
-    yield Section("coefficients", "Coefficients", [text], [table, *known], coefficients)
-    yield from _modes_section(flight)
+    table = coefficients_table(summary, truth if truth.values else None)
+    known = [table, *tables.coefficient_correlations(evidence)]
+    yield Section("coefficients", "Coefficients", [text], known, coefficients)
+    if replayed.modes:
+        charts = [diagrams.mode_chart(replayed.modes)]
+        yield Section("modes", "Modes", [_MODES_TEXT], [modes_table(summary)], charts)
     found = spectra(flight)
     charts = [*signal_charts(flight, line)]
     charts += [*diagrams.spectrum_charts(flight, found)] if found is not None else []
@@ -89,22 +89,8 @@ def sections(
     yield _delay_section(evidence)
     yield Section("messages", "Messages", [], [tables.messages_table(summary)])
     yield Section("settings", "Settings", [], [*tables.settings_tables(summary)])
-    yield Section("origin", "Origin", [], [*tables.origin_tables(bag_files(bag), versions())])
-
-
-def _card(fit: Mapping[str, Any], axis: str) -> dict[str, str]:
-    model, hold = fit["model"][axis], fit["hold"][axis]
-    share, mark = (min(max(value or 0.0, 0.0), 100.0) for value in (model, hold))
-    shown = tables.number(model, ".1f", " %")
-    if model is not None and model < LOWEST_SHOWN:
-        shown = "diverges"
-    return {
-        "axis": f"{AXIS_WORDS[axis].lower()}, {axis}",
-        "value": shown,
-        "share": f"{share:.1f}",
-        "mark": f"{mark:.1f}",
-        "beside": "holding: " + tables.number(hold, ".1f", " %"),
-    }
+    files = bag_files(replayed.bag)
+    yield Section("origin", "Origin", [], [*tables.origin_tables(files, versions())])
 
 
 _FIT_TEXT = (
@@ -131,16 +117,6 @@ _INPUTS_TEXT = (
     "a rate that an autopilot feeds back, teaches little. The model is known where the clouds of "
     "the coverage are, and nowhere else."
 )
-
-
-def _modes_section(flight: Flight) -> Iterator[Section]:
-    """Yield the modes of the last model; nothing for a structure without flow angles."""
-    last = flight.estimates[-1]
-    airspeed = last.flow.airspeed if last.flow is not None else 0.0
-    found = level_modes(flight.structure, last.coefficients, last.sigma, airspeed)
-    if found:
-        charts = [diagrams.mode_chart(found)]
-        yield Section("modes", "Modes", [_MODES_TEXT], [tables.modes_table(found)], charts)
 
 
 _MODES_TEXT = (

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.inputs import INPUT_KINDS
 from uav_ident_ros.simulation.noise import FRAME_IDS
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES as QUADROTOR_AMPLITUDES
-from uav_ident_ros.simulation.vehicles import VEHICLE_NAMES
+from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT, VEHICLE_NAMES
 
 BASE_RATE = 1000.0
 """Rate of the simulation, Hz: the same flight for every Imu rate that divides it."""
@@ -68,47 +68,59 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _words(values: Sequence[float]) -> str:
+    return " ".join(f"{v:g}" for v in values)
+
+
+FLIGHT_OPTIONS: dict[str, tuple[Any, str, str]] = {
+    "--duration": (90.0, "S", "length of the excited flight, s"),
+    "--quiet": (0.0, "S", "unexcited flight after it, s"),
+    "--gusts": (0.0, "RMS", "plant: coloured angular acceleration, rad/s^2 rms"),
+    "--turbulence": (0, "LEVEL", "aircraft: MIL-F-8785C severity 0 (calm) to 7"),
+    "--bank": (0.0, "DEG", "aircraft: bank angle of alternating turns, deg"),
+    "--delay": (0.0, "S", "from recorded command to surface, s"),
+    "--servo-lag": (0.0, "S", "plant: time constant of the servos, s; of motors 0.05 by default"),
+    "--actuator-rate": (100.0, "HZ", "rate of the commands, each held until the next, Hz"),
+    "--seed": (0, "N", "seed of all randomness"),
+}
+SENSOR_OPTIONS: dict[str, tuple[Any, str, str]] = {
+    "--imu-rate": (200.0, "HZ", "Imu rate, Hz"),
+    "--noise": (0.02, "RMS", "gyro noise, rad/s"),
+    "--accelerometer-noise": (0.1, "RMS", "accelerometer noise, m/s^2"),
+    "--jitter": (0.0, "S", "Imu stamps are off by up to this, s"),
+    "--drop": (0.0, "FRACTION", "fraction of Imu messages lost at random"),
+    "--latency": (0.0, "S", "mean of log time minus sampling time, s"),
+}
+"""Options of one number: default, unit, meaning."""
+
+
+def _add_numbers(
+    group: argparse._ArgumentGroup, options: Mapping[str, tuple[Any, str, str]]
+) -> None:
+    for name, (default, unit, meaning) in options.items():
+        kind, said = type(default), f"{meaning} ({default:g})"
+        group.add_argument(name, type=kind, default=default, metavar=unit, help=said)
+
+
 def _add_flight_options(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     add("--plant", choices=(*VEHICLE_NAMES, QUADROTOR),
         help="plant of the paper's structure (small_uav), or a quadrotor in hover")  # fmt: skip
-    add(
-        "--jsbsim",
-        metavar="AIRCRAFT",
-        help=f"a JSBSim aircraft instead: {', '.join(airframe_names())}, or a file like theirs",
-    )
-    add("--speed", type=float, metavar="M/S", help="aircraft: true airspeed (its own)")  # fmt: skip
+    add("--jsbsim", metavar="AIRCRAFT",
+        help=f"a JSBSim aircraft instead: {', '.join(airframe_names())}, "
+             "or a file like theirs")  # fmt: skip
+    add("--speed", type=float, metavar="M/S", help="aircraft: true airspeed (its own)")
     add("--input", choices=INPUT_KINDS, default="multisine", help="excitation (multisine)")
     add("--amplitude", nargs=4, type=float, metavar=("DE", "DR", "DA", "DTH"),
         help="peaks, rad and throttle 0..1 "
              f"({_words(PLANT_AMPLITUDES)}; others have their own)")  # fmt: skip
-    add("--duration", type=float, default=90.0, metavar="S",
-        help="length of the excited flight, s (90)")  # fmt: skip
-    add("--quiet", type=float, default=0.0, metavar="S",
-        help="unexcited flight after it, s (0)")  # fmt: skip
-    add("--gusts", type=float, default=0.0, metavar="RMS",
-        help="plant: coloured angular acceleration, rad/s^2 rms (0)")  # fmt: skip
-    add("--turbulence", type=int, default=0, metavar="LEVEL",
-        help="aircraft: MIL-F-8785C severity 0 (calm) to 7 (0)")  # fmt: skip
-    add("--bank", type=float, default=0.0, metavar="DEG",
-        help="aircraft: bank angle of alternating turns, deg (0)")  # fmt: skip
     add("--autopilot", action="store_true",
         help="plant: feedback of rates and angles (an aircraft always has one)")  # fmt: skip
-    add("--delay", type=float, default=0.0, metavar="S",
-        help="from recorded command to surface, s (0)")  # fmt: skip
-    add("--servo-lag", type=float, default=0.0, metavar="S",
-        help="plant: first-order time constant of the servos, s (0; of motors 0.05)")  # fmt: skip
-    add("--actuator-rate", type=float, default=100.0, metavar="HZ",
-        help="rate of the commands, each held until the next, Hz (100)")  # fmt: skip
-    add("--seed", type=int, default=0, help="seed of all randomness (0)")
+    _add_numbers(group, FLIGHT_OPTIONS)
 
 
 def _add_sensor_options(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
-    add("--imu-rate", type=float, default=200.0, metavar="HZ", help="Imu rate, Hz (200)")
-    add("--noise", type=float, default=0.02, metavar="RMS", help="gyro noise, rad/s (0.02)")
-    add("--accelerometer-noise", type=float, default=0.1, metavar="RMS",
-        help="accelerometer noise, m/s^2 (0.1)")  # fmt: skip
     add("--bias", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("P", "Q", "R"),
         help="gyro bias, FRD, rad/s (0 0 0)")  # fmt: skip
     add("--lever-arm", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
@@ -117,43 +129,21 @@ def _add_sensor_options(group: argparse._ArgumentGroup) -> None:
     add("--unstamped", action="store_true", help="actuators as Float64MultiArray, no stamp")
     add("--channels", choices=tuple(CHANNEL_SETS),
         help="what the raw actuator channels are (plain; motors)")  # fmt: skip
-    add("--jitter", type=float, default=0.0, metavar="S",
-        help="Imu stamps are off by up to this, s (0)")  # fmt: skip
-    add("--drop", type=float, default=0.0, metavar="FRACTION",
-        help="fraction of Imu messages lost at random (0)")  # fmt: skip
-    add("--latency", type=float, default=0.0, metavar="S",
-        help="mean of log time minus sampling time, s (0)")  # fmt: skip
-
-
-def _words(values: Sequence[float]) -> str:
-    return " ".join(f"{v:g}" for v in values)
+    _add_numbers(group, SENSOR_OPTIONS)
 
 
 def definition_from(options: argparse.Namespace) -> dict[str, Any]:
     """Flight definition (see `definition.build_flight`) that the options ask for."""
-    amplitudes = dict(zip(INPUTS, options.amplitude or PLANT_AMPLITUDES, strict=True))
-    if options.jsbsim and not options.amplitude:
-        amplitudes = dict(airframe(options.jsbsim, options.speed).excitation)
-    channels = "plain"
-    if options.plant == QUADROTOR:
-        channels = "quadrotor"
-        if not options.amplitude:
-            amplitudes = dict(QUADROTOR_AMPLITUDES)
-    divides = BASE_RATE % options.imu_rate == 0.0
-    definition: dict[str, Any] = {
+    kind, usual, channels = _vehicle_part(options)
+    amplitudes = dict(zip(INPUTS, options.amplitude, strict=True)) if options.amplitude else usual
+    excited = {"start": START, "duration": max(0.0, options.duration - START)}
+    return kind | {
         "duration": options.duration + options.quiet,
-        "rate": BASE_RATE if divides else options.imu_rate,
+        "rate": BASE_RATE if BASE_RATE % options.imu_rate == 0.0 else options.imu_rate,
         "actuator_rate": options.actuator_rate,
         "delay": options.delay,
         "seed": options.seed,
-        "inputs": [
-            {
-                "kind": options.input,
-                "start": START,
-                "duration": max(0.0, options.duration - START),
-                "amplitudes": amplitudes,
-            }
-        ],
+        "inputs": [{"kind": options.input, "amplitudes": dict(amplitudes), **excited}],
         "sensors": {
             "rate": options.imu_rate,
             "gyro_noise": options.noise,
@@ -168,50 +158,36 @@ def definition_from(options: argparse.Namespace) -> dict[str, Any]:
             "channels": options.channels or channels,
         },
     }
-    definition |= _aircraft_part(options) if options.jsbsim else _plant_part(options)
-    return definition
 
 
-def _plant_part(options: argparse.Namespace) -> dict[str, Any]:
+def _vehicle_part(options: argparse.Namespace) -> tuple[dict[str, Any], Mapping[str, float], str]:
+    """Return what is the vehicle's own: definition, usual peaks, channel set."""
+    if options.jsbsim:
+        part = {"aircraft": options.jsbsim, "speed": options.speed}
+        part |= {"turbulence": options.turbulence, "bank": options.bank}
+        return part, airframe(options.jsbsim, options.speed).excitation, "plain"
+    lag = {"time_constant": options.servo_lag} if options.servo_lag else {}
+    part = {"plant": options.plant or VEHICLE_NAMES[0], "gusts": {"rms": options.gusts}} | lag
     if options.plant == QUADROTOR:
-        quadrotor: dict[str, Any] = {"plant": QUADROTOR, "gusts": {"rms": options.gusts}}
-        return quadrotor | ({"time_constant": options.servo_lag} if options.servo_lag else {})
-    part: dict[str, Any] = {
-        "plant": options.plant or VEHICLE_NAMES[0],
-        "time_constant": options.servo_lag,
-        "gusts": {"rms": options.gusts},
-        "force": FORCE_NOISE,
-    }
+        return part, QUADROTOR_AMPLITUDES, "quadrotor"
+    part["force"] = FORCE_NOISE
     if options.autopilot:
-        from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT
-
         part["autopilot"] = SMALL_UAV_AUTOPILOT
-    return part
-
-
-def _aircraft_part(options: argparse.Namespace) -> dict[str, Any]:
-    return {
-        "aircraft": options.jsbsim,
-        "speed": options.speed,
-        "turbulence": options.turbulence,
-        "bank": options.bank,
-    }
+    return part, dict(zip(INPUTS, PLANT_AMPLITUDES, strict=True)), "plain"
 
 
 def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Refuse what one option alone can tell."""
     if options.plant and options.jsbsim:
         parser.error("--plant and --jsbsim exclude each other")
-    plant_only = {"--gusts": options.gusts, "--servo-lag": options.servo_lag,
-                  "--autopilot": options.autopilot}  # fmt: skip
-    aircraft_only = {"--turbulence": options.turbulence, "--bank": options.bank,
-                     "--speed": options.speed}  # fmt: skip
-    wrong = plant_only if options.jsbsim else aircraft_only
-    for name, value in wrong.items():
-        if value:
-            parser.error(
-                f"{name} belongs to {'a plant' if options.jsbsim else 'an aircraft (--jsbsim)'}"
-            )
+    others, owner = (
+        (("gusts", "servo_lag", "autopilot"), "a plant")
+        if options.jsbsim
+        else (("turbulence", "bank", "speed"), "an aircraft (--jsbsim)")
+    )
+    for name in others:
+        if getattr(options, name):
+            parser.error(f"--{name.replace('_', '-')} belongs to {owner}")
     if options.plant == QUADROTOR and options.autopilot:
         parser.error("--autopilot: the quadrotor always has one")
     if not options.imu_rate > 0.0:

@@ -16,7 +16,6 @@ import numpy as np
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
 from uav_ident_ros.control.controller import Law, RateController
-from uav_ident_ros.control.pid import PidGains, PidLaw
 from uav_ident_ros.control.reference import Gains
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -184,25 +183,6 @@ def _note_sources(outcome: Outcome, time: float, controller: Controller) -> None
         now = controller.effect.sources
         if not outcome.sources or outcome.sources[-1][1] != now:
             outcome.sources.append((time, now))
-
-
-# --- the controllers that are compared -------------------------------------------------------
-
-
-class PidController:
-    """`PidLaw` with its own clock."""
-
-    def __init__(self, limits: FloatArray, gains: PidGains) -> None:
-        self._law, self._last_ns = PidLaw(limits, gains), 0
-
-    def update(self, t_ns: int, x: FloatArray, reference: FloatArray) -> FloatArray:
-        """Return de, dr, da, dth, deviations from trim."""
-        dt = (t_ns - self._last_ns) * 1e-9
-        self._last_ns = t_ns
-        if not 0.0 < dt < 0.1:
-            self._law.restart(x)
-            dt = 0.0
-        return self._law.update(dt, x, reference)
 
 
 def rate_controller(

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates as tests need them, and the messages that are made of them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.structure import FloatArray, Structure
+from uav_ident_ros.messages.published import named_entries
+
+
+def estimate_of(
+    values: FloatArray, sigma: FloatArray | None = None, *, usable: bool = True, **other: Any
+) -> Estimate:
+    """An estimate of these coefficients; what is not told is zero, empty, or as `usable` says."""
+    three = np.zeros(3)
+    own: dict[str, Any] = {
+        "t_ns": 1, "predicted_rates": three, "prediction_error": three, "fit": three,
+        "adapting": True, "usable_rows": (usable,) * 3, "state": "learning", "reason": "",
+    }  # fmt: skip
+    spread = np.zeros_like(values) if sigma is None else sigma
+    return Estimate(coefficients=values, sigma=spread, usable=usable, **{**own, **other})
+
+
+def as_message(estimate: Estimate, structure: Structure) -> Any:
+    """The message of the identifier's own making, as attributes."""
+    entries = named_entries(estimate, structure)
+    seconds, rest = divmod(estimate.t_ns, 10**9)
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=rest)),
+        name=list(entries.names),
+        position=np.asarray(entries.positions).tolist(),
+        effort=np.asarray(entries.efforts).tolist(),
+    )

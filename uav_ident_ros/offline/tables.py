@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of results: declared once, printed in columns and shown on the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from uav_ident_ros.files.meanings import MEANINGS
+from uav_ident_ros.files.truth_file import Truth
+
+AXES = ("p", "q", "r")
+
+KNOWN_FROM = 3.0
+"""t-ratio from which a coefficient counts as known."""
+
+NONE = "-"
+"""What stands for a number that there is not."""
+
+GAP = "  "
+"""Between two columns."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number to read, with its standard deviation if it has one."""
+
+    value: float | None
+    style: str = ".4g"
+    sigma: float | None = None
+    shaded: bool = False  # Whether the cell is the darker, the closer it is to 1 or -1
+
+    def __str__(self) -> str:
+        if self.value is None or not math.isfinite(self.value):
+            return NONE
+        text = f"{self.value:{self.style}}"
+        return text if self.sigma is None else f"{text} +- {self.sigma:.2g}"
+
+
+class Words(str):
+    """A cell of words, or a heading of such: it stands on the left."""
+
+
+Cell = str | Number
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a table: its heading, its cells, and whether it is printed pale."""
+
+    name: str
+    cells: Sequence[Cell]
+    weak: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; with words in `folded` it is folded up behind them on the page."""
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Row]
+    folded: str = ""
+
+
+def columns(table: Table) -> Iterator[str]:
+    """Yield the lines of a table: what is no number or heading of a row stands on the right."""
+    if table.caption:
+        yield table.caption
+    lines: list[Sequence[Cell]] = [table.head, *([row.name, *row.cells] for row in table.rows)]
+    widths = [max(len(str(cell)) for cell in column) for column in zip(*lines, strict=True)]
+    for line in lines:
+        cells = [
+            f"{cell!s:{'<' if k == 0 or isinstance(cell, Words) else '>'}{width}}"
+            for k, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ]
+        yield GAP.join(cells).rstrip()
+
+
+# --- of summary.json ----------------------------------------------------------------------------
+
+
+def coefficients_table(summary: Mapping[str, Any], truth: Truth | None = None) -> Table:
+    """Value, sigma, t-ratio and meaning of every coefficient, and the true value if known."""
+    rows = []
+    for name, entry in summary["coefficients"].items():
+        value, sigma = entry["value"], entry["sigma"]
+        ratio = abs(value) / sigma if sigma and value is not None else None
+        cells: list[Cell] = [Number(value)]
+        if truth:
+            _, true = truth.steps(name, math.inf)
+            cells.append(Number(true[-1] if true else None))
+        cells.append("fixed" if sigma == 0.0 else Number(sigma, ".2g"))
+        cells += [Number(ratio, ".1f"), Words(MEANINGS.get(name, ""))]
+        rows.append(Row(name, cells, ratio is not None and ratio < KNOWN_FROM))
+    true_head = ["true"] if truth else []
+    head = ["coefficient", "value", *true_head, "sigma", "t-ratio", Words("meaning")]
+    return Table("Coefficients, SI units, body axes FRD", head, rows)
+
+
+FIT_CAPTIONS = {
+    "last_40_percent": "Last 40 % of the flight",
+    "after_30_s": "After 30 s",
+}
+"""Selections of windows in words."""
+
+
+def fit_tables(
+    summary: Mapping[str, Any],
+    # Rows beside those of the summary, by selection of windows
+    more: Mapping[str, Sequence[Row]] | None = None,
+) -> Iterator[Table]:
+    """Yield the fit of the predictions for each selection of windows."""
+    for windows, fit in summary["prediction_fit"].items():
+        rows = []
+        for ahead, found in fit["free"].items():
+            rows.append(fit_row(f"free prediction, {ahead}", found["model"].values()))
+            rows.append(fit_row(f"holding the rates for {ahead}", found["hold"].values()))
+        measured = fit["model_with_measured_forces"].values()
+        if any(value is not None for value in measured):
+            rows.append(fit_row("with measured forces, 1 s", measured))
+        rows += (more or {}).get(windows, ())
+        count = f"{fit['windows']} windows" if fit["windows"] else "no window to score"
+        yield Table(f"{FIT_CAPTIONS[windows]}, {count}", ("fit [%]", *AXES), rows)
+
+
+def fit_row(name: str, values: Iterable[float | None]) -> Row:
+    """Return a row of percentages."""
+    return Row(name, [Number(value, ".1f") for value in values])
+
+
+def modes_table(summary: Mapping[str, Any]) -> Table:
+    """Frequency and damping, or time constant, of every mode with its standard deviation."""
+    quantities = ("frequency", "damping", "time_constant")
+    rows = [
+        Row(mode["name"], [Number(mode[q], ".3g", mode[f"{q}_sigma"]) for q in quantities])
+        for mode in summary["modes"]
+    ]
+    head = ("mode", "frequency [rad/s]", "damping ratio", "time constant [s]")
+    return Table("Modes in level flight", head, rows)
