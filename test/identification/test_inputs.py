@@ -40,14 +40,6 @@ def test_cell_means_of_irregular_samples(interpolation: str) -> None:
             assert means[i, c] == pytest.approx(expected, abs=2e-3)
 
 
-def test_half_sample_of_a_held_input() -> None:
-    """A step in the middle of a cell counts for half: neither for all of it nor for none."""
-    t_ns = np.array([0, 25]) * MS
-    u = np.array([[0.0] * 4, [1.0] * 4])
-    edges = np.array([0, 10, 20, 30, 40]) * MS
-    assert cell_means(t_ns, u, edges, "hold")[:, 0] == pytest.approx([0.0, 0.0, 0.5, 1.0])
-
-
 def test_the_last_value_is_held() -> None:
     t_ns = np.array([0, 10]) * MS
     u = np.array([[0.0] * 4, [2.0] * 4])
@@ -74,13 +66,6 @@ def test_without_a_lag_the_input_passes_unchanged() -> None:
     lag = ServoLag(0.0, 0.005)
     lag.restart(u[0])
     assert np.array_equal(lag.apply(u), u)
-
-
-def test_a_servo_at_rest_stays_at_rest() -> None:
-    lag = ServoLag(0.1, 0.01)
-    u = np.tile([0.1, -0.2, 0.3, 0.5], (20, 1))
-    lag.restart(u[0])
-    np.testing.assert_allclose(lag.apply(u), u, atol=1e-15)
 
 
 @pytest.mark.parametrize("name", sorted(CHANNEL_SETS))

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import cmath
 import math
 from typing import Any
 
@@ -131,9 +130,3 @@ def test_without_flow_angles_there_are_three_states_and_no_modes(name: str) -> N
     assert a.shape == (3, 3)
     assert (a[0, 0], b[0, 2]) == (-4.0, 20.0)
     assert modes(structure, values, np.zeros_like(values), LEVEL) == []
-
-
-def test_a_pair_is_told_once() -> None:
-    eigenvalues = [mode.eigenvalue for mode in found(aircraft()).values()]
-    assert all(value.imag >= 0.0 for value in eigenvalues)
-    assert len({cmath.polar(value) for value in eigenvalues}) == 4

@@ -118,13 +118,6 @@ def test_the_delay_that_was_found_is_kept_only_where_it_is_estimated() -> None:
         assert identifier.delay == wanted
 
 
-def test_reset_goes_back_to_the_configured_start() -> None:
-    identifier = fresh()
-    identifier.resume(learned())
-    identifier.reset()
-    assert not identifier.coefficient_set().values.any()
-
-
 def test_nonsense_is_refused_and_leaves_the_identifier_as_it_was() -> None:
     identifier = fresh()
     huge = replace(learned(), values=learned().values * 1e9)

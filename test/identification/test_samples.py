@@ -27,13 +27,6 @@ def test_samples_wait_for_a_tick_at_or_after_their_stamp() -> None:
     assert buffer.t.tolist() == [10, 20, 30]
 
 
-def test_reordered_samples_are_sorted_and_keep_their_values() -> None:
-    buffer = filled(30, 10, 20)
-    assert buffer.merge(100) == 0
-    assert buffer.t.tolist() == [10, 20, 30]
-    assert buffer.v[:, 0].tolist() == [10.0, 20.0, 30.0]
-
-
 def test_of_samples_with_one_stamp_the_first_to_arrive_counts() -> None:
     buffer = filled(20)
     for value in (1.0, 2.0, 3.0):
