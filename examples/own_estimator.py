@@ -20,7 +20,7 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.offline.run import run_over
 
-LARGEST_STEP = 0.01
+LARGEST_STEP = 0.003
 """What a coefficient may move by in an update, standard deviations."""
 
 

@@ -37,9 +37,8 @@ MIN_PREDICTIONS = 5
 AXES = ("p", "q", "r")
 
 LARGEST_MODEL_ERROR = 0.1
-"""What an input may still explain of its row's residual, relative to its effect. Damping takes most
-of what a lag or a limit of travel does wrong, so that the residual shows a part: servo lags and
-limits that halve a control derivative leave 0.12 to 0.9, flights without them none."""
+"""What lateness or saturation may take from what an input does. Servo lags and limits of travel
+that halve a control derivative take 0.15 to 0.9, flights without them none."""
 
 RELEARNED_T_RATIO = 6.0
 """Value over sigma from which a coefficient that has changed is known again."""
@@ -320,7 +319,7 @@ def judge(
     running : RunningFit
         Fit of the coefficients.
     model_error : (3,) array
-        What the main inputs still explain of the residuals, relative to their effect.
+        What the main inputs do otherwise than the model says, relative to their effect.
     confirmed : Confirmation
         Which control derivatives the flight has confirmed.
     late : str
@@ -361,8 +360,8 @@ def _incomplete(row: int, share: float) -> str:
         return ""
     surface = MAIN_INPUTS[ROWS[row]]
     return (
-        f"{ROWS[row]} leaves {100.0 * share:.0f} % of what {surface} does unexplained: a servo "
-        "lag, a delay or a limit of travel that is not told"
+        f"{100.0 * share:.0f} % of what {surface} does to {ROWS[row]} comes late, or is missing "
+        "where much is asked: a servo lag, a delay or a limit of travel that is not told"
     )
 
 

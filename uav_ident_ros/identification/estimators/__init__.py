@@ -51,7 +51,7 @@ class Estimator(Protocol):
 
     @property
     def model_error(self) -> FloatArray:
-        """What the main inputs still explain of the residuals, relative to their effect, (3,)."""
+        """What the main inputs do otherwise than the model says, relative to their effect, (3,)."""
 
     @property
     def inputs(self) -> FloatArray:

@@ -27,8 +27,8 @@ from uav_ident_ros.identification.estimators.information import (
     Solution,
     Sums,
 )
+from uav_ident_ros.identification.estimators.model_error import ModelError
 from uav_ident_ros.identification.feedback import Feedback
-from uav_ident_ros.identification.model_error import ModelError
 from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.prior import Start, slope_bounds, weak_sigma
 from uav_ident_ros.identification.regression import Regression, layout
@@ -186,7 +186,7 @@ class RecursiveRegression:
         rows, columns = zip(*map(self._structure.index, names), strict=True)
         self._main = (list(rows), list(columns))
         self._injected = False
-        self._error = ModelError()
+        self._error = ModelError(self._layout)
         self._feedback = Feedback(forces=self._structure.size > CONSTANT_COLUMN + 1)
         self._used_rows = np.nonzero(self._layout.used)[0]
         self._used_columns = self._layout.index[self._layout.used]
@@ -241,7 +241,7 @@ class RecursiveRegression:
 
     @property
     def model_error(self) -> FloatArray:
-        """What the main inputs still explain of the residuals, relative to their effect, (3,)."""
+        """What the main inputs do otherwise than the model says, relative to their effect, (3,)."""
         return self._error.share
 
     @property
@@ -268,11 +268,11 @@ class RecursiveRegression:
         self.learning = self._gate.learning & (weight > 0.0)
         self._injected = samples.injected
         weight = weight * seen
-        self._error.add(samples, moments, self.inputs, weight)
         if not samples.injected:
             self._feedback.add(samples, moments, weight)
-        weight = self._row_weights(weight)
         gathered = RowSamples.gather(self._layout, samples, residual)
+        self._error.add(gathered, weight, restarted=samples.restarted)
+        weight = self._row_weights(weight)
         self._reference.add(gathered, weight)
         self._whitened.add(RowSamples.whitened(self._layout, white), weight)
         if self._least_squares is not None:
@@ -303,7 +303,7 @@ class RecursiveRegression:
             moments = np.s_[: len(ROWS), INPUT_COLUMNS]
             sigma[moments] = np.hypot(sigma[moments], self._feedback.bound)
         main = self._main
-        sigma[main] = np.hypot(sigma[main], self._error.share * solution.values[main])
+        sigma[main] = np.hypot(sigma[main], self.model_error * solution.values[main])
         sigma = np.where(self._start.free, sigma, self._start.sigma)
         return replace(solution, sigma=sigma)
 

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a surface does otherwise than the model says: late, or less the more is asked of it.
+
+A servo lag or a limit of travel that nobody told leaves little in the residual: damping takes up
+most of it. So they are looked for beside all other regressors of a row, in a regression of its own,
+
+    y = A f + c1 u|u| + c2 du/dt,
+
+with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16). Where
+c1 takes away from what the input does, it saturates; where c2 does, it acts late. Then the control
+derivative is off by about as much.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from uav_ident_ros.identification.estimators.information import RowSamples
+from uav_ident_ros.identification.regression import Layout
+from uav_ident_ros.identification.structure import (
+    INPUT_COLUMNS,
+    INPUTS,
+    MAIN_INPUTS,
+    ROWS,
+    FloatArray,
+)
+
+BLOCK_TIME = 1.0
+"""Length of the blocks whose scores are taken as independent, s; a look after each."""
+
+BLOCKS = 60
+"""Blocks that are looked at, the newest: a minute."""
+
+LEAST_T = 4.0
+"""Value over sigma from which it is no chance: one look in ten thousand."""
+
+LOADING = 1e-4
+"""Added to the information, relative to its diagonal: the input and its square are alike."""
+
+EXTRA = 2
+"""Regressors that are added."""
+
+
+class ModelError:
+    """Follows what the main input of each moment row does otherwise than the model says.
+
+    Parameters
+    ----------
+    layout : Layout
+        The regression problem.
+
+    Attributes
+    ----------
+    share : (3,) array
+        What is taken away by lateness or saturation, whichever is more, relative to what the input
+        does, both in rms; 0 where it is no more than chance.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        main = [INPUT_COLUMNS.start + INPUTS.index(MAIN_INPUTS[row]) for row in ROWS]
+        self._entries = [layout.index[row].tolist().index(j) for row, j in enumerate(main)]
+        rows, k = len(ROWS), layout.width + EXTRA
+        # sum of z f^T, z z^T and z y side by side, (rows, k, 2 k + 1), a block each
+        self._sums: FloatArray = np.zeros((rows, k, 2 * k + 1))
+        self._blocks: deque[FloatArray] = deque(maxlen=BLOCKS)
+        self._time = 0.0
+        self._before: list[FloatArray] = []
+        self.share: FloatArray = np.zeros(rows)
+
+    def forget(self, row: int) -> None:
+        """Forget what a row has shown: it is learned anew."""
+        for part in (*self._blocks, self._sums, self.share):
+            part[row] = 0.0
+
+    def add(self, samples: RowSamples, weight: FloatArray, *, restarted: bool) -> None:
+        """Take samples, which count for `weight` (3,) in each row."""
+        parts = [samples.f[: len(ROWS)], samples.z[: len(ROWS)]]
+        inputs = [part[range(len(ROWS)), :, self._entries] for part in parts]
+        before = [u[:, :1] for u in inputs] if restarted or not self._before else self._before
+        f, z = (
+            self._with_extra(part, u, first, samples.dt)
+            for part, u, first in zip(parts, inputs, before, strict=True)
+        )
+        self._before = [u[:, -1:] for u in inputs]
+        y = samples.y[: len(ROWS), :, None]
+        weighted = (z * (samples.dt * weight)[:, None, None]).transpose(0, 2, 1)
+        self._sums += weighted @ np.concatenate((f, z, y), axis=2)
+        self._time += samples.time
+        if self._time >= BLOCK_TIME - 0.5 * samples.dt:
+            self._blocks.append(self._sums)
+            self._sums, self._time = np.zeros_like(self._sums), 0.0
+            self._look()
+
+    @staticmethod
+    def _with_extra(part: FloatArray, u: FloatArray, before: FloatArray, dt: float) -> FloatArray:
+        """Regressors (3, m, k) with those behind them that are made of the inputs u (3, m)."""
+        slope = np.diff(np.concatenate((before, u), axis=1), axis=1) / dt
+        return np.concatenate((part, (u * np.abs(u))[:, :, None], slope[:, :, None]), axis=2)
+
+    def _look(self) -> None:
+        """Solve in units of each regressor's rms, and compare the extra ones with their sigma."""
+        blocks = np.array(self._blocks)
+        total, k = np.add.reduce(blocks), blocks.shape[2]
+        zf, zz, zy = total[..., :k], total[..., k:-1], total[..., -1]
+        power = np.einsum("ijj->ij", zz)
+        scale = 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0))
+        both = scale[:, :, None] * scale[:, None, :]
+        load = LOADING * np.eye(k)
+        slope = zf * both
+        projected = np.linalg.solve(zz * both + load, slope).transpose(0, 2, 1)
+        gain = np.linalg.solve(projected @ slope + load, projected)
+        linear = (gain @ (scale * zy)[:, :, None])[:, :, 0]
+        # A block's score, sum of z e, is linear in the coefficients.
+        scores = blocks[..., -1] - (blocks[..., :k] @ (linear * scale)[:, :, None])[..., 0]
+        scatter = np.einsum("bij,ilj->bil", scores * scale, gain[:, -EXTRA:])
+        lost = k / max(len(blocks) - k, 1)
+        variance = (1.0 + lost) * np.add.reduce(scatter**2)
+        extra, effect = linear[:, -EXTRA:], linear[range(len(ROWS)), self._entries, None]
+        away = np.divide(-extra, effect, out=np.zeros_like(extra), where=effect != 0.0)
+        sure = extra**2 > LEAST_T**2 * variance
+        self.share = np.where(sure, np.maximum(away, 0.0), 0.0).max(axis=1)
