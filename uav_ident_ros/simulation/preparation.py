@@ -7,8 +7,6 @@ coefficients become the nominal set of the controller and the start of the ident
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -79,12 +77,14 @@ def prepare(
 def identify(measurements: Measurements, **settings: Any) -> CoefficientSet:
     """Run the identifier over a flight, online, and return what it has at the end."""
     identifier = OnlineIdentifier(Settings.from_values({**parameters(measurements), **settings}))
-    estimate = None
-    for is_rates, t_ns, values in _samples(measurements):
-        if not is_rates:
-            identifier.add_actuators(t_ns, values)
-            continue
-        identifier.add_rates(t_ns, values[:3], values[3:])
+    m, estimate, told = measurements, None, 0
+    samples = zip(m.imu_t_ns.tolist(), m.rates.tolist(), m.specific_force.tolist(), strict=True)
+    upto = np.searchsorted(m.actuator_t_ns, m.imu_t_ns, side="right").tolist()
+    for (t_ns, rates, force), known in zip(samples, upto, strict=True):
+        for k in range(told, known):
+            identifier.add_actuators(int(m.actuator_t_ns[k]), m.actuators[k].tolist())
+        told = known
+        identifier.add_rates(t_ns, rates, force)
         while (due := identifier.due()) is not None:
             estimate = identifier.update(due)
     if estimate is None:
@@ -92,16 +92,6 @@ def identify(measurements: Measurements, **settings: Any) -> CoefficientSet:
     return CoefficientSet(
         identifier.settings.structure, estimate.coefficients, estimate.sigma, estimate.t_ns
     )
-
-
-def _samples(m: Measurements) -> Iterator[tuple[bool, int, list[float]]]:
-    """Yield (is rates, stamp, values) in the order of arrival, actuators first."""
-    rows = np.hstack([m.rates, m.specific_force]).tolist()
-    imu = ((t, True, row) for t, row in zip(m.imu_t_ns.tolist(), rows, strict=True))
-    moved = zip(m.actuator_t_ns.tolist(), m.actuators.tolist(), strict=True)
-    actuators = ((t, False, row) for t, row in moved)
-    for t, is_rates, row in heapq.merge(actuators, imu, key=lambda sample: sample[:2]):
-        yield is_rates, t, row
 
 
 def widened(found: CoefficientSet) -> CoefficientSet:
