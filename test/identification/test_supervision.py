@@ -131,7 +131,7 @@ def test_adaptation_can_be_switched_off_and_on(excited: Measurements) -> None:
 def test_a_limit_of_travel_that_nobody_told_is_named(travel: float, misses: bool) -> None:
     peaks = {"de": 0.15, "dr": 0.2, "da": 0.15}
     flight = light_aircraft.fly(
-        light_aircraft.LightFlight([Segment("multisine", amplitudes=peaks)], 45.0, travel=travel)
+        light_aircraft.LightFlight([Segment("multisine", amplitudes=peaks)], 30.0, travel=travel)
     )
     _, estimates = flown(
         measure(flight, Sensors(gyro_noise=0.01, accelerometer_noise=0.15), seed=2),

@@ -331,8 +331,8 @@ def judge(
     first, second, third = (
         late
         or _poor_fit(settings, running, i)
-        or _unknown_input(settings, structure, i, coefficients, sigma)
         or _incomplete(i, float(model_error[i]))
+        or _unknown_input(settings, structure, i, coefficients, sigma)
         or confirmed.doubt(i)
         for i in range(len(ROWS))
     )
