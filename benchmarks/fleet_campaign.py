@@ -24,18 +24,15 @@ from uav_ident_ros.offline.done import DONE_FILE
 from uav_ident_ros.offline.flights_table import read_flights
 from uav_ident_ros.simulation.cli import main as simulate
 
-DURATION = 8.0
-"""Length of a flight, s."""
-
 SOON = 0.4
 """Share of the flights that is done when something is killed."""
 
 
-def make_bags(folder: Path, count: int) -> None:
-    """Simulate flights that differ in their noise."""
+def make_bags(folder: Path, count: int, seconds: float) -> None:
+    """Simulate flights of some length that differ in their noise."""
     for k in range(count):
         bag = folder / f"flight{k:03d}"
-        if simulate(["--output", str(bag), "--duration", str(DURATION), "--seed", str(k)]):
+        if simulate(["--output", str(bag), "--duration", str(seconds), "--seed", str(k)]):
             raise SystemExit("simulate failed")
 
 
@@ -115,12 +112,12 @@ class Campaign:
         process.communicate()
 
 
-def run(count: int, folder: Path) -> list[str]:
+def run(count: int, seconds: float, folder: Path) -> list[str]:
     """Run the campaign in an empty folder; return what went wrong."""
     from distributed import LocalCluster
 
     bags = folder / "bags"
-    make_bags(bags, count)
+    make_bags(bags, count, seconds)
     campaign = Campaign(bags, folder)
     problems: list[str] = []
     begun = time.monotonic()
@@ -148,10 +145,11 @@ def main() -> None:
     """Run it and print what went wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--bags", type=int, default=200, help="number of flights (200)")
+    parser.add_argument("--seconds", type=float, default=8.0, help="length of a flight, s (8)")
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp())
     try:
-        problems = run(options.bags, folder)
+        problems = run(options.bags, options.seconds, folder)
     finally:
         shutil.rmtree(folder)
     print("\n".join(problems) or "the same table every time, nothing done twice")

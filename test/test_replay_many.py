@@ -298,6 +298,16 @@ def test_topics_are_absolute() -> None:
     assert given.topic == [("rates", "/a"), ("armed", "/b")]
 
 
+def test_help_comes_at_once_without_what_the_work_needs() -> None:
+    script = (
+        "import sys\nfrom uav_ident_ros.offline import main\n"
+        "try: main(['--help'])\nexcept SystemExit: print(sorted(sys.modules))"
+    )
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
+    assert said.stdout.startswith("usage: replay")
+    assert "'numpy'" not in said.stdout and "'rosbags'" not in said.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -20,7 +20,7 @@ FLAGS = (
     "--hide-scrollbars", "--remote-debugging-pipe",
 )  # fmt: skip
 
-PATIENCE = 60.0
+PATIENCE = 240.0
 """Time for an answer on a busy machine, s."""
 
 LOOK = 0.02

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from uav_ident_ros.commandline import OneLineParser
-from uav_ident_ros.messages.streams import STREAMS, Stream
 from uav_ident_ros.offline.status import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 
 DESCRIPTION = """\
@@ -66,8 +65,9 @@ def _groups() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
              "--params-file", {**file, "nargs": "+"}),
         ],
         "topics": [
-            ("--topic", "topic of the bag to read as the node's topic NAME; may be given several "
-             f"times (default: {'; '.join(map(_default, STREAMS))})",
+            ("--topic", "topic of the bag to read as the node's topic NAME, such as "
+             "imu/data:=/gyro; may be given several times (default: the topic of that name, else "
+             "the only one of a fitting type)",
              {"type": _remapping, "action": "append", "default": [], "metavar": "NAME:=TOPIC"}),
         ],
         "output": [
@@ -91,18 +91,10 @@ def _groups() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
     }  # fmt: skip
 
 
-def _default(stream: Stream) -> str:
-    """Return where a stream is read if nobody says it."""
-    found = f"{stream.topic}: /{stream.topic}, else the only one"
-    if not stream.setting:
-        return f"{found} whose name ends so"
-    if stream.optional:
-        return f"{found} of the type '{stream.setting}', if that is set"
-    return f"{found} of a known type"
-
-
 def _remapping(text: str) -> tuple[str, str]:
     """Return stream and topic of ``NAME:=TOPIC``."""
+    from uav_ident_ros.messages.streams import STREAMS  # needs NumPy, which help does not
+
     name, found, topic = text.partition(":=")
     streams = {stream.topic: stream.name for stream in STREAMS}
     stream = streams.get(name.lstrip("/"))

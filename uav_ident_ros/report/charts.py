@@ -11,7 +11,7 @@ from bokeh.models import ColumnDataSource, Span
 
 from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.prediction import LAST_PART
-from uav_ident_ros.identification.structure import INPUTS, SPECIFIC_FORCES, FloatArray
+from uav_ident_ros.identification.structure import INPUTS, SPECIFIC_FORCES
 from uav_ident_ros.offline.evidence import reason_of
 from uav_ident_ros.report.flight import AXES, Flight
 from uav_ident_ros.report.predictions import Predictions
@@ -175,63 +175,50 @@ def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator
 
 def state_chart(flight: Flight, line: Timeline, reasons: Iterable[str]) -> Chart:
     """Return the state, the verdicts, and when the main reasons not to learn held."""
-    edges = np.linspace(*flight.span, STRIP_BINS + 1)
-    place = np.searchsorted(edges, flight.tick_t, side="right") - 1
-    place = np.clip(place, 0, STRIP_BINS - 1)
-    words = [""] * STRIP_BINS
-    for k, estimate in zip(place, flight.estimates, strict=True):
-        if not words[k] or GRAVEST.index(estimate.state) < GRAVEST.index(words[k]):
-            words[k] = estimate.state
-    bars = [("state", word, word, *span) for word, span in _runs(words, edges)]
-    usable = np.array([estimate.usable for estimate in flight.estimates])
-    flags = {"usable": (usable, "converged")}
+    rows = {
+        "state": [estimate.state for estimate in flight.estimates],
+        "usable": ["converged" if estimate.usable else "" for estimate in flight.estimates],
+    }
     for name, values in flight.published.items():
         if name.startswith("verdict/usable/"):
-            flags[f"usable {name.rpartition('/')[2]}"] = (values > 0.0, "converged")
-    given = np.array([reason_of(estimate) for estimate in flight.estimates], dtype=object)
+            row = f"usable {name.rpartition('/')[2]}"
+            rows[row] = ["converged" if value > 0.0 else "" for value in values]
+    given = [reason_of(estimate) for estimate in flight.estimates]
     for reason in [r for r in reasons if r][:MOST_REASONS]:
-        flags[reason] = (given == reason, "paused")
-    for name, (on, color) in flags.items():
-        filled = [""] * STRIP_BINS
-        for k in place[on]:
-            filled[k] = name
-        bars += [(name, color, name, *span) for _, span in _runs(filled, edges)]
+        rows[reason] = ["paused" if other == reason else "" for other in given]
+    edges = np.linspace(*flight.span, STRIP_BINS + 1)
+    place = np.searchsorted(edges, flight.tick_t, side="right") - 1
+    bins = np.clip(place, 0, STRIP_BINS - 1).tolist()
+    labels = {name: name if len(name) <= 24 else f"{name[:23]}…" for name in rows}
+    bars = [
+        (labels[name], COLORS[word], word if name == "state" else name, edges[first], edges[end])
+        for name, words in rows.items()
+        for word, first, end in _runs(bins, words)
+    ]
+    columns = zip(("row", "color", "words", "begin", "end"), zip(*bars, strict=True), strict=True)
+    factors = list(dict.fromkeys(reversed(labels.values())))
+    chart = line.figure("", 60 + 20 * len(factors), y_range=factors)
+    drawn = chart.hbar(
+        "row", left="begin", right="end", height=0.8, color="color", line_width=0,
+        source=ColumnDataSource({name: list(column) for name, column in columns}),
+    )  # fmt: skip
+    hover(chart, drawn, ("", "@words"), ("from", "@begin{0.0} s"), ("to", "@end{0.0} s"))
     return Chart(
         "states",
         "State, verdict, and what kept it from learning",
-        _bar_chart(line, ["state", *flags], bars),
+        chart,
         "State of the identifier over time, when its model was usable, and why it paused.",
         legend=tuple((state, state) for state in reversed(GRAVEST)),
     )
 
 
-def _bar_chart(
-    line: Timeline, rows: list[str], bars: list[tuple[str, str, str, float, float]]
-) -> object:
-    """Draw bars of (row, colour, words, begin, end)."""
-    row, color, words, begin, end = zip(*bars, strict=True)
-    labels = {name: name if len(name) <= 24 else f"{name[:23]}…" for name in rows}
-    source = ColumnDataSource(
-        {
-            "row": [labels[name] for name in row],
-            "color": [COLORS[name] for name in color],
-            "words": words,
-            "begin": begin,
-            "end": end,
-        }
-    )
-    factors = list(dict.fromkeys(labels[name] for name in reversed(rows)))
-    chart = line.figure("", 60 + 20 * len(factors), y_range=factors)
-    drawn = chart.hbar(
-        "row", left="begin", right="end", height=0.8, color="color", source=source, line_width=0
-    )
-    hover(chart, drawn, ("", "@words"), ("from", "@begin{0.0} s"), ("to", "@end{0.0} s"))
-    return chart
-
-
-def _runs(words: list[str], edges: FloatArray) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Yield every run of one word that is not empty, and its begin and end."""
-    for word, run in groupby(enumerate(words), key=lambda pair: pair[1]):
-        places = [k for k, _ in run]
+def _runs(bins: Iterable[int], words: Iterable[str]) -> Iterator[tuple[str, int, int]]:
+    """Yield every run of bins with one word, its first bin, and the one after its last."""
+    gravest = [""] * STRIP_BINS
+    for k, word in zip(bins, words, strict=True):
+        if word and (not gravest[k] or GRAVEST.index(word) < GRAVEST.index(gravest[k])):
+            gravest[k] = word
+    for word, run in groupby(range(STRIP_BINS), key=gravest.__getitem__):
+        places = list(run)
         if word:
-            yield word, (float(edges[places[0]]), float(edges[places[-1] + 1]))
+            yield word, places[0], places[-1] + 1

@@ -20,7 +20,7 @@ async function drawNext() {
     const [place] = waiting.keys();
     if (!place) return;
     await draw(place);
-    requestIdleCallback(drawNext);
+    requestIdleCallback(drawNext, {timeout: 200});
 }
-requestIdleCallback(drawNext);
+requestIdleCallback(drawNext, {timeout: 200});
 })();
