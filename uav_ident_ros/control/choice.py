@@ -140,7 +140,8 @@ class AxisChoice:
 
     def _share(self, i: int, row: FloatArray) -> float:
         """Return the main derivative of a row over the one in use, without its factor."""
-        return float(row[MAIN[ROWS[i]]] / self._base[i, MAIN[ROWS[i]]])
+        main = MAIN[ROWS[i]]
+        return float(row[main] / self._base[i, main]) if self._base[i, main] else 1.0
 
     def _rescaled(self, i: int) -> bool:
         return bool(abs(self._factor[i] - 1.0) > TOLD)
