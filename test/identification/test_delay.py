@@ -127,7 +127,7 @@ def test_without_the_setting_nothing_moves_but_no_model_with_it_is_usable(more: 
     last = run(identifier, messages(m))[-1]
     assert identifier.delay == 0.02
     assert identifier.delay_confidence == "none"
-    assert last.usable == (more < CONTRADICTED)
+    assert last.usable == (more < CONTRADICTED), last.reason
     assert ("later than 'actuators.delay'" in last.reason) == (more > CONTRADICTED)
 
 

@@ -173,15 +173,15 @@ def test_how_signals_are_made_may_change_and_the_coefficients_go_on() -> None:
 def test_a_delay_that_is_corrected_in_flight_mends_the_coefficients() -> None:
     flight, measurements = first_flight()
     stream = messages(measurements)
-    half = len(stream) // 2
+    part = len(stream) // 4
     right = settings(measurements).actuators.delay
     wrong = fresh(actuators__delay=right + 0.1)
-    first = run(wrong, stream[:half])[-1]
+    first = run(wrong, stream[:part])[-1]
     astray = worst(errors(first.coefficients, STRUCTURE, flight, DOMINANT))
     assert astray > 0.3
     values = wrong.settings.values()
     wrong.reconfigure(Settings.from_values({**values, "actuators.delay": right}))
-    last = run(wrong, stream[half:])[-1]
+    last = run(wrong, stream[part:])[-1]
     assert worst(errors(last.coefficients, STRUCTURE, flight, DOMINANT)) < 0.3 * astray
     assert last.usable, last.reason
 

@@ -660,10 +660,21 @@ class OnlineIdentifier:
         # Without flow angles a gust looks like a late input: it denies nothing.
         late = contradiction if self._flow is not None else ""
         self._verdict = self._supervisor.judge(
-            t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error, late
-        )
+            t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error,
+            late or self._too_early(),
+        )  # fmt: skip
         if self.settings.supervision.plausibility:
             self._plausibility.judge(coefficients, sigma)
+
+    def _too_early(self) -> str:
+        """Return why a cold start cannot be judged yet; empty if it can, and of a warm start.
+
+        A model that is wrong in kind, late or saturating, fits the first seconds like any other.
+        """
+        warm = self._start.warm(self.settings.supervision.min_t_ratio)
+        if warm or self._learned_time >= START_TIME:
+            return ""
+        return f"only {int(self._learned_time)} s learned from, {START_TIME:g} s are needed to judge"
 
     def _waiting(self, fed: bool) -> tuple[State, str] | None:
         """Return state word and reason while something is wrong or missing; None if not."""

@@ -105,6 +105,12 @@ class Start:
         precision[self.free] = self.sigma[self.free] ** -2
         return precision
 
+    def warm(self, t_ratio: float) -> bool:
+        """Whether each moment row starts with a control derivative of so many sigmas."""
+        moments = np.s_[: len(ROWS), INPUT_COLUMNS]
+        size = np.abs(self.values[moments])
+        return bool(((size > 0.0) & (size >= t_ratio * self.sigma[moments])).any(axis=1).all())
+
 
 def first_values(structure: Structure) -> FloatArray:
     """Values of unknown coefficients, shape (R, n), SI: zero but for the slopes of the forces."""

@@ -36,9 +36,10 @@ MIN_PREDICTIONS = 5
 
 AXES = ("p", "q", "r")
 
-LARGEST_MODEL_ERROR = 0.1
-"""What lateness or saturation may take from what an input does. Servo lags and limits of travel
-that halve a control derivative take 0.15 to 0.9, flights without them none."""
+LARGEST_MODEL_ERROR = 0.25
+"""What lateness or saturation may take from what an input does. Servo lags, delays and limits of
+travel that halve a control derivative take 0.33 to 0.9, a delay of 25 ms up to 0.2, and what is
+right nothing."""
 
 RELEARNED_T_RATIO = 6.0
 """Value over sigma from which a coefficient that has changed is known again."""
