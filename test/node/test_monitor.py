@@ -93,8 +93,8 @@ def test_a_flight_before_it_converges_after_it_and_when_it_is_over(
         return monitor.returncode, shown
 
     change(player, {"supervision.min_fit": 99.5})
-    player.play_in_step(part(flight, 0.0, 10.0))
-    status, shown = once(10.0, "--timeout", "60", "--node", "/identifier")
+    player.play_in_step(part(flight, 0.0, 22.0))
+    status, shown = once(22.0, "--timeout", "60", "--node", "/identifier")
     assert status == 1
     assert shown.startswith("/identifier  learning  not usable  tick ")
     assert "needed: 100 %" in shown

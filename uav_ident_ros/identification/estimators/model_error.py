@@ -101,8 +101,11 @@ class ModelError:
 
     def _look(self) -> None:
         """Solve in units of each regressor's rms, and compare the extra ones with their sigma."""
+        k = self._sums.shape[1]
+        if len(self._blocks) <= k:
+            return  # as many coefficients leave no scatter to judge by
         blocks = np.array(self._blocks)
-        total, k = np.add.reduce(blocks), blocks.shape[2]
+        total = np.add.reduce(blocks)
         zf, zz, zy = total[..., :k], total[..., k:-1], total[..., -1]
         power = np.einsum("ijj->ij", zz)
         scale = 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0))
@@ -115,7 +118,7 @@ class ModelError:
         # A block's score, sum of z e, is linear in the coefficients.
         scores = blocks[..., -1] - (blocks[..., :k] @ (linear * scale)[:, :, None])[..., 0]
         scatter = np.einsum("bij,ilj->bil", scores * scale, gain[:, -EXTRA:])
-        lost = k / max(len(blocks) - k, 1)
+        lost = k / (len(blocks) - k)
         variance = (1.0 + lost) * np.add.reduce(scatter**2)
         extra, effect = linear[:, -EXTRA:], linear[range(len(ROWS)), self._entries, None]
         away = np.divide(-extra, effect, out=np.zeros_like(extra), where=effect != 0.0)
