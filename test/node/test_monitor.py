@@ -100,9 +100,9 @@ def test_a_flight_before_it_converges_after_it_and_when_it_is_over(
     assert "needed: 100 %" in shown
 
     change(player, {"supervision.min_fit": -20.0})
-    player.play_in_step(part(flight, 0.0, 10.0))
-    status, shown = once(10.0, "--timeout", "60", "--node", "/identifier")
-    assert status == 0
+    player.play_in_step(part(flight, 0.0, 22.0))
+    status, shown = once(22.0, "--timeout", "60", "--node", "/identifier")
+    assert status == 0, shown
     assert shown.startswith("/identifier  converged  usable  tick ")
     newest = player.outputs.named[-1]
     value = dict(zip(newest.name, newest.position, strict=True))["pdot/da"]

@@ -674,7 +674,7 @@ class OnlineIdentifier:
         warm = self._start.warm(self.settings.supervision.min_t_ratio)
         if warm or self._learned_time >= START_TIME:
             return ""
-        return f"only {int(self._learned_time)} s learned from, {START_TIME:g} s are needed to judge"
+        return f"learned from {int(self._learned_time)} s, {START_TIME:g} s are needed to judge"
 
     def _waiting(self, fed: bool) -> tuple[State, str] | None:
         """Return state word and reason while something is wrong or missing; None if not."""
