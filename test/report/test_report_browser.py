@@ -77,8 +77,14 @@ def x_ranges(browser: Browser) -> dict[str, list[float]]:
     return {name: browser.value(X_RANGE.format(name)) for name in LINKED}
 
 
+NEXT_FRAME = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""Resolved once the page has drawn what an event did."""
+
+
 def move(browser: Browser, kind: str, x: float, y: float, **more: object) -> None:
+    """Move the mouse, or its wheel or button, and let the page draw what that did."""
     browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
+    browser.call("Runtime.evaluate", expression=NEXT_FRAME, awaitPromise=True)
 
 
 def middle_of(browser: Browser, chart: str) -> tuple[float, float]:
