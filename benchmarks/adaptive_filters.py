@@ -7,8 +7,8 @@ import numpy as np
 import padasip
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, FloatArray
 
 RLS_FORGETTING = 0.998
@@ -47,7 +47,7 @@ class RegressionRecorder:
         return samples.residual(self.coefficients)
 
     def update(
-        self, samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
+        self, samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
     ) -> None:
         """Keep the samples."""
         self.y.extend(samples.y)

@@ -29,8 +29,8 @@ import output_error
 import padasip
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 
 BUILD = flights.ROOT / "build"
@@ -400,7 +400,7 @@ def _update_times(case: cases.Case, estimator: str) -> tuple[FloatArray, FloatAr
     update, times, own = identifier._estimator.update, [], []
 
     def timed(
-        samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
+        samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
     ) -> None:
         began = time.thread_time()
         update(samples, residual, white, weight)

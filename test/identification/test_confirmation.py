@@ -9,6 +9,7 @@ import pytest
 from uav_ident_ros.identification.confirmation import Confirmation
 from uav_ident_ros.identification.noise import NoiseModel
 from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS
 
 DT = 0.05
@@ -43,10 +44,10 @@ class Flown:
             residual = self._gust + (actual - BELIEVED) @ self._u
             f = np.zeros((1, 15))
             f[0, INPUT_COLUMNS] = self._u
-            sample = Regression(np.zeros((1, 3)), f, f, DT, self.restarted)
+            sample = RowSamples.of(Regression(np.zeros((1, 3)), f, f, DT), residual[None])
+            white = self._noise.whiten(sample, restarted=self.restarted)
             self.restarted = False
-            white = self._noise.whiten(sample, residual[None])
-            self.confirmed.add(white, BELIEVED, self.max_age)
+            self.confirmed.add(white, self._noise.variance, BELIEVED, self.max_age)
 
     def doubts(self) -> list[str]:
         return [self.confirmed.doubt(row) for row in range(3)]
@@ -132,6 +133,7 @@ def test_a_flight_without_noise_is_judged_too() -> None:
     for k in range(200):
         f = np.zeros((1, 15))
         f[0, INPUT_COLUMNS] = 0.05 * np.sin(0.3 * k * np.arange(1.0, 5.0))
-        sample = Regression(np.zeros((1, 3)), f, f, DT)
-        confirmed.add(noise.whiten(sample, np.zeros((1, 3))), BELIEVED, MAX_AGE)
+        sample = RowSamples.of(Regression(np.zeros((1, 3)), f, f, DT), np.zeros((1, 3)))
+        white = noise.whiten(sample, restarted=k == 0)
+        confirmed.add(white, noise.variance, BELIEVED, MAX_AGE)
     assert [confirmed.doubt(row) for row in range(3)] == ["", "", ""]

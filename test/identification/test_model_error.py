@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.estimators.information import RowSamples
 from uav_ident_ros.identification.estimators.model_error import ModelError
 from uav_ident_ros.identification.regression import Regression, layout
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.structure import STRUCTURES
 
 STRUCTURE = STRUCTURES["augmented"]
@@ -34,7 +34,7 @@ def rolled(
         y[k, 0] = DAMPING * p + EFFECT * reached + gusts[k]
         f[k, [5, AILERON]] = p, command
         p += DT * y[k, 0]
-    return RowSamples.gather(LAYOUT, Regression(y, f, f, DT), y)
+    return RowSamples.of(Regression(y, f, f, DT), y).pick(LAYOUT)
 
 
 def share(samples: RowSamples) -> np.ndarray:

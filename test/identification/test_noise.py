@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.noise import MEMORY, ORDER, Innovations, NoiseModel
+from uav_ident_ros.identification.noise import MEMORY, ORDER, NoiseModel
 from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.row_samples import RowSamples
 
 DT = 0.05
 WEIGHTS = np.array([[1.2, -0.5, 0.1], [0.0, 0.0, 0.0], [-0.4, 0.2, 0.3]])
@@ -29,10 +30,11 @@ def correlation(signals: np.ndarray, lag: int) -> np.ndarray:
     return (signals[lag:] * signals[:-lag]).mean(axis=0) / (signals**2).mean(axis=0)
 
 
-def whiten(model: NoiseModel, residual: np.ndarray, restarted: bool = False) -> Innovations:
+def whiten(model: NoiseModel, residual: np.ndarray, restarted: bool = False) -> RowSamples:
     """Whiten residuals (m, rows), with regressors that are their multiples."""
     f = np.stack([residual[:, 0], -3.0 * residual[:, 0]], axis=1)
-    return model.whiten(Regression(2.0 * residual, f, f, DT, restarted), residual)
+    samples = RowSamples.of(Regression(2.0 * residual, f, f, DT), residual)
+    return model.whiten(samples, restarted=restarted)
 
 
 def test_the_autoregression_of_each_row_is_found() -> None:

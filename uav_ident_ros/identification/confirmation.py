@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_ident_ros.identification.noise import Innovations
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
-    INPUTS,
+    MAIN_COLUMNS,
     MAIN_INPUTS,
     ROWS,
     FloatArray,
@@ -30,8 +30,6 @@ soon, however long it had worked."""
 LEAST_VARIANCE = 1e-12
 """Variance of an innovation below which there is no noise, rad^2/s^4."""
 
-_MAIN = np.array([INPUTS.index(MAIN_INPUTS[row]) for row in ROWS])
-
 
 class Confirmation:
     """Evidence for and against the main control derivatives of the moment rows."""
@@ -43,23 +41,28 @@ class Confirmation:
         """Forget the evidence of a row: its derivatives are learned anew."""
         self._odds[row] = 0.0
 
-    def add(self, white: Innovations, derivatives: FloatArray, max_age: float) -> None:
+    def add(
+        self, white: RowSamples, variance: FloatArray, derivatives: FloatArray, max_age: float
+    ) -> None:
         """Weigh whitened samples.
 
         Parameters
         ----------
-        white : Innovations
+        white : RowSamples
             The samples.
+        variance : (rows,) array
+            Variance of their residuals, the innovations.
         derivatives : (3, 4) array
             Control derivatives that go with their residuals.
         max_age : float
             Time in which what was confirmed fades while the input does not move, s; 0 for never.
         """
         rows = np.arange(len(ROWS))
-        effect = derivatives[rows, _MAIN, None] * white.f[rows, :, INPUT_COLUMNS.start + _MAIN]
+        derivative = derivatives[rows, MAIN_COLUMNS - INPUT_COLUMNS.start]
+        effect = derivative[:, None] * white.f[rows, :, MAIN_COLUMNS]
         # Squared residual if the input did nothing, less the squared residual as it is.
         gain = effect * (2.0 * white.residual[: len(ROWS)] + effect)
-        variance = np.maximum(white.variance[: len(ROWS)], LEAST_VARIANCE)
+        variance = np.maximum(variance[: len(ROWS)], LEAST_VARIANCE)
         if max_age > 0.0:
             # From the largest odds to those that confirm in just this time.
             self._odds *= (CONFIRMED / LARGEST_ODDS) ** (effect.shape[1] * white.dt / max_age)

@@ -99,7 +99,8 @@ class Feedback:
         square = np.add.reduce(residual * residual)
         self._residual_square = keep * self._residual_square + counted * square
         self._since_look += m * dt
-        if self._since_look >= LOOK_TIME and self._products[self._columns - 1].any():
+        counted_time = self._products[self._columns - 1, self._columns - 1]
+        if self._since_look >= LOOK_TIME and counted_time > 0.0:
             self._since_look = 0.0
             self._look()
 

@@ -42,6 +42,7 @@ from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.plausibility import Finding, Plausibility
 from uav_ident_ros.identification.prior import Start, resumed, start_from, without_flow
 from uav_ident_ros.identification.regression import Regression, StateVariableFilter, layout
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
@@ -52,7 +53,8 @@ from uav_ident_ros.identification.structure import ROWS, STRUCTURES, BoolArray, 
 from uav_ident_ros.identification.supervision import Change, State, Supervisor
 
 START_TIME = 20.0
-"""Time of learning for which the coefficients count as poor, s."""
+"""Time of learning for which the coefficients of a cold start count as poor, s: the model leaks,
+every tick is learned from at once, and the verdict is withheld."""
 
 ANSWER_TIME = 2.0
 """Time for which an aircraft still answers an input, s: a few periods of the short modes."""
@@ -154,6 +156,7 @@ class OnlineIdentifier:
             self._make_signals_anew("actuators.delay" in {setting.name for setting in changed})
         else:
             self._estimator.reconfigure(settings)
+        self._news = True
 
     def _begin(self, start: Start, delay: float) -> None:
         """Forget everything and start from what is known."""
@@ -592,9 +595,9 @@ class OnlineIdentifier:
         estimator, supervisor = self._estimator, self._supervisor
         self._learned_time += samples.time
         residual = estimator.residual(samples)
-        white = self._noise.whiten(samples, residual)
+        white = self._noise.whiten(RowSamples.of(samples, residual), restarted=samples.restarted)
         weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
-        supervisor.confirm(white, estimator.inputs)
+        supervisor.confirm(white, self._noise.variance, estimator.inputs)
         estimator.update(samples, residual, white, weight)
         supervisor.follow(t, estimator, ticks, learned=True)
 
@@ -656,12 +659,12 @@ class OnlineIdentifier:
         if not self._news:
             return
         self._news = False
-        contradiction = self.delay_estimate.contradiction(self.delay)
-        # Without flow angles a gust looks like a late input: it denies nothing.
-        late = contradiction if self._flow is not None else ""
+        denied = self._too_early()
+        if self._flow is not None:  # without flow angles a gust looks like a late input
+            denied = self.delay_estimate.contradiction(self.delay) or denied
         self._verdict = self._supervisor.judge(
             t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error,
-            late or self._too_early(),
+            denied,
         )  # fmt: skip
         if self.settings.supervision.plausibility:
             self._plausibility.judge(coefficients, sigma)

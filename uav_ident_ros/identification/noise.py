@@ -8,11 +8,9 @@ instruments, inputs (prewhitening; Box, Jenkins and Reinsel, Time Series Analysi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.structure import FloatArray
 
 ORDER = 3
@@ -27,30 +25,6 @@ FIT_TIME = 0.5
 LOADING = 0.01
 """White noise added to the autocovariances, relative to the variance: keeps what is left of a
 slow input after whitening above what rounding and sampling leave."""
-
-
-@dataclass(frozen=True)
-class Innovations:
-    """Samples of the regression problem, whitened by the noise of each row.
-
-    Parameters
-    ----------
-    y, residual : (rows, m) array
-        What is explained, and what the coefficients before left of it.
-    f, z : (rows, m, c) array
-        Regressors and instruments.
-    variance : (rows,) array
-        Variance of the innovation, as the noise model has it.
-    dt : float
-        Time that each sample stands for, s.
-    """
-
-    y: FloatArray
-    residual: FloatArray
-    f: FloatArray
-    z: FloatArray
-    variance: FloatArray
-    dt: float
 
 
 class NoiseModel:
@@ -78,26 +52,25 @@ class NoiseModel:
         self._past: FloatArray | None = None
         self._known = 0
 
-    def whiten(self, samples: Regression, residual: FloatArray) -> Innovations:
-        """Learn from residuals, and whiten the samples that they belong to.
+    def whiten(self, samples: RowSamples, *, restarted: bool) -> RowSamples:
+        """Learn from the residuals of samples, and whiten them.
 
         Parameters
         ----------
-        samples : Regression
-            m samples.
-        residual : (m, rows) array
-            What the coefficients before left of them.
+        samples : RowSamples
+            m samples, with all columns of the problem.
+        restarted : bool
+            Whether the first does not continue those before.
 
         Returns
         -------
-        Innovations
-            Of all samples but the first `ORDER` of a stretch.
+        RowSamples
+            All samples but the first `ORDER` after a restart; their residuals are innovations.
         """
-        rows, (m, c) = len(self.weights), samples.f.shape
-        own = np.stack((residual.T, samples.y.T), axis=2)
-        shared = np.concatenate((samples.f, samples.z), axis=1)
-        new = np.concatenate((own, np.broadcast_to(shared, (rows, *shared.shape))), axis=2)
-        if samples.restarted or self._past is None:
+        rows, m, c = samples.f.shape
+        own = np.stack((samples.residual, samples.y), axis=2)
+        new = np.concatenate((own, samples.f, samples.z), axis=2)
+        if restarted or self._past is None:
             self._past, self._known = np.zeros((rows, ORDER, new.shape[2])), 0
         signals = np.concatenate((self._past, new), axis=1)
         self._past = signals[:, -ORDER:]
@@ -109,7 +82,7 @@ class NoiseModel:
         white = white[:, max(ORDER - self._known, 0) :]
         self._known = min(self._known + m, ORDER)
         f, z = white[:, :, 2 : 2 + c], white[:, :, 2 + c :]
-        return Innovations(white[:, :, 1], white[:, :, 0], f, z, self.variance, samples.dt)
+        return RowSamples(white[:, :, 1], white[:, :, 0], f, z, samples.dt)
 
     def _learn(self, residual: FloatArray, dt: float) -> None:
         """Take residuals (rows, ORDER + m), the first `ORDER` of which are known already."""

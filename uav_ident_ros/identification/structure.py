@@ -52,6 +52,9 @@ FLIGHT_REGRESSORS = (*PAPER_REGRESSORS, CONSTANT, *FLOW_ANGLES)
 PRODUCT_COLUMNS = slice(0, 5)
 RATE_COLUMNS = slice(5, 8)
 INPUT_COLUMNS = slice(8, 12)
+MAIN_COLUMNS = np.array([PAPER_REGRESSORS.index(MAIN_INPUTS[row]) for row in ROWS])
+"""Column of each moment row's main input."""
+
 STATE_COLUMNS = slice(0, INPUT_COLUMNS.start)
 """Regressors made of rates."""
 

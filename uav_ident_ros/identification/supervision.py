@@ -20,7 +20,7 @@ from uav_ident_ros.identification.gates import (
     ResidualGate,
     grounded,
 )
-from uav_ident_ros.identification.noise import Innovations
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
@@ -221,17 +221,19 @@ class Supervisor:
             self._residuals.release(i)
             self._confirmed.forget(i)
 
-    def confirm(self, white: Innovations, inputs: FloatArray) -> None:
+    def confirm(self, white: RowSamples, variance: FloatArray, inputs: FloatArray) -> None:
         """Let what the inputs did confirm the control derivatives, or contradict them.
 
         Parameters
         ----------
-        white : Innovations
+        white : RowSamples
             Whitened samples.
+        variance : (rows,) array
+            Variance of their residuals, the innovations.
         inputs : (3, 4) array
             Control derivatives that go with their residuals.
         """
-        self._confirmed.add(white, inputs, self.settings.supervision.max_age)
+        self._confirmed.add(white, variance, inputs, self.settings.supervision.max_age)
 
     def pauses(self) -> dict[str, str]:
         """Return why each row that does not learn pauses: row to reason."""
@@ -250,7 +252,7 @@ class Supervisor:
         sigma: FloatArray,
         running: RunningFit,
         model_error: FloatArray,
-        late: str = "",
+        denied: str = "",
     ) -> Verdict:
         """Give the verdict on the coefficients at `t` s; parameters as in `judge`."""
         self._sigma = sigma
@@ -272,7 +274,7 @@ class Supervisor:
             running,
             model_error,
             self._confirmed,
-            late,
+            denied,
         )
         first, second, third = (
             changed or reason for changed, reason in zip(relearning, found.reasons, strict=True)
@@ -301,7 +303,7 @@ def judge(
     running: RunningFit,
     model_error: FloatArray,
     confirmed: Confirmation,
-    late: str = "",
+    denied: str = "",
 ) -> Verdict:
     """Give the verdict on a set of coefficients, row by row.
 
@@ -323,14 +325,14 @@ def judge(
         What the main inputs do otherwise than the model says, relative to their effect.
     confirmed : Confirmation
         Which control derivatives the flight has confirmed.
-    late : str
-        Why the delay in use cannot be right; empty if it can.
+    denied : str
+        What speaks against all rows alike; empty if nothing does.
     """
     if running.predictions < MIN_PREDICTIONS:
         few = f"only {running.predictions} predictions of 1 s to judge by"
         return Verdict((few, few, few))
     first, second, third = (
-        late
+        denied
         or _poor_fit(settings, running, i)
         or _incomplete(i, float(model_error[i]))
         or _unknown_input(settings, structure, i, coefficients, sigma)

@@ -22,7 +22,7 @@ from uav_ident_ros.simulation.flight import (
     stamps,
 )
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
-from uav_ident_ros.simulation.linearisation import at_airspeed, cruise_derivatives
+from uav_ident_ros.simulation.linearisation import cruise_derivatives
 from uav_ident_ros.simulation.live import LiveAircraft
 from uav_ident_ros.simulation.noise import Sensors
 
@@ -121,7 +121,6 @@ def fly(
     extra = {key: record[:, COLUMN[key]] for key in ("alpha", "beta", "roll", "pitch", "altitude")}
     surfaces = [COLUMN[key] for key in SURFACE_NAMES]
     airspeed = record[:, COLUMN["airspeed"]]
-    truth = cruise_derivatives(spec.aircraft, spec.speed)
     return Flight(
         name=name or airframe(spec.aircraft).name,
         t_ns=stamps(np.arange(count) / spec.rate),
@@ -134,7 +133,7 @@ def fly(
         delay=spec.delay,
         changes=spec.changes,
         # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
-        local_truth=at_airspeed(truth, float(airspeed.mean() / airspeed[0])),
+        local_truth=cruise_derivatives(spec.aircraft, round(float(airspeed.mean()), 1)),
         excitation=excited_intervals(spec.segments, spec.duration),
         airspeed=airspeed,
         extra={**extra, "surfaces": record[:, surfaces]},

@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import INPUTS, RATES, FloatArray
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.aircraft import COLUMN, Aircraft, settle
 
 STATES = ("p", "q", "r", "beta", "alpha")
@@ -29,8 +29,8 @@ STEP = 1e-3
 piecewise linear over a degree and more, its numbers are doubles: so it is neither too long nor
 too short, and the derivatives do not depend on it (a test holds them to that)."""
 
-SIMULATION_RATE = 1000.0
-"""Rate at which an aircraft settles at its cruise point, Hz."""
+SIMULATION_RATE = 200.0
+"""Rate at which an aircraft settles at its cruise point, Hz: at 1 kHz it is the same one."""
 
 LEAST_DERIVATIVE = 0.01
 """Derivatives up to this size are left out of `cruise_derivatives`; in the units of `ROWS`."""
@@ -103,15 +103,6 @@ def cruise_derivatives(name: str, speed: float | None = None) -> dict[str, float
         key: float(f"{value:.4g}")
         for key, value in found.items()
         if abs(value) > LEAST_DERIVATIVE and not key.endswith("/dth")
-    }
-
-
-def at_airspeed(derivatives: Mapping[str, float], ratio: float) -> dict[str, float]:
-    """Return derivatives at another airspeed, `ratio` times theirs: with V by rates, else V^2."""
-    rates = tuple(f"/{rate}" for rate in RATES)
-    return {
-        name: float(f"{value * ratio ** (1 if name.endswith(rates) else 2):.4g}")
-        for name, value in derivatives.items()
     }
 
 

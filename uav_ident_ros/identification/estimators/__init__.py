@@ -12,9 +12,9 @@ from typing import Protocol
 from uav_ident_ros.identification.estimators.gradient import GradientEstimator
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
-from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
@@ -65,7 +65,7 @@ class Estimator(Protocol):
         """Return ``y - A f`` of m samples, shape (m, rows)."""
 
     def update(
-        self, samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
+        self, samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
     ) -> None:
         """Learn from samples.
 
@@ -75,7 +75,7 @@ class Estimator(Protocol):
             m samples.
         residual : (m, rows) array
             Their residuals from the coefficients as they are, rad/s^2.
-        white : Innovations
+        white : RowSamples
             The same samples, whitened.
         weight : (3,) array
             How much they count in each moment row, 0 ... 1.

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.information import Information, RowSamples
+from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.estimators.recursive import InstrumentalVariable
-from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, layout
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.settings import (
     LARGEST_COEFFICIENT,
     Settings,
@@ -166,14 +166,14 @@ class GradientEstimator:
         return samples.residual(self.coefficients)
 
     def update(
-        self, samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
+        self, samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
     ) -> None:
         """Take a step of the law with each of the samples.
 
         The law knows no weights: a row that counts at all takes the whole step.
         """
         self.learning = weight > 0.0
-        gathered = RowSamples.gather(self.information.layout, samples, residual)
+        gathered = RowSamples.of(samples, residual).pick(self.information.layout)
         self._reference.add(gathered, weight)
         for y, f in zip(samples.y, samples.f, strict=True):
             self._step(y, f, samples.dt)

@@ -13,15 +13,14 @@ which is R^-1 r where the instruments are strong, and goes to the prior where th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
 
-from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.prior import Start
-from uav_ident_ros.identification.regression import Layout, Regression
+from uav_ident_ros.identification.regression import Layout
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.structure import (
     BoolArray,
     FloatArray,
@@ -55,65 +54,6 @@ regressors are uncorrelated."""
 
 COLLINEAR_SHARE = 0.4
 """Component of the eigenvector from which a regressor belongs to the group."""
-
-
-@dataclass(frozen=True)
-class RowSamples:
-    """Samples of the regression problem, gathered from its columns row by row.
-
-    Parameters
-    ----------
-    y, residual : (rows, m) array
-        What is explained, and what the coefficients before left of it.
-    f, z : (rows, m, k) array
-        Regressors and instruments.
-    dt : float
-        Time that each sample stands for, s.
-    """
-
-    y: FloatArray
-    residual: FloatArray
-    f: FloatArray
-    z: FloatArray
-    dt: float
-
-    @classmethod
-    def gather(cls, layout: Layout, samples: Regression, residual: FloatArray) -> Self:
-        """Return samples with residuals (m, rows)."""
-        f, z = (
-            np.where(layout.used[:, None], part[:, layout.index].transpose(1, 0, 2), 0.0)
-            for part in (samples.f, samples.z)
-        )
-        return cls(samples.y.T, residual.T, f, z, samples.dt)
-
-    @classmethod
-    def whitened(cls, layout: Layout, white: Innovations) -> Self:
-        """Return samples that were whitened."""
-        index, used = layout.index[:, None], layout.used[:, None]
-        f, z = (
-            np.where(used, np.take_along_axis(part, index, axis=2), 0.0)
-            for part in (white.f, white.z)
-        )
-        return cls(white.y, white.residual, f, z, white.dt)
-
-    @classmethod
-    def join(cls, parts: Sequence[RowSamples], newest: int) -> Self:
-        """Return the newest of samples that follow one another."""
-        y, residual, f, z = (
-            np.concatenate([getattr(part, name) for part in parts], axis=1)
-            for name in ("y", "residual", "f", "z")
-        )
-        first = max(y.shape[1] - newest, 0)
-        return cls(y[:, first:], residual[:, first:], f[:, first:], z[:, first:], parts[-1].dt)
-
-    @property
-    def time(self) -> float:
-        """Time that all samples together stand for, s."""
-        return self.dt * self.y.shape[1]
-
-    def uninstrumented(self) -> RowSamples:
-        """Return the samples with the regressors as their own instruments."""
-        return replace(self, z=self.f)
 
 
 @dataclass

@@ -17,15 +17,9 @@ from collections import deque
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.information import RowSamples
 from uav_ident_ros.identification.regression import Layout
-from uav_ident_ros.identification.structure import (
-    INPUT_COLUMNS,
-    INPUTS,
-    MAIN_INPUTS,
-    ROWS,
-    FloatArray,
-)
+from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.structure import MAIN_COLUMNS, ROWS, FloatArray
 
 BLOCK_TIME = 1.0
 """Length of the blocks whose scores are taken as independent, s; a look after each."""
@@ -59,8 +53,7 @@ class ModelError:
     """
 
     def __init__(self, layout: Layout) -> None:
-        main = [INPUT_COLUMNS.start + INPUTS.index(MAIN_INPUTS[row]) for row in ROWS]
-        self._entries = [layout.index[row].tolist().index(j) for row, j in enumerate(main)]
+        self._entries = [layout.index[i].tolist().index(j) for i, j in enumerate(MAIN_COLUMNS)]
         rows, k = len(ROWS), layout.width + EXTRA
         # sum of z f^T, z z^T and z y side by side, (rows, k, 2 k + 1), a block each
         self._sums: FloatArray = np.zeros((rows, k, 2 * k + 1))

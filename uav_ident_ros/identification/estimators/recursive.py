@@ -23,20 +23,19 @@ from uav_ident_ros.identification.estimators.change import (
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import (
     Information,
-    RowSamples,
     Solution,
     Sums,
 )
 from uav_ident_ros.identification.estimators.model_error import ModelError
 from uav_ident_ros.identification.feedback import Feedback
-from uav_ident_ros.identification.noise import Innovations
 from uav_ident_ros.identification.prior import Start, slope_bounds, weak_sigma
 from uav_ident_ros.identification.regression import Regression, layout
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
-    MAIN_INPUTS,
+    MAIN_COLUMNS,
     ROWS,
     STRUCTURES,
     BoolArray,
@@ -182,9 +181,6 @@ class RecursiveRegression:
         self._structure = STRUCTURES[settings.structure]
         self._layout = layout(self._structure)
         self._bounds = slope_bounds(self._structure)
-        names = [f"{row}/{MAIN_INPUTS[row]}" for row in ROWS]
-        rows, columns = zip(*map(self._structure.index, names), strict=True)
-        self._main = (list(rows), list(columns))
         self._injected = False
         self._error = ModelError(self._layout)
         self._feedback = Feedback(forces=self._structure.size > CONSTANT_COLUMN + 1)
@@ -260,7 +256,7 @@ class RecursiveRegression:
         return samples.residual(self._linear(self._solution))
 
     def update(
-        self, samples: Regression, residual: FloatArray, white: Innovations, weight: FloatArray
+        self, samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
     ) -> None:
         """Add samples and solve."""
         moments = residual[:, : len(ROWS)]
@@ -270,11 +266,11 @@ class RecursiveRegression:
         weight = weight * seen
         if not samples.injected:
             self._feedback.add(samples, moments, weight)
-        gathered = RowSamples.gather(self._layout, samples, residual)
+        gathered = RowSamples.of(samples, residual).pick(self._layout)
         self._error.add(gathered, weight, restarted=samples.restarted)
         weight = self._row_weights(weight)
         self._reference.add(gathered, weight)
-        self._whitened.add(RowSamples.whitened(self._layout, white), weight)
+        self._whitened.add(white.pick(self._layout), weight)
         if self._least_squares is not None:
             self._least_squares.add(gathered.uninstrumented(), weight)
         self._follow_changes(samples, gathered, weight)
@@ -302,7 +298,7 @@ class RecursiveRegression:
         if self._reference.warming_up or not self._injected:
             moments = np.s_[: len(ROWS), INPUT_COLUMNS]
             sigma[moments] = np.hypot(sigma[moments], self._feedback.bound)
-        main = self._main
+        main = np.arange(len(ROWS)), MAIN_COLUMNS
         sigma[main] = np.hypot(sigma[main], self.model_error * solution.values[main])
         sigma = np.where(self._start.free, sigma, self._start.sigma)
         return replace(solution, sigma=sigma)
