@@ -233,9 +233,7 @@ def identify(
             identifier.add_actuators(t, v)
             continue
         identifier.add_rates(t, v[:3], v[3:])
-        while (due := identifier.due()) is not None:
-            estimate = identifier.update(due)
-            assert estimate is not None
+        for estimate in identifier.advance():
             estimates.append(estimate)
             learning.append(identifier.learning)
             delays.append(identifier.delay)

@@ -115,9 +115,9 @@ class Flight:
         sample, t_ns = self.aircraft.sample(), self.now_ns
         force = (sample.measured_force * FRD_TO_FLU).tolist()
         self.identifier.add_rates(t_ns, (sample.measured_rates * FRD_TO_FLU).tolist(), force)
-        while (due := self.identifier.due()) is not None:
-            self.estimate = self.identifier.update(due)
-            self.hear(self.run.step(self.identifier.flying(), self.estimate))
+        for estimate in self.identifier.advance():
+            self.estimate = estimate
+            self.hear(self.run.step(self.identifier.flying(), estimate))
         roll, pitch = sample.attitude[:2].tolist()
         self.reference = self.manoeuvres.rates(sample.time, roll, pitch, 1.0 / SENSORS.rate)
         u = self.controller.update(t_ns, sample.measured_rates, self.reference)

@@ -185,9 +185,7 @@ def _identify(
             identifier.add_actuators(t, v)
             continue
         identifier.add_rates(t, v[:3], v[3:])
-        while (due := identifier.due()) is not None:
-            estimate = identifier.update(due)
-            assert estimate is not None
+        for estimate in identifier.advance():
             estimates.append(estimate)
             losing.append(estimate.fit < identifier.running_fit.hold)
     return _as_arrays(estimates, int(case.imu_t_ns[0]), np.array(losing))

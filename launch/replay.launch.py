@@ -20,24 +20,23 @@ from launch.actions import (
 )
 from launch.conditions import IfCondition
 from launch.event_handlers import OnProcessExit
-from launch.substitutions import (
-    FindExecutable,
-    LaunchConfiguration,
-    NotEqualsSubstitution,
-    PathJoinSubstitution,
+from launch.substitutions import FindExecutable, LaunchConfiguration, NotEqualsSubstitution
+
+from uav_ident_ros.launching import (
+    LaunchError,
+    argument,
+    common_arguments,
+    fails_with,
+    files_exist,
+    in_config,
+    node,
+    remappings,
+    topic_arguments,
 )
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterFile
-from launch_ros.substitutions import FindPackageShare
-
-from uav_ident_ros.launching import LaunchError, fails_with, files_exist
-
-PACKAGE = "uav_ident_ros"
-DEFAULT_PARAMS = "identifier.yaml"
 
 CLOCK_RATE = "200.0"
 """Rate of /clock, Hz: unstamped messages are stamped with it when they arrive, and the default of
-`ros2 bag play`, 40 Hz, would put them up to 25 ms off."""
+`ros2 bag play`, 40 Hz, would put them up to 25 ms off. Raise it with the argument rate."""
 
 START_DELAY = "3.0"
 """Time for the node and the recorder to find the player before it begins, s: a best-effort
@@ -51,67 +50,6 @@ RECORDED = f"/{NODE}/|^/diagnostics$"
 """Regular expression of the topics that are recorded: the node's own, in any namespace."""
 
 
-def declare_arguments() -> list[DeclareLaunchArgument]:
-    """Return the arguments that `ros2 launch --show-args` lists."""
-    return [
-        DeclareLaunchArgument("bag", description="The bag to play: a rosbag2 folder or MCAP file"),
-        DeclareLaunchArgument(
-            "params_file",
-            default_value=PathJoinSubstitution(
-                [FindPackageShare(PACKAGE), "config", DEFAULT_PARAMS]
-            ),
-            description="ROS 2 parameter file of the vehicle. Default: every parameter at its"
-            " default",
-        ),
-        DeclareLaunchArgument("namespace", default_value="", description="Namespace of the node"),
-        DeclareLaunchArgument(
-            "imu_topic", default_value="/imu/data", description="Topic of the Imu in the bag"
-        ),
-        DeclareLaunchArgument(
-            "actuators_topic",
-            default_value="/actuators",
-            description="Topic of the actuator array in the bag",
-        ),
-        DeclareLaunchArgument(
-            "airspeed_topic",
-            default_value="/airspeed",
-            description="Topic of the airspeed in the bag, if airspeed.type is set",
-        ),
-        DeclareLaunchArgument(
-            "armed_topic",
-            default_value="/armed",
-            description="Topic of whether it is armed in the bag, if armed.type is set",
-        ),
-        DeclareLaunchArgument(
-            "excitation_topic",
-            default_value="/excitation",
-            description="Topic of what was injected into the inputs, if the bag has one",
-        ),
-        DeclareLaunchArgument(
-            "rate", default_value="1.0", description="Speed of the playback, 1.0 for real time"
-        ),
-        DeclareLaunchArgument(
-            "clock_rate",
-            default_value=CLOCK_RATE,
-            description="Rate of /clock, Hz of the computer's time: raise it with rate",
-        ),
-        DeclareLaunchArgument(
-            "start_delay", default_value=START_DELAY, description="Wait before the playback, s"
-        ),
-        DeclareLaunchArgument(
-            "record",
-            default_value="",
-            description="Folder of a new bag with the node's topics; empty: record nothing",
-        ),
-        DeclareLaunchArgument(
-            "log_level",
-            default_value="info",
-            choices=["debug", "info", "warn", "error", "fatal"],
-            description="Least severe message that is logged",
-        ),
-    ]
-
-
 def check_recording(context: LaunchContext) -> None:
     """End the launch if it cannot play or record, before a process is started."""
     FindExecutable(name="ros2").perform(context)
@@ -122,27 +60,9 @@ def check_recording(context: LaunchContext) -> None:
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` executes."""
-    identifier = Node(
-        package=PACKAGE,
-        executable=NODE,
-        name=NODE,
-        namespace=LaunchConfiguration("namespace"),
-        # the later entry wins: neither the clock nor what other flights have shown is the file's
-        parameters=[
-            ParameterFile(LaunchConfiguration("params_file")),
-            {"use_sim_time": True, "state_file": "none"},
-        ],
-        remappings=[
-            ("imu/data", LaunchConfiguration("imu_topic")),
-            ("actuators", LaunchConfiguration("actuators_topic")),
-            ("airspeed", LaunchConfiguration("airspeed_topic")),
-            ("armed", LaunchConfiguration("armed_topic")),
-            ("excitation", LaunchConfiguration("excitation_topic")),
-        ],
-        ros_arguments=["--log-level", LaunchConfiguration("log_level")],
-        output="screen",
-        emulate_tty=True,
-    )
+    # neither the clock nor what other flights have shown is the file's
+    own = {"use_sim_time": True, "state_file": "none"}
+    identifier = node(NODE, NODE, own, remappings=remappings())
     recorder = ExecuteProcess(
         cmd=[
             *(FindExecutable(name="ros2"), "bag", "record"),
@@ -170,7 +90,13 @@ def generate_launch_description() -> LaunchDescription:
     )
     return LaunchDescription(
         [
-            *declare_arguments(),
+            *common_arguments(in_config("identifier.yaml")),
+            DeclareLaunchArgument("bag", description="Bag to play: a rosbag2 folder or MCAP file"),
+            argument("rate", "Speed of the playback, 1.0 for real time", "1.0"),
+            argument("clock_rate", "Rate of /clock, Hz of the computer's time", CLOCK_RATE),
+            argument("start_delay", "Wait before the playback, s", START_DELAY),
+            argument("record", "Folder of a new bag with the node's topics; empty: none"),
+            *topic_arguments("/"),  # a bag's topics do not follow the node's namespace
             files_exist("params_file", "bag"),
             OpaqueFunction(function=check_recording),
             *fails_with(identifier, recorder, player),

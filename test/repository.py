@@ -5,7 +5,11 @@ from __future__ import annotations
 
 import re
 import runpy
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from unittest import mock
 
@@ -26,3 +30,59 @@ def console_scripts() -> dict[str, str]:
     """Executables and what they call."""
     lines = setup_arguments()["entry_points"]["console_scripts"]
     return dict(re.split(r"\s*=\s*", line, maxsplit=1) for line in lines)
+
+
+# --- launch files, without launch: a stand-in for each class keeps what it was made of ---------
+
+MODULES = (
+    "launch", "launch.action", "launch.actions", "launch.conditions", "launch.event_handlers",
+    "launch.events", "launch.events.process", "launch.some_entities_type", "launch.substitutions",
+    "launch_ros", "launch_ros.actions", "launch_ros.parameter_descriptions",
+    "launch_ros.substitutions",
+)  # fmt: skip
+
+
+@dataclass
+class Made:
+    """An object of launch: its class, and what it was made of."""
+
+    kind: str
+    args: tuple[Any, ...]
+    named: dict[str, Any]
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self.args[0]]
+
+
+class StandIn(ModuleType):
+    """A module of launch: calling one of its classes keeps the arguments."""
+
+    def __getattr__(self, kind: str) -> Any:
+        return lambda *args, **named: Made(kind, args, named)
+
+
+def launch_entries(path: Path) -> list[Made]:
+    """What the description of a launch file holds."""
+    with mock.patch.dict(sys.modules, {name: StandIn(name) for name in MODULES}):
+        sys.modules.pop("uav_ident_ros.launching", None)
+        return list(runpy.run_path(str(path))["generate_launch_description"]().args[0])
+
+
+def everything(value: Any) -> Iterator[Made]:
+    """Every object of launch in a description, however deep."""
+    if isinstance(value, Made):
+        yield value
+        value = [*value.args, *value.named.values()]
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for item in value:
+            yield from everything(item)
+
+
+def read_arguments(made: list[Made]) -> set[str]:
+    return {m.args[0] for m in everything(made) if m.kind == "LaunchConfiguration"}
+
+
+def launch_arguments(made: list[Made]) -> list[Made]:
+    return [m for m in made if m.kind == "DeclareLaunchArgument"]

@@ -44,9 +44,7 @@ class Flight:
             self.identifier.add_actuators(stamp_ns, (rate, 0.0, 0.0, 0.5))
             self.identifier.add_rates(stamp_ns, (rate, 0.0, 0.0))
             self.words.settle()
-            while (t_ns := self.identifier.due()) is not None:
-                estimate = self.identifier.update(t_ns)
-                assert estimate is not None
+            for estimate in self.identifier.advance():
                 reason = estimate.reason
         return reason
 

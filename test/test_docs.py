@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import re
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from estimates import as_message, estimate_of
-from repository import ROOT, console_scripts
+from repository import ROOT, console_scripts, launch_arguments, launch_entries
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.client import Refusal
@@ -143,7 +142,8 @@ def test_every_command_exists_and_knows_its_options(page: Path) -> None:
         elif words[:3] == ["ros2", "run", "uav_ident_ros"]:
             assert words[3] in executables
         elif words[:3] == ["ros2", "launch", "uav_ident_ros"]:
-            check_launch_arguments(ROOT / "launch" / words[3], words[4:])
+            declared = launch_arguments(launch_entries(ROOT / "launch" / words[3]))
+            assert {word.split(":=")[0] for word in words[4:]} <= {m.args[0] for m in declared}
 
 
 def test_replay_commands_fit_the_bags_that_they_name() -> None:
@@ -188,18 +188,6 @@ def help_of(module: str, cache: dict[str, str] = {}) -> str:  # noqa: B006  (a c
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
         cache[module] = re.sub(r"[\[\],]", " ", done.stdout)
     return cache[module]
-
-
-def check_launch_arguments(launch_file: Path, words: list[str]) -> None:
-    declared = {
-        call.args[0].value
-        for call in ast.walk(ast.parse(text_of(launch_file)))
-        if isinstance(call, ast.Call)
-        and isinstance(call.func, ast.Name)
-        and call.func.id == "DeclareLaunchArgument"
-        and isinstance(call.args[0], ast.Constant)
-    }
-    assert {word.split(":=")[0] for word in words} <= declared
 
 
 def test_the_executables_listed_are_those_installed() -> None:
@@ -309,35 +297,6 @@ def test_the_controller_of_the_readme_inverts_the_model_and_heeds_the_verdict() 
 
 
 # --- architecture ----------------------------------------------------------------------------
-
-
-def imports_of(path: Path) -> set[str]:
-    """Modules that a file imports anywhere, with full names."""
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(text_of(path))):
-        if isinstance(node, ast.Import):
-            names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names.add(node.module)
-    return names
-
-
-NODE_MODULES = {"node"}
-OFFLINE_MODULES = {"bags", "offline", "report"}
-
-
-def test_the_node_and_the_replay_do_not_import_each_other() -> None:
-    for module, forbidden in [
-        *((name, OFFLINE_MODULES) for name in NODE_MODULES),
-        *((name, NODE_MODULES) for name in OFFLINE_MODULES),
-    ]:
-        imported = {
-            name.removeprefix("uav_ident_ros.").split(".")[0]
-            for path in [*PACKAGE.glob(f"{module}.py"), *(PACKAGE / module).glob("*.py")]
-            for name in imports_of(path)
-        }
-        assert imported, module
-        assert not imported & forbidden, f"{module} imports {imported & forbidden}"
 
 
 def test_every_module_of_the_table_exists() -> None:

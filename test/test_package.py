@@ -16,18 +16,14 @@ import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
 from repository import ROOT, console_scripts, setup_arguments
 
-from uav_ident_ros.client import Coefficients
 from uav_ident_ros.domain import own_domain
-from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.node.saving import FINISH_WITHIN
 from uav_ident_ros.node.startup import USAGE_ERROR
-from uav_ident_ros.simulation import closed_loop
 
 PACKAGE = "uav_ident_ros"
 SPDX = "SPDX-License-Identifier: Apache-2.0"
@@ -284,6 +280,16 @@ def test_node_runs_without_the_offline_packages():
     assert not {name: found for name, found in offending.items() if found}
 
 
+def test_the_node_and_the_offline_tools_do_not_import_each_other():
+    offline = {"bags", "offline", "report"}
+    for module in ("node", *offline):
+        files = (ROOT / PACKAGE / module).rglob("*.py")
+        imported = {n for path in files for n in imports(path, lazy=True) if n.startswith(PACKAGE)}
+        reached = {name.split(".")[1] for name in imported if "." in name}
+        assert reached, module
+        assert not reached & (offline if module == "node" else {"node"}), module
+
+
 def test_shared_files_are_installed():
     installed = {name for _, names in setup_arguments()["data_files"] for name in names}
     expected = {
@@ -337,193 +343,6 @@ def test_locks_fix_every_version():
         pins = [line for line in lines if line and not line.startswith("#")]
         assert pins
         assert not [line for line in pins if not re.match(r"[\w.-]+==[\w.]+( ;|$)", line)]
-
-
-LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
-CLOSED_LOOP_LAUNCH = ROOT / "launch" / "closed_loop.launch.py"
-OF_THE_IDENTIFIER = [path for path in LAUNCH_FILES if path != CLOSED_LOOP_LAUNCH]
-"""Those that start the identifier alone."""
-
-
-def launch_calls(path: Path, name: str) -> list[ast.Call]:
-    return [
-        node
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Call) and getattr(node.func, "id", None) == name
-    ]
-
-
-@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
-def test_launch_arguments_are_declared_and_used(path: Path):
-    """Without launch installed: every declared argument is read, and none that is undeclared."""
-    calls = launch_calls(path, "DeclareLaunchArgument")
-    declared = [ast.literal_eval(call.args[0]) for call in calls]
-    used = {ast.literal_eval(call.args[0]) for call in launch_calls(path, "LaunchConfiguration")}
-
-    assert len(declared) == len(set(declared))
-    assert set(declared) == used
-    assert {"params_file", "namespace", "log_level"} <= used
-    for call in calls:
-        assert any(word.arg == "description" for word in call.keywords)
-
-
-@pytest.mark.parametrize("path", OF_THE_IDENTIFIER, ids=lambda path: path.name)
-def test_launch_can_rename_every_input(path: Path):
-    """Each remap's left side is a topic of the node, its right side an argument of that default."""
-    (node,) = launch_calls(path, "Node")
-    (remappings,) = (word.value for word in node.keywords if word.arg == "remappings")
-    arguments = {
-        ast.literal_eval(pair.elts[0]): ast.literal_eval(pair.elts[1].args[0])
-        for pair in remappings.elts
-    }
-    assert set(arguments) == {stream.topic for stream in STREAMS}
-    defaults = {
-        ast.literal_eval(call.args[0]): word.value
-        for call in launch_calls(path, "DeclareLaunchArgument")
-        for word in call.keywords
-        if word.arg == "default_value"
-    }
-    for topic, argument in arguments.items():
-        # a bag's topics do not follow the node's namespace
-        assert ast.literal_eval(defaults[argument]).removeprefix("/") == topic
-
-
-@pytest.mark.parametrize("path", OF_THE_IDENTIFIER, ids=lambda path: path.name)
-def test_launch_file_starts_what_the_package_installs(path: Path):
-    (node,) = launch_calls(path, "Node")
-    constants = constants_of(path)
-    values = {word.arg: word.value for word in node.keywords}
-    executable = values["executable"]
-    name = constants[executable.id] if isinstance(executable, ast.Name) else executable.value
-    assert name in console_scripts()
-    assert constants["PACKAGE"] == PACKAGE
-    assert constants["DEFAULT_PARAMS"] == "identifier.yaml"  # defaults, not a vehicle's or paper's
-    assert (ROOT / "config" / constants["DEFAULT_PARAMS"]).is_file()
-
-
-def test_launch_of_a_bag():
-    """Without launch installed: the clock, the topics that are recorded, the end."""
-    path = ROOT / "launch" / "replay.launch.py"
-    constants = constants_of(path)
-    assert float(constants["CLOCK_RATE"]) == 200.0
-    source = path.read_text()
-    recorded = ast.literal_eval(source.split("RECORDED = f")[1].splitlines()[0])
-    pattern = recorded.replace("{NODE}", constants["NODE"])
-    for topic in ("/identifier/coefficients_named", "/drone1/identifier/coefficients"):
-        assert re.search(pattern, topic)
-    assert re.search(pattern, "/diagnostics")
-    for topic in ("/imu/data", "/clock", "/rosout", "/other/diagnostics_agg"):
-        assert not re.search(pattern, topic)
-    commands = [ast.unparse(call) for call in launch_calls(path, "ExecuteProcess")]
-    assert len(commands) == 2
-    assert all("FindExecutable(name='ros2'), 'bag'" in command for command in commands)
-    (player,) = [command for command in commands if "'play'" in command]
-    assert "'--clock', LaunchConfiguration('clock_rate')" in player
-    # what follows an option without a value would be taken for it
-    assert player.index("LaunchConfiguration('bag')") < player.index("'--clock'")
-    assert "'state_file': 'none'" in ast.unparse(launch_calls(path, "Node")[0])
-
-
-def test_launch_of_the_closed_loop():
-    """Without launch installed: its nodes, and that its parameter file has a section for each."""
-    calls = launch_calls(CLOSED_LOOP_LAUNCH, "node")
-    started = {ast.literal_eval(call.args[0]): ast.literal_eval(call.args[1]) for call in calls}
-    (faults,) = (
-        value
-        for call in calls
-        if isinstance(call.args[2], ast.Dict)
-        for key, value in zip(call.args[2].keys, call.args[2].values, strict=True)
-        if isinstance(key, ast.Constant) and key.value == "faults"
-    )
-    # launch_ros joins the pieces, reads the text as YAML, and needs exactly the type
-    assert ast.unparse(faults.keywords[0]) == "value_type=list[str]"
-    for fault in ("", "60: aileron effect 0.5"):
-        pieces = [
-            piece.value if isinstance(piece, ast.Constant) else fault
-            for piece in faults.args[0].elts
-        ]
-        assert yaml.safe_load("".join(pieces)) == [fault]
-    assert set(started) <= set(console_scripts())
-    assert set(started.values()) == set(closed_loop.MODULES)
-    constants = constants_of(CLOSED_LOOP_LAUNCH)
-    folder = ROOT / "config" / "closed_loop"
-    sections = yaml.safe_load((folder / constants["PARAMS"]).read_text())
-    # a node refuses a file that has nothing for it
-    assert {key.rpartition("/")[2] for key in sections} == set(started.values())
-    assert Coefficients.from_file(folder / constants["COEFFICIENTS"]).known.any()
-
-
-def constants_of(path: Path) -> dict[str, Any]:
-    """Return a file's module-level literal assignments, without running it."""
-    return {
-        node.targets[0].id: ast.literal_eval(node.value)
-        for node in ast.parse(path.read_text()).body
-        if isinstance(node, ast.Assign)
-        and isinstance(node.targets[0], ast.Name)
-        and isinstance(node.value, ast.Constant)
-    }
-
-
-@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
-def test_launch_description_builds(path: Path):
-    pytest.importorskip("launch_ros", reason="launch comes with apt ROS only")
-    launch = importlib.import_module("launch")
-    description = runpy.run_path(str(path))["generate_launch_description"]()
-    assert isinstance(description, launch.LaunchDescription)
-    assert "params_file" in {argument.name for argument in description.get_launch_arguments()}
-
-
-def launched(*arguments: str, launch_file: str) -> subprocess.CompletedProcess[str]:
-    """Run a launch file; skip where there is no `ros2` that knows this package."""
-    if (
-        shutil.which("ros2") is None
-        or subprocess.run(
-            ["ros2", "pkg", "prefix", PACKAGE], capture_output=True, check=False
-        ).returncode
-    ):
-        pytest.skip("there is no ros2 with this package here")
-    command = ["ros2", "launch", PACKAGE, launch_file, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
-
-
-@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
-def test_launch_ends_aloud_without_its_parameter_file(path: Path, tmp_path: Path):
-    """launch_ros itself warns, and starts the node on its defaults."""
-    missing = tmp_path / "none.yaml"
-    arguments = [f"params_file:={missing}"]
-    if path.name == "replay.launch.py":
-        arguments.append(f"bag:={tmp_path}")
-    run = launched(*arguments, launch_file=path.name)
-    assert run.returncode == 1
-    assert f"params_file '{missing}': there is no such file" in run.stdout + run.stderr
-    assert "process started" not in run.stdout + run.stderr
-
-
-def test_launch_ends_with_a_dead_process(tmp_path: Path):
-    """The identifier refuses the file with status 2; launch says so by its own."""
-    wrong = tmp_path / "wrong.yaml"
-    wrong.write_text("/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n")
-    run = launched(f"params_file:={wrong}", launch_file="identifier.launch.py")
-    assert run.returncode == 1
-    assert "ended with status 2" in run.stdout + run.stderr
-
-
-@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
-def test_launch_checks_before_it_starts(path: Path):
-    """Without launch installed: what is started before an error would be left behind."""
-    (function,) = (
-        node
-        for node in ast.parse(path.read_text()).body
-        if isinstance(node, ast.FunctionDef) and node.name == "generate_launch_description"
-    )
-    entries = [ast.unparse(item) for item in function.body[-1].value.args[0].elts]
-    check = next(i for i, entry in enumerate(entries) if entry.startswith("files_exist("))
-    watch = next(i for i, entry in enumerate(entries) if entry.startswith("*fails_with("))
-    processes = [i for i, entry in enumerate(entries) if re.fullmatch(r"\*?[a-z]+", entry)]
-    assert processes
-    assert max(check, watch) < min(processes)
-    watched = {word.strip("*") for word in re.findall(r"\*?[a-z]+", entries[watch].split("(")[1])}
-    assert {entries[i].strip("*") for i in processes} - {"end"} <= watched
 
 
 def test_programs_side_by_side_get_domains_of_their_own() -> None:

@@ -90,8 +90,7 @@ def fed_by_hand(
                 identifier.add_actuators(stamp_ns, tuple(message.position))
             else:
                 identifier.add_actuators(stamp_ns, tuple(message.data))
-            while (t_ns := identifier.due()) is not None:
-                estimates.append(identifier.update(t_ns))
+            estimates += identifier.advance()
     return identifier, estimates
 
 

@@ -1,17 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files share: they fail aloud, with a status, and leave nobody behind."""
+"""What the launch files share: arguments, nodes, and an end with a status when one fails."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from launch import LaunchContext
 from launch.action import Action
-from launch.actions import OpaqueFunction, RegisterEventHandler
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events.process import ProcessExited
 from launch.some_entities_type import SomeEntitiesType
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterFile
+from launch_ros.substitutions import FindPackageShare
+
+from uav_ident_ros.messages.streams import STREAMS
+
+PACKAGE = "uav_ident_ros"
 
 WRONGLY_STARTED = 2
 """Exit status of a program that was started wrongly: starting it again would not help."""
@@ -19,6 +27,74 @@ WRONGLY_STARTED = 2
 
 class LaunchError(Exception):
     """Why a launch cannot go on: launch says it, ends all processes, and its own status is 1."""
+
+
+def in_config(*parts: str) -> PathJoinSubstitution:
+    """Return the path of an installed configuration."""
+    return PathJoinSubstitution([FindPackageShare(PACKAGE), "config", *parts])
+
+
+def argument(
+    name: str, description: str, default: Any = "", choices: list[str] | None = None
+) -> DeclareLaunchArgument:
+    """Return an argument that `ros2 launch --show-args` lists."""
+    return DeclareLaunchArgument(
+        name, default_value=default, description=description, choices=choices
+    )
+
+
+def flag(name: str, description: str, default: str = "false") -> DeclareLaunchArgument:
+    """Return an argument that is true or false."""
+    return argument(name, description, default, ["true", "false"])
+
+
+def common_arguments(params_file: PathJoinSubstitution) -> list[DeclareLaunchArgument]:
+    """Return the arguments that `node` reads: parameter file, namespace, level of the log."""
+    levels = ["debug", "info", "warn", "error", "fatal"]
+    return [
+        argument(
+            "params_file",
+            "ROS 2 parameter file; its sections are the full names of nodes, or /**",
+            params_file,
+        ),
+        argument("namespace", "Namespace of the nodes, one for each vehicle"),
+        argument("log_level", "Least severe message that is logged", "info", levels),
+    ]
+
+
+def topic_arguments(prefix: str = "") -> list[DeclareLaunchArgument]:
+    """Return an argument for the topic of each input; its default is the input's name."""
+    arguments = []
+    for stream in STREAMS:
+        words = f"Topic of the input {stream.topic}"
+        if stream.optional and stream.setting:
+            words += f"; it is read if the parameter {stream.setting} names its type"
+        arguments.append(argument(_topic_argument(stream.topic), words, prefix + stream.topic))
+    return arguments
+
+
+def remappings() -> list[tuple[str, LaunchConfiguration]]:
+    """Return each input with the argument that names its topic."""
+    return [(s.topic, LaunchConfiguration(_topic_argument(s.topic))) for s in STREAMS]
+
+
+def _topic_argument(topic: str) -> str:
+    return f"{topic.split('/')[0]}_topic"
+
+
+def node(executable: str, name: str, parameters: dict[str, Any], **options: Any) -> Node:
+    """Return a node of this package; its parameters win over those of the parameter file."""
+    return Node(
+        package=PACKAGE,
+        executable=executable,
+        name=name,
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[ParameterFile(LaunchConfiguration("params_file")), parameters],
+        ros_arguments=["--log-level", LaunchConfiguration("log_level")],
+        output="screen",
+        emulate_tty=True,
+        **options,
+    )
 
 
 def files_exist(*arguments: str) -> OpaqueFunction:

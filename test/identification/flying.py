@@ -94,10 +94,7 @@ def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimat
     estimates = []
     for message in stream:
         give(identifier, message)
-        while (due := identifier.due()) is not None:
-            estimate = identifier.update(due)
-            assert estimate is not None
-            estimates.append(estimate)
+        estimates += identifier.advance()
     return estimates
 
 

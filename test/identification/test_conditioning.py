@@ -177,8 +177,7 @@ def test_memory_stays_bounded(feed: str, own: dict[str, Any], interval: int) -> 
             identifier.add_rates(t, (0.1, 0.0, 0.0), (0.0, 0.0, 9.8))
         if feed != "rates" and k % 4 == 0:
             identifier.add_actuators(t, (0.0, 0.0, 0.0, 0.0))
-        while (due := identifier.due()) is not None:
-            identifier.update(due)
+        list(identifier.advance())
         if k % (1000 // interval) == 0:
             sizes.append(held(identifier))
     assert max(sizes[15:]) < 600

@@ -258,8 +258,7 @@ def test_the_identifier_knows_attitude_and_airspeed_for_the_limits() -> None:
         identifier.add_actuators(t_ns, (0.0,) * 4)
         identifier.add_airspeed(t_ns, 18.0)
         identifier.add_rates(t_ns, (1e-3 * (k % 2), 0.0, 0.0), force)
-        while (due := identifier.due()) is not None:
-            identifier.update(due)
+        list(identifier.advance())
     flying = identifier.flying()
     assert (flying.roll, flying.pitch) == pytest.approx((0.5, 0.2), abs=0.02)
     assert flying.airspeed == 18.0

@@ -80,8 +80,7 @@ def identifier_over(stream: list[tuple[str, int, tuple[float, ...]]]) -> OnlineI
             identifier.add_actuators(t_ns, values)
         else:
             identifier.add_excitation(t_ns, values)
-        while (due := identifier.due()) is not None:
-            identifier.update(due)
+        list(identifier.advance())
     return identifier
 
 

@@ -341,8 +341,7 @@ def run(signals: Signals, **settings: Any) -> list[Any]:
             identifier.add_rates(t_ns, v[:3], v[3:])
         else:
             identifier.add_actuators(t_ns, v)
-        while (due := identifier.due()) is not None:
-            estimates.append(identifier.update(due))
+        estimates += identifier.advance()
     return estimates
 
 

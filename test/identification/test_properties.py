@@ -129,10 +129,7 @@ class World:
 
     def update(self) -> None:
         """Compute what is due."""
-        while (due := self.identifier.due()) is not None:
-            estimate = self.identifier.update(due)
-            assert estimate is not None
-            self.estimates.append(estimate)
+        self.estimates += self.identifier.advance()
 
 
 Event = Callable[[World], None]

@@ -76,16 +76,14 @@ def identify(
             {"structure": STRUCTURE.name, "imu.convention": "frd", "forgetting_time": 0.0, **values}
         )
     )
-    estimate = None
+    estimates: list[Estimate] = []
     for t, x, u in zip(*flown, strict=True):
         t_ns = START_NS + round(t * 1e9)
         identifier.add_actuators(t_ns, u.tolist())
         identifier.add_airspeed(t_ns, float(airspeed(t)))
         identifier.add_rates(t_ns, x.tolist())
-        while (due := identifier.due()) is not None:
-            estimate = identifier.update(due)
-    assert estimate is not None
-    return identifier, estimate
+        estimates += identifier.advance()
+    return identifier, estimates[-1]
 
 
 def test_one_set_of_coefficients_over_all_speeds(
@@ -113,16 +111,15 @@ def test_it_waits_for_the_first_airspeed(
     identifier = OnlineIdentifier(
         Settings.from_values({"structure": STRUCTURE.name, "airspeed.type": "std_msgs/msg/Float64"})
     )
-    estimate = None
+    estimates: list[Estimate] = []
     for t, x, u in list(zip(*flown, strict=True))[:600]:
         t_ns = START_NS + round(t * 1e9)
         identifier.add_actuators(t_ns, u.tolist())
         identifier.add_rates(t_ns, x.tolist())
-        while (due := identifier.due()) is not None:
-            estimate = identifier.update(due)
-    assert estimate is not None
-    assert (estimate.state, estimate.reason) == ("waiting", "waiting for airspeed")
-    assert not estimate.coefficients.any()
+        estimates += identifier.advance()
+    last = estimates[-1]
+    assert (last.state, last.reason) == ("waiting", "waiting for airspeed")
+    assert not last.coefficients.any()
 
 
 def test_bad_airspeeds_are_dropped_and_counted() -> None:

@@ -72,9 +72,6 @@ def test_ticks_end_with_the_last_stamp() -> None:
     for k in range(400):
         identifier.add_rates(start + k * S // 200, (0.0, 0.01 * (k % 7), 0.0))
         identifier.add_actuators(start + k * S // 200, (0.0, 0.0, 0.0, 0.0))
-        while (due := identifier.due()) is not None:
-            estimate = identifier.update(due)
-            assert estimate is not None
-            ticks.append(estimate.t_ns)
+        ticks += [estimate.t_ns for estimate in identifier.advance()]
     assert ticks
     assert max(ticks) <= LATEST_STAMP

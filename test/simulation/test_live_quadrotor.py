@@ -55,8 +55,7 @@ def flown(seconds: float, *faults: str, identifier: OnlineIdentifier | None = No
             measured = (sample.measured_rates * FRD_TO_FLU, sample.measured_force * FRD_TO_FLU)
             identifier.add_actuators(t_ns, craft.outputs.tolist())
             identifier.add_rates(t_ns, *(part.tolist() for part in measured))
-            while (due := identifier.due()) is not None:
-                identifier.update(due)
+            list(identifier.advance())
         craft.advance()
         errors.append(sample.rates - reference)
     assert np.ptp(craft.outputs) < 1.0

@@ -8,7 +8,7 @@ samples give the same estimates, bit for bit, however they were batched.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -413,6 +413,12 @@ class OnlineIdentifier:
     def due(self) -> int | None:
         """Time of the next tick that may be computed, ns; None if none is due."""
         return self._intake.due
+
+    def advance(self) -> Iterator[Estimate]:
+        """Compute the ticks that are due, one by one; yield the estimate of each."""
+        while (t_ns := self.due()) is not None:
+            if (estimate := self.update(t_ns)) is not None:
+                yield estimate
 
     @property
     def next_due_ns(self) -> int:

@@ -176,13 +176,11 @@ class OfflineRun:
     def _tick(self) -> None:
         """Compute the ticks that are due."""
         identifier = self.identifier
-        while (t_ns := identifier.due()) is not None:
-            estimate = identifier.update(t_ns)
-            if estimate is not None:
-                self.estimates.append(estimate)
-                context = (self.intake.era, identifier.delay)
-                last = self._contexts[-1] if self._contexts else None
-                self._contexts.append(last if last == context else context)
+        for estimate in identifier.advance():
+            self.estimates.append(estimate)
+            context = (self.intake.era, identifier.delay)
+            last = self._contexts[-1] if self._contexts else None
+            self._contexts.append(last if last == context else context)
 
     # -- results ---------------------------------------------------------------------------
 

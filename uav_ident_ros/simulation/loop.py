@@ -168,10 +168,7 @@ def _identify(
 ) -> None:
     identifier.add_actuators(t_ns, outputs.tolist())
     identifier.add_rates(t_ns, sample.measured_rates.tolist(), sample.measured_force.tolist())
-    while (due := identifier.due()) is not None:
-        estimate = identifier.update(due)
-        if estimate is None:
-            continue
+    for estimate in identifier.advance():
         source.add(message_of(identifier, estimate))
         outcome.usable.append(((estimate.t_ns - EPOCH_NS) * 1e-9, estimate.usable_rows))
     for change in identifier.changed[len(outcome.changes) :]:

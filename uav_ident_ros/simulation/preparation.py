@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.files.coefficients_file import save_coefficients
-from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
@@ -77,7 +77,8 @@ def prepare(
 def identify(measurements: Measurements, **settings: Any) -> CoefficientSet:
     """Run the identifier over a flight, online, and return what it has at the end."""
     identifier = OnlineIdentifier(Settings.from_values({**parameters(measurements), **settings}))
-    m, estimate, told = measurements, None, 0
+    m, told = measurements, 0
+    estimates: list[Estimate] = []
     samples = zip(m.imu_t_ns.tolist(), m.rates.tolist(), m.specific_force.tolist(), strict=True)
     upto = np.searchsorted(m.actuator_t_ns, m.imu_t_ns, side="right").tolist()
     for (t_ns, rates, force), known in zip(samples, upto, strict=True):
@@ -85,13 +86,11 @@ def identify(measurements: Measurements, **settings: Any) -> CoefficientSet:
             identifier.add_actuators(int(m.actuator_t_ns[k]), m.actuators[k].tolist())
         told = known
         identifier.add_rates(t_ns, rates, force)
-        while (due := identifier.due()) is not None:
-            estimate = identifier.update(due)
-    if estimate is None:
+        estimates += identifier.advance()
+    if not estimates:
         raise SimulationError("the flight is too short to identify anything")
-    return CoefficientSet(
-        identifier.settings.structure, estimate.coefficients, estimate.sigma, estimate.t_ns
-    )
+    last = estimates[-1]
+    return CoefficientSet(identifier.settings.structure, last.coefficients, last.sigma, last.t_ns)
 
 
 def widened(found: CoefficientSet) -> CoefficientSet:

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The launch files: their arguments, nodes and order; started by `ros2 launch` where there is one.
+
+Everything but the last tests runs without launch, which is not on PyPI.
+"""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shutil
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+from repository import ROOT, Made, console_scripts, launch_arguments, launch_entries, read_arguments
+
+from uav_ident_ros.client import Coefficients
+from uav_ident_ros.messages.streams import STREAMS
+from uav_ident_ros.simulation import closed_loop
+
+PACKAGE = "uav_ident_ros"
+FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+EACH = pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+PROCESSES = ("Node", "ExecuteProcess")
+
+
+def nodes(made: list[Made]) -> list[dict[str, Any]]:
+    return [m.named for m in made if m.kind == "Node"]
+
+
+def launch_file(name: str) -> list[Made]:
+    return launch_entries(ROOT / "launch" / f"{name}.launch.py")
+
+
+@EACH
+def test_arguments_are_declared_described_and_used(path: Path) -> None:
+    made = launch_entries(path)
+    declared = [m.args[0] for m in launch_arguments(made)]
+    assert sorted(declared) == sorted(read_arguments(made))
+    assert {"params_file", "namespace", "log_level"} <= read_arguments(made)
+    assert all(m.named["description"] for m in launch_arguments(made))
+
+
+@pytest.mark.parametrize("name", ["identifier", "replay"])
+def test_every_input_can_be_renamed(name: str) -> None:
+    made = launch_file(name)
+    (node,) = nodes(made)
+    arguments = {topic: value.args[0] for topic, value in node["remappings"]}
+    assert set(arguments) == {stream.topic for stream in STREAMS}
+    defaults = {m.args[0]: m.named.get("default_value") for m in launch_arguments(made)}
+    # a bag's topics do not follow the node's namespace
+    before = "/" if name == "replay" else ""
+    assert all(defaults[argument] == before + topic for topic, argument in arguments.items())
+    assert node["executable"] in console_scripts() and node["package"] == PACKAGE
+    *_, file = defaults["params_file"].args[0]
+    assert file == "identifier.yaml"  # the defaults, not those of a vehicle or the paper
+    assert (ROOT / "config" / file).is_file()
+
+
+@EACH
+def test_it_checks_before_it_starts_and_watches_every_process(path: Path) -> None:
+    """What is started before an error would be left behind."""
+    made = launch_entries(path)
+    kinds = [m.kind for m in made]
+    first = min(k for k, kind in enumerate(kinds) if kind in PROCESSES)
+    watched = [m.args[0].named for m in made[:first] if m.kind == "RegisterEventHandler"]
+    judges = [w["on_exit"] for w in watched if callable(w["on_exit"])]
+    processes = [m for m in made if m.kind in PROCESSES]
+    assert [w["target_action"] for w in watched if callable(w["on_exit"])] == processes
+    assert "OpaqueFunction" not in kinds[first:]
+
+    check = made[kinds.index("OpaqueFunction")].named["function"]
+    context = dict.fromkeys(read_arguments(made), str(path))
+    check(context)
+    with pytest.raises(Exception, match=r"params_file 'none\.yaml': there is no such file"):
+        check(context | {"params_file": "none.yaml"})
+
+    class Context(dict[str, str]):
+        is_shutdown = False
+
+    ended = SimpleNamespace(process_name="identifier", returncode=0)
+    judges[0](ended, Context(respawn="false"))
+    ended.returncode = -9
+    with pytest.raises(Exception, match="'identifier' ended with status -9"):
+        judges[0](ended, Context(respawn="false"))
+    if path.name == "identifier.launch.py":
+        judges[0](ended, Context(respawn="true"))  # it is started again
+        ended.returncode = 2  # wrongly started: again would not help
+        with pytest.raises(Exception, match="status 2"):
+            judges[0](ended, Context(respawn="true"))
+
+
+def test_a_bag_is_played_on_its_own_clock_and_the_nodes_topics_are_recorded() -> None:
+    recorder, player = (m.named["cmd"] for m in launch_file("replay") if m.kind == "ExecuteProcess")
+    for command in (recorder, player):
+        assert (command[0].named, command[1]) == ({"name": "ros2"}, "bag")
+    pattern = recorder[-1]
+    for topic in ("/identifier/coefficients_named", "/drone1/identifier/coefficients"):
+        assert re.search(pattern, topic)
+    assert re.search(pattern, "/diagnostics")
+    for topic in ("/imu/data", "/clock", "/rosout", "/other/diagnostics_agg"):
+        assert not re.search(pattern, topic)
+    words = [word.args[0] if isinstance(word, Made) and word.args else word for word in player[1:]]
+    # what follows an option without a value would be taken for it
+    assert words[:5] == ["bag", "play", "bag", "--clock", "clock_rate"]
+    (node,) = nodes(launch_file("replay"))
+    assert node["parameters"][1] == {"use_sim_time": True, "state_file": "none"}
+
+
+def test_the_closed_loop_starts_nodes_that_are_there_with_a_section_for_each() -> None:
+    made = launch_file("closed_loop")
+    started = {node["executable"]: node for node in nodes(made)}
+    assert set(started) <= set(console_scripts())
+    names = {node["name"] for node in started.values()}
+    assert names == set(closed_loop.MODULES)
+    # launch_ros joins the pieces, reads the text as YAML, and needs exactly the type
+    faults = started["simulated_plant"]["parameters"][1]["faults"]
+    assert faults.named["value_type"] == list[str]
+    for fault in ("", "60: aileron effect 0.5"):
+        text = "".join(fault if isinstance(piece, Made) else piece for piece in faults.args[0])
+        assert yaml.safe_load(text) == [fault]
+    paths = {
+        m.args[0]: ROOT.joinpath(*m.named["default_value"].args[0][1:])
+        for m in launch_arguments(made)
+        if m.args[0] in ("params_file", "coefficients_file")
+    }
+    sections = yaml.safe_load(paths["params_file"].read_text())
+    # a node refuses a file that has nothing for it
+    assert {key.rpartition("/")[2] for key in sections} == names
+    assert Coefficients.from_file(paths["coefficients_file"]).known.any()
+
+
+# --- with launch --------------------------------------------------------------------------------
+
+
+@EACH
+def test_launch_description_builds(path: Path) -> None:
+    launch = pytest.importorskip("launch", reason="launch comes with apt ROS only")
+    description = runpy.run_path(str(path))["generate_launch_description"]()
+    assert isinstance(description, launch.LaunchDescription)
+    assert "params_file" in {argument.name for argument in description.get_launch_arguments()}
+
+
+def launched(path: Path, *arguments: str) -> str:
+    """What a launch says that ends with status 1; skip where no `ros2` knows this package."""
+    known = ["ros2", "pkg", "prefix", PACKAGE]
+    if shutil.which("ros2") is None or subprocess.run(known, capture_output=True).returncode:
+        pytest.skip("there is no ros2 with this package here")
+    command = ["ros2", "launch", PACKAGE, path.name, *arguments]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+    assert run.returncode == 1
+    return run.stdout + run.stderr
+
+
+@EACH
+def test_launch_ends_aloud_without_its_parameter_file(path: Path, tmp_path: Path) -> None:
+    """launch_ros itself warns, and starts the node on its defaults."""
+    bag = [f"bag:={tmp_path}"] if path.name == "replay.launch.py" else []
+    said = launched(path, f"params_file:={tmp_path / 'none.yaml'}", *bag)
+    assert f"params_file '{tmp_path / 'none.yaml'}': there is no such file" in said
+    assert "process started" not in said
+
+
+def test_launch_ends_with_a_dead_process(tmp_path: Path) -> None:
+    """The identifier refuses the file with status 2; launch says so by its own."""
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n")
+    path = ROOT / "launch" / "identifier.launch.py"
+    assert "ended with status 2" in launched(path, f"params_file:={wrong}")
