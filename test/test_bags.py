@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import sqlite3
 import struct
-import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -15,23 +13,24 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from programs import python
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from uav_ident_ros.bags import messages
+from uav_ident_ros.bags.messages import ARRAY
 from uav_ident_ros.bags.reading import MCAP_MAGIC, Bag, BagError
-from uav_ident_ros.bags.writing import BagWriter, message_class
+from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.messages.imu import decode_imu_cdr
 
-ARRAY = "std_msgs/msg/Float64MultiArray"
 FOREIGN = "px4_msgs/msg/ActuatorServos"
 SUBSTITUTE = b"x/msg/" + b"Y" * 24
 FOREIGN_TEXT = "uint64 timestamp\nuint64 timestamp_sample\nfloat32[8] control\n"
 
 
 def array(value: float) -> Any:
-    layout = message_class("std_msgs/msg/MultiArrayLayout")(dim=[], data_offset=0)
-    return message_class(ARRAY)(layout=layout, data=np.array([float(value)]))
+    return messages.array([float(value)])
 
 
 def write(path: Path, *, compress: bool = False) -> Path:
@@ -299,7 +298,7 @@ def test_a_bag_that_becomes_too_large(compression: str, said: int, tmp_path: Pat
         "peak = re.search(r'VmHWM:[^0-9]+([0-9]+) kB', open('/proc/self/status').read())\n"
         "print(int(peak[1]) // 1024)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = python("-c", program)
     line, peak = done.stdout.splitlines()
     assert "a chunk holds more than 64 MiB when it is decompressed" in line
     assert int(peak) < 500  # MiB

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from equations import flight_equations, slope
 from estimates import as_message, estimate_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,7 +25,6 @@ from uav_ident_ros.client import (
 from uav_ident_ros.files.coefficients_file import save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowState
-from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 
 AUGMENTED = STRUCTURES["augmented"]
@@ -161,17 +161,9 @@ def test_without_forces_their_coefficients_and_the_constant_are_left_out() -> No
 
 
 def test_linearisation_is_the_derivative() -> None:
-    x, u, h = np.array([0.6, -0.3, 0.4]), np.array([0.05, -0.1, 0.08, 0.2]), 1e-6
-    slope = model().acceleration
-    a, b = model().linearize(x, u)
-    for i, step in enumerate(h * np.eye(3)):
-        np.testing.assert_allclose(
-            a[:, i], (slope(x + step, u) - slope(x - step, u)) / (2 * h), atol=1e-7
-        )
-    for i, step in enumerate(h * np.eye(4)):
-        np.testing.assert_allclose(
-            b[:, i], (slope(x, u + step) - slope(x, u - step)) / (2 * h), atol=1e-7
-        )
+    at, flying = np.array([0.6, -0.3, 0.4, 0.05, -0.1, 0.08, 0.2]), model()
+    expected = slope(lambda x: flying.acceleration(x[:3], x[3:]), at)
+    np.testing.assert_allclose(np.hstack(flying.linearize(at[:3], at[3:])), expected, atol=1e-7)
 
 
 # --- the model with angle of attack and sideslip -------------------------------------------------
@@ -197,34 +189,8 @@ STATE = np.array([0.3, -0.2, 0.1, 0.05, -0.04])
 CONTROL = np.array([0.05, -0.1, 0.08, 0.2])
 
 
-def rates_of_change(
-    state: FloatArray, u: FloatArray, v: float, values: dict[str, float]
-) -> FloatArray:
-    """The published model as the documentation writes it, from p to alpha, roll and pitch."""
-    p, q, r, beta, alpha, roll, pitch = state
-    of = dict(
-        zip(
-            ("pq", "qr", "pr", "pp", "rr", "p", "q", "r", "de", "dr", "da", "dth", "1"),
-            (p * q, q * r, p * r, p * p, r * r, p, q, r, *u, 1.0),
-            strict=True,
-        )
-    ) | {"beta": beta, "alpha": alpha}
-    row = dict.fromkeys(FLIGHT.row_labels, 0.0)
-    for name, value in values.items():
-        label, regressor = name.split("/")
-        row[label] += value * of[regressor]
-    side, down = (GRAVITY * part(roll) * np.cos(pitch) for part in (np.sin, np.cos))
-    return np.array([
-        row["pdot"], row["qdot"], row["rdot"],
-        -r + (row["ay"] + side) / v + row["betadot"],
-        q + (row["az"] + down) / v + row["alphadot"],
-        p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)),
-        q * np.cos(roll) - r * np.sin(roll),
-    ])  # fmt: skip
-
-
 def test_acceleration_with_flow_angles_is_that_of_the_rows() -> None:
-    expected = rates_of_change(np.array([*STATE, 0.0, 0.0]), CONTROL, 18.0, FLIGHT_VALUES)[:3]
+    expected = flight_equations(flying().values, np.array([*STATE, 0.0, 0.0]), CONTROL, 18.0)[:3]
     np.testing.assert_allclose(flying().acceleration(STATE, CONTROL), expected, atol=1e-12)
     # left out, the flow angles are those of the message
     at_message = np.array([*STATE[:3], FLOW.beta, FLOW.alpha])
@@ -240,7 +206,7 @@ def test_acceleration_with_flow_angles_is_that_of_the_rows() -> None:
 def test_prediction_with_flow_angles_follows_from_the_message_alone() -> None:
     start = np.array([*STATE, FLOW.roll, FLOW.pitch])
     solution = solve_ivp(
-        lambda _, state: rates_of_change(state, CONTROL, FLOW.airspeed, FLIGHT_VALUES),
+        lambda _, state: flight_equations(flying().values, state, CONTROL, FLOW.airspeed),
         (0.0, 2.0), start, rtol=1e-9, atol=1e-11, method="DOP853",
     ).y[:, -1]  # fmt: skip
     np.testing.assert_allclose(flying().predict(STATE, CONTROL, 2.0), solution[:5], atol=1e-6)
@@ -252,20 +218,10 @@ def test_prediction_with_flow_angles_follows_from_the_message_alone() -> None:
 
 
 def test_linearisation_with_flow_angles_is_the_derivative() -> None:
-    a, b = flying().linearize(STATE, CONTROL)
-    point, h = np.array([*STATE, FLOW.roll, FLOW.pitch]), 1e-6
-
-    def slope(step: FloatArray, input_step: FloatArray) -> FloatArray:
-        up, down = (
-            rates_of_change(point + k * step, CONTROL + k * input_step, 18.0, FLIGHT_VALUES)
-            for k in (1.0, -1.0)
-        )
-        return ((up - down) / (2.0 * h))[:6]
-
-    for i in range(6):
-        np.testing.assert_allclose(a[:, i], slope(h * np.eye(7)[i], np.zeros(4)), atol=1e-6)
-    for i in range(4):
-        np.testing.assert_allclose(b[:, i], slope(np.zeros(7), h * np.eye(4)[i]), atol=1e-6)
+    at, a = np.array([*STATE, FLOW.roll, FLOW.pitch, *CONTROL]), flying().values
+    expected = slope(lambda x: flight_equations(a, x[:7], x[7:], FLOW.airspeed), at)[:6]
+    found = np.hstack(flying().linearize(STATE, CONTROL))
+    np.testing.assert_allclose(found, np.delete(expected, 6, axis=1), atol=1e-6)
 
 
 def test_inversion_with_flow_angles_makes_up_for_their_moments() -> None:

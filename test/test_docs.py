@@ -7,8 +7,6 @@ import json
 import os
 import re
 import shlex
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from estimates import as_message, estimate_of
+from programs import python
 from repository import ROOT, console_scripts, launch_arguments, launch_entries
 
 from uav_ident_ros.bags.reading import Bag
@@ -184,8 +183,7 @@ def check_options(page: Path, name: str, words: list[str]) -> None:
 
 def help_of(module: str, cache: dict[str, str] = {}) -> str:  # noqa: B006  (a cache is meant)
     if module not in cache:
-        command = [sys.executable, "-m", module, "--help"]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+        done = python("-m", module, "--help", check=True)
         cache[module] = re.sub(r"[\[\],]", " ", done.stdout)
     return cache[module]
 
@@ -248,8 +246,7 @@ def listed(header: str) -> dict[str, str]:
 
 
 def test_topics_and_services_of_the_interface_are_those_of_the_node() -> None:
-    command = [sys.executable, "-c", ASK_NODE]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    done = python("-c", ASK_NODE, check=True)
     line = next(line for line in done.stdout.splitlines() if line.startswith("FOUND "))
     for kind, entries in json.loads(line.removeprefix("FOUND ")).items():
         found = {name: types[0] for name, types in entries if not OF_EVERY_NODE.search(name)}

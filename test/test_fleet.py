@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from excerpts import PARAMETERS, ROOT, SECOND_NS, excerpt
+from programs import python, refusal
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.files.coefficients_file import load_coefficients
@@ -203,8 +204,7 @@ def test_what_is_no_table_is_one_line(
     path = tmp_path / "flights.csv"
     if content is not None:
         path.write_text(content)
-    assert fleet_command.main([str(path)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    line = refusal(fleet_command.main, [str(path)], capsys)
     assert line.startswith("fleet: ")
     assert "flights.csv'" in line
 
@@ -296,14 +296,16 @@ def test_killed_in_the_middle_it_does_nothing_twice(
     def done() -> dict[Path, int]:
         return {file: file.stat().st_mtime_ns for file in output.glob(f"*/{DONE_FILE}")}
 
-    command = [sys.executable, "-m", "uav_ident_ros.offline", *arguments(logs, output)]
-    process = subprocess.Popen([*command, "--jobs", "2"], cwd=ROOT, start_new_session=True)
+    command = ["-m", "uav_ident_ros.offline", *arguments(logs, output)]
+    process = subprocess.Popen(
+        [sys.executable, *command, "--jobs", "2"], cwd=ROOT, start_new_session=True
+    )
     while process.poll() is None and len(done()) < 2:
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     before = done()
-    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout
+    said = python(*command).stdout
     assert f"; {len(before)} of them as replayed before" in said
     assert before.items() <= done().items()
     assert contents(output) == contents(replayed)
@@ -340,8 +342,8 @@ def test_a_cluster_gives_the_same_table(logs: Path, replayed: Path, tmp_path: Pa
 def test_a_scheduler_that_is_not_there_is_one_line(
     logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(arguments(logs, tmp_path, "--scheduler", "nonsense://x")) == 2
-    assert capsys.readouterr().err.startswith("replay: no Dask scheduler answers at 'nonsense://x'")
+    line = refusal(main, arguments(logs, tmp_path, "--scheduler", "nonsense://x"), capsys)
+    assert line.startswith("replay: no Dask scheduler answers at 'nonsense://x'")
 
 
 def test_a_table_that_is_not_there_says_so(tmp_path: Path) -> None:

@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 from excerpts import ACTUATORS, IMU, SECOND_NS, Entry, excerpt, parameters, replayed_run
 
-from uav_ident_ros.bags.writing import header, jazzy_types, message_class
+from uav_ident_ros.bags import messages
+from uav_ident_ros.bags.messages import NOT_MEASURED, UNKNOWN
+from uav_ident_ros.bags.writing import jazzy_types
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.messages.imu import decode_imu_cdr
 from uav_ident_ros.offline import run as offline
 from uav_ident_ros.offline.imu_block import decode_imu_block
 
 SECONDS = 16.0
-NOT_MEASURED = np.r_[-1.0, np.zeros(8)]
 
 Spoil = Callable[[int, str, Any], list[Any]]
 
@@ -134,23 +135,16 @@ def test_the_blocks_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def imu(k: int, frame_id: str = "imu", *, rates: bool = True, force: bool = True) -> Any:
-    vector = message_class("geometry_msgs/msg/Vector3")
     rng = np.random.default_rng(k)
-    covariance = [np.zeros(9), NOT_MEASURED]
-    return message_class("sensor_msgs/msg/Imu")(
-        header=header(1_700_000_000_123_456_789 + k * 5_000_000, frame_id),
-        orientation=message_class("geometry_msgs/msg/Quaternion")(*rng.uniform(-1.0, 1.0, 4)),
-        orientation_covariance=rng.uniform(0.0, 1.0, 9),
-        angular_velocity=vector(*rng.uniform(-1.0, 1.0, 3)),
-        angular_velocity_covariance=covariance[not rates],
-        linear_acceleration=vector(*rng.uniform(-9.0, 9.0, 3)),
-        linear_acceleration_covariance=covariance[not force],
-    )
+    turn, values = rng.uniform(-1.0, 1.0, 4).tolist(), rng.uniform(-9.0, 9.0, (2, 3)).tolist()
+    covariances = tuple(UNKNOWN if known else NOT_MEASURED for known in (rates, force))
+    t_ns = 1_700_000_000_123_456_789 + k * 5_000_000
+    return messages.imu(t_ns, *values, frame_id, turn, covariances)
 
 
-def serialized(messages: list[Any]) -> list[bytes]:
+def serialized(given: list[Any]) -> list[bytes]:
     serialize = jazzy_types().serialize_cdr
-    return [bytes(serialize(m, "sensor_msgs/msg/Imu")) for m in messages]
+    return [bytes(serialize(m, "sensor_msgs/msg/Imu")) for m in given]
 
 
 @pytest.mark.parametrize("frame_id", ["", "i", "imu", "imu_link", "base_link_imu_1", "größe"])

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import itertools
 import math
-import subprocess
-import sys
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from estimates import estimate_of
+from programs import python
 from rosbags.typesys import Stores, get_typestore
 
 from uav_ident_ros.identification.estimate import Estimate
@@ -304,7 +303,7 @@ def test_messages_import_no_ros() -> None:
         "sys.exit(any(m.split('.')[0] in ('rclpy', 'sensor_msgs', 'rosbags', 'scipy')"
         " for m in sys.modules))"
     )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert python("-c", code).returncode == 0
 
 
 def test_the_dense_matrix_and_its_layout_leave_out_the_kinematics() -> None:

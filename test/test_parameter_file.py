@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from programs import python
 
 from uav_ident_ros.files.parameter_file import (
     ParameterFile,
@@ -113,11 +113,8 @@ def write(folder: Path, text: str) -> Path:
 def rclpy_nodes(*asked: tuple[Path, str]) -> list[dict[str, str] | None]:
     """What real nodes are given by a file, in a namespace; None where rclpy refuses the file."""
     pytest.importorskip("rclpy")
-    done = subprocess.run(
-        [sys.executable, "-c", NODES],
-        input=json.dumps([(str(path), namespace) for path, namespace in asked]),
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+    given = json.dumps([(str(path), namespace) for path, namespace in asked])
+    done = python("-c", NODES, input=given, check=True)
     return json.loads(done.stdout.split("FOUND ")[1])
 
 

@@ -9,10 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from equations import flight_equations
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.linearisation import Condition, linearise
-from uav_ident_ros.identification.model import GRAVITY, LARGEST_RATE
+from uav_ident_ros.identification.model import LARGEST_RATE
 from uav_ident_ros.identification.prediction import (
     HORIZONS,
     LARGEST_STEP_NS,
@@ -112,16 +113,7 @@ def motion(structure: Structure, a: Array, state: Array, u: Array, force: Array)
     """Rates of change of p, q, r; with flow angles of beta, alpha, roll and pitch too."""
     if structure is not FLIGHT:
         return a @ structure.regressor(state, u, force)
-    p, q, r, beta, alpha, roll, pitch = state
-    rows = a @ structure.regressor(state[:3], u, np.array([beta, alpha]))
-    side, down = (GRAVITY * part(roll) * np.cos(pitch) for part in (np.sin, np.cos))
-    return np.array([
-        *rows[:3],
-        -r + (rows[3] + side) / AIRSPEED + rows[5],
-        q + (rows[4] + down) / AIRSPEED + rows[6],
-        p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)),
-        q * np.cos(roll) - r * np.sin(roll),
-    ])  # fmt: skip
+    return flight_equations(a, state, u, AIRSPEED)
 
 
 def integrated(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import re
 import signal
 import subprocess
@@ -14,6 +15,7 @@ from typing import Any
 
 import pytest
 from excerpts import BAGS, PARAMETERS, ROOT, excerpt, summary
+from programs import python, refusal
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.offline import main
@@ -90,9 +92,8 @@ def test_names_differ_however_the_bags_are_called() -> None:
 def replayed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """The output folder of a replay of them all, and the finished process."""
     output = tmp_path_factory.mktemp("output")
-    command = [sys.executable, "-m", "uav_ident_ros.offline", str(logs), "--jobs", "2"]
-    command += ["--params-file", str(PARAMETERS), "--output", str(output)]
-    return output, subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    options = ("--jobs", "2", "--params-file", str(PARAMETERS), "--output", str(output))
+    return output, python("-m", "uav_ident_ros.offline", str(logs), *options)
 
 
 def test_a_bad_bag_does_not_stop_the_rest(replayed: tuple[Path, Any]) -> None:
@@ -147,13 +148,8 @@ def test_a_process_that_dies_leaves_the_others(logs: Path, tmp_path: Path) -> No
         "    for outcome in parallel.replay_all(jobs, 2):\n"
         "        print(outcome.job.name, outcome.status, outcome.warnings)\n"
     )
-    import pickle
-
     (tmp_path / "deadly.py").write_text(script)
-    done = subprocess.run(
-        [sys.executable, str(tmp_path / "deadly.py"), pickle.dumps(jobs).hex()],
-        capture_output=True, text=True, cwd=ROOT, check=True,
-    )  # fmt: skip
+    done = python(str(tmp_path / "deadly.py"), pickle.dumps(jobs).hex(), check=True)
     first, second = done.stdout.splitlines()
     assert first.startswith(f"monday {NO_RESULT}")
     assert "the process that read it was ended" in first
@@ -255,10 +251,8 @@ def test_a_refused_configuration_is_no_result(
 
 def test_compare_takes_one_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for bags in ([str(BAGS)], [str(BAGS / "pulses"), str(BAGS / "multisine")]):
-        with pytest.raises(SystemExit) as caught:
-            main([*bags, "--compare", str(PARAMETERS)])
-        assert caught.value.code == NO_RESULT
-        assert "--compare takes one bag" in capsys.readouterr().err
+        arguments = [*bags, "--compare", str(PARAMETERS)]
+        assert "--compare takes one bag" in refusal(main, arguments, capsys)
 
 
 def outcome(name: str, status: int, model: tuple[float | None, ...]) -> Outcome:
@@ -303,7 +297,7 @@ def test_help_comes_at_once_without_what_the_work_needs() -> None:
         "import sys\nfrom uav_ident_ros.offline import main\n"
         "try: main(['--help'])\nexcept SystemExit: print(sorted(sys.modules))"
     )
-    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
+    said = python("-c", script)
     assert said.stdout.startswith("usage: replay")
     assert "'numpy'" not in said.stdout and "'rosbags'" not in said.stdout
 
@@ -321,12 +315,7 @@ def test_help_comes_at_once_without_what_the_work_needs() -> None:
 def test_wrong_options_are_one_line(
     arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(arguments)
-    assert caught.value.code == NO_RESULT
-    captured = capsys.readouterr().err
-    assert words in captured
-    assert captured.count("\n") == 1
+    assert words in refusal(main, arguments, capsys)
 
 
 def test_a_fault_of_the_program_is_no_result(

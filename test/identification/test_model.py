@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from equations import flight_equations, slope
 from scipy.integrate import solve_ivp
 
 from uav_ident_ros.identification.linearisation import Condition, linearise
 from uav_ident_ros.identification.model import (
-    GRAVITY,
     LARGEST_ANGLE,
     FlowSignals,
     IdentifiedModel,
@@ -51,20 +51,6 @@ def with_down(state: FloatArray) -> FloatArray:
     return np.array([*first, -np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level])
 
 
-def by_hand(state: FloatArray, u: FloatArray) -> FloatArray:
-    """Rates of change with roll and pitch as angles, as books write them."""
-    p, q, r, *_, roll, pitch = state
-    rows = A @ FLIGHT.regressor(state[:3], u, state[3:5])
-    side, down = (GRAVITY * part(roll) * np.cos(pitch) for part in (np.sin, np.cos))
-    return np.array([
-        *rows[:3],
-        -r + (rows[3] + side) / SPEED + rows[5],
-        q + (rows[4] + down) / SPEED + rows[6],
-        p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)),
-        q * np.cos(roll) - r * np.sin(roll),
-    ])  # fmt: skip
-
-
 def drive(u: FloatArray) -> list[float]:
     rows = A[:, 8:12] @ u + A[:, 12]
     return [*rows.tolist(), 1.0 / SPEED, 0.0, 0.0, 0.0]
@@ -72,33 +58,20 @@ def drive(u: FloatArray) -> list[float]:
 
 def test_the_right_hand_side_is_that_by_hand() -> None:
     u = np.array([0.05, -0.02, 0.03, 0.2])
-    slope = flight_derivative(A)(with_down(START).tolist(), drive(u))
-    expected = by_hand(START, u)
-    np.testing.assert_allclose(slope[:5], expected[:5], atol=1e-12)
-    h = 1e-6
-    turned = (
-        with_down(START + h * expected) - with_down(START - h * expected)
-    )[5:] / (2.0 * h)  # fmt: skip
-    np.testing.assert_allclose(slope[5:], turned, atol=1e-8)
+    found = flight_derivative(A)(with_down(START).tolist(), drive(u))
+    expected = flight_equations(A, START, u, SPEED)
+    np.testing.assert_allclose(found[:5], expected[:5], atol=1e-12)
+    np.testing.assert_allclose(found, slope(with_down, START) @ expected, atol=1e-8)
 
 
 def test_the_linearisation_is_the_slope_of_the_right_hand_side() -> None:
-    u, h = np.array([0.05, -0.02, 0.03, 0.2]), 1e-6
+    u = np.array([0.05, -0.02, 0.03, 0.2])
     p, q, r, *_, roll, pitch = START.tolist()
     a, b = linearise(FLIGHT, A, Condition(SPEED, (p, q, r), roll, pitch))
 
-    def slope(state: FloatArray, u: FloatArray) -> FloatArray:
-        flown = np.array(flight_derivative(A)(with_down(state).tolist(), drive(u)))
-        return np.array([*flown[:5], by_hand(state, u)[5]])
-
-    for i in range(6):
-        step = h * np.eye(7)[i]
-        numeric = (slope(START + step, u) - slope(START - step, u)) / (2.0 * h)
-        np.testing.assert_allclose(a[:, i], numeric, atol=1e-6)
-    for i in range(4):
-        step = h * np.eye(4)[i]
-        numeric = (slope(START, u + step) - slope(START, u - step)) / (2.0 * h)
-        np.testing.assert_allclose(b[:, i], numeric, atol=1e-6)
+    at = np.concatenate([START, u])
+    expected = slope(lambda x: flight_equations(A, x[:7], x[7:], SPEED), at)[:6]
+    np.testing.assert_allclose(np.hstack([a, b]), np.delete(expected, 6, axis=1), atol=1e-6)
 
 
 def test_many_models_side_by_side_are_each_the_one() -> None:
@@ -133,7 +106,11 @@ def test_a_run_over_a_block_is_the_solution_of_the_equations(h: float) -> None:
     for k in range(20):
         held = u[k * round(0.05 / h)]
         state = solve_ivp(
-            lambda _, s, held=held: by_hand(s, held), (0.0, 0.05), state, rtol=1e-10, atol=1e-12
+            lambda _, s, held=held: flight_equations(A, s, held, SPEED),
+            (0.0, 0.05),
+            state,
+            rtol=1e-10,
+            atol=1e-12,
         ).y[:, -1]
         reached = states[(k + 1) * round(0.05 / h)]
         np.testing.assert_allclose(reached, with_down(state), atol=2e-5)

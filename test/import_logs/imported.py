@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import programs
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
@@ -45,12 +46,9 @@ def run(arguments: list[str], capsys: Any, status: int = 0) -> str:
 
 def refusal(arguments: list[str], capsys: Any) -> str:
     """Import a log that is refused; return the one line that says why."""
-    assert main(arguments) == 2
-    printed = capsys.readouterr()
-    assert not printed.out
-    (line,) = printed.err.splitlines()
+    line = programs.refusal(main, arguments, capsys)
     assert line.startswith("import_log: ")
-    return str(line)
+    return line
 
 
 @dataclass

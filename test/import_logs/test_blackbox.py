@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 from blackbox_writing import ACC, COUNT, FIELDS, GYRO, MOTORS, T_US, blackbox
 from imported import contents, parameters, refusal, run
+from programs import python
 
 
 def test_a_quadrotor_of_betaflight(tmp_path: Path, capsys) -> None:
@@ -80,9 +79,7 @@ def test_without_orangebox_its_extra_is_named(tmp_path: Path) -> None:
         "from uav_ident_ros.import_logs.cli import main\n"
         f"sys.exit(main([{str(tmp_path / 'log.bbl')!r}, '--output', {str(tmp_path / 'bag')!r}]))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
-    )
+    done = python("-c", program)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "orangebox is not installed" in line

@@ -7,14 +7,13 @@ import io
 import os
 import re
 import struct
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from dataflash_writing import DataflashWriter
 from imported import contents, refusal, run
+from programs import python
 from pyulog import ULog
 from ulog_writing import commands, sensor_combined, stamps, write_ulog
 
@@ -97,9 +96,7 @@ def test_nothing_half_written_stays_behind(tmp_path: Path, capsys, out) -> None:
         "from uav_ident_ros.import_logs.cli import main\n"
         f"sys.exit(main({[str(log), *out]!r}))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
-    )
+    done = python("-c", program)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith("import_log: cannot write")

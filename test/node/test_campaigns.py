@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import random
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from node_process import ROOT
+from programs import python
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 
@@ -30,8 +30,7 @@ quite."""
 
 def test_a_node_killed_while_it_saves_leaves_a_whole_file_and_the_next_goes_on() -> None:
     # A process of its own: in leaving a graph of killed participants, Fast DDS may crash.
-    command = [sys.executable, str(ROOT / "benchmarks" / "kills.py"), "--kills", "2"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    done = python("benchmarks/kills.py", "--kills", "2", timeout=300.0)
     first, verdict = done.stdout.splitlines()
     assert first.startswith("2 kills")
     assert int(first.split()[2]) > 2, "files written"
@@ -39,8 +38,7 @@ def test_a_node_killed_while_it_saves_leaves_a_whole_file_and_the_next_goes_on()
 
 
 def test_a_node_ended_by_signals_has_saved_what_it_learned() -> None:
-    command = [sys.executable, str(ROOT / "benchmarks" / "signals.py"), "--runs", "2"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    done = python("benchmarks/signals.py", "--runs", "2", timeout=300.0)
     first, verdict = done.stdout.splitlines()
     assert first.startswith("2 nodes ended; ")
     learned, left = int(first.split()[3]), int(first.split()[6])

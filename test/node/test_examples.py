@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from node_process import ROOT, StartNode
+from programs import python
 from recordings import MakePlayer, recording
 
 from uav_ident_ros.offline import main as replay
@@ -22,7 +23,7 @@ def command(name: str, *arguments: str) -> list[str]:
 
 
 def run(name: str, *arguments: str) -> str:
-    done = subprocess.run(command(name, *arguments), capture_output=True, text=True, check=False)
+    done = python(*command(name, *arguments)[1:])
     assert done.returncode == 0, done.stderr
     return done.stdout
 

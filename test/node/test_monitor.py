@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from node_process import PATIENCE, ROOT, StartNode
+from programs import python, refusal
 from recordings import Fly, Recording, change, part, recording
 
 from uav_ident_ros.monitor.cli import parser
@@ -27,12 +28,10 @@ from uav_ident_ros.player import Player
 
 MONITOR = [sys.executable, "-m", "uav_ident_ros.monitor.cli"]
 
-WITHOUT_RICH = [
-    sys.executable,
-    "-c",
+WITHOUT_RICH = (
     "import importlib.util, sys; importlib.util.find_spec = lambda name: None\n"
-    "from uav_ident_ros.monitor.cli import main; sys.exit(main())",
-]
+    "from uav_ident_ros.monitor.cli import main; sys.exit(main())"
+)
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM)
 
@@ -264,7 +263,7 @@ def test_it_waits_for_a_node_draws_it_in_place_and_gives_the_terminal_back(
 
 
 def test_without_rich_it_says_what_to_install() -> None:
-    done = subprocess.run(WITHOUT_RICH, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = python("-c", WITHOUT_RICH)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "'rich' is not installed: python3-rich from apt" in done.stderr
@@ -282,10 +281,4 @@ def test_without_rich_it_says_what_to_install() -> None:
 def test_a_wrong_command_line_is_one_line(
     arguments: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as ended:
-        parser().parse_args(arguments)
-    assert ended.value.code == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.count("\n") == 1
-    assert said in printed.err
+    assert said in refusal(parser().parse_args, arguments, capsys)

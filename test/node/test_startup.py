@@ -6,11 +6,10 @@ from __future__ import annotations
 import json
 import re
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
-from node_process import PATIENCE, ROOT, StartNode, wait_for
+from node_process import PATIENCE, StartNode, wait_for
+from programs import python
 
 from uav_ident_ros.identification.settings import declarations
 
@@ -71,15 +70,8 @@ def test_what_is_wrong_at_the_start_is_refused_in_one_line_with_the_fix(tmp_path
     dumped.write_text("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
     arguments = ["--ros-args", "--params-file", str(dumped), "-r", "__ns:=/drone1"]
     cases.append((arguments, "has nothing for node '/drone1/identifier'"))
-    run = subprocess.run(
-        [sys.executable, "-c", REFUSALS],
-        cwd=ROOT,
-        input=json.dumps([arguments for arguments, _ in cases]),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=True,
-    )
+    given = json.dumps([arguments for arguments, _ in cases])
+    run = python("-c", REFUSALS, input=given, timeout=PATIENCE, check=True)
     assert run.stderr == "", "rcl says nothing by itself"
     for (arguments, wanted), (status, said, printed) in zip(
         cases, json.loads(run.stdout), strict=True
@@ -109,8 +101,7 @@ for name in sys.argv[1:]:
 
 
 def test_help_is_printed_and_nothing_runs() -> None:
-    command = [sys.executable, "-c", HELP, *HELPS]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE)
+    run = python("-c", HELP, *HELPS, timeout=PATIENCE)
     assert (run.returncode, run.stderr) == (0, "")
     texts = dict(part.split("\n", 1) for part in run.stdout.split("HELP ")[1:])
     assert texts.keys() == HELPS.keys()

@@ -9,7 +9,8 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
 
-from uav_ident_ros.bags.writing import BagWriteError, BagWriter, header, message_class, qos
+from uav_ident_ros.bags.messages import VECTOR, vector_stamped
+from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.simulation.definition import build_measurements
 from uav_ident_ros.simulation.noise import Measurements
@@ -100,14 +101,12 @@ def test_a_bag_is_never_overwritten(tmp_path: Path) -> None:
 
 def test_the_writer_names_the_topic_that_is_wrong(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag:
-        bag.topic("/a", "geometry_msgs/msg/Vector3Stamped", qos(10, transient_local=True))
+        bag.topic("/a", VECTOR, qos(10, transient_local=True))
         with pytest.raises(BagWriteError, match=r"'/a'.*twice"):
-            bag.topic("/a", "geometry_msgs/msg/Vector3Stamped")
+            bag.topic("/a", VECTOR)
         with pytest.raises(BagWriteError, match="no_msgs/msg/Such"):
             bag.topic("/b", "no_msgs/msg/Such")
-        vector = message_class("geometry_msgs/msg/Vector3")(x=1.0, y=2.0, z=3.0)
-        stamped = message_class("geometry_msgs/msg/Vector3Stamped")
-        bag.write("/a", 7, stamped(header=header(1_500_000_000, "base_link"), vector=vector))
+        bag.write("/a", 7, vector_stamped(1_500_000_000, (1.0, 2.0, 3.0), "base_link"))
         with pytest.raises(BagWriteError, match="'/b'"):
             bag.write("/b", 8, b"")
     with AnyReader([tmp_path / "bag"]) as reader:

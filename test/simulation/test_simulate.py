@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from programs import refusal
 from rosbags.highlevel import AnyReader
 
 from uav_ident_ros.simulation.cli import main
@@ -72,7 +73,7 @@ def test_options_reach_the_bag(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
+    ("options", "named"),
     [
         ("--imu-rat 10", "--imu-rat"),
         ("--imu-rate 0", "--imu-rate"),
@@ -92,21 +93,12 @@ def test_options_reach_the_bag(tmp_path: Path) -> None:
     ],
 )
 def test_bad_arguments_are_one_line_and_status_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: str, named: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: str, named: str
 ) -> None:
-    try:
-        status = main(["--output", str(tmp_path / "bag"), *arguments.split()])
-    except SystemExit as stop:
-        status = stop.code
-    output = capsys.readouterr()
-    assert status == 2
-    assert output.err.count("\n") == 1 and named in output.err
-    assert output.out == ""
+    arguments = ["--output", str(tmp_path / "bag"), *options.split()]
+    assert named in refusal(main, arguments, capsys)
     assert not (tmp_path / "bag").exists()
 
 
 def test_an_existing_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["--output", str(tmp_path)])
-    assert stop.value.code == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "exists already" in refusal(main, ["--output", str(tmp_path)], capsys)

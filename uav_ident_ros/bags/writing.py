@@ -84,11 +84,6 @@ def stamp(t_ns: int) -> Any:
     )
 
 
-def header(t_ns: int, frame_id: str = "") -> Any:
-    """std_msgs/msg/Header."""
-    return message_class("std_msgs/msg/Header")(stamp=stamp(t_ns), frame_id=frame_id)
-
-
 class BagWriter:
     """Writes one rosbag2 folder with an MCAP file; a context manager.
 

@@ -11,7 +11,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uav_ident_ros.bags.writing import BagWriteError, BagWriter, header, message_class, qos
+from uav_ident_ros.bags.messages import (
+    IMU,
+    JOINT_STATE,
+    TWIST,
+    VECTOR,
+    imu,
+    joint_state,
+    plain,
+    twist_stamped,
+    vector_stamped,
+)
+from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.import_logs.flight_log import FlightLog, Stream
 from uav_ident_ros.import_logs.knowledge import at_times
@@ -23,10 +34,8 @@ FRAME_IDS = {"frd": "base_link_frd", "flu": "base_link"}
 ARMED_STEP_NS = 1_000_000_000
 """Time between two messages that say the same of whether it is armed, ns: the type has no stamp."""
 
-NOT_MEASURED, UNKNOWN = np.array([-1.0, *[0.0] * 8]), np.zeros(9)
-"""Covariances of an Imu that say that there is no such measurement, or that it is not known."""
-
-EMPTY = np.zeros(0)
+IMU_STREAMS = ("rates", "attitude")
+"""What the messages of the Imu are made of."""
 
 
 class Topic(NamedTuple):
@@ -38,10 +47,10 @@ class Topic(NamedTuple):
 
 
 TOPICS = {
-    "actuators": Topic("/actuators", "sensor_msgs/msg/JointState"),
-    "rates": Topic("/imu/data", "sensor_msgs/msg/Imu", 500),
-    "airspeed": Topic("/airspeed", "geometry_msgs/msg/TwistStamped"),
-    "setpoint": Topic("/setpoint/rates", "geometry_msgs/msg/Vector3Stamped"),
+    "actuators": Topic("/actuators", JOINT_STATE),
+    "rates": Topic("/imu/data", IMU, 500),
+    "airspeed": Topic("/airspeed", TWIST),
+    "setpoint": Topic("/setpoint/rates", VECTOR),
     "mode": Topic("/mode", "std_msgs/msg/String"),
     "armed": Topic("/armed", "std_msgs/msg/Bool"),
 }
@@ -81,7 +90,7 @@ def write_import(log: FlightLog, folder: Path, finish: Callable[[], None]) -> No
 
 def _entries(log: FlightLog, stream: Stream, name: str) -> Iterator[tuple[int, str, Any]]:
     """Yield log time, topic and message; log times never step back, whatever the stamps do."""
-    make, topic = MAKERS[name](log, message_class(TOPICS[name].msgtype)), TOPICS[name].name
+    make, topic = MAKERS[name](log), TOPICS[name].name
     log_ns: TimeArray = np.maximum.accumulate(stream.t_ns)
     for recorded, t_ns, value in zip(
         log_ns.tolist(), stream.t_ns.tolist(), stream.values, strict=True
@@ -107,65 +116,33 @@ Make = Callable[[int, Any], Any]
 """Makes a message from a stamp, ns, and a sample."""
 
 
-def _imu(log: FlightLog, imu: Any) -> Make:
-    vector, quaternion = _geometry("Vector3"), _geometry("Quaternion")
-    frame_id = FRAME_IDS[log.convention]
-    rates, attitude = log.streams["rates"], log.streams.get("attitude")
-    turned = iter([(0.0, 0.0, 0.0, 1.0)] * len(rates.t_ns))
+def _imu(log: FlightLog) -> Make:
+    frame_id, rates, attitude = FRAME_IDS[log.convention], *map(log.streams.get, IMU_STREAMS)
+    assert rates is not None
+    turns = [None] * len(rates.t_ns)
     if attitude is not None:
-        turned = iter(at_times(rates.t_ns, attitude.t_ns, attitude.values).tolist())
-    turn_known = NOT_MEASURED if attitude is None else UNKNOWN
-    force_known = UNKNOWN if log.has_force else NOT_MEASURED
+        turns = at_times(rates.t_ns, attitude.t_ns, attitude.values).tolist()
+    turned = iter(turns)
 
     def make(t_ns: int, value: Any) -> Any:
-        p, q, r, *force = value.tolist()
-        return imu(
-            header=header(t_ns, frame_id),
-            orientation=quaternion(*next(turned)),
-            orientation_covariance=turn_known,
-            angular_velocity=vector(p, q, r),
-            angular_velocity_covariance=UNKNOWN,
-            linear_acceleration=vector(*(force if log.has_force else (0.0, 0.0, 0.0))),
-            linear_acceleration_covariance=force_known,
-        )
+        values = value.tolist()
+        force = values[3:] if log.has_force else None
+        return imu(t_ns, values[:3], force, frame_id, next(turned))
 
     return make
 
 
-def _joint_state(log: FlightLog, joint_state: Any) -> Make:
+def _joint_state(log: FlightLog) -> Make:
     names = [channel.name for channel in log.channels]
-    return lambda t_ns, value: joint_state(
-        header=header(t_ns),
-        name=names,
-        position=np.ascontiguousarray(value, dtype=float),
-        velocity=EMPTY,
-        effort=EMPTY,
-    )
+    return lambda t_ns, value: joint_state(t_ns, names, value)
 
 
-def _twist(_: FlightLog, stamped: Any) -> Make:
-    vector, twist = _geometry("Vector3"), _geometry("Twist")
-    still = vector(0.0, 0.0, 0.0)
-    return lambda t_ns, speed: stamped(
-        header(t_ns), twist(linear=vector(float(speed), 0.0, 0.0), angular=still)
-    )
-
-
-def _vector(_: FlightLog, stamped: Any) -> Make:
-    vector, frame_id = _geometry("Vector3"), FRAME_IDS["frd"]
-    return lambda t_ns, pqr: stamped(header(t_ns, frame_id), vector(*pqr.tolist()))
-
-
-def _geometry(name: str) -> Any:
-    return message_class(f"geometry_msgs/msg/{name}")
-
-
-MAKERS: dict[str, Callable[[FlightLog, Any], Make]] = {
+MAKERS: dict[str, Callable[[FlightLog], Make]] = {
     "actuators": _joint_state,
     "rates": _imu,
-    "airspeed": _twist,
-    "setpoint": _vector,
-    "mode": lambda _, string: lambda t_ns, name: string(data=str(name)),
-    "armed": lambda _, boolean: lambda t_ns, armed: boolean(data=bool(armed)),
+    "airspeed": lambda _: lambda t_ns, speed: twist_stamped(t_ns, (float(speed), 0.0, 0.0)),
+    "setpoint": lambda _: lambda t_ns, pqr: vector_stamped(t_ns, pqr.tolist(), FRAME_IDS["frd"]),
+    "mode": lambda _: lambda _, name: plain(TOPICS["mode"].msgtype, str(name)),
+    "armed": lambda _: lambda _, armed: plain(TOPICS["armed"].msgtype, bool(armed)),
 }
-"""What makes the messages of each stream, of a log and their class."""
+"""What makes the messages of each stream of a log."""

@@ -8,10 +8,17 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from rosbags.interfaces import Qos
 
-from uav_ident_ros.bags.writing import BagWriteError, BagWriter, header, message_class, qos
+from uav_ident_ros.bags.messages import (
+    ARRAY,
+    JOINT_STATE,
+    VECTOR,
+    array,
+    joint_state,
+    vector_stamped,
+)
+from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.messages.published import (
@@ -28,35 +35,22 @@ class _Topic(NamedTuple):
     message: Callable[[Estimate], Any]
 
 
-NAMED, ARRAY, VECTOR = (
-    "sensor_msgs/msg/JointState",
-    "std_msgs/msg/Float64MultiArray",
-    "geometry_msgs/msg/Vector3Stamped",
-)
-
-
 def _topics(structure: Structure, frame_id: str) -> tuple[_Topic, ...]:
     """Return the outputs of the node, and how an estimate becomes a message of each."""
-    joint_state, array, stamped = map(message_class, (NAMED, ARRAY, VECTOR))
-    vector = message_class("geometry_msgs/msg/Vector3")
-    dimension = message_class("std_msgs/msg/MultiArrayDimension")
-    dimensions = [dimension(*d) for d in coefficients_layout(structure)]
-    layout = message_class("std_msgs/msg/MultiArrayLayout")(dim=dimensions, data_offset=0)
+    layout = coefficients_layout(structure)
 
     def named(estimate: Estimate) -> Any:
-        names, *numbers = named_entries(estimate, structure)
-        values, sigmas = map(np.ascontiguousarray, numbers)
-        return joint_state(header(estimate.t_ns), list(names), values, values[:0], sigmas)
+        return joint_state(estimate.t_ns, *named_entries(estimate, structure))
 
     def dense(estimate: Estimate) -> Any:
-        return array(layout, np.ravel(dense_coefficients(estimate, structure)))
+        return array(dense_coefficients(estimate, structure), layout)
 
     def rates(estimate: Estimate, values: FloatArray) -> Any:
-        return stamped(header(estimate.t_ns, frame_id), vector(*values.tolist()))
+        return vector_stamped(estimate.t_ns, values.tolist(), frame_id)
 
     latched, reliable = qos(1, transient_local=True), qos(10)
     return (
-        _Topic("coefficients_named", NAMED, latched, named),
+        _Topic("coefficients_named", JOINT_STATE, latched, named),
         _Topic("coefficients", ARRAY, latched, dense),
         _Topic("predicted_rates", VECTOR, reliable, lambda e: rates(e, e.predicted_rates)),
         _Topic("prediction_error", VECTOR, reliable, lambda e: rates(e, e.prediction_error)),

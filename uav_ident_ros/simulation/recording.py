@@ -12,17 +12,13 @@ from typing import Any
 import numpy as np
 import yaml
 
-from uav_ident_ros.bags.writing import BagWriter, header, message_class, qos
+from uav_ident_ros.bags.messages import ARRAY, IMU, JOINT_STATE, array, imu, joint_state
+from uav_ident_ros.bags.writing import BagWriter, qos
 from uav_ident_ros.files.truth_file import TRUTH_FILE
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.simulation.noise import Measurements
 
-IMU_TOPIC, IMU_TYPE = "/imu/data", "sensor_msgs/msg/Imu"
-ACTUATOR_TOPIC = "/actuators"
-STAMPED_TYPE, UNSTAMPED_TYPE = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
-
-NO_ORIENTATION = np.array([-1.0, *[0.0] * 8])
-"""orientation_covariance of an Imu without orientation (sensor_msgs/Imu)."""
+IMU_TOPIC, ACTUATOR_TOPIC = "/imu/data", "/actuators"
 
 PARAMETER_FILE = "identifier.yaml"
 
@@ -32,53 +28,26 @@ FIGURES = 9
 
 def actuator_type(measurements: Measurements) -> str:
     """Message type of the actuator topic."""
-    return STAMPED_TYPE if measurements.sensors.stamped else UNSTAMPED_TYPE
+    return JOINT_STATE if measurements.sensors.stamped else ARRAY
 
 
 def imu_messages(measurements: Measurements) -> Iterator[tuple[int, str, Any]]:
     """(log time, topic, message) of every Imu message."""
-    imu, vector = message_class(IMU_TYPE), message_class("geometry_msgs/msg/Vector3")
-    quaternion = message_class("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0)
-    sensors = measurements.sensors
-    rate_covariance = np.diag([sensors.gyro_noise**2] * 3).ravel()
-    force_covariance = np.diag([sensors.accelerometer_noise**2] * 3).ravel()
-    columns = (
-        measurements.imu_log_ns.tolist(),
-        measurements.imu_t_ns.tolist(),
-        measurements.rates.tolist(),
-        measurements.specific_force.tolist(),
-    )
-    for log, t, rates, force in zip(*columns, strict=True):
-        yield (
-            log,
-            IMU_TOPIC,
-            imu(
-                header=header(t, measurements.frame_id),
-                orientation=quaternion,
-                orientation_covariance=NO_ORIENTATION,
-                angular_velocity=vector(*rates),
-                angular_velocity_covariance=rate_covariance,
-                linear_acceleration=vector(*force),
-                linear_acceleration_covariance=force_covariance,
-            ),
-        )
+    m, sensors = measurements, measurements.sensors
+    noises = (sensors.gyro_noise, sensors.accelerometer_noise)
+    spread, force_spread = (np.diag([noise**2] * 3).ravel() for noise in noises)
+    columns = (m.imu_log_ns, m.imu_t_ns, m.rates, m.specific_force)
+    for log, t, rates, force in zip(*(column.tolist() for column in columns), strict=True):
+        message = imu(t, rates, force, m.frame_id, covariances=(spread, force_spread))
+        yield log, IMU_TOPIC, message
 
 
 def actuator_messages(measurements: Measurements) -> Iterator[tuple[int, str, Any]]:
     """(log time, topic, message) of every actuator message."""
-    names = list(measurements.channel_set.names)
-    empty = np.zeros(0)
-    joint_state = message_class(STAMPED_TYPE)
-    array = message_class(UNSTAMPED_TYPE)
-    layout = message_class("std_msgs/msg/MultiArrayLayout")(dim=[], data_offset=0)
-    columns = (measurements.actuator_log_ns.tolist(), measurements.actuator_t_ns.tolist())
-    for log, t, values in zip(*columns, measurements.actuators, strict=True):
-        if measurements.sensors.stamped:
-            message = joint_state(
-                header=header(t), name=names, position=values, velocity=empty, effort=empty
-            )
-        else:
-            message = array(layout=layout, data=values)
+    m, names = measurements, measurements.channel_set.names
+    stamps = zip(m.actuator_log_ns.tolist(), m.actuator_t_ns.tolist(), m.actuators, strict=True)
+    for log, t, values in stamps:
+        message = joint_state(t, names, values) if m.sensors.stamped else array(values)
         yield log, ACTUATOR_TOPIC, message
 
 
@@ -96,7 +65,7 @@ def write_bag(
     """
     path = Path(path)
     with BagWriter(path, compress) as bag:
-        bag.topic(IMU_TOPIC, IMU_TYPE, qos(500, reliable=False))
+        bag.topic(IMU_TOPIC, IMU, qos(500, reliable=False))
         bag.topic(ACTUATOR_TOPIC, actuator_type(measurements), qos(10))
         # At equal log times the actuators come first, as the command precedes its effect.
         streams = (actuator_messages(measurements), imu_messages(measurements))
@@ -115,7 +84,7 @@ def parameters(measurements: Measurements) -> dict[str, Any]:
     stamped = measurements.sensors.stamped
     names: list[Any] = list(channel_set.names if stamped else range(len(channel_set.names)))
     values: dict[str, Any] = {
-        "imu.type": IMU_TYPE,
+        "imu.type": IMU,
         "imu.convention": measurements.sensors.convention,
         "imu.lever_arm": list(measurements.sensors.lever_arm),
         "actuators.type": actuator_type(measurements),
