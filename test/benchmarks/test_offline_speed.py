@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark of `replay`: its parts add up, and it replays what the command replays."""
+"""The cost of `replay`, in parts that add up; and what a gyro sample passes on its way."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import re
 
 import offline_speed
 import pytest
+import sample_walk
 
 
 def test_table(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -23,3 +24,16 @@ def test_table(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
     assert sum(part[1] for part in parts) == pytest.approx(100.0, abs=3.0)
     assert all(part[0] > 0.0 for part in parts)
     assert rows["rosbags, raw"][1] == 1.0
+
+
+def test_the_walk_of_a_sample_leads_through_the_parts_in_their_order(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sample_walk, "LEARNING", 1.0)
+    sample_walk.main([])
+    *files, last = capsys.readouterr().out.splitlines()
+    counts = [int(line.split()[0]) for line in files]
+    assert last.startswith(f"{len(files)} files, {sum(counts)} functions ")
+    names = [line.split()[1].removeprefix("identification/") for line in files]
+    parts = ["identifier.py", "intake.py", "sampling.py", "regression.py", "supervision.py"]
+    assert set(parts) <= set(names) and names[0] == parts[0]

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The way of a gyro sample: files and functions of the package that it passes to the estimate.
+
+    .venv/bin/python benchmarks/sample_walk.py [--list]
+
+An identifier flies the start of a committed bag. Then everything is counted that is called from one
+rates sample that makes a tick due until the estimate of that tick is there: functions by their name
+in the source, comprehensions and lambdas as a part of the function they stand in.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import uav_ident_ros
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.messages.imu import decode_imu_cdr
+from uav_ident_ros.messages.types import ActuatorReader
+
+FLIGHT = Path(__file__).parents[1] / "bags" / "c172p"
+LEARNING = 30.0
+"""Time after which the walk is looked at, s: all parts are at work."""
+
+AIM = (12, 45)
+"""Files and functions that the walk should pass at the most."""
+
+Walk = dict[str, list[str]]
+"""Functions of each file, in the order in which they are first called."""
+
+
+def walked(work: Callable[[], object]) -> Walk:
+    """Do some work and return which functions of the package it calls."""
+    found: Walk = {}
+    root = Path(uav_ident_ros.__file__).parent
+
+    def look(frame: FrameType, event: str, _: Any) -> None:
+        file = Path(frame.f_code.co_filename)
+        name = frame.f_code.co_qualname.split(".<locals>")[0]
+        if event == "call" and file.is_relative_to(root) and not name.endswith(">"):
+            functions = found.setdefault(file.relative_to(root).as_posix(), [])
+            if name not in functions:
+                functions.append(name)
+
+    sys.setprofile(look)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return found
+
+
+def follow(identifier: OnlineIdentifier, *sample: Any) -> None:
+    """Take a sample and compute what it makes due."""
+    identifier.add_rates(*sample)
+    list(identifier.advance())
+
+
+def walk_of_a_sample() -> Walk:
+    """Fly the start of the bag; return the walk of the sample that makes the next tick due."""
+    settings = Settings.from_values(load_parameters(FLIGHT / "identifier.yaml", "identifier"))
+    identifier, read = OnlineIdentifier(settings), ActuatorReader(settings.actuators)
+    with Bag(FLIGHT) as bag:
+        decode = bag.decoder("/actuators")
+        for topic, log_ns, data in bag.messages(["/imu/data", "/actuators"]):
+            reading = decode_imu_cdr(data) if topic == "/imu/data" else None
+            if reading is None or reading.rates is None:
+                t_ns, values = read(decode(data))
+                identifier.add_actuators(t_ns or log_ns, values)
+                continue
+            sample = (reading.stamp_ns, reading.rates, reading.specific_force)
+            flown = (log_ns - bag.start_ns) * 1e-9 > LEARNING
+            if flown and reading.stamp_ns >= identifier.next_due_ns:
+                return walked(partial(follow, identifier, *sample))
+            follow(identifier, *sample)
+    raise SystemExit(f"'{FLIGHT}' is shorter than {LEARNING:g} s")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description="Count what one gyro sample passes.")
+    parser.add_argument("--list", action="store_true", help="name the functions, too")
+    options = parser.parse_args(arguments)
+    walk = walk_of_a_sample()
+    for file, functions in walk.items():
+        print(f"{len(functions):3} {file}{': ' + ', '.join(functions) if options.list else ''}")
+    count = sum(map(len, walk.values()))
+    print(f"{len(walk)} files, {count} functions (aim: {AIM[0]} and {AIM[1]})")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every command of the documentation that needs neither ROS nor a cluster runs as it is printed.
+
+On short flights, in a folder with the names that the pages use. Run by .ci/run:
+
+    scripts/test -m campaign test/test_commands.py
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from excerpts import BAGS, excerpt
+from repository import ROOT
+from test_docs import DOCS, README, code_blocks, page_id, text_of
+from ulog_writing import commands, sensor_combined, write_ulog
+
+from uav_ident_ros.offline.status import NOT_USABLE
+
+SECONDS = 12.0
+"""Length of the flights: that a model is usable is not asked for."""
+
+PROGRAMS = ("fleet", "import_log", "replay", "simulate")
+RUNNABLE = re.compile(rf"\.venv/bin/(?:{'|'.join(PROGRAMS)}) ")
+ELSEWHERE = re.compile(r"^(?:ros2|scripts/|\.venv/bin/monitor) |--scheduler", re.MULTILINE)
+
+
+def runnable(page: Path) -> list[str]:
+    """Blocks of a page to be run; of those with other programs none."""
+    blocks = code_blocks(text_of(page))
+    return [b for b in blocks if RUNNABLE.search(b) and not ELSEWHERE.search(b)]
+
+
+PAGES = [page for page in (README, *DOCS) if runnable(page)]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """What the commands name: bags, a folder of flights, a log, a vehicle's parameters."""
+    for bag in (path for path in BAGS.iterdir() if (path / "metadata.yaml").exists()):
+        excerpt(tmp_path / "bags" / bag.name, SECONDS, bag.name)
+        shutil.copy(bag / "identifier.yaml", tmp_path / "bags" / bag.name)
+    shutil.copytree(tmp_path / "bags" / "multisine", tmp_path / "flights" / "first")
+    shutil.copytree(tmp_path / "bags" / "multisine", tmp_path / "BAG")
+    (tmp_path / "vehicle.yaml").symlink_to(BAGS / "multisine" / "identifier.yaml")
+    (tmp_path / "config").symlink_to(ROOT / "config")
+    t_ns = 5_000_000 * np.arange(1, round(200 * SECONDS))
+    values = np.random.default_rng(1).normal(size=(len(t_ns), 3))
+    topics = {
+        ("sensor_combined", 0): sensor_combined(t_ns, values, values),
+        ("vehicle_torque_setpoint", 0): commands(t_ns[::4], values[::4], "xyz"),
+    }
+    write_ulog(tmp_path / "flight.ulg", topics, {})
+    (tmp_path / "output").mkdir()
+    programs = tmp_path / ".venv" / "bin"
+    programs.mkdir(parents=True)
+    for name in PROGRAMS:
+        real = Path(sys.executable).parent / name
+        program = programs / name
+        program.write_text(f'#!/bin/sh\n"{real}" "$@"\ntest $? -le {NOT_USABLE}\n')
+        program.chmod(0o755)
+    return tmp_path
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
+def test_the_commands_of_a_page_run(page: Path, folder: Path) -> None:
+    script = re.sub(r"(?<=--duration )\S+", f"{SECONDS:g}", "\n".join(runnable(page)))
+    done = subprocess.run(
+        ["bash", "-e", "-o", "pipefail", "-c", script], cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
