@@ -142,7 +142,8 @@ def resident_mb(pid: int) -> float:
 
 def measure(imu_rate: float, seconds: float, parameters: list[str]) -> Cost:
     """Run node and publisher and measure for `seconds`."""
-    from uav_ident_ros.player import Player, stamp_ns
+    from uav_ident_ros.player import Player
+    from uav_ident_ros.ros import stamp_ns
 
     command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
     for parameter in (

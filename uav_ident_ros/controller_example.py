@@ -37,6 +37,7 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import run, spin
 from uav_ident_ros.node.usage import node_usage
+from uav_ident_ros.ros import stamp_ns
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 AXES = ("roll", "pitch", "yaw")
@@ -109,10 +110,11 @@ class ControllerExample(Node):
 
     def _on_reference(self, message: Vector3Stamped) -> None:
         vector = message.vector
-        self._references.add(_ns(message.header), np.array([vector.x, vector.y, vector.z]))
+        reference = np.array([vector.x, vector.y, vector.z])
+        self._references.add(stamp_ns(message.header.stamp), reference)
 
     def _on_imu(self, message: Imu) -> None:
-        t_ns = _ns(message.header)
+        t_ns = stamp_ns(message.header.stamp)
         rates = message.angular_velocity
         x = np.array([rates.x, rates.y, rates.z]) * FLU_TO_FRD
         reference = self._references.at(t_ns - self._reference_delay_ns)
@@ -153,7 +155,7 @@ class ControllerExample(Node):
     ) -> None:
         """Say what the loop flies on: when it changes in the log, and on /diagnostics."""
         line += f": {why}" if why else ""
-        t_ns = _ns(header)
+        t_ns = stamp_ns(header.stamp)
         last_ns, said = self._reported
         if line == said and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
             return
@@ -196,10 +198,6 @@ def measured(controller: RateController) -> list[KeyValue]:
         KeyValue(key=f"measured effect of {axis}", value=f"{factor:.2f} +- {sigma:.2f} of believed")
         for axis, factor, sigma in zip(AXES, found.factor, found.sigma, strict=True)
     ]
-
-
-def _ns(header: Header) -> int:
-    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
 
 def main(args: list[str] | None = None) -> int:

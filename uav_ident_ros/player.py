@@ -14,17 +14,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.srv import ListParameters
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.guest import Guest
+from uav_ident_ros.ros import latched, stamp_ns, to_stamp
 
 SECOND_NS = 1_000_000_000
 
@@ -85,16 +84,6 @@ class Outputs:
             received.clear()
 
 
-def stamp_ns(stamp: Time) -> int:
-    """Return a stamp in ns."""
-    return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
-
-
-def to_stamp(t_ns: int) -> Time:
-    """Return a time in ns as a stamp."""
-    return Time(sec=t_ns // SECOND_NS, nanosec=t_ns % SECOND_NS)
-
-
 class Player(Guest):
     """Publishes recorded messages and /clock, and listens to the node."""
 
@@ -116,15 +105,10 @@ class Player(Guest):
         self._listen()
 
     def _listen(self) -> None:
-        latched = QoSProfile(
-            depth=DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL,
-        )
-        out, name = self.outputs, self._node_name
+        out, name, last = self.outputs, self._node_name, latched(DEPTH)
         subscribe = self.node.create_subscription
-        subscribe(JointState, f"{name}/coefficients_named", out.named.append, latched)
-        subscribe(Float64MultiArray, f"{name}/coefficients", out.coefficients.append, latched)
+        subscribe(JointState, f"{name}/coefficients_named", out.named.append, last)
+        subscribe(Float64MultiArray, f"{name}/coefficients", out.coefficients.append, last)
         subscribe(Vector3Stamped, f"{name}/predicted_rates", out.predicted_rates.append, DEPTH)
         subscribe(Vector3Stamped, f"{name}/prediction_error", out.prediction_error.append, DEPTH)
         subscribe(DiagnosticArray, "/diagnostics", self._keep_status, DEPTH)

@@ -18,7 +18,8 @@ from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.status import NOT_USABLE, USABLE
-from uav_ident_ros.player import Outputs, Player, stamp_ns
+from uav_ident_ros.player import Outputs, Player
+from uav_ident_ros.ros import stamp_ns
 
 BAGS = ROOT / "bags"
 RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"

@@ -28,7 +28,8 @@ from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.node.excite import slowest_ticks
-from uav_ident_ros.player import Player, stamp_ns
+from uav_ident_ros.player import Player
+from uav_ident_ros.ros import stamp_ns
 
 MS = 1_000_000
 PARAMETERS = {

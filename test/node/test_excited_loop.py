@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool
 
 from uav_ident_ros.client import Excitation, subscribe_excitation
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
-from uav_ident_ros.player import to_stamp
+from uav_ident_ros.ros import to_stamp
 
 SURFACES = ["elevator", "rudder", "aileron", "throttle"]
 PERIOD_NS = 10_000_000

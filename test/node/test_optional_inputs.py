@@ -14,7 +14,7 @@ from recordings import Fly, part, recording, shown, wait_for_words
 from std_msgs.msg import Bool, Float64
 
 from uav_ident_ros.bags.reading import Message
-from uav_ident_ros.player import to_stamp
+from uav_ident_ros.ros import to_stamp
 
 AIRSPEED, ARMED = "/airspeed", "/armed"
 EVERY = 20

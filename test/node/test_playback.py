@@ -28,7 +28,8 @@ from std_msgs.msg import Float64MultiArray
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.offline.ticks import Ticks
-from uav_ident_ros.player import Player, stamp_ns
+from uav_ident_ros.player import Player
+from uav_ident_ros.ros import stamp_ns
 
 ON_TIME = 2e-3
 """How late the player may be, s rms: a machine too busy for real time says nothing."""

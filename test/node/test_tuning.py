@@ -14,7 +14,8 @@ from recordings import Fly, call, published, recording, replayed
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Setting, Settings, declarations
 from uav_ident_ros.node.parameters import PARAMETER_TYPES
-from uav_ident_ros.player import Player, stamp_ns
+from uav_ident_ros.player import Player
+from uav_ident_ros.ros import stamp_ns
 
 CHANGEABLE = [setting for setting in declarations() if not setting.read_only]
 LEARNING = ("forgetting_time", "model.leak_time")

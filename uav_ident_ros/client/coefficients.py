@@ -29,6 +29,7 @@ from uav_ident_ros.messages.published import (
     STATE_NAMES,
     USABLE_NAME,
 )
+from uav_ident_ros.messages.types import NS_PER_S, header_ns
 
 MIN_T_RATIO = 3.0
 """Value over sigma from which on a coefficient is known."""
@@ -36,8 +37,6 @@ MIN_T_RATIO = 3.0
 MAX_SHARE = 0.1
 """A small coefficient is known too if its sigma is below this share of the largest known one
 of its kind in its row: a cross coupling that is surely small."""
-
-SECOND_NS = 1_000_000_000
 
 
 class MessageError(ValueError):
@@ -121,7 +120,6 @@ class Coefficients:
         values, sigmas = (_matrix(structure, entries) for entries in (value, sigma))
         if not (np.isfinite(values).all() and (sigmas >= 0.0).all()):
             raise MessageError("a coefficient is not finite, or its sigma is negative or NaN")
-        stamp = message.header.stamp
         return cls(
             structure=structure,
             values=values,
@@ -130,7 +128,7 @@ class Coefficients:
             usable_rows=_three(value[name] == 1.0 for name in ROW_USABLE_NAMES),
             flow=_flow(value, sigma) if structure.has_flow else None,
             fit=np.array([value[name] for name in FIT_NAMES]),
-            t_ns=int(stamp.sec) * SECOND_NS + int(stamp.nanosec),
+            t_ns=header_ns(message),
         )
 
     @classmethod
@@ -154,7 +152,7 @@ class Coefficients:
 
     def age(self, now_ns: int) -> float:
         """Age at message time `now_ns`, s."""
-        return (now_ns - self.t_ns) / SECOND_NS
+        return (now_ns - self.t_ns) / NS_PER_S
 
     @cached_property
     def known(self) -> BoolArray:

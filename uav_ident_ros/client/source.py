@@ -8,10 +8,11 @@ from enum import Enum
 
 import numpy as np
 
-from uav_ident_ros.client.coefficients import SECOND_NS, Coefficients, NamedMessage
+from uav_ident_ros.client.coefficients import Coefficients, NamedMessage
 from uav_ident_ros.client.history import History
 from uav_ident_ros.client.model import AttitudeModel, Refusal
 from uav_ident_ros.identification.structure import BoolArray
+from uav_ident_ros.messages.types import NS_PER_S
 
 MAX_AGE = 0.5
 """Age at which coefficients count as stale, s: ten ticks missed."""
@@ -78,7 +79,7 @@ class CoefficientSource:
         self._nominal = nominal
         self._heed_verdict = heed_verdict
         self._max_age = max_age
-        self._delay_ns = round(delay * SECOND_NS)
+        self._delay_ns = round(delay * NS_PER_S)
         self._history: History[Coefficients] = History()
         # the last good value of each coefficient, and which there are
         self._good = nominal

@@ -9,6 +9,7 @@ from typing import Any
 from uav_ident_ros.client.coefficients import Coefficients, MessageError
 from uav_ident_ros.client.excitation import Excitation
 from uav_ident_ros.client.source import CoefficientSource
+from uav_ident_ros.messages.types import header_ns
 
 TOPIC = "identifier/coefficients_named"
 """Where the identifier of the node's own namespace publishes."""
@@ -44,8 +45,9 @@ def subscribe(
     rclpy.subscription.Subscription
         The subscription: reliable and latched, so that the last coefficients come at once.
     """
-    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
     from sensor_msgs.msg import JointState
+
+    from uav_ident_ros.ros import latched
 
     def take(message: JointState) -> None:
         try:
@@ -56,12 +58,7 @@ def subscribe(
         if callback is not None:
             callback(coefficients)
 
-    latched = QoSProfile(
-        depth=DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    )
-    return node.create_subscription(JointState, topic, take, latched)
+    return node.create_subscription(JointState, topic, take, latched(DEPTH))
 
 
 def subscribe_excitation(node: Any, excitation: Excitation, topic: str = EXCITATION_TOPIC) -> Any:
@@ -84,8 +81,6 @@ def subscribe_excitation(node: Any, excitation: Excitation, topic: str = EXCITAT
     from sensor_msgs.msg import JointState
 
     def take(message: JointState) -> None:
-        stamp = message.header.stamp
-        t_ns = int(stamp.sec) * 10**9 + int(stamp.nanosec)
-        excitation.add(t_ns, list(message.name), list(message.position))
+        excitation.add(header_ns(message), list(message.name), list(message.position))
 
     return node.create_subscription(JointState, topic, take, DEPTH)

@@ -39,7 +39,7 @@ import yaml
 
 from uav_ident_ros.files.strict_yaml import EntryError, StrictLoader, mapping, yaml_problem
 from uav_ident_ros.identification.estimate import CoefficientSet
-from uav_ident_ros.identification.settings import MAX_DELAY
+from uav_ident_ros.identification.settings import MAX_DELAY, Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 
 FORMAT = "uav_ident_ros/coefficients"
@@ -208,6 +208,18 @@ def load_coefficients(
         If it cannot be read, is damaged or is for another structure.
     """
     return load_with_notes(path, structure)[0]
+
+
+def initial_coefficients(settings: Settings) -> CoefficientSet | None:
+    """Read the coefficients to start from; None if the settings name no file of them.
+
+    Raises
+    ------
+    CoefficientsFileError
+        If the file cannot be used.
+    """
+    file = settings.initial_coefficients_file
+    return load_coefficients(file, settings.structure) if file else None
 
 
 def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[CoefficientSet, Notes]:

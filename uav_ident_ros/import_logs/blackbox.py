@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
@@ -25,8 +26,6 @@ from uav_ident_ros.import_logs.log import NS_PER_US
 
 MAGIC = b"H Product:Blackbox flight data recorder"
 """First bytes of every blackbox log."""
-
-GRAVITY = 9.80665
 
 GYROS = ("gyroUnfilt", "gyroADC")
 """Fields of the rates, the preferred first: as sampled, and behind the filters."""

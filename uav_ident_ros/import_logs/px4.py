@@ -17,12 +17,10 @@ from uav_ident_ros.import_logs.px4_actuators import COMMANDS, hovers, read_actua
 from uav_ident_ros.import_logs.px4_folder import read_folder
 from uav_ident_ros.import_logs.px4_log import read_ulog, title_of
 from uav_ident_ros.import_logs.stamps import intervals
+from uav_ident_ros.messages.types import PX4_RELATIVE_TIMESTAMP_INVALID
 
 ARMED = 2
 """vehicle_status.arming_state of an armed vehicle, in old and new logs."""
-
-RELATIVE_STAMP_INVALID = 0x7FFFFFFF
-"""sensor_combined: there is no accelerometer sample."""
 
 MOST_GYROS = 4
 
@@ -76,7 +74,7 @@ def _from_sensor_combined(it: Import, topic: Messages) -> Rates:
     findings = it.log.findings
     _say_orientation(it, "PX4 has turned sensor_combined by it")
     relative = topic.columns["accelerometer_timestamp_relative"]
-    valid = relative != RELATIVE_STAMP_INVALID
+    valid = relative != PX4_RELATIVE_TIMESTAMP_INVALID
     if not valid.any():
         findings.doubt("there is no valid accelerometer sample: ay and az are zero")
         return topic.stamp_ns, topic.array("gyro_rad"), None

@@ -57,13 +57,8 @@ class RatesReading(NamedTuple):
     frame_id: str  # Frame of the header; empty if the type has none
 
 
-class ActuatorReading(NamedTuple):
-    """One message of the actuator topic."""
-
-    # Message time, ns; None if the type has no stamp and counts from its arrival
-    stamp_ns: int | None
-    values: Sequence[float]  # Every raw channel of the message
-    names: Sequence[str] | None  # Their names; None if the type does not name them
+Stamp = Callable[[Any], int]
+"""Time of a message, ns."""
 
 
 @dataclass(frozen=True)
@@ -78,13 +73,17 @@ class RatesAdapter:
 class ActuatorAdapter:
     """How to read one type of actuator message."""
 
-    # Message and name of an array field to `ActuatorReading`
-    read: Callable[[Any, str], ActuatorReading]
+    stamp: Stamp | None  # None if the type has no stamp and counts from its arrival
     # The array fields that can hold the channels; the first is the usual one
     fields: tuple[str, ...]
-    unit: str  # Unit of the values, in words
-    stamped: bool = True  # Whether messages carry their own time
+    unit: str = "as its publisher defines"  # Unit of the values, in words
     named: bool = False  # Whether messages name their channels
+    count: str = ""  # Field that says how many entries of the array are in use; empty if all are
+
+    @property
+    def stamped(self) -> bool:
+        """Whether messages carry their own time."""
+        return self.stamp is not None
 
 
 # --- reading ---------------------------------------------------------------------------------
@@ -134,30 +133,7 @@ def _read_px4_sensor_combined(message: Any) -> RatesReading:
     return RatesReading(px4_ns(message), _three(message.gyro_rad), force, "")
 
 
-def _read_unstamped(message: Any, field: str) -> ActuatorReading:
-    return ActuatorReading(None, getattr(message, field), None)
-
-
-def _read_with_header(message: Any, field: str) -> ActuatorReading:
-    return ActuatorReading(header_ns(message), getattr(message, field), None)
-
-
-def _read_joint_state(message: Any, field: str) -> ActuatorReading:
-    return ActuatorReading(header_ns(message), getattr(message, field), message.name)
-
-
-def _read_px4(message: Any, field: str) -> ActuatorReading:
-    return ActuatorReading(px4_ns(message), getattr(message, field), None)
-
-
-def _read_px4_outputs(message: Any, field: str) -> ActuatorReading:
-    values = getattr(message, field)[: int(message.noutputs)]
-    return ActuatorReading(px4_ns(message), values, None)
-
-
 _NORMALISED = "normalised, -1 to 1"
-_PULSE_WIDTH = "pulse width, microseconds"
-_AS_SENT = "as its publisher defines"
 
 RATES: dict[str, RatesAdapter] = {
     "sensor_msgs/msg/Imu": RatesAdapter(_read_imu),
@@ -167,30 +143,23 @@ RATES: dict[str, RatesAdapter] = {
 """The supported types of the rates topic."""
 
 ACTUATORS: dict[str, ActuatorAdapter] = {
-    "std_msgs/msg/Float64MultiArray": ActuatorAdapter(
-        _read_unstamped, ("data",), _AS_SENT, stamped=False
-    ),
-    "std_msgs/msg/Float32MultiArray": ActuatorAdapter(
-        _read_unstamped, ("data",), _AS_SENT, stamped=False
-    ),
+    "std_msgs/msg/Float64MultiArray": ActuatorAdapter(None, ("data",)),
+    "std_msgs/msg/Float32MultiArray": ActuatorAdapter(None, ("data",)),
     "sensor_msgs/msg/JointState": ActuatorAdapter(
-        _read_joint_state, ("position", "velocity", "effort"), "rad, rad/s or Nm", named=True
+        header_ns, ("position", "velocity", "effort"), "rad, rad/s or Nm", named=True
     ),
     "actuator_msgs/msg/Actuators": ActuatorAdapter(
-        _read_with_header, ("position", "velocity", "normalized"), "rad, rad/s or -1 to 1"
+        header_ns, ("position", "velocity", "normalized"), "rad, rad/s or -1 to 1"
     ),
-    "mavros_msgs/msg/RCOut": ActuatorAdapter(_read_with_header, ("channels",), _PULSE_WIDTH),
-    "mavros_msgs/msg/ActuatorControl": ActuatorAdapter(
-        _read_with_header, ("controls",), _NORMALISED
-    ),
-    "px4_msgs/msg/ActuatorMotors": ActuatorAdapter(_read_px4, ("control",), _NORMALISED),
-    "px4_msgs/msg/ActuatorServos": ActuatorAdapter(_read_px4, ("control",), _NORMALISED),
+    "mavros_msgs/msg/RCOut": ActuatorAdapter(header_ns, ("channels",), "pulse width, microseconds"),
+    "mavros_msgs/msg/ActuatorControl": ActuatorAdapter(header_ns, ("controls",), _NORMALISED),
+    "px4_msgs/msg/ActuatorMotors": ActuatorAdapter(px4_ns, ("control",), _NORMALISED),
+    "px4_msgs/msg/ActuatorServos": ActuatorAdapter(px4_ns, ("control",), _NORMALISED),
     "px4_msgs/msg/ActuatorOutputs": ActuatorAdapter(
-        _read_px4_outputs, ("output",), "the output's own, mostly microseconds"
+        px4_ns, ("output",), "the output's own, mostly microseconds", count="noutputs"
     ),
 }
 """The supported types of the actuator topic."""
-
 
 Reading = tuple[int | None, Any]
 """Stamp, ns, None if the type has none and counts from its arrival; and the values."""
@@ -199,31 +168,32 @@ PX4_ARMING_STATE_ARMED = 2
 """VehicleStatus: the value of `arming_state` while armed."""
 
 
-def _of_px4(message: Any, value: Any) -> Reading:
-    return int(message.timestamp) * NS_PER_US, value
+def _plain(stamp: Stamp | None, value: Callable[[Any], Any]) -> Callable[[Any], Reading]:
+    """Return a reader of one value."""
+    return lambda message: (stamp(message) if stamp else None, value(message))
 
 
-def _twist_speed(message: Any) -> Reading:
+def _speed(message: Any) -> float:
     v = message.twist.linear
-    return header_ns(message), math.hypot(v.x, v.y, v.z)
+    return math.hypot(v.x, v.y, v.z)
 
 
 AIRSPEEDS: dict[str, Callable[[Any], Reading]] = {
-    "std_msgs/msg/Float64": lambda m: (None, float(m.data)),
-    "std_msgs/msg/Float32": lambda m: (None, float(m.data)),
-    "geometry_msgs/msg/TwistStamped": _twist_speed,
-    "mavros_msgs/msg/VfrHud": lambda m: (header_ns(m), float(m.airspeed)),
-    "px4_msgs/msg/AirspeedValidated": lambda m: _of_px4(m, float(m.true_airspeed_m_s)),
+    "std_msgs/msg/Float64": _plain(None, lambda m: float(m.data)),
+    "std_msgs/msg/Float32": _plain(None, lambda m: float(m.data)),
+    "geometry_msgs/msg/TwistStamped": _plain(header_ns, _speed),
+    "mavros_msgs/msg/VfrHud": _plain(header_ns, lambda m: float(m.airspeed)),
+    "px4_msgs/msg/AirspeedValidated": _plain(px4_ns, lambda m: float(m.true_airspeed_m_s)),
 }
 """The supported types of the airspeed topic: true airspeed, m/s; NaN while none is valid."""
 
 ARMINGS: dict[str, Callable[[Any], Reading]] = {
-    "std_msgs/msg/Bool": lambda m: (None, bool(m.data)),
-    "mavros_msgs/msg/State": lambda m: (header_ns(m), bool(m.armed)),
-    "px4_msgs/msg/VehicleStatus": lambda m: _of_px4(
-        m, int(m.arming_state) == PX4_ARMING_STATE_ARMED
+    "std_msgs/msg/Bool": _plain(None, lambda m: bool(m.data)),
+    "mavros_msgs/msg/State": _plain(header_ns, lambda m: bool(m.armed)),
+    "px4_msgs/msg/VehicleStatus": _plain(
+        px4_ns, lambda m: int(m.arming_state) == PX4_ARMING_STATE_ARMED
     ),
-    "px4_msgs/msg/ActuatorArmed": lambda m: _of_px4(m, bool(m.armed)),
+    "px4_msgs/msg/ActuatorArmed": _plain(px4_ns, lambda m: bool(m.armed)),
 }
 """The supported types of the armed topic: whether the motors are armed."""
 
@@ -264,8 +234,7 @@ class ActuatorReader:
         self,
         settings: ActuatorSettings,  # Type, field and channels
     ) -> None:
-        adapter = ACTUATORS[settings.type]
-        self._read = adapter.read
+        self._adapter = adapter = ACTUATORS[settings.type]
         self.field = settings.field or adapter.fields[0]  # The array field that is read
         if self.field not in adapter.fields:
             raise MessageTypeError(
@@ -291,10 +260,11 @@ class ActuatorReader:
         ChannelError
             If a channel is missing or not finite.
         """
-        reading = self._read(message, self.field)
-        if reading.names is not None and reading.names != self._names:
-            self._find(list(reading.names))
-        values = reading.values
+        adapter, values = self._adapter, getattr(message, self.field)
+        if adapter.named and message.name != self._names:
+            self._find(list(message.name))
+        if adapter.count:
+            values = values[: int(getattr(message, adapter.count))]
         try:
             selected = tuple([float(values[i]) for i in self._indices])
         except IndexError:
@@ -307,7 +277,7 @@ class ActuatorReader:
                 f"channels {_listed(self._channels)} are {_listed(selected)}: not all finite",
                 NOT_FINITE,
             )
-        return reading.stamp_ns, selected
+        return adapter.stamp(message) if adapter.stamp else None, selected
 
     def _find(self, names: list[str]) -> None:
         """Look the configured channels up among the `names` of a message."""

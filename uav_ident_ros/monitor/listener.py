@@ -4,20 +4,18 @@
 from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from uav_ident_ros.guest import Guest
-from uav_ident_ros.messages.types import NS_PER_S
+from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.monitor.heard import Heard
+from uav_ident_ros.ros import latched
 
 OUTPUT = "coefficients_named"
 OUTPUT_TYPE = "sensor_msgs/msg/JointState"
 
-LATCHED = QoSProfile(
-    depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
-"""The last coefficients arrive at once."""
+DEPTH = 10
+"""Depth of the queue of the coefficients."""
 
 STATUS_DEPTH = 50
 """Depth of the queue of /diagnostics, which a whole robot shares."""
@@ -61,9 +59,9 @@ class Listener(Guest):
         heard, topic = Heard(node), f"{node}/{OUTPUT}"
 
         def take_coefficients(message: JointState) -> None:
-            stamp = message.header.stamp
-            t_ns = stamp.sec * NS_PER_S + stamp.nanosec
-            heard.coefficients_named(t_ns, message.name, message.position, message.effort)
+            heard.coefficients_named(
+                header_ns(message), message.name, message.position, message.effort
+            )
 
         def take_status(message: DiagnosticArray) -> None:
             for status in message.status:
@@ -72,6 +70,6 @@ class Listener(Guest):
                     heard.publishers = self.node.count_publishers(topic)
 
         subscribe = self.node.create_subscription
-        subscribe(JointState, topic, take_coefficients, LATCHED)
+        subscribe(JointState, topic, take_coefficients, latched(DEPTH))
         subscribe(DiagnosticArray, "/diagnostics", take_status, STATUS_DEPTH)
         return heard

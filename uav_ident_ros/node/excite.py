@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Callable, Iterator
 
-from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
@@ -19,7 +18,7 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import NS_PER_S
-from uav_ident_ros.node.outputs import RELIABLE
+from uav_ident_ros.ros import RELIABLE, to_stamp
 
 STALE = 0.5
 """Time without a tick after which a run is aborted, s: ten at 20 Hz. By the node's clock and by one
@@ -138,7 +137,5 @@ class Excite:
         values = asked.values.tolist()
         if self._own:
             self._identifier.add_excitation(asked.t_ns, values)
-        stamp = Time(sec=asked.t_ns // NS_PER_S, nanosec=asked.t_ns % NS_PER_S)
-        self._publisher.publish(
-            JointState(header=Header(stamp=stamp), name=list(INPUTS), position=values)
-        )
+        header = Header(stamp=to_stamp(asked.t_ns))
+        self._publisher.publish(JointState(header=header, name=list(INPUTS), position=values))

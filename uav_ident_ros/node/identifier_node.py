@@ -17,8 +17,8 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from uav_ident_ros.files.coefficients_file import load_coefficients
-from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.files.coefficients_file import initial_coefficients
+from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.intake import EXCITATION
 from uav_ident_ros.identification.settings import Settings
@@ -30,10 +30,11 @@ from uav_ident_ros.node.excite import Excite
 from uav_ident_ros.node.inputs import Inputs
 from uav_ident_ros.node.memory import Memory
 from uav_ident_ros.node.notices import Guard, OnChange, Throttle
-from uav_ident_ros.node.outputs import RELIABLE, Outputs
+from uav_ident_ros.node.outputs import Outputs
 from uav_ident_ros.node.parameters import Changes, declare, settings_of
 from uav_ident_ros.node.program import spin
 from uav_ident_ros.node.waiting import Waiting
+from uav_ident_ros.ros import RELIABLE
 
 DIAGNOSTICS_PERIOD = 1.0
 """Interval of /diagnostics, s, on a steady clock."""
@@ -288,19 +289,6 @@ class IdentifierNode(Node):
         """Stop exciting and keep what was learned: the program ends, and it was asked to."""
         self._excite.abort("aborted: the program ends")
         self._memory.finish(self._estimate)
-
-
-def initial_coefficients(settings: Settings) -> CoefficientSet | None:
-    """Read the file of initial coefficients, if the settings name one.
-
-    Raises
-    ------
-    CoefficientsFileError
-        If it cannot be read.
-    """
-    if not settings.initial_coefficients_file:
-        return None
-    return load_coefficients(settings.initial_coefficients_file, settings.structure)
 
 
 def work(node: IdentifierNode, ending: Ending) -> int:

@@ -5,10 +5,8 @@ from __future__ import annotations
 
 from array import array
 
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3, Vector3Stamped
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiArrayLayout
 
@@ -19,14 +17,7 @@ from uav_ident_ros.messages.published import (
     dense_coefficients,
     named_entries,
 )
-from uav_ident_ros.messages.types import NS_PER_S
-
-LATCHED = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
-"""A late subscriber gets the last coefficients at once."""
-
-RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+from uav_ident_ros.ros import RELIABLE, latched, to_stamp
 
 
 class Outputs:
@@ -39,8 +30,8 @@ class Outputs:
     ) -> None:
         self._structure = structure
         create = node.create_publisher
-        self._named = create(JointState, "~/coefficients_named", LATCHED)
-        self._coefficients = create(Float64MultiArray, "~/coefficients", LATCHED)
+        self._named = create(JointState, "~/coefficients_named", latched(1))
+        self._coefficients = create(Float64MultiArray, "~/coefficients", latched(1))
         self._predicted = create(Vector3Stamped, "~/predicted_rates", RELIABLE)
         self._error = create(Vector3Stamped, "~/prediction_error", RELIABLE)
         self._layout = MultiArrayLayout(
@@ -53,7 +44,7 @@ class Outputs:
         frame_id: str,  # Frame of its rates: that of the Imu's messages
     ) -> None:
         """Publish an estimate on every topic, stamped with its tick."""
-        stamp = Time(sec=estimate.t_ns // NS_PER_S, nanosec=estimate.t_ns % NS_PER_S)
+        stamp = to_stamp(estimate.t_ns)
         names, positions, efforts = named_entries(estimate, self._structure)
         self._named.publish(
             JointState(

@@ -13,12 +13,11 @@ from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.files.coefficients_file import (
     CoefficientsFileError,
-    load_coefficients,
+    initial_coefficients,
     save_coefficients,
 )
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
-from uav_ident_ros.identification.estimate import CoefficientSet
-from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.offline.estimates_bag import write_estimates
 from uav_ident_ros.offline.evidence import measure
@@ -150,7 +149,7 @@ def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun,
     with Bag(job.bag) as bag:
         try:
             inputs = choose_inputs(bag, values, job.topics)
-            run = OfflineRun(inputs, _initial(inputs.settings))
+            run = OfflineRun(inputs, initial_coefficients(inputs.settings))
             run.run(bag, progress.messages)
             if run.fault:
                 warnings.append(f"fault: {run.fault}")
@@ -161,13 +160,6 @@ def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun,
             warnings += bag.damage  # which may be why
             raise
         return run, tuple(notes_on(bag, run))
-
-
-def _initial(settings: Settings) -> CoefficientSet | None:
-    """Read the coefficients to start from, if the settings name a file."""
-    if not settings.initial_coefficients_file:
-        return None
-    return load_coefficients(settings.initial_coefficients_file, settings.structure)
 
 
 def _why_nothing(run: OfflineRun) -> str:

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every ROS node here needs: stamps to nanoseconds and back, and latched topics."""
+
+from __future__ import annotations
+
+from builtin_interfaces.msg import Time
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from uav_ident_ros.messages.types import NS_PER_S
+
+RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+
+def latched(depth: int) -> QoSProfile:
+    """Return the profile with which a late subscriber gets the last messages at once."""
+    return QoSProfile(
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def stamp_ns(stamp: Time) -> int:
+    """Return a stamp in ns."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def to_stamp(t_ns: int) -> Time:
+    """Return a time in ns as a stamp."""
+    return Time(sec=t_ns // NS_PER_S, nanosec=t_ns % NS_PER_S)
