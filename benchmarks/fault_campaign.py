@@ -13,7 +13,13 @@ adaptive    the same, on what is identified and measured in flight, axis by axis
 All are tuned by one rule on the healthy aircraft's identified model: as fast as can be with a gain
 margin of two, that is, so that they still settle when every input has twice its effect.
 
-Tables go to the terminal, every flight to build/fault_campaign.json.
+The whole is a design: every fault on every aircraft, at five random times with three seeds. It is
+flown in a random order that meets every aircraft and fault before any twice, so that what was
+flown when it is stopped is a fair sample; started again, it goes on. The adaptive controller flies
+first. Whether a fixed one is lost less often is asked where the adaptive one was lost, or
+everywhere (``--all``).
+
+Tables go to the terminal, every flight to build/fault_campaign.jsonl.
 """
 
 from __future__ import annotations
@@ -21,10 +27,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import pickle
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +62,17 @@ from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared, prepare
 
 ROOT = Path(__file__).resolve().parents[1]
-RESULT = ROOT / "build" / "fault_campaign.json"
+RESULT = ROOT / "build" / "fault_campaign.jsonl"
 
-CONTROLLERS = ("inversion", "PID", "INDI", "adaptive")
+ADAPTIVE = "adaptive"
+FIXED = ("inversion", "PID", "INDI")
+CONTROLLERS = (*FIXED, ADAPTIVE)
+
+AIRCRAFT = ("c172p", "pa28", "T37", "J3Cub", "OV10", "ultra_stick_25e")
+TIMES, SEEDS = 5, 3
+"""Random times of the fault, and seeds of noise and manoeuvres, of every aircraft and fault."""
+
+HEALTHY = "healthy"
 
 
 @dataclass(frozen=True)
@@ -69,7 +86,7 @@ class Case:
 
 
 FAULTS = {
-    "healthy": Case(),
+    HEALTHY: Case(),
     "aileron halved": Case(("aileron effect 0.5",)),
     "elevator halved": Case(("elevator effect 0.5",), 1),
     "rudder halved": Case(("rudder effect 0.5",), 2),
@@ -77,8 +94,11 @@ FAULTS = {
     "aileron reversed": Case(("aileron effect -1",)),
     "elevator reversed": Case(("elevator effect -1",), 1),
     "aileron lost": Case(("aileron effect 0",)),
+    "elevator lost": Case(("elevator effect 0",), 1),
     "aileron jams": Case(("aileron jams",)),
+    "aileron jams 0.05 rad off": Case(("aileron jams 0.05",)),
     "rudder jams": Case(("rudder jams",), 2),
+    "roll inertia +50 %": Case(("roll inertia 1.5",)),
     "engine out": Case(("engine out",), 2),
     "cg aft 10 % of the chord": Case(("cg aft 0.1",), 1),
     "delay 60 ms, told 20": Case(delay=0.06),
@@ -106,10 +126,8 @@ NOTICED = 8.0
 FACTORS = tuple(1.15**k for k in range(-8, 9))
 """Speeds of a loop that are tried, over the laws' own."""
 
-TITLES = (
-    "controller", "before", "0 to 5 s", "5 to 15 s", "from 15 s", "other axes", "lost",
-    f"noticed, s (within {NOTICED:g} s)", f"within 20 %, s (after {SPAN:g} s)",
-)  # fmt: skip
+WHOLE = 1.3
+"""The same of the axes that have nothing to do with it, 5 to 15 s after a jam or a loss."""
 
 Make = Callable[[CoefficientSource], Controller]
 
@@ -168,32 +186,55 @@ def settles(prepared: Prepared, make: Make, effect: float = 2.0, seconds: float 
 
 # --- flights ---------------------------------------------------------------------------------
 
-
-def fault_time(seed: int) -> float:
-    """Random time of the fault of a seed's flights, s."""
-    rng = np.random.default_rng(seed)
-    return round(BEFORE + SPREAD * float(rng.random()), 2)
+Cell = tuple[str, str, int, int]
+"""Aircraft, fault, time (counted) and seed."""
 
 
-def fly(prepared: Prepared, name: str, factor: float, fault: str, seed: int) -> dict[str, Any]:
+def design(names: Sequence[str], faults: Sequence[str]) -> list[Cell]:
+    """Every cell, in an order whose every beginning is a fair sample."""
+    rng = np.random.default_rng(16)
+    pairs = [(name, fault) for fault in faults for name in names]
+    turns = {pair: rng.permutation(TIMES * SEEDS) for pair in pairs}
+    return [
+        (*pairs[i], *map(int, divmod(turns[pairs[i]][k], SEEDS)))
+        for k in range(TIMES * SEEDS)
+        for i in rng.permutation(len(pairs))
+    ]
+
+
+def fault_time(k: int, seed: int) -> float:
+    """Random time of the k-th fault of a seed's flights, s."""
+    return round(BEFORE + SPREAD * float(np.random.default_rng([seed, k]).random()), 2)
+
+
+def fly(prepared: Prepared, name: str, factor: float, cell: Cell) -> dict[str, Any]:
     """Fly one controller through one fault; what is to be said of it."""
-    when = fault_time(seed)
-    case = FAULTS[fault]
+    aircraft, fault, k, seed = cell
+    case, when = FAULTS[fault], fault_time(k, seed)
     axis, commands = case.axis, tuple(f"{when}: {c}" for c in case.commands)
     mission = Mission(when + AFTER, commands, seed, case.sensors, case.delay)
-    identifier = make_identifier(prepared) if name == "adaptive" else None
+    if fault == HEALTHY:
+        mission = replace(mission, duration=BEFORE + SPREAD + AFTER)
+    identifier = make_identifier(prepared) if name == ADAPTIVE else None
     outcome = fly_loop(prepared, mission, make_controller(prepared, name, factor), identifier)
-    spans = ((5.0, when), (when, when + 5.0), (when + 5.0, when + 15.0), (when + 15.0, np.inf))
+    # of a healthy flight the same stretches as of each fault
+    times = [fault_time(k, seed) for k in range(TIMES)] if fault == HEALTHY else [when]
     return {
-        "aircraft": prepared.airframe.name, "controller": name, "fault": fault, "seed": seed,
+        "aircraft": aircraft, "fault": fault, "k": k, "seed": seed, "controller": name,
         "time": when, "axis": axis, "lost": outcome.lost,
-        "errors": [outcome.error(*span).tolist() for span in spans],
+        "errors": [stretches(outcome, t) for t in times],
         "in spans": [
-            outcome.error(when + k * 1.0, when + k * 1.0 + SPAN).tolist()
-            for k in range(int(AFTER - SPAN) + 1)
+            [outcome.error(t + s, t + s + SPAN).tolist() for s in range(int(AFTER - SPAN) + 1)]
+            for t in times
         ],
         "noticed": noticed(outcome, when, axis),
     }  # fmt: skip
+
+
+def stretches(outcome: Outcome, when: float) -> list[list[float]]:
+    """Errors before the fault and in three stretches after it, deg/s."""
+    edges = (5.0, when, when + 5.0, when + 15.0, when + AFTER)
+    return [outcome.error(*span).tolist() for span in pairwise(edges)]
 
 
 def noticed(outcome: Outcome, when: float, axis: int) -> float | None:
@@ -208,73 +249,130 @@ def recovered(flight: dict[str, Any], healthy: dict[str, Any]) -> float | None:
     """Time from the fault until the axis is within 20 % of healthy for good, s."""
     if flight["lost"] is not None:
         return None
-    axis = flight["axis"]
-    ratio = [
-        f[axis] / h[axis] for f, h in zip(flight["in spans"], healthy["in spans"], strict=True)
-    ]
+    ratio = relative(flight, healthy, "in spans")[:, flight["axis"]]
     bad = [k for k, value in enumerate(ratio) if not value <= RECOVERED]
     return float(bad[-1] + 1) if bad and bad[-1] + 1 < len(ratio) else (None if bad else 0.0)
 
 
+def relative(flight: dict[str, Any], healthy: dict[str, Any], key: str) -> FloatArray:
+    """Errors of a flight over those of the healthy one at the same time, shape (n, 3)."""
+    return np.array(flight[key][0], float) / np.array(healthy[key][flight["k"]], float)
+
+
+class Fleet:
+    """Aircraft prepared, and how fast each controller may be: computed once, kept on disk."""
+
+    def __init__(self, folder: Path, pool: ProcessPoolExecutor) -> None:
+        self._folder, self._pool = folder, pool
+        self._known: dict[str, tuple[Prepared, dict[str, float]]] = {}
+
+    def __getitem__(self, name: str) -> tuple[Prepared, dict[str, float]]:
+        """Return an aircraft and the speeds of its controllers."""
+        file = self._folder / f"fault_campaign_{name}.pickle"
+        if name not in self._known and file.exists():
+            self._known[name] = pickle.loads(file.read_bytes())
+        if name not in self._known:
+            prepared = self._pool.submit(prepare, name).result()
+            found = self._pool.map(tuned, [prepared] * len(CONTROLLERS), CONTROLLERS)
+            self._known[name] = prepared, dict(zip(CONTROLLERS, found, strict=True))
+            file.write_bytes(pickle.dumps(self._known[name]))
+        return self._known[name]
+
+
 def campaign(
-    names: Sequence[str], faults: Sequence[str], seeds: int, workers: int
+    cells: Sequence[Cell],
+    flown: list[dict[str, Any]],  # What was flown before
+    everyone: bool,  # Whether the fixed ones fly where the adaptive one was not lost, too
+    workers: int,
+    folder: Path,  # For what takes long and does not change
+    end: float = float("inf"),  # Nothing new from this time of the steady clock on, s
 ) -> Iterator[dict[str, Any]]:
-    """Fly everything, a fault on all aircraft before the next; yield each flight."""
+    """Fly what is missing; yield each flight."""
+    done = {key(flight): flight for flight in flown}
+
+    def fly_all(jobs: Sequence[tuple[str, Cell]]) -> Iterator[dict[str, Any]]:
+        new = [pool.submit(fly, *arguments(*job)) for job in dict.fromkeys(jobs) if job not in done]
+        for future in new:
+            flight = future.result()
+            done[key(flight)] = flight
+            yield flight
+
+    def arguments(name: str, cell: Cell) -> tuple[Prepared, str, float, Cell]:
+        prepared, factors = fleet[cell[0]]
+        return prepared, name, factors[name], cell
+
     with ProcessPoolExecutor(workers) as pool:
-        fleet = []
-        for prepared in pool.map(prepare, names):
-            factors = list(pool.map(tuned, [prepared] * len(CONTROLLERS), CONTROLLERS))
-            fleet.append((prepared, factors))
-            said = ", ".join(f"{n} {f:.2f}" for n, f in zip(CONTROLLERS, factors, strict=True))
-            print(f"{prepared.airframe.name}: times their defaults, {said}", flush=True)
-        jobs = [
-            pool.submit(fly, prepared, name, factor, fault, seed)
-            for seed in range(seeds)
-            for fault in ("healthy", *faults)
-            for prepared, factors in fleet
-            for name, factor in zip(CONTROLLERS, factors, strict=True)
-        ]
-        for job in jobs:
-            yield job.result()
+        fleet = Fleet(folder, pool)
+        for start in range(0, len(cells), workers):
+            some = cells[start : start + workers]
+            if time.monotonic() > end:
+                return
+            healthy = [(aircraft, HEALTHY, 0, seed) for aircraft, _, _, seed in some]
+            yield from fly_all([(ADAPTIVE, cell) for cell in (*healthy, *some)])
+            fixed = [
+                (name, one)
+                for pair in zip(healthy, some, strict=True)
+                if everyone or done[ADAPTIVE, pair[1]]["lost"] is not None
+                for one in (pair if everyone else pair[1:])
+                for name in FIXED
+            ]
+            yield from fly_all(fixed)
+
+
+def key(flight: dict[str, Any]) -> tuple[str, Cell]:
+    """Return who flew which cell."""
+    return flight["controller"], (
+        flight["aircraft"], flight["fault"], flight["k"], flight["seed"]
+    )  # fmt: skip
 
 
 # --- tables ----------------------------------------------------------------------------------
 
+TITLES = (
+    "fault", "controller", "flights", "before", "0 to 5 s", "5 to 15 s", "from 15 s", "other axes",
+    "lost", f"noticed, s (within {NOTICED:g} s)", f"within 20 %, s (after {SPAN:g} s)",
+    f"others within {100 * WHOLE - 100:.0f} %",
+)  # fmt: skip
+
 
 def lines(flights: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Tables of all and of each aircraft: errors in deg/s, crashes, what was noticed and when."""
+    """Table of all aircraft, errors in deg/s; then each flight that was lost."""
     healthy = {
-        (f["aircraft"], f["controller"], f["seed"]): f for f in flights if f["fault"] == "healthy"
+        (n, a, s): f for f in flights for n, (a, fault, _, s) in [key(f)] if fault == HEALTHY
     }
-    names = list(dict.fromkeys(f["aircraft"] for f in flights))
-    for aircraft in ["all aircraft", *names] if len(names) > 1 else names:
-        own = [f for f in flights if aircraft in ("all aircraft", f["aircraft"])]
-        yield f"\n| {aircraft} | " + " | ".join(TITLES) + " |"
-        yield "|---" * (1 + len(TITLES)) + "|"
-        for fault in dict.fromkeys(f["fault"] for f in own):
-            for name in CONTROLLERS:
-                some = [f for f in own if f["fault"] == fault and f["controller"] == name]
-                if some:
-                    yield "| " + " | ".join([fault, name, *cells(some, healthy)]) + " |"
+    yield "| " + " | ".join(TITLES) + " |"
+    yield "|---" * len(TITLES) + "|"
+    for fault in FAULTS:
+        for name in CONTROLLERS:
+            some = [f for f in flights if f["fault"] == fault and f["controller"] == name]
+            if some:
+                yield "| " + " | ".join([fault, name, *cells_of(some, healthy)]) + " |"
+    fates: dict[Cell, dict[str, float | None]] = {}
+    for flight in flights:
+        name, cell = key(flight)
+        fates.setdefault(cell, {})[name] = flight["lost"]
+    for (aircraft, fault, k, seed), fate in fates.items():
+        if fate.get(ADAPTIVE) is not None:
+            also = ", ".join(name for name in FIXED if fate.get(name) is not None) or "nobody"
+            yield f"lost: {aircraft}, {fault}, time {k}, seed {seed}; also by {also}"
 
 
-def cells(some: Sequence[dict[str, Any]], healthy: dict[Any, dict[str, Any]]) -> list[str]:
+def cells_of(some: Sequence[dict[str, Any]], healthy: dict[Any, dict[str, Any]]) -> list[str]:
     """Medians over the flights of a controller and a fault, and counts."""
     axis = some[0]["axis"]
-    whole = [healthy[f["aircraft"], f["controller"], f["seed"]] for f in some]
-    errors, reference = (
-        np.array([f["errors"] for f in flights], dtype=float)  # flights, spans, axes
-        for flights in (some, whole)
-    )
+    errors = np.array([f["errors"][0] for f in some], dtype=float)  # flights, spans, axes
+    own = [(f, healthy.get((f["controller"], f["aircraft"], f["seed"]))) for f in some]
+    compared = [(f, h) for f, h in own if h is not None and f is not h]
     others = [i for i in range(3) if i != axis]
-    ratio = (errors[:, 2] / reference[:, 2])[:, others].max(axis=1)  # NaN where it was lost
-    back = [recovered(f, h) for f, h in zip(some, whole, strict=True)]
+    ratio = np.array([relative(f, h, "errors")[2, others].max() for f, h in compared])
     return [
+        str(len(some)),
         *(_middle(errors[:, k, axis]) for k in range(4)),
         _middle(ratio, "x"),
-        f"{sum(f['lost'] is not None for f in some)} of {len(some)}",
+        str(sum(f["lost"] is not None for f in some)),
         _times([f["noticed"] for f in some], NOTICED),
-        _times(back, SPAN),
+        _times([recovered(f, h) for f, h in compared], SPAN),
+        f"{(ratio <= WHOLE).sum()} of {len(ratio)}",
     ]
 
 
@@ -295,17 +393,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("aircraft", nargs="*", default=list(airframe_names()))
+    parser.add_argument("aircraft", nargs="*", default=AIRCRAFT, help=", ".join(airframe_names()))
     parser.add_argument("--fault", action="append", choices=list(FAULTS)[1:], help="default: all")
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--cells", type=int, help="how many of the design at most")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="then start nothing new")
+    parser.add_argument("--all", action="store_true", help="every controller flies every cell")
+    parser.add_argument("--result", type=Path, default=RESULT, help="where to go on")
     parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) - 1))
     options = parser.parse_args(arguments)
-    faults = options.fault or list(FAULTS)[1:]
-    RESULT.parent.mkdir(exist_ok=True)
+    cells = design(options.aircraft, options.fault or list(FAULTS)[1:])[: options.cells]
+    options.result.parent.mkdir(exist_ok=True)
     flights: list[Any] = []
-    for flight in campaign(options.aircraft, faults, options.seeds, options.workers):
-        flights.append(flight)
-        RESULT.write_text(json.dumps(flights), encoding="utf-8")
+    if options.result.exists():
+        flights += map(json.loads, options.result.read_text(encoding="utf-8").splitlines())
+    end = time.monotonic() + 60.0 * options.minutes
+    with options.result.open("a", encoding="utf-8") as file:
+        for flight in campaign(
+            cells, flights, options.all, options.workers, options.result.parent, end
+        ):
+            flights.append(flight)
+            print(json.dumps(flight), file=file, flush=True)
     for line in lines(flights):
         print(line)
     return 0

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import fault_campaign
@@ -15,8 +16,9 @@ from uav_ident_ros.simulation.loop import Outcome
 def flight(errors: list[float], lost: float | None = None, **values: Any) -> dict[str, Any]:
     spans = [[e, 1.0, 1.0] for e in errors]
     return {
-        "aircraft": "kite", "controller": "PID", "fault": "aileron lost", "seed": 0, "axis": 0,
-        "lost": lost, "errors": spans[:4], "in spans": spans, "noticed": None, **values,
+        "aircraft": "kite", "controller": "PID", "fault": "aileron lost", "k": 0, "seed": 0,
+        "axis": 0, "lost": lost, "errors": [spans[:4]], "in spans": [spans], "noticed": None,
+        **values,
     }  # fmt: skip
 
 
@@ -56,21 +58,26 @@ def test_the_table_counts_the_lost() -> None:
     ]
     lines = list(fault_campaign.lines([*healthy, *faulty]))
     row = next(line for line in lines if line.startswith("| aileron lost | PID"))
-    assert "| 1.00 | 5.00 | 2.00 | 1.00 | 1.00x | 1 of 1 |" in row
+    assert "| 1 | 1.00 | 5.00 | 2.00 | 1.00 | 1.00x | 1 |" in row
 
 
-def test_the_time_of_the_fault_is_the_seeds() -> None:
-    times = {fault_campaign.fault_time(seed) for seed in range(5)}
+def test_every_beginning_of_the_design_is_a_fair_sample() -> None:
+    names, faults = ["kite", "glider"], ["aileron lost", "rudder jams", "engine out"]
+    cells = fault_campaign.design(names, faults)
+    assert len(set(cells)) == len(cells) == 6 * fault_campaign.TIMES * fault_campaign.SEEDS
+    assert len({cell[:2] for cell in cells[:6]}) == 6
+    assert fault_campaign.design(names, faults) == cells
+    times = {fault_campaign.fault_time(k, 0) for k in range(fault_campaign.TIMES)}
     assert len(times) == 5
     assert all(15.0 <= t <= 25.0 for t in times)
 
 
 @pytest.mark.campaign
-def test_adaptive_brings_home_what_is_lost_on_fixed_derivatives() -> None:
+def test_adaptive_brings_home_what_is_lost_on_fixed_derivatives(tmp_path: Path) -> None:
     pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
-    flights = list(
-        fault_campaign.campaign(["ultra_stick_25e"], ["aileron reversed"], seeds=1, workers=2)
-    )
+    cell = fault_campaign.design(["ultra_stick_25e"], ["aileron reversed"])[:1]
+    flights = list(fault_campaign.campaign(cell, [], True, 2, tmp_path))
     lost = {f["controller"]: f["lost"] for f in flights if f["fault"] == "aileron reversed"}
     assert lost["adaptive"] is None
     assert all(lost[name] is not None for name in ("inversion", "PID", "INDI"))
+    assert not list(fault_campaign.campaign(cell, flights, True, 2, tmp_path))  # all is flown

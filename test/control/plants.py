@@ -9,6 +9,7 @@ import numpy as np
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
 from uav_ident_ros.control import Law, RateController
+from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
 
 STRUCTURE = STRUCTURES["baseline"]
@@ -33,14 +34,14 @@ def coefficients(effect: FloatArray | float = 1.0, t_ns: int = START) -> Coeffic
 
 
 def controller(
-    law: Law = Law.INCREMENTAL, **options: bool
+    law: Law = Law.INCREMENTAL, speed: float = 1.0, **options: bool
 ) -> tuple[RateController, CoefficientSource]:
     """Return a controller with the healthy set as its nominal one, and what feeds it."""
+    gains = OWN_GAINS[law].times(speed)
     nominal = coefficients()
     source = CoefficientSource(Fallback.LAST_GOOD, nominal)
-    return RateController(
-        source, nominal, LIMITS, DELAY_STEPS * DT_NS * 1e-9, law, **options
-    ), source
+    delay = DELAY_STEPS * DT_NS * 1e-9
+    return RateController(source, nominal, LIMITS, delay, law, gains=gains, **options), source
 
 
 def flown(
@@ -51,10 +52,11 @@ def flown(
     disturbance: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),  # or (N, 3), a row a sample
     noise: float = 0.0,
     each: Callable[[int], None] = lambda t_ns: None,
+    delay_steps: int = DELAY_STEPS,  # True delay; the controller is told `DELAY_STEPS`
 ) -> FloatArray:
-    """Rates of the plant, (N, 3), with two samples of delay; `effect` may change with time."""
+    """Rates of the plant, (N, 3); `effect` may change with time."""
     rng = np.random.default_rng(1)
-    x, underway, rates = np.zeros(3), [np.zeros(4)] * DELAY_STEPS, []
+    x, underway, rates = np.zeros(3), [np.zeros(4)] * delay_steps, []
     for k in range(round(seconds * 1e9 / DT_NS)):
         t = k * DT_NS * 1e-9
         rates.append(x)

@@ -10,7 +10,7 @@ import pytest
 from plants import LIMITS, START, STRUCTURE, coefficients, controller, flown
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
-from uav_ident_ros.control import AxisChoice, Effectiveness
+from uav_ident_ros.control import AxisChoice, Effectiveness, RateController
 from uav_ident_ros.identification.structure import FloatArray
 
 LATER = START + 10**8
@@ -124,6 +124,42 @@ def test_a_halved_effect_is_flown_on_before_it_is_learned() -> None:
     assert flying.effect.sources == ("measured", "nominal", "nominal")
     assert flying.effect.values[0, 2] == pytest.approx(0.5 * 29.5, rel=0.25)
     assert flying.effect.base[0, 2] == 29.5
+
+
+@pytest.mark.parametrize(("steps", "speed"), [(0, 2.3), (6, 1.0), (8, 2.3)])
+def test_a_delay_told_wrongly_is_found_and_not_taken_for_another_effect(
+    steps: int, speed: float
+) -> None:
+    """Told two steps. What is measured never makes the loop worse; what rings is mended."""
+    t = np.arange(1200) * 0.01
+    wanted = np.array([turns(s) + 0.3 * manoeuvre(s) for s in t])
+    late = slice(600, None)
+
+    def flight(adaptive: bool) -> tuple[RateController, float]:
+        flying, _ = controller(speed=speed, adaptive=adaptive)
+        rates = flown(
+            flying, 1.0, lambda s: turns(s) + 0.3 * manoeuvre(s), 12.0, noise=0.005,
+            delay_steps=steps,
+        )  # fmt: skip
+        return flying, float(np.sqrt(np.mean((rates - wanted)[late] ** 2)))
+
+    (flying, error), (_, fixed) = flight(True), flight(False)
+    assert error < 1.35 * fixed
+    if steps == 8:
+        assert flying.delay.delay == pytest.approx(0.08, abs=0.011)
+    if (steps, speed) == (8, 2.3):
+        assert error < 0.3 * fixed  # which rings
+    main = [0, 1, 2], [2, 0, 1]
+    assert (np.abs(flying.effect.values[main] / flying.effect.base[main] - 1.0) < 0.35).all()
+
+
+def test_gusts_and_noise_are_not_taken_for_another_delay() -> None:
+    rng, gust = np.random.default_rng(5), np.zeros((1200, 3))
+    for k in range(1, len(gust)):
+        gust[k] = 0.97 * gust[k - 1] + np.array([0.6, 0.3, 0.2]) * rng.standard_normal(3)
+    flying, _ = controller(speed=2.3)
+    flown(flying, 1.0, turns, seconds=12.0, disturbance=gust, noise=0.01)
+    assert flying.delay.delay == pytest.approx(0.02)
 
 
 def test_gusts_are_not_taken_for_a_lost_effect() -> None:

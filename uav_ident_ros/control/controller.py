@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from enum import Enum
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from uav_ident_ros.control.effectiveness import Effectiveness
 from uav_ident_ros.control.incremental import GAINS, IncrementalLaw
 from uav_ident_ros.control.inversion import GAINS as INVERSION_GAINS
 from uav_ident_ros.control.inversion import InversionLaw
+from uav_ident_ros.control.lateness import DelayMeter
 from uav_ident_ros.control.reference import MAX_INTERVAL, Gains
 from uav_ident_ros.control.sideslip import yaw_for_roll
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
@@ -42,7 +44,8 @@ class RateController:
     limits : (2, 4) array
         Least and largest de, dr, da, dth, deviations from trim; the throttle is not used.
     delay : float
-        From a sample's stamp to the surface that its command moves, s.
+        From a sample's stamp to the surface that its command moves, s; adaptive, the delay that
+        the flight shows takes its place.
     law : Law
         The law.
     adaptive : bool
@@ -56,6 +59,8 @@ class RateController:
         Control derivatives flown on, and where they are from.
     effectiveness : Effectiveness
         What the inputs really do.
+    delay : DelayMeter
+        When they do it.
     """
 
     def __init__(
@@ -74,7 +79,7 @@ class RateController:
         self._source = source
         self._choice = AxisChoice(source, nominal, limits, adaptive)
         self._adaptive, self._yaw_for_roll = adaptive, yaw_for_roll(nominal)
-        self._delay_ns = round(delay * 1e9)
+        self.delay = DelayMeter(delay)
         self._last_ns = 0
         self.effectiveness = Effectiveness()
         scale = self._choice.scale
@@ -92,27 +97,42 @@ class RateController:
         x, reference : (3,) arrays
             Measured and wanted p, q, r, rad/s, FRD.
         """
-        dt = (t_ns - self._last_ns) * 1e-9
+        dt, before_ns = (t_ns - self._last_ns) * 1e-9, self._last_ns
         self._last_ns = t_ns
         if not 0.0 < dt < MAX_INTERVAL:
-            dt = 0.0
+            dt, before_ns = 0.0, t_ns
             self._restart(t_ns, x, reference)
-        acting = self._commands.at(t_ns - self._delay_ns)
-        acting = np.zeros(4) if acting is None else acting
         if dt > 0.0:
-            led = self._references.at(t_ns - self._delay_ns)
-            self.effectiveness.update(x, self.effect.base, acting, dt, led)
+            self._measure(before_ns, dt, x)
         self._references.add(t_ns, reference)
         self.effect = self._choice.update(t_ns, self.effectiveness)
         if isinstance(self._law, IncrementalLaw):
             dead = self.effectiveness.dead[0] and self.effect.sources[0] != IDENTIFIED
             yaw = self._yaw_for_roll if dead and self._adaptive else 0.0
-            u = self._law.update(dt, self.effect.values, x, reference, acting, yaw)
+            held = self._acting(before_ns, self.delay.delay)
+            u = self._law.update(dt, self.effect.values, x, reference, held, yaw)
         else:
-            model = self._source.model(t_ns)
+            model, acting = self._source.model(t_ns), self._acting(t_ns, self.delay.delay)
             u = self._law.update(dt, model, self.effect.values, x, reference, acting)
         self._commands.add(t_ns, u)
         return u
+
+    def _measure(self, before_ns: int, dt: float, x: FloatArray) -> None:
+        """Learn from the `dt` seconds since the last sample what the inputs do, and when."""
+        if self._adaptive:
+            held = partial(self._acting, before_ns)
+            if self.delay.update(x, self.effect.base, held, dt):
+                self.effectiveness.restart()
+        delay = self.delay.delay
+        led = self._references.at(before_ns + round((dt - delay) * 1e9))
+        self.effectiveness.update(
+            x, self.effect.base, self._acting(before_ns, delay), dt, led, self.delay.in_doubt
+        )
+
+    def _acting(self, t_ns: int, delay: float) -> FloatArray:
+        """Return the inputs that act from `t_ns` on until the next sample's, shape (4,)."""
+        u = self._commands.at(t_ns - round(1e9 * delay))
+        return np.zeros(4) if u is None else u
 
     def inject(self, t_ns: int, u: FloatArray, excitation: FloatArray) -> FloatArray:
         """Return the inputs `u` of `t_ns` with an excitation on top, within the limits.
@@ -129,6 +149,7 @@ class RateController:
         self._commands: History[FloatArray] = History()
         self._references: History[FloatArray] = History()
         self.effectiveness.restart()
+        self.delay.restart()
         if isinstance(self._law, IncrementalLaw):
             self._law.restart(x, reference, np.zeros(4))
         else:

@@ -65,6 +65,9 @@ already go the other, for as long as the filter remembers."""
 DEAD, ALIVE = 0.3, 0.5
 """Factor below which an effect is lost, and above which a lost one is back, both by two sigma."""
 
+PERIOD = 0.05
+"""Time between answers, s: short beside the memory, as it costs more than the sums."""
+
 UNKNOWN = 1e3
 """Standard deviation of g where nothing was measured."""
 
@@ -91,7 +94,7 @@ class Effectiveness:
         self._smoothers: tuple[Smoother, Smoother] | None = None
         self._slope = np.zeros(6)
         self._noise = np.zeros(3)
-        self._age = 0.0
+        self._age = self._answered = 0.0
         self._weight = np.zeros(3)
         # sums over z f', z z' and z jerk, for the regressors f = (made, xdot, x) of each axis; z is
         # f itself in the first plane (least squares), of the reference in the second
@@ -125,6 +128,7 @@ class Effectiveness:
         acting: FloatArray,
         dt: float,
         reference: FloatArray | None = None,
+        doubtful: bool = False,
     ) -> None:
         """Take one sample.
 
@@ -140,6 +144,8 @@ class Effectiveness:
             Time since the last sample, s.
         reference : (3,) array, optional
             The reference of those inputs, rad/s: one delay ago.
+        doubtful : bool
+            Whether these may not be the inputs that act now: then nothing is to be flown on.
         """
         followed = np.append(x, np.zeros(3) if reference is None else reference)
         if self._smoothers is None:
@@ -164,7 +170,12 @@ class Effectiveness:
         self._weight = keep * self._weight + dt
         self._age += dt
         self._compare(made, slope, jerk, dt)
-        self._solve()
+        if self._age > self._answered + PERIOD:
+            self._answered = self._age
+            self._solve()
+        if doubtful:
+            self._doubt[:] = 0.0
+            self.least[:], self.most[:] = -UNKNOWN, UNKNOWN
 
     def _compare(
         self, made: FloatArray, acceleration: FloatArray, jerk: FloatArray, dt: float

@@ -65,7 +65,7 @@ class IncrementalLaw:
         x, reference : (3,) arrays
             Measured and wanted p, q, r, rad/s, FRD.
         acting : (4,) array
-            The inputs that act now: those commanded one delay ago.
+            The inputs since the last call: those commanded one delay before it.
         yaw_for_roll : float
             Yaw rate that makes up for missing roll acceleration, s: see `sideslip`.
         """

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The delay from command to surface that a flight shows, where it was told wrongly.
+
+Incremental inversion adds to the inputs that made the measured acceleration. If they are not
+those, because the delay is another than was told, the loop rings: at 20 rad/s, 40 ms turn what
+the inputs did by 0.8 rad. It is measured as the effect is (`effectiveness`): the jerk is
+compared with what the inputs should have made,
+
+    jerk_f = g (B u(t - delay))'_f + d xdot_f
+
+for some delays at a time, each with the g and d of each axis that suit it best. The delay with the
+least residuals is believed once it is surely likelier than the present one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from uav_ident_ros.control.effectiveness import BANDWIDTH, PERIOD
+from uav_ident_ros.control.smoothing import Smoother
+from uav_ident_ros.identification.structure import FloatArray
+
+STEP = 0.01
+"""Between the delays that are compared, s: at 15 rad/s a turn by 0.15 rad, two percent of g."""
+
+LATEST = 0.08
+"""Largest delay beyond the told one, s: half a turn at 40 rad/s, faster than any of the laws."""
+
+MEMORY = 5.0
+"""Time in which the weight of what was measured falls to 1 / e, s: a delay is no fault that comes
+at once, but one that makes the loop ring has to be found before the aircraft is lost."""
+
+DOUBT, SURE = 2.0, 10.0
+"""Log-likelihood ratios from which on another delay puts the believed one in doubt, odds of 7 to 1,
+and takes its place, of 22,000 to 1: neighbouring samples tell more of the same than is counted."""
+
+NOTHING = 1e-12
+"""Residuals over the jerk's square that count as none."""
+
+
+class DelayMeter:
+    """Delay from a sample to the surface that its command moves, as measured.
+
+    Parameters
+    ----------
+    told : float
+        What was told, s, to start with.
+
+    Attributes
+    ----------
+    in_doubt : bool
+        Whether another delay explains the flight better: then what looks like another effect of
+        the inputs may be the delay's.
+    """
+
+    def __init__(self, told: float) -> None:
+        earlier = int(told / STEP + 1e-6)
+        self._delays = told + STEP * np.arange(-earlier, round(LATEST / STEP) + 1)
+        self._believed = earlier
+        self.restart()
+
+    @property
+    def delay(self) -> float:
+        """The one that is believed, s."""
+        return float(self._delays[self._believed])
+
+    def restart(self) -> None:
+        """Forget what was measured, but not what is believed."""
+        self._smoothers: tuple[Smoother, Smoother] | None = None
+        self._slope = np.zeros(3)
+        # of each delay and axis the sums over f f' and f jerk, f = (made, xdot); over jerk^2
+        self._cross = np.zeros((len(self._delays), 3, 2, 2))
+        self._products = np.zeros((len(self._delays), 3, 2))
+        self._squares = np.zeros(3)
+        self._weight = self._since = 0.0
+        self.in_doubt = False
+
+    def update(
+        self, x: FloatArray, effect: FloatArray, acting: Callable[[float], FloatArray], dt: float
+    ) -> bool:
+        """Take one sample; return whether another delay is believed from now on.
+
+        Parameters
+        ----------
+        x : (3,) array
+            Measured p, q, r, rad/s.
+        effect : (3, 4) array
+            B as believed, rad/s^2 per unit.
+        acting : callable
+            Returns the inputs, shape (4,), since the last sample, for a delay, s.
+        dt : float
+            Time since the last sample, s.
+        """
+        inputs = np.array([acting(delay) for delay in self._delays])
+        if self._smoothers is None:
+            self._smoothers = Smoother(BANDWIDTH, x), Smoother(BANDWIDTH, inputs)
+            return False
+        rates, moved = self._smoothers
+        rates.update(x, dt)
+        moved.update(inputs, dt)
+        jerk = (rates.slope - self._slope) / dt
+        self._slope = rates.slope
+        made = moved.slope @ effect.T
+        f = np.stack([made, np.broadcast_to(rates.slope, made.shape)], axis=-1)
+        keep = np.exp(-dt / MEMORY)
+        self._cross = keep * self._cross + dt * f[..., :, None] * f[..., None, :]
+        self._products = keep * self._products + dt * f * jerk[:, None]
+        self._squares = keep * self._squares + dt * jerk**2
+        self._weight = keep * self._weight + dt
+        self._since += dt
+        if self._since < PERIOD:
+            return False
+        self._since = 0.0
+        likely = self.likelihood()
+        best = int(np.argmax(likely))
+        lead = likely[best] - likely[self._believed]
+        self.in_doubt = bool(lead > DOUBT)
+        if lead > SURE:
+            self._believed, self.in_doubt = best, False
+        return bool(lead > SURE)
+
+    def likelihood(self) -> FloatArray:
+        """Return the log-likelihood of each delay but for a constant."""
+        (mm, ma), (_, aa) = np.moveaxis(self._cross, (2, 3), (0, 1))
+        my, ay = np.moveaxis(self._products, 2, 0)
+        rest = ay / np.where(aa > 0.0, aa, 1.0)
+        alone = np.maximum(mm - ma**2 / np.where(aa > 0.0, aa, 1.0), 0.0)
+        told = np.maximum(my - ma * rest, 0.0)  # an effect of the other sign is no delay
+        explained = told**2 / np.where(alone > 0.0, alone, 1.0) + rest * ay
+        share = 1.0 - explained / np.where(self._squares > 0.0, self._squares, 1.0)
+        samples = self._weight * BANDWIDTH / 2.0
+        return np.asarray(-0.5 * samples * np.log(np.maximum(share, NOTHING)).sum(axis=-1))
