@@ -13,7 +13,7 @@ from uav_ident_ros.identification.structure import STRUCTURES
 
 STRUCTURE = STRUCTURES["augmented"]
 LAYOUT = layout(STRUCTURE)
-DT, EVERYWHERE = 0.05, np.ones(3)
+DT, EVERYWHERE, OPEN_LOOP = 0.05, np.ones(3), np.zeros((LAYOUT.rows, LAYOUT.width))
 AILERON = 10
 DAMPING, EFFECT = -6.0, 40.0
 
@@ -37,20 +37,22 @@ def rolled(
     return RowSamples.of(Regression(y, f, f, DT), y).pick(LAYOUT)
 
 
-def share(samples: RowSamples) -> np.ndarray:
-    """What is found, with two samples at a time."""
-    looked = ModelError(LAYOUT)
+def shares(samples: RowSamples, looked: ModelError, ratio: np.ndarray = OPEN_LOOP) -> np.ndarray:
+    """What is found after each two samples, (m / 2, 3)."""
+    found = []
     for k in range(0, samples.y.shape[1], 2):
-        part = slice(k, k + 2)
-        looked.add(
-            RowSamples(
-                samples.y[:, part], samples.residual[:, part], samples.f[:, part],
-                samples.z[:, part], samples.dt,
-            ),
-            EVERYWHERE,
-            restarted=k == 0,
-        )  # fmt: skip
-    return looked.share
+        y, residual, f, z = (
+            getattr(samples, name)[:, k : k + 2] for name in ("y", "residual", "f", "z")
+        )
+        part = RowSamples(y, residual, f, z, samples.dt)
+        looked.add(part, EVERYWHERE, ratio, restarted=k == 0)
+        found.append(looked.share)
+    return np.array(found)
+
+
+def share(samples: RowSamples, ratio: np.ndarray = OPEN_LOOP) -> np.ndarray:
+    """What is found at the end."""
+    return np.asarray(shares(samples, ModelError(LAYOUT), ratio)[-1])
 
 
 @pytest.mark.parametrize("travel", [0.015, 0.03, 0.05])
@@ -75,10 +77,37 @@ def test_an_aileron_that_does_as_it_is_told_is_not(noise: float, seed: int) -> N
 def test_a_row_that_is_learned_anew_is_forgotten() -> None:
     looked = ModelError(LAYOUT)
     for seed in range(40):
-        looked.add(rolled(0.02, seconds=2.0, seed=seed), EVERYWHERE, restarted=True)
+        looked.add(rolled(0.02, seconds=2.0, seed=seed), EVERYWHERE, OPEN_LOOP, restarted=True)
     assert looked.share[0] > 0.1
     looked.forget(0)
     assert looked.share[0] == 0.0
     for seed in range(20):
-        looked.add(rolled(seconds=2.0, seed=seed), EVERYWHERE, restarted=True)
+        looked.add(rolled(seconds=2.0, seed=seed), EVERYWHERE, OPEN_LOOP, restarted=True)
     assert looked.share[0] == 0.0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_aileron_that_answers_gusts_is_not_called_late(seed: int) -> None:
+    """It looks so: it follows the gust, and takes the gust's first part for its own."""
+    rng = np.random.default_rng(seed)
+    n = round(60.0 / DT)
+    gusts, u = np.zeros(n), np.zeros(n)
+    for k in range(1, n):
+        gusts[k] = 0.9 * gusts[k - 1] + rng.normal()
+        u[k] = 0.8 * u[k - 1] - 0.01 * gusts[k] + 0.01 * rng.normal()
+    y, f = np.zeros((n, 3)), np.zeros((n, STRUCTURE.size))
+    f[:, AILERON] = u
+    y[:, 0] = EFFECT * u + gusts
+    residual = np.outer(gusts, [1.0, 0.0, 0.0])
+    samples = RowSamples.of(Regression(y, f, f, DT), residual).pick(LAYOUT)
+    assert share(samples)[0] > 0.1
+    answers = np.where(LAYOUT.index == AILERON, 0.5, 0.0)
+    assert share(samples, answers).tolist() == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_was_found_is_not_taken_back_for_a_worse_look(seed: int) -> None:
+    """Half a minute in calm air, then a minute in gusts."""
+    looked = ModelError(LAYOUT)
+    assert shares(rolled(0.03, seconds=30.0, seed=seed), looked)[-1, 0] > 0.1
+    assert (shares(rolled(0.03, noise=2.0, seed=seed + 50), looked)[:, 0] > 0.1).all()

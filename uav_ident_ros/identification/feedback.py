@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far the inputs answer what disturbs the aircraft: feedback is not information.
 
-A gust moves the aircraft, an autopilot answers, and the input is correlated with the gust: the
-estimate of a control derivative is then off by ``cov(u, w) / var(u)``, and no residual shows it.
-What a gust alone makes of the motion is what the model's run on the inputs does not explain. If
-that motion explains the share R^2 of an input, the error is at most ``R sigma_w / sigma_u``, and of
-the disturbance w the residual e shows ``sigma_e = sigma_w sqrt(1 - R^2)``: the rest went into the
-estimate. So sigma is at least ``R / sqrt(1 - R^2) sigma_e / sigma_u`` (Soderstrom and Stoica,
-System Identification, 1989, ch. 10).
+A gust moves the aircraft, an autopilot answers, and the input is correlated with the gust w: no
+residual shows it, and no time averages it away. But the answer comes after the gust: past
+residuals explain a share R^2 of an input that is fed back, and nothing of one that is not (the test
+of residuals against future inputs; Ljung, System Identification, 1999, ch. 13 and 16). Of w the
+residual e shows ``sigma_e = sigma_w sqrt(1 - R^2)``, the rest went into the estimate. So over a
+time T the sum of ``z w``, by which the estimate is off, is at most (Cauchy and Schwarz)
+
+    C = T sigma_e^2 S_q,  S_q = sum q z z^T,  q = R^2 / (1 - R^2),
+
+where the sum of independent disturbances has a correlation time in place of T.
 """
 
 from __future__ import annotations
@@ -18,8 +21,6 @@ from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
-    LAST_COLUMNS,
-    RATE_COLUMNS,
     ROWS,
     FloatArray,
 )
@@ -27,8 +28,8 @@ from uav_ident_ros.identification.structure import (
 MEMORY = 60.0
 """Time constant of the running sums, s."""
 
-ANGLE_TIME = 5.0
-"""Leak of the angles that the disturbed rates add up to, s: an autopilot holds attitudes too."""
+ANSWER_TIMES = np.array([0.1, 0.5, 2.5])
+"""Time constants in which past residuals fade, s: from a rate loop to one that holds attitudes."""
 
 LOOK_TIME = 1.0
 """Time between two looks, s."""
@@ -36,36 +37,37 @@ LOOK_TIME = 1.0
 CORRELATION_TIME = 0.3
 """Time after which disturbances count as independent, s."""
 
+LEAST_T = 3.0
+"""Standard deviations from which a share is more than chance."""
+
 LOADING = 1e-6
 """Added to the information, relative to its diagonal."""
 
+LARGEST_SHARE = 0.99
+"""Share of an input beyond which nothing of it is anything but an answer."""
+
 
 class Feedback:
-    """Follows how much of the inputs the disturbed motion explains.
-
-    Parameters
-    ----------
-    forces : bool
-        Whether there are regressors for ay and az.
+    """Follows how much of the inputs past residuals explain.
 
     Attributes
     ----------
     share : (4,) array
-        Share R^2 of each input that the disturbed motion explains, 0 ... 1.
-    bound : (3, 4) array
-        Largest error of each control derivative of the moment rows, from that.
+        Share R^2 of each input that is an answer to disturbances, 0 ... 1.
     """
 
-    def __init__(self, *, forces: bool) -> None:
-        self._forces = forces
-        self._columns = 7 + 2 * forces  # rates, angles, forces, constant
-        self._angles: FloatArray = np.zeros(len(ROWS))
-        size = self._columns + len(INPUTS)
+    def __init__(self) -> None:
+        self._past: FloatArray = np.zeros((len(ANSWER_TIMES), len(ROWS)))
+        self._answers = self._past.size + 1  # and the constant
+        size = self._answers + len(INPUTS)
         self._products: FloatArray = np.zeros((size, size))
-        self._residual_square: FloatArray = np.zeros(len(ROWS))
         self._since_look = 0.0
         self.share: FloatArray = np.zeros(len(INPUTS))
-        self.bound: FloatArray = np.zeros((len(ROWS), len(INPUTS)))
+
+    @property
+    def ratio(self) -> FloatArray:
+        """``R^2 / (1 - R^2)`` of each input, (4,)."""
+        return self.share / (1.0 - self.share)
 
     def add(self, samples: Regression, residual: FloatArray, weight: FloatArray) -> None:
         """Take samples.
@@ -73,39 +75,31 @@ class Feedback:
         Parameters
         ----------
         samples : Regression
-            m samples; their instruments are the model's run on all inputs.
+            m samples.
         residual : (m, 3) array
             Their residuals in the moment rows, rad/s^2.
         weight : (3,) array
             How much the rows learn from them, 0 ... 1.
         """
         if samples.restarted:
-            self._angles = np.zeros(len(ROWS))
+            self._past = np.zeros_like(self._past)
         dt, m = samples.dt, len(residual)
-        disturbed, inputs = samples.f - samples.z, samples.f[:, INPUT_COLUMNS]
-        rates = disturbed[:, RATE_COLUMNS]
-        angles = np.empty_like(rates)
+        keep = np.exp(-dt / ANSWER_TIMES)[:, None]
+        signals = np.ones((m, len(self._products)))
+        signals[:, self._answers :] = samples.f[:, INPUT_COLUMNS]
         for k in range(m):
-            self._angles = self._angles + dt * (rates[k] - self._angles / ANGLE_TIME)
-            angles[k] = self._angles
-        force = disturbed[:, LAST_COLUMNS] if self._forces else disturbed[:, :0]
-        if not samples.f[:, LAST_COLUMNS].any():  # no accelerometer tells of a disturbed force
-            force = np.zeros_like(force)
-        motion = np.concatenate((rates, angles, force, np.ones((m, 1))), axis=1)
+            signals[k, : self._past.size] = self._past.ravel()
+            self._past = keep * self._past + residual[k]
         counted = dt * float(weight.max())
-        keep = np.exp(-m * counted / MEMORY)
-        signals = np.concatenate((motion, inputs), axis=1)
-        self._products = keep * self._products + counted * (signals.T @ signals)
-        square = np.add.reduce(residual * residual)
-        self._residual_square = keep * self._residual_square + counted * square
+        fade = np.exp(-m * counted / MEMORY)
+        self._products = fade * self._products + counted * (signals.T @ signals)
         self._since_look += m * dt
-        counted_time = self._products[self._columns - 1, self._columns - 1]
-        if self._since_look >= LOOK_TIME and counted_time > 0.0:
+        if self._since_look >= LOOK_TIME and self._products[-1 - len(INPUTS), -1 - len(INPUTS)]:
             self._since_look = 0.0
             self._look()
 
     def _look(self) -> None:
-        n = self._columns
+        n = self._answers
         time = self._products[n - 1, n - 1]
         mean = self._products[n - 1] / time
         covariance = self._products / time - np.outer(mean, mean)
@@ -117,7 +111,7 @@ class Feedback:
         variance = np.diag(covariance)[n:]
         moved = variance > np.finfo(float).tiny
         share = np.divide(explained, variance, out=np.zeros(len(INPUTS)), where=moved)
-        self.share = np.clip(share - n * CORRELATION_TIME / time, 0.0, 1.0)
-        told = np.maximum(1.0 - self.share, np.finfo(float).tiny) * variance
-        ratio = np.divide(self.share, told, out=np.zeros(len(INPUTS)), where=moved)
-        self.bound = np.sqrt(np.outer(self._residual_square / time, ratio))
+        # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
+        chance = (n - 1) * CORRELATION_TIME / time
+        sure = share > chance * (1.0 + LEAST_T * np.sqrt(2.0 / (n - 1)))
+        self.share = np.where(sure, np.clip(share - chance, 0.0, LARGEST_SHARE), 0.0)

@@ -105,6 +105,10 @@ class Start:
         precision[self.free] = self.sigma[self.free] ** -2
         return precision
 
+    def told(self, structure: Structure) -> BoolArray:
+        """Coefficients of which something was known before the flight, shape (R, n)."""
+        return np.asarray(self.free & (self.sigma < weak_sigma(structure)))
+
     def warm(self, t_ratio: float) -> bool:
         """Whether each moment row starts with a control derivative of so many sigmas."""
         moments = np.s_[: len(ROWS), INPUT_COLUMNS]

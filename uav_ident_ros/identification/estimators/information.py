@@ -70,6 +70,10 @@ class Sums:
         Sum of ``g g^T`` over blocks, ``g`` the sum of ``z e`` over a block, times dt.
     blocks : (rows,) array
         Number of blocks.
+    answers : (rows, k, k) array
+        Sum of ``q z z^T`` times dt, q as `Feedback` has it: what answers disturbances.
+    answer_time : (rows,) array
+        Time with answers, s.
     """
 
     zf: FloatArray
@@ -77,13 +81,15 @@ class Sums:
     zy: FloatArray
     scores: FloatArray
     blocks: FloatArray
+    answers: FloatArray
+    answer_time: FloatArray
 
     @classmethod
     def nothing(cls, rows: int, k: int) -> Self:
         """Return sums of nothing."""
         square = (rows, k, k)
-        zf, zz, scores = (np.zeros(square) for _ in range(3))
-        return cls(zf, zz, np.zeros((rows, k)), scores, np.zeros(rows))
+        zf, zz, scores, answers = (np.zeros(square) for _ in range(4))
+        return cls(zf, zz, np.zeros((rows, k)), scores, np.zeros(rows), answers, np.zeros(rows))
 
     def nothing_alike(self) -> Sums:
         """Return sums of nothing, of the same shape."""
@@ -99,12 +105,27 @@ class Sums:
             *(getattr(self, field.name) + getattr(other, field.name) for field in fields(self))
         )
 
-    def add(self, samples: RowSamples, weight: FloatArray) -> None:
-        """Add samples, which count for `weight` (rows,) in each row."""
+    def add(self, samples: RowSamples, weight: FloatArray, ratio: FloatArray | None = None) -> None:
+        """Add samples, which count for `weight` (rows,) in each row.
+
+        Parameters
+        ----------
+        samples : RowSamples
+            The samples.
+        weight : (rows,) array
+            Their weight.
+        ratio : (rows, k) array, optional
+            q of each instrument as `Feedback` has it; nothing answers a disturbance without it.
+        """
         weighted = (samples.z * (samples.dt * weight)[:, None, None]).transpose(0, 2, 1)
+        zz = weighted @ samples.z
         self.zf += weighted @ samples.f
-        self.zz += weighted @ samples.z
+        self.zz += zz
         self.zy += (weighted @ samples.y[:, :, None])[:, :, 0]
+        if ratio is not None and ratio.any():
+            root = np.sqrt(ratio)
+            self.answers += zz * root[:, :, None] * root[:, None, :]
+            self.answer_time += samples.time * weight * (ratio > 0.0).any(axis=1)
 
     def weigh(self, keep: FloatArray) -> None:
         """Let all samples so far count for `keep` (rows,) of what they did."""
@@ -114,6 +135,8 @@ class Sums:
         self.zy *= keep[:, None]
         self.scores *= row * row
         self.blocks *= keep
+        self.answers *= row
+        self.answer_time *= keep
 
     def discount(self, keep: FloatArray) -> None:
         """Let what they tell be worth `keep` (rows,) of what it was: sigma grows."""
@@ -150,6 +173,7 @@ class Sums:
         self.zy[row] = self.zf[row] @ mean
         self.scores[row] = unit**2 * precision
         self.blocks[row] = KNOWN_BLOCKS
+        self.answers[row] = self.answer_time[row] = 0.0
 
 
 @dataclass(frozen=True)
@@ -235,6 +259,7 @@ class Information:
         self._initial = np.where(used, start.values[self._i, self._j], 0.0)
         self.free: BoolArray = used & start.free[self._i, self._j]
         self._precision = np.where(self.free, start.precision[self._i, self._j], 0.0)
+        self._told = used & start.told(self._structure)[self._i, self._j]
         self._pairs = self.free[:, :, None] & self.free[:, None, :]
         self._rest = np.where(self.free, 0.0, 1.0)
 
@@ -243,12 +268,12 @@ class Information:
         """Residual variance times its correlation time: the unit of information, (rows,)."""
         return self.variance * self._unit_time
 
-    def add(self, samples: RowSamples, weight: FloatArray) -> None:
-        """Add samples, which count for `weight` (rows,) in each row; with 0 it stays as it is."""
+    def add(self, samples: RowSamples, weight: FloatArray, ratio: FloatArray | None = None) -> None:
+        """Add samples as `Sums.add` does; in a row of weight 0 all stays as it is."""
         m = samples.y.shape[1]
         if not m:
             return
-        self.sums.add(samples, weight)
+        self.sums.add(samples, weight, ratio)
         known, dt = self.time > 0.0, weight * samples.time
         # What coefficients that know nothing leave is no residual.
         residual = np.where(known[:, None], samples.residual, 0.0)
@@ -319,23 +344,40 @@ class Information:
         projected = np.linalg.solve(scaled, slope).transpose(0, 2, 1)
         system = projected @ slope
         diagonal = np.einsum("ijj->ij", system)
-        diagonal += self._precision * self.unit[:, None] + self._rest
+        diagonal += self._prior(sums) + self._rest
         # Columns without power have neither data nor, where fixed, a prior.
         diagonal[diagonal <= 0.0] = 1.0
         return projected * scale[:, None, :], system
+
+    def _prior(self, sums: Sums) -> FloatArray:
+        """Return how much the prior counts, (rows, k), where samples count as their time.
+
+        What answers disturbances is as good as a few samples, however long it lasts: beside it
+        what was learned before counts for more. What only keeps noise out does not.
+        """
+        power, answers = (np.einsum("ijj->ij", part) for part in (sums.zz, sums.answers))
+        share = np.divide(answers, power, out=np.zeros_like(power), where=power > 0.0)
+        longer = 1.0 + self._told * share * (sums.answer_time / self._unit_time)[:, None]
+        return np.asarray(self._precision * self.unit[:, None] * longer)
 
     def _covariance(self, sums: Sums, inverse: FloatArray, gain: FloatArray) -> FloatArray:
         """Return the covariance of the coefficients, shape (rows, k, k).
 
         ``G Omega G^T`` with Omega the sum of the outer products of the scores of one-second
         blocks: it holds for residuals coloured within a block, where ``s^2 R^-1`` is several
-        times too small (block-mean form of Morelli and Klein 1997). The prior adds its own part.
+        times too small (block-mean form of Morelli and Klein 1997), and what answers disturbances
+        in full (`Feedback`). The prior adds its own part.
         """
         # Few blocks: their scatter underestimates; p coefficients cost p degrees of freedom.
         lost = self.free.sum(axis=1)
         correction = 1.0 + lost / np.maximum(sums.blocks - lost, 1.0)
         middle = sums.scores * correction[:, None, None]
-        prior = inverse * (self._precision * self.unit[:, None] ** 2)[:, None, :]
+        middle += (self.variance * sums.answer_time)[:, None, None] * sums.answers
+        held = np.divide(
+            self._prior(sums) ** 2, self._precision,
+            out=np.zeros_like(self._precision), where=self.free,
+        )  # fmt: skip
+        prior = inverse * held[:, None, :]
         return np.asarray(
             gain @ middle @ gain.transpose(0, 2, 1) + prior @ inverse.transpose(0, 2, 1)
         )

@@ -19,7 +19,7 @@ import numpy as np
 
 from uav_ident_ros.identification.regression import Layout
 from uav_ident_ros.identification.row_samples import RowSamples
-from uav_ident_ros.identification.structure import MAIN_COLUMNS, ROWS, FloatArray
+from uav_ident_ros.identification.structure import MAIN_COLUMNS, ROWS, BoolArray, FloatArray
 
 BLOCK_TIME = 1.0
 """Length of the blocks whose scores are taken as independent, s; a look after each."""
@@ -29,6 +29,9 @@ BLOCKS = 60
 
 LEAST_T = 4.0
 """Value over sigma from which it is no chance: one look in ten thousand."""
+
+ACQUITTED_T = 2.0
+"""Value over sigma below which what was found is taken back: between the two no look is new."""
 
 LOADING = 1e-4
 """Added to the information, relative to its diagonal: the input and its square are alike."""
@@ -58,17 +61,36 @@ class ModelError:
         # sum of z f^T, z z^T and z y side by side, (rows, k, 2 k + 1), a block each
         self._sums: FloatArray = np.zeros((rows, k, 2 * k + 1))
         self._blocks: deque[FloatArray] = deque(maxlen=BLOCKS)
+        self._squares: deque[FloatArray] = deque(maxlen=BLOCKS)  # of the residuals, (rows,)
+        self._square: FloatArray = np.zeros(rows)
+        self._ratio: FloatArray = np.zeros(rows)
         self._time = 0.0
         self._before: list[FloatArray] = []
+        self._sure: BoolArray = np.zeros((rows, EXTRA), dtype=bool)
         self.share: FloatArray = np.zeros(rows)
 
     def forget(self, row: int) -> None:
         """Forget what a row has shown: it is learned anew."""
-        for part in (*self._blocks, self._sums, self.share):
+        for part in (*self._blocks, *self._squares, self._sums, self._square, self.share):
             part[row] = 0.0
+        self._sure[row] = False
 
-    def add(self, samples: RowSamples, weight: FloatArray, *, restarted: bool) -> None:
-        """Take samples, which count for `weight` (3,) in each row."""
+    def add(
+        self, samples: RowSamples, weight: FloatArray, ratio: FloatArray, *, restarted: bool
+    ) -> None:
+        """Take samples.
+
+        Parameters
+        ----------
+        samples : RowSamples
+            The samples.
+        weight : (3,) array
+            How much they count in each row.
+        ratio : (rows, k) array
+            q of the instruments as `Feedback` has it: an input that answers looks late.
+        restarted : bool
+            Whether the first does not continue those before.
+        """
         parts = [samples.f[: len(ROWS)], samples.z[: len(ROWS)]]
         inputs = [part[range(len(ROWS)), :, self._entries] for part in parts]
         before = [u[:, :1] for u in inputs] if restarted or not self._before else self._before
@@ -80,10 +102,15 @@ class ModelError:
         y = samples.y[: len(ROWS), :, None]
         weighted = (z * (samples.dt * weight)[:, None, None]).transpose(0, 2, 1)
         self._sums += weighted @ np.concatenate((f, z, y), axis=2)
+        square = np.add.reduce(samples.residual[: len(ROWS)] ** 2, axis=1)
+        self._square = self._square + samples.dt * weight * square
+        self._ratio = ratio[range(len(ROWS)), self._entries]
         self._time += samples.time
         if self._time >= BLOCK_TIME - 0.5 * samples.dt:
             self._blocks.append(self._sums)
-            self._sums, self._time = np.zeros_like(self._sums), 0.0
+            self._squares.append(self._square)
+            self._sums, self._square = np.zeros_like(self._sums), np.zeros_like(self._square)
+            self._time = 0.0
             self._look()
 
     @staticmethod
@@ -104,8 +131,8 @@ class ModelError:
         scale = 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0))
         both = scale[:, :, None] * scale[:, None, :]
         load = LOADING * np.eye(k)
-        slope = zf * both
-        projected = np.linalg.solve(zz * both + load, slope).transpose(0, 2, 1)
+        slope, instruments = zf * both, zz * both + load
+        projected = np.linalg.solve(instruments, slope).transpose(0, 2, 1)
         gain = np.linalg.solve(projected @ slope + load, projected)
         linear = (gain @ (scale * zy)[:, :, None])[:, :, 0]
         # A block's score, sum of z e, is linear in the coefficients.
@@ -113,7 +140,13 @@ class ModelError:
         scatter = np.einsum("bij,ilj->bil", scores * scale, gain[:, -EXTRA:])
         lost = k / (len(blocks) - k)
         variance = (1.0 + lost) * np.add.reduce(scatter**2)
+        # An input that answers looks late, but not as if it stopped short.
+        answers = self._ratio * np.add.reduce(np.array(self._squares))
+        variance[:, -1] += answers * np.einsum(
+            "ij,ijk,ik->i", gain[:, -1], instruments, gain[:, -1]
+        )
         extra, effect = linear[:, -EXTRA:], linear[range(len(ROWS)), self._entries, None]
         away = np.divide(-extra, effect, out=np.zeros_like(extra), where=effect != 0.0)
-        sure = extra**2 > LEAST_T**2 * variance
-        self.share = np.where(sure, np.maximum(away, 0.0), 0.0).max(axis=1)
+        least = np.where(self._sure, ACQUITTED_T, LEAST_T)
+        self._sure = extra**2 > least**2 * variance
+        self.share = np.where(self._sure, np.maximum(away, 0.0), 0.0).max(axis=1)

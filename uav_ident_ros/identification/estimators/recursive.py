@@ -13,6 +13,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_ident_ros.identification.estimators.change import (
     CONSTANT,
@@ -29,12 +30,13 @@ from uav_ident_ros.identification.estimators.information import (
 from uav_ident_ros.identification.estimators.model_error import ModelError
 from uav_ident_ros.identification.feedback import Feedback
 from uav_ident_ros.identification.prior import Start, slope_bounds, weak_sigma
-from uav_ident_ros.identification.regression import Regression, layout
+from uav_ident_ros.identification.regression import Layout, Regression, layout
 from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
+    INPUTS,
     MAIN_COLUMNS,
     ROWS,
     STRUCTURES,
@@ -112,15 +114,15 @@ class InstrumentalVariable:
         self.warming_up = True
         self._start: Sums | None = None
 
-    def add(self, samples: RowSamples, weight: FloatArray) -> None:
-        """Add samples, which count for `weight` (rows,) in each row."""
+    def add(self, samples: RowSamples, weight: FloatArray, ratio: FloatArray | None = None) -> None:
+        """Add samples; parameters as in `Sums.add`."""
         information = self.information
         if self.warming_up and information.time.max() >= WARM_UP_TIME:
             self.warming_up = False
             self._start, information.sums = information.sums, information.sums.nothing_alike()
         if self._start is not None:
             self._start.weigh(np.exp(-weight * samples.time / FADE_TIME))
-        information.add(samples.uninstrumented() if self.warming_up else samples, weight)
+        information.add(samples.uninstrumented() if self.warming_up else samples, weight, ratio)
 
     @property
     def sums(self) -> Sums:
@@ -181,9 +183,11 @@ class RecursiveRegression:
         self._structure = STRUCTURES[settings.structure]
         self._layout = layout(self._structure)
         self._bounds = slope_bounds(self._structure)
-        self._injected = False
         self._error = ModelError(self._layout)
-        self._feedback = Feedback(forces=self._structure.size > CONSTANT_COLUMN + 1)
+        told = start.told(self._structure)[: len(ROWS)][:, INPUT_COLUMNS].any(axis=1)
+        self._told = self._row_weights(told)[:, None] > 0
+        self._feedback = Feedback()
+        self._driven_by = _driven_by(self._layout)
         self._used_rows = np.nonzero(self._layout.used)[0]
         self._used_columns = self._layout.index[self._layout.used]
         self._start = start
@@ -262,17 +266,20 @@ class RecursiveRegression:
         moments = residual[:, : len(ROWS)]
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.learning = self._gate.learning & (weight > 0.0)
-        self._injected = samples.injected
         weight = weight * seen
+        ratio = np.zeros(self._driven_by.shape)
         if not samples.injected:
             self._feedback.add(samples, moments, weight)
+            ratio = self._feedback.ratio[self._driven_by]
         gathered = RowSamples.of(samples, residual).pick(self._layout)
-        self._error.add(gathered, weight, restarted=samples.restarted)
+        # Late or answering gusts: where nothing was known before, either is a reason to deny.
+        told = np.where(self._told, ratio, 0.0)
+        self._error.add(gathered, weight, told, restarted=samples.restarted)
         weight = self._row_weights(weight)
-        self._reference.add(gathered, weight)
-        self._whitened.add(white.pick(self._layout), weight)
+        self._reference.add(gathered, weight, ratio)
+        self._whitened.add(white.pick(self._layout), weight, ratio)
         if self._least_squares is not None:
-            self._least_squares.add(gathered.uninstrumented(), weight)
+            self._least_squares.add(gathered.uninstrumented(), weight, ratio)
         self._follow_changes(samples, gathered, weight)
         self._since_white += samples.time
         if self._since_white >= WHITENED_TIME - 0.5 * samples.dt:
@@ -295,9 +302,6 @@ class RecursiveRegression:
             sigma = np.hypot(solution.sigma, solution.values - reference.values)
         sigma = np.maximum(sigma, self._white.sigma)
         sigma = np.hypot(sigma, solution.values - self._white.values)
-        if self._reference.warming_up or not self._injected:
-            moments = np.s_[: len(ROWS), INPUT_COLUMNS]
-            sigma[moments] = np.hypot(sigma[moments], self._feedback.bound)
         main = np.arange(len(ROWS)), MAIN_COLUMNS
         sigma[main] = np.hypot(sigma[main], self.model_error * solution.values[main])
         sigma = np.where(self._start.free, sigma, self._start.sigma)
@@ -436,3 +440,12 @@ class RecursiveRegression:
                 self._set_row(row, trial.before)
                 for other, sums in zip(self._beside(), trial.beside, strict=True):
                     other.set_row(row, sums)
+
+
+def _driven_by(layout: Layout) -> NDArray[np.intp]:
+    """Input that each instrument follows, (rows, k): itself, or else the main one of the row."""
+    main = MAIN_COLUMNS - INPUT_COLUMNS.start
+    rows = np.array([*main, main[2], main[1]])[: layout.rows]  # side force by rudder, lift by de
+    own = layout.index - INPUT_COLUMNS.start
+    is_input = (own >= 0) & (own < len(INPUTS))
+    return np.where(is_input, own, rows[:, None])

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Feedback: what answers a disturbance is found, and counts as little as it tells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification.estimators.information import Information
+from uav_ident_ros.identification.feedback import Feedback
+from uav_ident_ros.identification.prior import start_from
+from uav_ident_ros.identification.regression import Regression, layout
+from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import STRUCTURES
+
+STRUCTURE = STRUCTURES["flight_dynamics"]
+LAYOUT = layout(STRUCTURE)
+DT, TRUE, GUST_TIME = 0.05, 40.0, 1.0
+P, AILERON = 5, 10
+PDOT_DA = STRUCTURE.index("pdot/da")
+
+
+def fly(
+    gain: float, excitation: float, seconds: float = 120.0, seed: int = 1
+) -> tuple[Regression, np.ndarray]:
+    """Return samples of a roll in gusts that the aileron answers after a tick; and the gusts."""
+    rng = np.random.default_rng(seed)
+    n = round(seconds / DT)
+    f, gusts, answer = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows)), 0.0
+    keep = np.exp(-DT / GUST_TIME)
+    for k in range(n):
+        gusts[k, 0] = keep * gusts[k - 1, 0] + np.sqrt(1 - keep**2) * rng.normal()
+        f[k, P] = 0.1 * rng.normal()
+        f[k, AILERON] = excitation * np.sin(0.3 * k * DT * np.arange(1, 9)).sum() - gain * answer
+        answer = gusts[k, 0]
+    y = np.zeros((n, LAYOUT.rows))
+    y[:, 0] = -5.0 * f[:, P] + TRUE * f[:, AILERON] + gusts[:, 0]
+    return Regression(y, f, f, DT), gusts
+
+
+def shares(samples: Regression, residual: np.ndarray) -> np.ndarray:
+    """Shares found with a sample at a time."""
+    looked = Feedback()
+    for k in range(len(samples.y)):
+        part = slice(k, k + 1)
+        one = replace(samples, y=samples.y[part], f=samples.f[part], z=samples.z[part])
+        looked.add(one, residual[part, :3], np.ones(3))
+    return looked.share
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_aileron_that_answers_gusts_is_found(seed: int) -> None:
+    """Nearly all of it is an answer, and nothing of the surfaces that do not move."""
+    found = shares(*fly(0.02, 0.0, seed=seed))
+    assert found[2] > 0.8
+    assert found[[0, 1, 3]].tolist() == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_aileron_that_is_excited_is_not(seed: int) -> None:
+    assert shares(*fly(0.0, 0.01, seed=seed)).tolist() == [0.0] * 4
+
+
+def test_what_is_excited_beside_the_answer_is_told_apart() -> None:
+    """Half of the variance: the share is what the answer has of it."""
+    samples, gusts = fly(0.02, 0.01)
+    exciting = 0.01**2 * 8 / 2
+    assert shares(samples, gusts)[2] == pytest.approx(0.02**2 / (0.02**2 + exciting), abs=0.15)
+
+
+def learned(
+    samples: Regression, residual: np.ndarray, ratio: float, initial: float = 0.0
+) -> tuple[float, float]:
+    """pdot/da and its sigma, with `ratio` of the aileron, from a prior of a fifth of `initial`."""
+    start = start_from(Settings())
+    values, sigma = start.values.copy(), start.sigma.copy()
+    if initial:
+        values[PDOT_DA], sigma[PDOT_DA] = initial, 0.2 * initial
+    information = Information(STRUCTURE, LAYOUT, replace(start, values=values, sigma=sigma), 0.1)
+    ratios = np.where(LAYOUT.index == AILERON, ratio, 0.0)
+    rows = RowSamples.of(samples, residual).pick(LAYOUT)
+    for k in range(0, rows.y.shape[1], 20):
+        part = slice(k, k + 20)
+        block = replace(
+            rows, y=rows.y[:, part], residual=rows.residual[:, part], f=rows.f[:, part],
+            z=rows.z[:, part],
+        )  # fmt: skip
+        information.add(block, np.ones(LAYOUT.rows), ratios)
+    solution = information.solve(start.values)
+    return float(solution.values[PDOT_DA]), float(solution.sigma[PDOT_DA])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sigma_covers_what_no_residual_shows(seed: int) -> None:
+    """Half an answer, half excitation: the estimate is off, sigma without the share too small."""
+    samples, gusts = fly(0.02, 0.01, seed=seed)
+    share = shares(samples, gusts)[2]
+    value, _ = learned(samples, gusts, 0.0)
+    error = value - TRUE
+    residual = gusts.copy()
+    residual[:, 0] -= error * samples.f[:, AILERON]  # what the estimate leaves
+    _, blind = learned(samples, residual, 0.0)
+    _, sigma = learned(samples, residual, share / (1.0 - share))
+    assert abs(error) > 4.0 * blind
+    assert abs(error) < 2.0 * sigma
+
+
+def test_an_answer_does_not_undo_what_was_known() -> None:
+    """A prior of 20 % holds where the flight tells a half of the truth, for as long as it lasts."""
+    samples, gusts = fly(0.02, 0.005, seconds=600.0)
+    biased, _ = learned(samples, gusts, 0.0, TRUE)
+    held, sigma = learned(samples, gusts, shares(samples, gusts)[2] * 4.0, TRUE)
+    assert abs(biased - TRUE) > 0.3 * TRUE
+    assert abs(held - TRUE) < 0.1 * TRUE
+    assert sigma < 0.25 * TRUE
+
+
+def test_excitation_outweighs_what_was_known() -> None:
+    samples, gusts = fly(0.0, 0.04)
+    value, sigma = learned(samples, gusts, 0.0, 2.0 * TRUE)
+    assert value == pytest.approx(TRUE, rel=0.1)
+    assert abs(value - TRUE) < 3.0 * sigma
