@@ -23,18 +23,14 @@ Entry = tuple[str, int, Any]
 """Topic, log time (ns) and message."""
 
 
-def same(topic: str, log_ns: int, message: Any) -> list[Entry]:
-    return [(topic, log_ns, message)]
-
-
 def excerpt(
     target: Path,
     seconds: float,
     source: str = "multisine",
-    change: Callable[[str, int, Any], list[Entry]] = same,
+    change: Callable[[str, int, Any], list[Entry] | None] = lambda *_: None,
     begin: float = 0.0,
 ) -> Path:
-    """Copy a part of a committed bag; `change` gives what is written for each message."""
+    """Copy a part of a committed bag; `change` edits messages, or gives what is written instead."""
     with Bag(BAGS / source) as bag, BagWriter(target) as writer:
         decoders = {topic: bag.decoder(topic) for topic in (IMU, ACTUATORS)}
         announced: set[str] = set()
@@ -42,11 +38,13 @@ def excerpt(
         for topic, log_ns, data in bag.messages([IMU, ACTUATORS]):
             if not first_ns <= log_ns <= first_ns + round(seconds * SECOND_NS):
                 continue
-            for name, at, message in change(topic, log_ns, decoders[topic](data)):
+            message = decoders[topic](data)
+            changed = change(topic, log_ns, message)
+            for name, at, written in [(topic, log_ns, message)] if changed is None else changed:
                 if name not in announced:
                     announced.add(name)
-                    writer.topic(name, message.__msgtype__)
-                writer.write(name, at, message)
+                    writer.topic(name, written.__msgtype__)
+                writer.write(name, at, written)
     return target
 
 

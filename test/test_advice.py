@@ -361,12 +361,10 @@ def test_a_delay_too_long_and_a_missing_regressor_are_found() -> None:
     assert e.delay_in_use - e.delay.delay == pytest.approx(0.08, abs=0.01)
     assert "wrong_delay" in {advice.name for advice in advise(e)}
 
-    e = evidence_of("c172p", {"structure": "baseline"}, seconds=30.0)
+    e = evidence_of("c172p", {"structure": "baseline"}, seconds=15.0)
     assert set(e.force_share) == {"pdot", "qdot", "rdot"}
     assert min(e.force_share.values()) > 0.5
-    plant = evidence_of(
-        "multisine", {"structure": "baseline"}, seconds=30.0
-    )  # it has no flow angles
+    plant = evidence_of("multisine", {"structure": "baseline"}, seconds=15.0)
     assert max(plant.force_share.values()) < 0.05
 
 

@@ -300,10 +300,9 @@ def test_two_imus_one_of_them_by_its_name(tmp_path: Path) -> None:
 
 
 def test_two_imus_on_one_topic(tmp_path: Path) -> None:
-    def mixed(topic: str, at: int, message: Any) -> list[Entry]:
+    def mixed(topic: str, at: int, message: Any) -> None:
         if topic == IMU and at % 20_000_000 == 0:
             message.header.frame_id = "imu_2"
-        return [(topic, at, message)]
 
     _, summary = replayed(excerpt(tmp_path / "bag", 3.0, change=mixed), tmp_path / "out")
     (note,) = summary["notes"]

@@ -32,6 +32,16 @@ def context() -> Iterator[Context]:
     context.try_shutdown()
 
 
+def changing(context: Context) -> tuple[Node, list[Settings]]:
+    """A node whose parameters may change, and the settings that it was told to use."""
+    node = make_node(context)
+    settings = settings_of(node, ())
+    declare(node, settings)
+    applied: list[Settings] = []
+    Changes(node, settings, applied.append)
+    return node, applied
+
+
 def make_node(context: Context, *arguments: str) -> Node:
     rclpy.init(args=["test", "--ros-args", *arguments], context=context)
     return Node("identifier", context=context)
@@ -76,11 +86,7 @@ def test_every_parameter_is_declared_with_its_value_and_described(context: Conte
 
 
 def test_change_at_run_time_is_judged_by_the_declaration(context: Context) -> None:
-    node = make_node(context)
-    settings = settings_of(node, ())
-    declare(node, settings)
-    applied: list[Settings] = []
-    Changes(node, settings, applied.append)
+    node, applied = changing(context)
     for setting in declarations():
         for wrong in (-12345, None, "basline", [math.nan]):
             (result,) = node.set_parameters([Parameter(setting.name, value=wrong)])
@@ -91,11 +97,7 @@ def test_change_at_run_time_is_judged_by_the_declaration(context: Context) -> No
 
 
 def test_change_that_is_allowed_is_applied_and_a_set_of_them_only_whole(context: Context) -> None:
-    node = make_node(context)
-    settings = settings_of(node, ())
-    declare(node, settings)
-    applied: list[Settings] = []
-    Changes(node, settings, applied.append)
+    node, applied = changing(context)
     (result,) = node.set_parameters([Parameter("forgetting_time", value=60.0)])
     assert result.successful, result.reason
     assert applied[-1].forgetting_time == 60.0
@@ -103,7 +105,7 @@ def test_change_that_is_allowed_is_applied_and_a_set_of_them_only_whole(context:
     result = node.set_parameters_atomically(both)
     assert not result.successful
     assert "forgetting_time out of range Min: 0.0" in result.reason
-    assert node.get_parameter("model.leak_time").value == settings.model.leak_time
+    assert node.get_parameter("model.leak_time").value == Settings().model.leak_time
     assert len(applied) == 1
     both[1] = Parameter("supervision.min_fit", value=40.0)
     assert node.set_parameters_atomically(both).successful
