@@ -13,40 +13,48 @@ from uav_ident_ros.identification.structure import CONSTANT_COLUMN, STRUCTURES
 STRUCTURE = STRUCTURES["augmented"]
 
 
+NOTHING, STILL = np.zeros((3, STRUCTURE.size)), np.zeros((3, 4))
+"""Coefficients and sigmas of a row that knows nothing, exactly."""
+
+EVERY_INPUT, EVERY_ROW, NO_ROW = np.ones(4, dtype=bool), np.ones(3, dtype=bool), np.zeros(3, bool)
+ELEVATOR = NOTHING.copy()
+ELEVATOR[1, 8] = -20.0
+
+
+def noise_means(chance: np.random.Generator, dt: float, restarted: bool = False) -> Regression:
+    """The means of a tick of ten samples of noise, `dt` s each."""
+    f = chance.normal(size=(10, STRUCTURE.size))
+    return Regression(chance.normal(size=(10, 3)), f, f, dt, restarted=restarted).means()
+
+
 @pytest.mark.parametrize(
     "lengths", [(6.0, 6.0, 6.0), (4.9, 0.05, 0.05, 0.3), (2.0, 2.0, 0.9, 0.001), (0.05,) * 150]
 )
 def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> None:
-    chance = np.random.default_rng(1)
-    detector = ChangeDetector(STRUCTURE.mask, 15.0)
+    chance, detector = np.random.default_rng(1), ChangeDetector(STRUCTURE.mask, 15.0)
     for length in lengths:
-        f = chance.normal(size=(10, STRUCTURE.size))
-        data = Regression(y=chance.normal(size=(10, 3)), f=f, z=f, dt=length / 10).means()
-        changed = detector.update(
-            data,
-            np.zeros((3, STRUCTURE.size)),
-            np.zeros((3, 4)),
-            np.ones(4, dtype=bool),
-            np.ones(3, dtype=bool),
-        )
-        assert changed == []
+        data = noise_means(chance, length / 10)
+        assert detector.update(data, NOTHING, STILL, EVERY_INPUT, EVERY_ROW) == []
         assert np.isfinite(detector.found.slope).all()
 
 
 def test_a_window_does_not_reach_over_a_gap() -> None:
-    chance = np.random.default_rng(1)
-    detector = ChangeDetector(STRUCTURE.mask, 15.0)
-    everything = (
-        np.zeros((3, STRUCTURE.size)),
-        np.zeros((3, 4)),
-        np.ones(4, dtype=bool),
-        np.ones(3, dtype=bool),
-    )
+    chance, detector = np.random.default_rng(1), ChangeDetector(STRUCTURE.mask, 15.0)
     for k in range(130):
-        f = chance.normal(size=(10, STRUCTURE.size))
-        data = Regression(chance.normal(size=(10, 3)), f, f, 0.005, restarted=k == 120).means()
-        detector.update(data, *everything)
+        data = noise_means(chance, 0.005, restarted=k == 120)
+        detector.update(data, NOTHING, STILL, EVERY_INPUT, EVERY_ROW)
     assert len(detector.recent) == 10
+
+
+def elevator_means(
+    chance: np.random.Generator, u: float, more: float, noise: float = 0.05
+) -> Regression:
+    """The means of a tick of 0.05 s with the elevator at `u`, and `more` in qdot."""
+    f = np.zeros((10, STRUCTURE.size))
+    f[:, 8], f[:, CONSTANT_COLUMN] = u, 1.0
+    y = f @ ELEVATOR.T + noise * chance.normal(size=3)
+    y[:, 1] += more
+    return Regression(y, f, f, 0.005).means()
 
 
 @pytest.mark.parametrize(
@@ -62,20 +70,12 @@ def test_a_change_stands_out_from_noise_and_from_learning(
     when: float, noise: float, sigma: float, noticed: bool
 ) -> None:
     """A lost surface does, by 12 of -20."""
-    chance = np.random.default_rng(2)
-    detector = ChangeDetector(STRUCTURE.mask, 15.0)
-    coefficients = np.zeros((3, STRUCTURE.size))
-    coefficients[1, 8] = -20.0
-    everywhere, nowhere = np.ones(4, dtype=bool), np.zeros(3, dtype=bool)
+    chance, detector = np.random.default_rng(2), ChangeDetector(STRUCTURE.mask, 15.0)
     found, first = [], round(when / 0.05)
-    for k in range(first + 200):  # ticks of 0.05 s
-        f = np.zeros((10, STRUCTURE.size))
-        f[:, 8] = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal()
-        lost = 12.0 if k >= first else 0.0
-        y = f @ coefficients.T + noise * chance.normal(size=3)
-        y[:, 1] += lost * f[:, 8]
-        data = Regression(y, f, f, 0.005).means()
-        changed = detector.update(data, coefficients, np.full((3, 4), sigma), everywhere, nowhere)
+    for k in range(first + 200):
+        u = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal()
+        data = elevator_means(chance, u, 12.0 * u if k >= first else 0.0, noise)
+        changed = detector.update(data, ELEVATOR, np.full((3, 4), sigma), EVERY_INPUT, NO_ROW)
         found += [(k, *change) for change in changed]
     assert [(i, j) for _, i, j in found[:1]] == ([(1, 0)] if noticed else [])
     assert all(first < k < first + 120 for k, _, _ in found[:1])
@@ -83,51 +83,28 @@ def test_a_change_stands_out_from_noise_and_from_learning(
 
 def test_what_a_still_input_seems_to_do_is_not_remembered() -> None:
     """Its slope is noise: a surface that moves again and is lost is noticed all the same."""
-    chance = np.random.default_rng(3)
-    detector = ChangeDetector(STRUCTURE.mask, 15.0)
-    coefficients = np.zeros((3, STRUCTURE.size))
-    coefficients[1, 8] = -20.0
+    chance, detector = np.random.default_rng(3), ChangeDetector(STRUCTURE.mask, 15.0)
     found = []
-    for k in range(1200):  # ticks of 0.05 s
+    for k in range(1200):
         size = 1.0 if k % 400 < 100 or k >= 800 else 0.001
-        f = np.zeros((10, STRUCTURE.size))
-        f[:, 8] = size * (0.03 * np.sin(0.1 * k) + 0.01 * chance.normal())
-        y = f @ coefficients.T + 0.05 * chance.normal(size=3)
-        y[:, 1] += 12.0 * f[:, 8] if k >= 1000 else 0.0
-        found += detector.update(
-            Regression(y, f, f, 0.005).means(),
-            coefficients,
-            np.zeros((3, 4)),
-            np.full(4, size == 1.0),
-            np.zeros(3, dtype=bool),
-        )
+        u = size * (0.03 * np.sin(0.1 * k) + 0.01 * chance.normal())
+        data = elevator_means(chance, u, 12.0 * u if k >= 1000 else 0.0)
+        found += detector.update(data, ELEVATOR, STILL, np.full(4, size == 1.0), NO_ROW)
     assert found[:1] == [(1, 0)]
 
 
 def test_a_moment_that_steps_is_the_constant_though_the_controller_answers() -> None:
     """The input makes up for it a little later, and so looks like its cause."""
-    chance = np.random.default_rng(4)
-    detector = ChangeDetector(STRUCTURE.mask, 15.0)
-    coefficients = np.zeros((3, STRUCTURE.size))
-    coefficients[1, 8] = -20.0
+    chance, detector = np.random.default_rng(4), ChangeDetector(STRUCTURE.mask, 15.0)
     found: list[tuple[int, int]] = []
     smooth, slow = np.zeros(2), 0.0
-    for k in range(1400):  # ticks of 0.05 s
+    for k in range(1400):
         for _ in range(10):  # the moment as the regression's filter passes it
             target = 3.0 if k >= 1200 else 0.0
             slope = 15.0**2 * (target - smooth[0]) - np.sqrt(2.0) * 15.0 * smooth[1]
             smooth = smooth + 0.005 * np.array([smooth[1], slope])
             slow += 0.005 * 8.0 * (smooth[0] - slow)
-        f = np.zeros((10, STRUCTURE.size))
-        f[:, 8] = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal() + slow / 20.0
-        f[:, CONSTANT_COLUMN] = 1.0
-        y = f @ coefficients.T + 0.05 * chance.normal(size=3)
-        y[:, 1] += smooth[0]
-        found += detector.update(
-            Regression(y, f, f, 0.005).means(),
-            coefficients,
-            np.zeros((3, 4)),
-            np.ones(4, dtype=bool),
-            np.ones(3, dtype=bool),
-        )
+        u = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal() + slow / 20.0
+        data = elevator_means(chance, u, smooth[0])
+        found += detector.update(data, ELEVATOR, STILL, EVERY_INPUT, EVERY_ROW)
     assert found[:1] == [(1, CONSTANT)]
