@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -104,11 +106,41 @@ def mixing(values: dict[str, Any]) -> np.ndarray:
     return np.array([values[f"actuators.mixing.{u}"] for u in ("de", "dr", "da", "dth")])
 
 
-def imported(log: Path, capsys: Any, *options: str) -> tuple[Contents, dict[str, Any], str]:
-    """Import a log; return what is in the bag, the parameters and what was said."""
-    folder = log.parent / "bag"
-    said = run([str(log), "--output", str(folder), *options], capsys)
-    return contents(folder), parameters(folder), said
+@dataclass
+class Imported:
+    """An imported log: the folder of the bag, and what was said of it, as one line."""
+
+    folder: Path
+    said: str
+
+    @cached_property
+    def bag(self) -> Contents:
+        return contents(self.folder)
+
+    @cached_property
+    def values(self) -> dict[str, Any]:
+        return parameters(self.folder)
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter((self.bag, self.values, self.said))
+
+
+class Importer:
+    """Imports logs, each into a bag of its own; `log` is the last of them."""
+
+    def __init__(self, folder: Path, capsys: Any) -> None:
+        self.folder, self._capsys = folder, capsys
+        self.log, self._count = folder, 0
+
+    def __call__(self, log: Path, *options: str, status: int = 0) -> Imported:
+        self.log, self._count = log, self._count + 1
+        bag = self.folder / f"bag_{self._count}"
+        said = run([str(log), "--output", str(bag), *options], self._capsys, status)
+        return Imported(bag, said)
+
+    def refused(self, log: Path, *options: str) -> str:
+        """The line with which a log is refused."""
+        return refusal([str(log), "--output", str(self.folder / "refused"), *options], self._capsys)
 
 
 @dataclass

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataflash_writing import OLD_FORMATS, DataflashWriter
-from imported import contents, mixing, parameters, refusal, run
-from imported import imported as import_of
+from imported import Imported, Importer, mixing
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.simulation.channels import QUADROTOR
@@ -44,23 +43,23 @@ def servos(*functions: int, **others: float) -> dict[str, float]:
 PLANE = servos(4, 19, 70, 21, AHRS_ORIENTATION=8)
 
 
-def write(tmp_path: Path, rows: list, values: dict[str, float]) -> Path:
-    writer = DataflashWriter(tmp_path)
+def write(folder: Path, rows: list, values: dict[str, float]) -> Path:
+    writer = DataflashWriter(folder)
     writer.add_parameters(values)
     writer.add_rows(rows)
-    return writer.write(tmp_path / "flight.bin")
+    return writer.write(folder / "flight.bin")
 
 
-def imported(tmp_path: Path, capsys, rows: list, values: dict[str, float], *options: str):
-    return import_of(write(tmp_path, rows, values), capsys, *options)
+def imported(importer: Importer, rows: list, values: dict, *options: str) -> Imported:
+    return importer(write(importer.folder, rows, values), *options)
 
 
 # --- outputs ------------------------------------------------------------------------------------
 
 
-def test_a_plane_with_reversed_servos(tmp_path: Path, capsys) -> None:
+def test_a_plane_with_reversed_servos(importer: Importer) -> None:
     values = PLANE | {"SERVO2_REVERSED": 1, "SERVO2_TRIM": 1480, "SERVO4_MIN": 1000}
-    bag, found, said = imported(tmp_path, capsys, imu() + rcou(), values, "--trim", "neutral")
+    bag, found, said = imported(importer, imu() + rcou(), values, "--trim", "neutral")
     assert bag.names[:4] == ["aileron", "elevator", "throttle", "rudder"]
     np.testing.assert_array_equal(bag.actuators, PULSES)
     np.testing.assert_allclose(
@@ -89,27 +88,27 @@ def demands(values: dict, aileron: float, elevator: float, rudder: float, tail: 
     return mixing(values)[:, :2] @ scaled
 
 
-def test_elevons_give_back_half_of_what_was_asked_of_each(tmp_path: Path, capsys) -> None:
-    _, values, _ = imported(tmp_path, capsys, imu() + rcou(), servos(77, 78, 70))
+def test_elevons_give_back_half_of_what_was_asked_of_each(importer: Importer) -> None:
+    _, values, _ = imported(importer, imu() + rcou(), servos(77, 78, 70))
     np.testing.assert_allclose(demands(values, 0.0, 0.5, 0.0, False), [-0.25, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(demands(values, 0.5, 0.0, 0.0, False), [0, 0, 0.25, 0], atol=1e-12)
 
 
-def test_a_v_tail_pitches_up_and_yaws_right(tmp_path: Path, capsys) -> None:
-    _, values, _ = imported(tmp_path, capsys, imu() + rcou(), servos(79, 80, 4))
+def test_a_v_tail_pitches_up_and_yaws_right(importer: Importer) -> None:
+    _, values, _ = imported(importer, imu() + rcou(), servos(79, 80, 4))
     np.testing.assert_allclose(demands(values, 0.0, 0.5, 0.0, True), [-0.25, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(demands(values, 0.0, 0.0, 0.5, True), [0, -0.25, 0, 0], atol=1e-12)
 
 
-def test_two_servos_of_one_function_are_averaged(tmp_path: Path, capsys) -> None:
-    bag, values, _ = imported(tmp_path, capsys, imu() + rcou(), servos(4, 4, 19, 70))
+def test_two_servos_of_one_function_are_averaged(importer: Importer) -> None:
+    bag, values, _ = imported(importer, imu() + rcou(), servos(4, 4, 19, 70))
     assert bag.names[:2] == ["aileron", "aileron_2"]
     np.testing.assert_allclose(mixing(values)[2], [0.5, 0.5, 0.0, 0.0])
 
 
-def test_a_quadrotor_mixes_as_in_the_simulation(tmp_path: Path, capsys) -> None:
+def test_a_quadrotor_mixes_as_in_the_simulation(importer: Importer) -> None:
     frame = {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000}
-    _, values, said = imported(tmp_path, capsys, imu() + rcou(), servos(33, 34, 35, 36) | frame)
+    _, values, said = imported(importer, imu() + rcou(), servos(33, 34, 35, 36) | frame)
     np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
     np.testing.assert_allclose(values["actuators.scale"], 0.001)
     np.testing.assert_allclose(values["actuators.trim"], np.median(PULSES, axis=0))
@@ -117,25 +116,25 @@ def test_a_quadrotor_mixes_as_in_the_simulation(tmp_path: Path, capsys) -> None:
 
 
 @pytest.mark.parametrize(("frame", "count"), [((2, 1), 6), ((3, 1), 8), ((4, 1), 8), ((1, 0), 4)])
-def test_frames_are_balanced(tmp_path: Path, capsys, frame, count: int) -> None:
+def test_frames_are_balanced(importer: Importer, frame, count: int) -> None:
     """Collective turns nothing, and the three moments are independent of each other."""
     pulses = np.random.default_rng(3).integers(1200, 1800, (len(COMMAND_US), count))
     values = servos(*range(33, 33 + count)) | {"FRAME_CLASS": frame[0], "FRAME_TYPE": frame[1]}
-    _, found, _ = imported(tmp_path, capsys, imu() + rcou(pulses=pulses), values)
+    _, found, _ = imported(importer, imu() + rcou(pulses=pulses), values)
     rows = mixing(found)
     gram = rows @ rows.T
     np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=1e-12)
     np.testing.assert_allclose(np.abs(rows).sum(axis=1), [2.0, 2.0, 2.0, 1.0])
 
 
-def test_an_unknown_frame_is_refused_with_a_way_out(tmp_path: Path, capsys) -> None:
-    log = write(tmp_path, imu() + rcou(), servos(33, 34, 35) | {"FRAME_CLASS": 7})
-    said = refusal([str(log), "--output", str(tmp_path / "bag")], capsys)
+def test_an_unknown_frame_is_refused_with_a_way_out(importer: Importer) -> None:
+    log = write(importer.folder, imu() + rcou(), servos(33, 34, 35) | {"FRAME_CLASS": 7})
+    said = importer.refused(log)
     assert "FRAME_CLASS 7" in said
     assert "--actuators-topic RATE" in said
 
 
-def test_slow_pulses_give_way_to_the_controls_before_the_mixer(tmp_path: Path, capsys) -> None:
+def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importer) -> None:
     slow = rcou(COMMAND_US[::10], PULSES[::10])
     asked = np.array([0.1, -0.2, 0.3, 0.4])
     rates = [
@@ -143,7 +142,7 @@ def test_slow_pulses_give_way_to_the_controls_before_the_mixer(tmp_path: Path, c
         for t in COMMAND_US
     ]
     known = servos(33, 34, 35, 36) | {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
-    bag, values, said = imported(tmp_path, capsys, imu() + slow + rates, known)
+    bag, values, said = imported(importer, imu() + slow + rates, known)
     assert (
         "RCOU is logged at 5 Hz only (LOG_BITMASK); RATE is at 50 Hz, from before the mixer, and "
         "knows nothing of saturation"
@@ -154,22 +153,17 @@ def test_slow_pulses_give_way_to_the_controls_before_the_mixer(tmp_path: Path, c
 
 
 @pytest.mark.parametrize(("mask", "advice"), [(830, ": make it 831,"), (831, ", although it has")])
-def test_what_to_log_is_said_by_name(tmp_path: Path, capsys, mask: int, advice: str) -> None:
-    writer = DataflashWriter(tmp_path)
-    writer.add("MSG", START, b"ArduCopter V4.5.7 (0358a9c2)")
+def test_what_to_log_is_said_by_name(importer: Importer, mask: int, advice: str) -> None:
+    title = [(START, "MSG", (b"ArduCopter V4.5.7 (0358a9c2)",))]
     frame = {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "LOG_BITMASK": mask}
-    writer.add_parameters(servos(33, 34, 35, 36) | frame)
-    writer.add_rows(imu() + rcou(COMMAND_US[::10], PULSES[::10]))
-    log = writer.write(tmp_path / "flight.bin")
-    said = run([str(log), "--output", str(tmp_path / "bag")], capsys)
+    rows = title + imu() + rcou(COMMAND_US[::10], PULSES[::10])
+    said = imported(importer, rows, servos(33, 34, 35, 36) | frame).said
     assert f"20 Hz are needed (LOG_BITMASK {mask}{advice} 'fast attitude')" in said
 
 
-def test_aetr_on_request(tmp_path: Path, capsys) -> None:
+def test_aetr_on_request(importer: Importer) -> None:
     rows = [(int(t), "AETR", (450.0, -900.0, 60.0, 225.0)) for t in COMMAND_US]
-    bag, values, _ = imported(
-        tmp_path, capsys, imu() + rcou() + rows, PLANE, "--actuators-topic", "AETR"
-    )
+    bag, values, _ = imported(importer, imu() + rcou() + rows, PLANE, "--actuators-topic", "AETR")
     u = mixing(values) @ (np.array(values["actuators.scale"]) * bag.actuators[0])
     np.testing.assert_allclose(u, [0.2, -0.05, 0.1, 0.6])
 
@@ -177,12 +171,12 @@ def test_aetr_on_request(tmp_path: Path, capsys) -> None:
 # --- rates --------------------------------------------------------------------------------------
 
 
-def test_raw_rates_are_preferred_and_stamped_when_sampled(tmp_path: Path, capsys) -> None:
+def test_raw_rates_are_preferred_and_stamped_when_sampled(importer: Importer) -> None:
     raw = [
         (int(t) + 900, "GYR", (0, int(t), *pqr)) for t, pqr in zip(IMU_US, 2.0 * RATES, strict=True)
     ]
     raw += [(int(t) + 900, "ACC", (0, int(t), *f)) for t, f in zip(IMU_US, FORCE, strict=True)]
-    bag, _, said = imported(tmp_path, capsys, imu() + raw + rcou(), PLANE)
+    bag, _, said = imported(importer, imu() + raw + rcou(), PLANE)
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
     np.testing.assert_array_equal(bag.rates, 2.0 * RATES)
     np.testing.assert_array_equal(bag.force, FORCE)
@@ -190,20 +184,19 @@ def test_raw_rates_are_preferred_and_stamped_when_sampled(tmp_path: Path, capsys
     assert "low-passed" not in said
 
 
-def test_the_unit_can_be_chosen(tmp_path: Path, capsys) -> None:
+def test_the_unit_can_be_chosen(importer: Importer) -> None:
     rows = imu(0) + imu(1, 3.0) + rcou()
-    bag, _, said = imported(tmp_path, capsys, rows, PLANE, "--rates-instance", "1")
+    bag, _, said = imported(importer, rows, PLANE, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, 3.0 * RATES, rtol=1e-6)
     assert "instances [0, 1] of IMU" in said
-    log = [str(tmp_path / "flight.bin"), "--output", str(tmp_path / "other")]
-    assert "instance 2); it has" in refusal([*log, "--rates-instance", "2"], capsys)
-    assert "one set of actuators" in refusal([*log, "--actuators-instance", "1"], capsys)
+    assert "instance 2); it has" in importer.refused(importer.log, "--rates-instance", "2")
+    assert "one set of actuators" in importer.refused(importer.log, "--actuators-instance", "1")
 
 
 # --- the rest -----------------------------------------------------------------------------------
 
 
-def test_trim_airspeed_lever_arm_and_lost_messages(tmp_path: Path, capsys) -> None:
+def test_trim_airspeed_lever_arm_and_lost_messages(importer: Importer) -> None:
     pulses = PULSES.copy()
     pulses[:30] = 1100  # on the ground
     armed_us = int(COMMAND_US[30])
@@ -215,9 +208,7 @@ def test_trim_airspeed_lever_arm_and_lost_messages(tmp_path: Path, capsys) -> No
         *((int(t), "ARSP", (0, 16.0)) for t in COMMAND_US[30:]),
     ]
     values = PLANE | {"INS_POS1_X": 0.1, "INS_POS1_Z": -0.05}
-    bag, found, said = imported(
-        tmp_path, capsys, imu() + rcou(pulses=pulses) + rows, values, "--airspeed"
-    )
+    bag, found, said = imported(importer, imu() + rcou(pulses=pulses) + rows, values, "--airspeed")
     np.testing.assert_allclose(found["actuators.trim"], np.median(pulses[30:], axis=0))
     np.testing.assert_allclose(bag.airspeed, 20.0)
     assert found["airspeed.reference"] == 20.0
@@ -227,19 +218,15 @@ def test_trim_airspeed_lever_arm_and_lost_messages(tmp_path: Path, capsys) -> No
 
 
 @pytest.mark.parametrize("scale", [1.0, 4500.0])
-def test_mode_and_setpoints_come_along(tmp_path: Path, capsys, scale: float) -> None:
+def test_mode_and_setpoints_come_along(importer: Importer, scale: float) -> None:
     """Old logs, whose controls are no shares, ask for hundredths of a degree a second."""
     unit = 1.0 if scale == 1.0 else 100.0
     asked = (30.0 * unit, 0, 0.1 * scale, -20.0 * unit, 0, 0, 10.0 * unit, 0, 0, 0, 0, 0.4)
     rows = [(int(t), "RATE", asked) for t in COMMAND_US]
     rows += [(START, "MODE", (5, 5, 1)), (int(COMMAND_US[9]), "MODE", (99, 99, 1))]
-    writer = DataflashWriter(tmp_path)
-    writer.add("MSG", START, b"ArduPlane V4.5.7 (0358a9c2)")
-    writer.add_parameters(PLANE)
-    writer.add_rows(imu() + rcou() + rows)
-    log = writer.write(tmp_path / "flight.bin")
-    run([str(log), "--output", str(tmp_path / "bag")], capsys)
-    with Bag(tmp_path / "bag") as bag:
+    title = [(START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",))]
+    it = imported(importer, title + imu() + rcou() + rows, PLANE)
+    with Bag(it.folder) as bag:
         decode = {topic: bag.decoder(topic) for topic in ("/mode", "/setpoint/rates")}
         read = [(m.topic, m.log_ns, decode[m.topic](m.data)) for m in bag.messages(decode)]
     modes = [(t, m.data) for topic, t, m in read if topic == "/mode"]
@@ -248,24 +235,20 @@ def test_mode_and_setpoints_come_along(tmp_path: Path, capsys, scale: float) -> 
     np.testing.assert_allclose(np.degrees([vector.x, vector.y, vector.z]), [30, -20, 10], rtol=1e-6)
 
 
-def test_a_log_that_begins_in_flight(tmp_path: Path, capsys) -> None:
+def test_a_log_that_begins_in_flight(importer: Importer) -> None:
     """Its only event is the end of the flight: it was armed before."""
     end_us = int(IMU_US[200])
     rows = [(end_us, "ARM", (0,)), *((int(t), "ATT", (0, 3000, 0, -1000, 0, 9000)) for t in IMU_US)]
-    bag, values, said = imported(tmp_path, capsys, imu() + rcou() + rows, PLANE, "--flight-only")
+    bag, values, said = imported(importer, imu() + rcou() + rows, PLANE, "--flight-only")
     assert bag.imu_t_ns[-1] == end_us * 1000
     assert "armed for 0.8 s in 1 stretch(es) (ARM, EV)" in said
     assert values["armed.type"] == "std_msgs/msg/Bool"
     assert "attitude: ATT" in said
 
 
-def test_a_parameter_that_changes_is_told(tmp_path: Path, capsys) -> None:
-    writer = DataflashWriter(tmp_path)
-    writer.add_parameters(PLANE)
-    writer.add_rows(imu() + rcou())
-    writer.add("PARM", 25_000_000, b"SERVO1_TRIM", 1520.0, float("nan"))
-    log = writer.write(tmp_path / "flight.bin")
-    said = run([str(log), "--output", str(tmp_path / "bag")], capsys)
+def test_a_parameter_that_changes_is_told(importer: Importer) -> None:
+    later = [(25_000_000, "PARM", (b"SERVO1_TRIM", 1520.0, float("nan")))]
+    said = imported(importer, imu() + rcou() + later, PLANE).said
     assert "SERVO1_TRIM became 1520 at 25.0 s: the first value is used" in said
 
 
@@ -273,10 +256,10 @@ def test_a_parameter_that_changes_is_told(tmp_path: Path, capsys) -> None:
 
 
 def old_log(
-    tmp_path: Path, firmware: str, values: dict[str, float], texts: tuple = (), scale: float = 4500
-) -> list[str]:
+    folder: Path, firmware: str, values: dict[str, float], texts: tuple = (), scale: float = 4500
+) -> Path:
     """Milliseconds, no functions of pins, demands in thousands."""
-    writer = DataflashWriter(tmp_path, OLD_FORMATS)
+    writer = DataflashWriter(folder, OLD_FORMATS)
     writer.add_parameters(values)
     for text in (firmware, *texts):
         writer.add("MSG", text.encode())
@@ -290,15 +273,13 @@ def old_log(
         asked = (0, 0, 0.1 * scale, 0, 0, -0.2 * scale, 0, 0, 0.3 * scale, 0, 0, 400.0)
         rows.append((int(t) // 1000, "RATE", asked))
     writer.add_rows(rows)
-    log = writer.write(tmp_path / "old.bin")
-    return [str(log), "--output", str(tmp_path / "bag")]
+    return writer.write(folder / "old.bin")
 
 
-def test_a_copter_of_2014(tmp_path: Path, capsys) -> None:
+def test_a_copter_of_2014(importer: Importer) -> None:
     frame = {"FRAME": 1, "RC3_MIN": 1100, "RC3_MAX": 1900}
-    log = old_log(tmp_path, "ArduCopter V3.2 (c8e0f3e1)", frame)
-    said = run([*log, "--rates-instance", "1"], capsys)
-    bag, values = contents(tmp_path / "bag"), parameters(tmp_path / "bag")
+    log = old_log(importer.folder, "ArduCopter V3.2 (c8e0f3e1)", frame)
+    bag, values, said = importer(log, "--rates-instance", "1")
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
     np.testing.assert_allclose(bag.rates, 3.0 * RATES, rtol=1e-6)
     np.testing.assert_array_equal(bag.actuators[:, :4], PULSES)
@@ -308,23 +289,21 @@ def test_a_copter_of_2014(tmp_path: Path, capsys) -> None:
     assert "the motors are on the pins of their numbers" in said
 
 
-def test_a_copter_of_an_unknown_frame_gives_its_demands(tmp_path: Path, capsys) -> None:
-    log = old_log(tmp_path, "APM:Copter V3.3.3 (acf98493)", {"FRAME": 10}, ("Frame: Y6",))
-    said = run(log, capsys)
-    bag, values = contents(tmp_path / "bag"), parameters(tmp_path / "bag")
+def test_a_copter_of_an_unknown_frame_gives_its_demands(importer: Importer) -> None:
+    log = old_log(importer.folder, "APM:Copter V3.3.3 (acf98493)", {"FRAME": 10}, ("Frame: Y6",))
+    bag, values, said = importer(log)
     u = mixing(values) @ (np.array(values["actuators.scale"]) * bag.actuators[0])
     np.testing.assert_allclose(u, [0.2, -0.3, 0.1, 0.4], rtol=1e-6)
     assert "RCOU is passed over: no SERVOn_FUNCTION names a surface or a motor" in said
     assert "RATE: full demand is 4500, full throttle 1000, as before Copter 3.4" in said
 
 
-def test_a_plane_of_2014(tmp_path: Path, capsys) -> None:
+def test_a_plane_of_2014(importer: Importer) -> None:
     sticks = {"RCMAP_ROLL": 1, "RCMAP_PITCH": 2, "RCMAP_THROTTLE": 3, "RCMAP_YAW": 4}
     ranges = {f"RC{i}_{end}": v for i in range(1, 5)
               for end, v in (("MIN", 1100), ("TRIM", 1500), ("MAX", 1900), ("REV", 1))}  # fmt: skip
-    log = old_log(tmp_path, "ArduPlane V3.2.0 (abc)", sticks | ranges | {"RC2_REV": -1})
-    said = run(log, capsys)
-    values = parameters(tmp_path / "bag")
+    log = old_log(importer.folder, "ArduPlane V3.2.0 (abc)", sticks | ranges | {"RC2_REV": -1})
+    _, values, said = importer(log)
     assert values["actuators.channels"] == ["aileron", "elevator", "throttle", "rudder"]
     np.testing.assert_allclose(
         values["actuators.scale"], [2 / 800, -2 / 800, 1 / 800, 2 / 800], rtol=1e-12
@@ -332,13 +311,13 @@ def test_a_plane_of_2014(tmp_path: Path, capsys) -> None:
     assert "are on the pins of their sticks (RCMAP_*)" in said
 
 
-def test_pairs_of_surfaces_of_2014_are_not_guessed(tmp_path: Path, capsys) -> None:
-    log = old_log(tmp_path, "ArduPlane V3.2.0 (abc)", {"ELEVON_OUTPUT": 1}, scale=1.0)
-    run(log, capsys)
+def test_pairs_of_surfaces_of_2014_are_not_guessed(importer: Importer) -> None:
+    log = old_log(importer.folder, "ArduPlane V3.2.0 (abc)", {"ELEVON_OUTPUT": 1}, scale=1.0)
+    it = importer(log)
     assert "ELEVON_OUTPUT is 1: how such pairs turn is not known" in " ".join(
-        (tmp_path / "bag" / "identifier.yaml").read_text().replace("#", "").split()
+        (it.folder / "identifier.yaml").read_text().replace("#", "").split()
     )
-    assert parameters(tmp_path / "bag")["actuators.channels"][0] == "roll"
+    assert it.values["actuators.channels"][0] == "roll"
 
 
 @pytest.mark.parametrize(
@@ -351,6 +330,6 @@ def test_pairs_of_surfaces_of_2014_are_not_guessed(tmp_path: Path, capsys) -> No
         ("Blimp V4.5.0-dev", "a blimp"),
     ],
 )
-def test_what_is_no_aircraft_is_refused(tmp_path: Path, capsys, firmware: str, vehicle) -> None:
-    said = refusal(old_log(tmp_path, firmware, {}), capsys)
+def test_what_is_no_aircraft_is_refused(importer: Importer, firmware: str, vehicle) -> None:
+    said = importer.refused(old_log(importer.folder, firmware, {}))
     assert f"old.bin' is of {vehicle} (it calls itself " in said

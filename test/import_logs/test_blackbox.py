@@ -7,15 +7,20 @@ from pathlib import Path
 
 import numpy as np
 from blackbox_writing import ACC, COUNT, FIELDS, GYRO, MOTORS, T_US, blackbox
-from imported import contents, parameters, refusal, run
+from imported import Importer
 from programs import python
 
 
-def test_a_quadrotor_of_betaflight(tmp_path: Path, capsys) -> None:
-    log = tmp_path / "LOG00001.BFL"
+def written(importer: Importer, content: bytes) -> Path:
+    path = importer.folder / "log.bbl"
+    path.write_bytes(content)
+    return path
+
+
+def test_a_quadrotor_of_betaflight(importer: Importer) -> None:
+    log = importer.folder / "LOG00001.BFL"
     log.write_bytes(blackbox(50) + blackbox())
-    said = run([str(log), "--output", str(tmp_path / "bag")], capsys)
-    found, values = contents(tmp_path / "bag"), parameters(tmp_path / "bag")
+    found, values, said = importer(log)
     assert len(found.imu_t_ns) >= COUNT - 1  # orangebox leaves out a frame before the end
     kept = slice(0, len(found.imu_t_ns))
     np.testing.assert_array_equal(found.imu_t_ns, T_US[kept] * 1000)
@@ -35,32 +40,28 @@ def test_a_quadrotor_of_betaflight(tmp_path: Path, capsys) -> None:
     assert "Betaflight 4.4.2" in said
 
 
-def test_reversed_propellers(tmp_path: Path, capsys) -> None:
-    (tmp_path / "log.bbl").write_bytes(blackbox(yaw_motors_reversed=1))
-    run([str(tmp_path / "log.bbl"), "--output", str(tmp_path / "bag")], capsys)
-    values = parameters(tmp_path / "bag")
+def test_reversed_propellers(importer: Importer) -> None:
+    values = importer(written(importer, blackbox(yaw_motors_reversed=1))).values
     np.testing.assert_allclose(values["actuators.mixing.dr"], [-0.5, 0.5, 0.5, -0.5])
 
 
-def test_a_firmware_with_an_odd_name(tmp_path: Path, capsys) -> None:
+def test_a_firmware_with_an_odd_name(importer: Importer) -> None:
     """It stands in a comment of the parameter file, which must be YAML."""
     odd = "Beta\x01flight\x07" + "x" * 900
-    (tmp_path / "log.bbl").write_bytes(blackbox(**{"Firmware revision": odd}))
-    said = run([str(tmp_path / "log.bbl"), "--output", str(tmp_path / "bag")], capsys)
+    _, values, said = importer(written(importer, blackbox(**{"Firmware revision": odd})))
     assert "log.bbl: Beta?flight?xxx" in said
     assert "x" * 130 not in said
-    assert parameters(tmp_path / "bag")["imu.convention"] == "flu"
+    assert values["imu.convention"] == "flu"
 
 
-def test_a_log_that_is_cut_off(tmp_path: Path, capsys) -> None:
+def test_a_log_that_is_cut_off(importer: Importer) -> None:
     whole = blackbox()
-    (tmp_path / "cut.bbl").write_bytes(whole[: len(whole) // 2])
-    said = run([str(tmp_path / "cut.bbl"), "--output", str(tmp_path / "bag")], capsys)
+    found, _, said = importer(written(importer, whole[: len(whole) // 2]))
     assert "cut off at its end" in said
-    assert len(contents(tmp_path / "bag").imu_t_ns) > COUNT // 3
+    assert len(found.imu_t_ns) > COUNT // 3
 
 
-def test_blackboxes_that_cannot_be_used(tmp_path: Path, capsys) -> None:
+def test_blackboxes_that_cannot_be_used(importer: Importer) -> None:
     six = blackbox(fields=FIELDS[:-1])
     none = blackbox(fields=[name for name in FIELDS if not name.startswith("gyro")])
     for content, words in (
@@ -68,8 +69,7 @@ def test_blackboxes_that_cannot_be_used(tmp_path: Path, capsys) -> None:
         (none, "has no rates (gyroADC); it has time"),
         (blackbox(0), "has no frames that can be read"),
     ):
-        (tmp_path / "log.bbl").write_bytes(content)
-        assert words in refusal([str(tmp_path / "log.bbl"), "--output", "nowhere"], capsys)
+        assert words in importer.refused(written(importer, content))
 
 
 def test_without_orangebox_its_extra_is_named(tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from imported import contents, mixing, parameters, refusal, replayed, run
-from imported import imported as import_of
+from imported import Imported, Importer, mixing, replayed
+from pyulog import ULog
 from pyulog.ulog2csv import convert_ulog2csv
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
@@ -46,18 +46,18 @@ def combined() -> dict:
     return {("sensor_combined", 0): sensor_combined(IMU_NS, RATES, FORCE)}
 
 
-def imported(tmp_path: Path, capsys, topics: dict, values: dict, *options: str):
-    return import_of(write_ulog(tmp_path / "flight.ulg", topics, values), capsys, *options)
+def imported(importer: Importer, topics: dict, values: dict, *options: str) -> Imported:
+    return importer(write_ulog(importer.folder / "flight.ulg", topics, values), *options)
 
 
 # --- channels -----------------------------------------------------------------------------------
 
 
-def test_rotors_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:
+def test_rotors_mix_as_in_the_simulation(importer: Importer) -> None:
     topics = combined() | {
         ("actuator_motors", 0): commands(COMMAND_NS, padded(0.5 + 0.1 * noise(4), 12), "control")
     }
-    bag, values, said = imported(tmp_path, capsys, topics, QUAD_X)
+    bag, values, said = imported(importer, topics, QUAD_X)
     assert bag.names == values["actuators.channels"] == ["motor_1", "motor_2", "motor_3", "motor_4"]
     ready = load_parameters(CONFIG / "px4_quadrotor.yaml", "/identifier")
     for mixed in (mixing(values), mixing(ready)):
@@ -68,7 +68,7 @@ def test_rotors_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:
     assert "da (right wing down) = -0.5 motor_1 +0.5 motor_2 +0.5 motor_3 -0.5 motor_4" in said
 
 
-def test_elevons_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:
+def test_elevons_mix_as_in_the_simulation(importer: Importer) -> None:
     """PX4 counts trailing edge up as positive, the simulation down."""
     surfaces = noise(2)
     topics = combined() | {
@@ -81,14 +81,14 @@ def test_elevons_mix_as_in_the_simulation(tmp_path: Path, capsys) -> None:
         "CA_SV_CS1_TYPE": 6, "CA_SV_CS1_TRQ_R": 0.5, "CA_SV_CS1_TRQ_P": 0.5,
         "CA_SV_CS1_TRIM": 0.1,
     }  # fmt: skip
-    bag, values, _ = imported(tmp_path, capsys, topics, airframe, "--trim", "neutral")
+    bag, values, _ = imported(importer, topics, airframe, "--trim", "neutral")
     assert bag.names == ["motor_1", "left_elevon", "right_elevon"]
     expected = ELEVON.mixing[:, [3, 0, 1]] * [1.0, -1.0, -1.0]
     np.testing.assert_allclose(mixing(values), expected * [[1], [0], [1], [1]], atol=1e-12)
     np.testing.assert_allclose(values["actuators.trim"], [0.0, 0.0, 0.1])
 
 
-def test_flaps_are_recorded_but_not_used(tmp_path: Path, capsys) -> None:
+def test_flaps_are_recorded_but_not_used(importer: Importer) -> None:
     topics = combined() | {
         ("actuator_servos", 0): commands(COMMAND_NS, padded(noise(3), 8), "control")
     }
@@ -98,13 +98,13 @@ def test_flaps_are_recorded_but_not_used(tmp_path: Path, capsys) -> None:
         "CA_SV_CS1_TYPE": 2, "CA_SV_CS1_TRQ_R": 0.5,
         "CA_SV_CS2_TYPE": 9, "CA_SV_CS2_TRQ_R": 0.7,
     }  # fmt: skip
-    bag, values, _ = imported(tmp_path, capsys, topics, airframe)
+    bag, values, _ = imported(importer, topics, airframe)
     assert bag.names == ["left_aileron", "right_aileron", "left_flap"]
     assert values["actuators.channels"] == ["left_aileron", "right_aileron"]
     np.testing.assert_allclose(mixing(values)[2], [-0.5, 0.5])
 
 
-def test_pulse_widths_by_the_functions_of_their_pins(tmp_path: Path, capsys) -> None:
+def test_pulse_widths_by_the_functions_of_their_pins(importer: Importer) -> None:
     widths = 1500.0 + 400.0 * noise(3)
     count = np.full(len(COMMAND_NS), 3, np.uint32)
     topics = combined() | {
@@ -120,7 +120,7 @@ def test_pulse_widths_by_the_functions_of_their_pins(tmp_path: Path, capsys) -> 
         "CA_AIRFRAME": 1, "CA_ROTOR_COUNT": 1,
         "CA_SV_CS_COUNT": 1, "CA_SV_CS0_TYPE": 3, "CA_SV_CS0_TRQ_P": 1.0,
     }  # fmt: skip
-    bag, values, _ = imported(tmp_path, capsys, topics, pins, "--trim", "neutral")
+    bag, values, _ = imported(importer, topics, pins, "--trim", "neutral")
     assert bag.names == ["elevator", "motor_1", "output_3"]
     np.testing.assert_array_equal(bag.actuators, widths.astype(np.float32))
     assert values["actuators.channels"] == ["elevator", "motor_1"]
@@ -129,7 +129,7 @@ def test_pulse_widths_by_the_functions_of_their_pins(tmp_path: Path, capsys) -> 
     np.testing.assert_allclose(mixing(values), [[-1, 0], [0, 0], [0, 0], [0, 1]])
 
 
-def test_motors_and_servos_of_one_cycle_are_one_message(tmp_path: Path, capsys) -> None:
+def test_motors_and_servos_of_one_cycle_are_one_message(importer: Importer) -> None:
     """PX4 publishes the two some microseconds apart."""
     motors, servos = 0.5 + noise(1), noise(1)
     topics = combined() | {
@@ -140,49 +140,43 @@ def test_motors_and_servos_of_one_cycle_are_one_message(tmp_path: Path, capsys) 
         "CA_AIRFRAME": 1, "CA_ROTOR_COUNT": 1, "CA_SV_CS_COUNT": 1,
         "CA_SV_CS0_TYPE": 4, "CA_SV_CS0_TRQ_Y": 1.0,
     }  # fmt: skip
-    bag, _, _ = imported(tmp_path, capsys, topics, airframe)
+    bag, _, _ = imported(importer, topics, airframe)
     np.testing.assert_array_equal(bag.actuator_t_ns, COMMAND_NS + 30_000)
     np.testing.assert_array_equal(bag.actuators, np.hstack([motors, servos]).astype(np.float32))
 
 
-def test_a_vtol_has_two_sets_of_setpoints(tmp_path: Path, capsys) -> None:
+def test_a_vtol_has_two_sets_of_setpoints(importer: Importer) -> None:
     topics = combined() | {
         ("vehicle_torque_setpoint", i): commands(COMMAND_NS, noise(3) + i, "xyz") for i in (0, 1)
     }
     airframe = {"CA_AIRFRAME": 2}
-    bag, _, said = imported(tmp_path, capsys, topics, airframe)
+    bag, _, said = imported(importer, topics, airframe)
     assert "of instance 1 those of forward flight (--actuators-instance); 0 is taken" in said
     np.testing.assert_array_equal(bag.actuators, noise(3).astype(np.float32))
-    forward = tmp_path / "forward"
-    options = ["--actuators-instance", "1", "--output", str(forward)]
-    run([str(tmp_path / "flight.ulg"), *options], capsys)
-    np.testing.assert_array_equal(contents(forward).actuators, (noise(3) + 1).astype(np.float32))
-    options = ["--actuators-instance", "2", "--output", str(tmp_path / "none")]
-    assert "no actuators" in refusal([str(tmp_path / "flight.ulg"), *options], capsys)
+    forward = importer(importer.log, "--actuators-instance", "1").bag
+    np.testing.assert_array_equal(forward.actuators, (noise(3) + 1).astype(np.float32))
+    assert "no actuators" in importer.refused(importer.log, "--actuators-instance", "2")
 
 
-def test_an_old_vtol_has_a_topic_for_each_set(tmp_path: Path, capsys) -> None:
+def test_an_old_vtol_has_a_topic_for_each_set(importer: Importer) -> None:
     topics = combined() | {
         (f"actuator_controls_{i}", 0): commands(COMMAND_NS, noise(8) + i, "control") for i in (0, 1)
     }
     topics |= {("actuator_outputs", 1): commands(COMMAND_NS, noise(8), "output")}
-    bag, _, said = imported(tmp_path, capsys, topics, {"MAV_TYPE": 22})
+    bag, _, said = imported(importer, topics, {"MAV_TYPE": 22})
     np.testing.assert_array_equal(bag.actuators, noise(8).astype(np.float32))
     assert "a VTOL: actuator_controls_0 are the commands of hover" in said
-    log = [str(tmp_path / "flight.ulg"), "--output"]
-    for name, option in (("a", ["--actuators-instance", "1"]),
-                         ("b", ["--actuators-topic", "actuator_controls_1"])):  # fmt: skip
-        run([*log, str(tmp_path / name), *option], capsys)
-        found = contents(tmp_path / name)
+    for option in ("--actuators-instance 1", "--actuators-topic actuator_controls_1"):
+        found = importer(importer.log, *option.split()).bag
         np.testing.assert_array_equal(found.actuators, (noise(8) + 1).astype(np.float32))
 
 
-def test_a_topic_that_covers_a_part_of_the_flight_is_passed_over(tmp_path: Path, capsys) -> None:
+def test_a_topic_that_covers_a_part_of_the_flight_is_passed_over(importer: Importer) -> None:
     """Both are slow: the faster one was logged in the first fifth only."""
     motors = commands(COMMAND_NS[:20:4], padded(0.5 + 0.1 * noise(4)[:20:4], 12), "control")
     slow = commands(COMMAND_NS[::5], noise(8)[::5], "control")
     topics = combined() | {("actuator_motors", 0): motors, ("actuator_controls_0", 0): slow}
-    bag, _, said = imported(tmp_path, capsys, topics, QUAD_X)
+    bag, _, said = imported(importer, topics, QUAD_X)
     assert len(bag.actuators) == len(COMMAND_NS) // 5
     assert "actuator_motors covers 43 % of the flight only; actuator_controls_0 is at 10 Hz" in said
     assert "actuator_motors at 12.5 Hz over 43 %, actuator_controls_0 at 10 Hz over 100 %" in said
@@ -198,7 +192,7 @@ def test_a_topic_that_covers_a_part_of_the_flight_is_passed_over(tmp_path: Path,
         ({}, "a rover (vehicle_status.vehicle_type 3)"),
     ],
 )
-def test_what_is_no_aircraft_is_refused_by_its_name(tmp_path, capsys, values, said: str) -> None:
+def test_what_is_no_aircraft_is_refused_by_its_name(importer, values, said: str) -> None:
     topics = combined() | {
         ("actuator_controls_0", 0): commands(COMMAND_NS, noise(8), "control"),
         ("vehicle_status", 0): {
@@ -207,8 +201,7 @@ def test_what_is_no_aircraft_is_refused_by_its_name(tmp_path, capsys, values, sa
             "vehicle_type": np.full(3, 1 if values else 3, np.uint8),
         },
     }
-    log = write_ulog(tmp_path / "rover.ulg", topics, values)
-    line = refusal([str(log), "--output", str(tmp_path / "bag")], capsys)
+    line = importer.refused(write_ulog(importer.folder / "rover.ulg", topics, values))
     assert f"rover.ulg' is of {said}: the model is that of an aircraft's attitude" in line
 
 
@@ -229,7 +222,7 @@ def raw_gyro(instance: int, values: np.ndarray) -> dict:
     }  # fmt: skip
 
 
-def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(tmp_path: Path, capsys) -> None:
+def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(importer: Importer) -> None:
     """Board on its side (roll 90, yaw 90), with a fine offset, second gyro of two."""
     offset = np.array([0.01, -0.02, 0.03])
     board = rotation(*np.radians([1.5, -1.0, 0.5])) @ rotation(*np.radians([90.0, 0.0, 90.0]))
@@ -240,7 +233,7 @@ def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(tmp_path: Path, capsy
         "SENS_BOARD_Y_OFF": -1.0, "SENS_BOARD_Z_OFF": 0.5, "CAL_GYRO2_ID": 4711,
         "CAL_GYRO2_XOFF": 0.01, "CAL_GYRO2_YOFF": -0.02, "CAL_GYRO2_ZOFF": 0.03,
     }  # fmt: skip
-    bag, found, said = imported(tmp_path, capsys, topics, values, "--rates-instance", "1")
+    bag, found, said = imported(importer, topics, values, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, RATES, atol=1e-6)
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)  # when sampled, not when published
     assert "SENS_BOARD_ROT 18, roll 90 deg yaw 90 deg, fine offsets 1.50 -1.00 0.50" in said
@@ -250,31 +243,28 @@ def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(tmp_path: Path, capsy
     assert found["structure"] == "throttle_coupled"
 
 
-def test_filtered_rates_are_the_last_resort_and_said_to_be_filtered(tmp_path: Path, capsys) -> None:
+def test_filtered_rates_are_the_last_resort_and_said_to_be_filtered(importer: Importer) -> None:
     velocity = commands(IMU_NS + 400_000, RATES, "xyz", delay_us=400)
     acceleration = {"timestamp": stamps(IMU_NS), "xyz": FORCE.astype(np.float32)}
     topics = TORQUES | {
         ("vehicle_angular_velocity", 0): velocity,
         ("vehicle_acceleration", 0): acceleration,
     }
-    bag, _, said = imported(tmp_path, capsys, topics, {"IMU_GYRO_CUTOFF": 40.0})
+    bag, _, said = imported(importer, topics, {"IMU_GYRO_CUTOFF": 40.0})
     assert "low-passed at 40 Hz (IMU_GYRO_CUTOFF)" in said
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)
     np.testing.assert_array_equal(bag.rates, RATES.astype(np.float32))
     np.testing.assert_allclose(bag.force, FORCE, rtol=1e-6)
     topics |= combined()
-    said = run(
-        [str(write_ulog(tmp_path / "both.ulg", topics, {})), "--output", str(tmp_path / "both")],
-        capsys,
-    )
+    said = imported(importer, topics, {}).said
     assert "rates: sensor_combined" in said
     assert "vehicle_angular_velocity at 200 Hz over 100 %" in said
 
 
-def test_an_invalid_accelerometer_is_no_measurement(tmp_path: Path, capsys) -> None:
+def test_an_invalid_accelerometer_is_no_measurement(importer: Importer) -> None:
     topics = combined() | TORQUES
     topics["sensor_combined", 0]["accelerometer_timestamp_relative"][:] = 0x7FFFFFFF
-    _, _, said = imported(tmp_path, capsys, topics, {})
+    _, _, said = imported(importer, topics, {})
     assert "no valid accelerometer sample: ay and az are zero" in said
 
 
@@ -285,7 +275,7 @@ def status(t_ns: np.ndarray, field: str, values: list[int]) -> dict:
     return {"timestamp": stamps(t_ns), field: np.array(values, np.uint8)}
 
 
-def test_the_trim_is_that_of_the_flight_not_of_the_ground(tmp_path: Path, capsys) -> None:
+def test_the_trim_is_that_of_the_flight_not_of_the_ground(importer: Importer) -> None:
     motors = np.full((len(COMMAND_NS), 4), np.nan)  # motors that are off
     motors[50:] = 0.1
     motors[70:90] = 0.6
@@ -296,14 +286,12 @@ def test_the_trim_is_that_of_the_flight_not_of_the_ground(tmp_path: Path, capsys
         ("vehicle_land_detected", 0): landed,
         ("vehicle_status", 0): armed,
     }
-    _, values, said = imported(tmp_path, capsys, topics, QUAD_X)
+    _, values, said = imported(importer, topics, QUAD_X)
     np.testing.assert_allclose(values["actuators.trim"], 0.6, rtol=1e-6)
     assert "in the air for 0.4 s in 1 stretch(es)" in said
     assert "50 samples lack a value of a channel in use" in said
 
-    log, only = str(tmp_path / "flight.ulg"), tmp_path / "only"
-    run([log, "--flight-only", "--output", str(only)], capsys)
-    bag = contents(only)
+    bag = importer(importer.log, "--flight-only").bag
     for t_ns in (bag.imu_t_ns, bag.actuator_t_ns):
         assert t_ns[0] == START + 1_400_000_000
         assert t_ns[-1] <= START + 1_790_000_000
@@ -312,25 +300,24 @@ def test_the_trim_is_that_of_the_flight_not_of_the_ground(tmp_path: Path, capsys
 
 
 @pytest.mark.parametrize("name", ["airspeed_validated", "airspeed"])
-def test_airspeed(tmp_path: Path, capsys, name: str) -> None:
+def test_airspeed(importer: Importer, name: str) -> None:
     speed = {
         "timestamp": stamps(COMMAND_NS),
         "true_airspeed_m_s": np.linspace(14.0, 16.0, len(COMMAND_NS)).astype(np.float32),
     }
     topics = combined() | TORQUES | {(name, 0): speed}
-    bag, values, said = imported(tmp_path, capsys, topics, {})
+    bag, values, said = imported(importer, topics, {})
     np.testing.assert_array_equal(bag.airspeed, speed["true_airspeed_m_s"])
     assert values["airspeed.type"] == "geometry_msgs/msg/TwistStamped"
     assert values["airspeed.reference"] == pytest.approx(15.0)
     assert "the airspeed is used; in flight its median is 15 m/s" in said
-    log = [str(tmp_path / "flight.ulg"), "--output", str(tmp_path / "plain")]
-    run([*log, "--no-airspeed"], capsys)
-    assert "airspeed.type" not in parameters(tmp_path / "plain")
-    assert parameters(tmp_path / "plain")["airspeed.reference"] == pytest.approx(15.0)
+    plain = importer(importer.log, "--no-airspeed").values
+    assert "airspeed.type" not in plain
+    assert plain["airspeed.reference"] == pytest.approx(15.0)
 
 
 @pytest.mark.parametrize("part", [slice(0, 30), slice(None)])
-def test_an_airspeed_that_is_no_use_is_left_out(tmp_path: Path, capsys, part: slice) -> None:
+def test_an_airspeed_that_is_no_use_is_left_out(importer: Importer, part: slice) -> None:
     """Measured for a part of the flight, or that of a hover; the ground speed stands in."""
     slow = part == slice(None)
     t_ns = COMMAND_NS[part] + (0 if slow else 10**10)
@@ -344,7 +331,7 @@ def test_an_airspeed_that_is_no_use_is_left_out(tmp_path: Path, capsys, part: sl
             ("vehicle_gps_position", 0): {"timestamp": stamps(COMMAND_NS), "vel_m_s": ground},
         }
     )
-    _, values, said = imported(tmp_path, capsys, topics, {})
+    _, values, said = imported(importer, topics, {})
     assert "airspeed.type" not in values
     assert ("airspeed.reference" not in values) if slow else values["airspeed.reference"] == 12.5
     assert "the airspeed is not used" in said
@@ -353,33 +340,30 @@ def test_an_airspeed_that_is_no_use_is_left_out(tmp_path: Path, capsys, part: sl
     assert "structure" not in values
 
 
-def test_the_tables_of_ulog2csv(tmp_path: Path, capsys) -> None:
+def test_the_tables_of_ulog2csv(importer: Importer) -> None:
     """By pyulog's own converter: what comes in is what the log itself gives."""
     motors = commands(COMMAND_NS, padded(0.5 + 0.1 * noise(4), 12), "control", delay_us=30)
     topics = combined() | {("actuator_motors", 0): motors}
-    whole, values, _ = imported(tmp_path, capsys, topics, QUAD_X)
-    folder = tmp_path / "tables"
+    whole, values, _ = imported(importer, topics, QUAD_X)
+    folder = importer.folder / "tables"
     folder.mkdir()
-    convert_ulog2csv(str(tmp_path / "flight.ulg"), None, str(folder), ",", None, None)
+    convert_ulog2csv(str(importer.log), None, str(folder), ",", None, None)
     lines = "".join(f"{name},{value}\n" for name, value in QUAD_X.items())
     (folder / "flight_params.csv").write_text(lines)
-    said = run([str(folder), "--output", str(tmp_path / "again")], capsys)
-    again = contents(tmp_path / "again")
+    again, found, said = importer(folder)
     np.testing.assert_array_equal(again.imu_t_ns, whole.imu_t_ns)
     np.testing.assert_array_equal(again.actuator_t_ns, whole.actuator_t_ns)
     np.testing.assert_allclose(again.rates, whole.rates, rtol=1e-6)
     np.testing.assert_allclose(again.actuators, whole.actuators, rtol=1e-6)
-    assert parameters(tmp_path / "again")["actuators.mixing.de"] == values["actuators.mixing.de"]
+    assert found["actuators.mixing.de"] == values["actuators.mixing.de"]
     assert "PX4, by ulog2csv" in said
     (folder / "flight_params.csv").unlink()
-    line = refusal([str(folder), "--output", str(tmp_path / "third")], capsys)
-    assert "no parameter (CA_ROTOR*, CA_SV_CS*) says" in line
+    assert "no parameter (CA_ROTOR*, CA_SV_CS*) says" in importer.refused(folder)
     (folder / "other_sensor_combined_0.csv").write_text("timestamp\n1\n")
-    line = refusal([str(folder), "--output", str(tmp_path / "third")], capsys)
-    assert "has the tables of several logs, flight, other" in line
+    assert "has the tables of several logs, flight, other" in importer.refused(folder)
 
 
-def test_attitude_arming_mode_and_setpoints_come_along(tmp_path: Path, capsys) -> None:
+def test_attitude_arming_mode_and_setpoints_come_along(importer: Importer) -> None:
     yaw = np.linspace(3.0, 3.4, 21)  # through 180 deg, where the quaternion changes its sign
     q = quaternions(
         np.full(21, 0.3), np.full(21, -0.2), np.remainder(yaw + np.pi, 2 * np.pi) - np.pi
@@ -401,10 +385,10 @@ def test_attitude_arming_mode_and_setpoints_come_along(tmp_path: Path, capsys) -
             },
         }
     )
-    _, values, _ = imported(tmp_path, capsys, topics, {"MC_ROLLRATE_P": 0.15})
-    assert values["armed.type"] == "std_msgs/msg/Bool"
-    assert "MC_ROLLRATE_P 0.15" in (tmp_path / "bag" / "identifier.yaml").read_text()
-    with Bag(tmp_path / "bag") as bag:
+    it = imported(importer, topics, {"MC_ROLLRATE_P": 0.15})
+    assert it.values["armed.type"] == "std_msgs/msg/Bool"
+    assert "MC_ROLLRATE_P 0.15" in (it.folder / "identifier.yaml").read_text()
+    with Bag(it.folder) as bag:
         topics = ("/imu/data", "/armed", "/mode", "/setpoint/rates")
         decode = {topic: bag.decoder(topic) for topic in topics}
         read = [(m.topic, m.log_ns, decode[m.topic](m.data)) for m in bag.messages(decode)]
@@ -422,64 +406,52 @@ def test_attitude_arming_mode_and_setpoints_come_along(tmp_path: Path, capsys) -
     assert imu[0].orientation_covariance[0] == 0.0
 
 
-def test_the_lever_arm_and_learnt_trim(tmp_path: Path, capsys) -> None:
+def test_the_lever_arm_and_learnt_trim(importer: Importer) -> None:
     values = {"EKF2_IMU_POS_X": 0.05, "EKF2_IMU_POS_Z": -0.02}
-    _, found, _ = imported(tmp_path, capsys, combined() | TORQUES, values, "--trim", "learn")
+    _, found, _ = imported(importer, combined() | TORQUES, values, "--trim", "learn")
     np.testing.assert_allclose(found["imu.lever_arm"], [0.05, 0.0, -0.02], rtol=1e-6)
     assert found["actuators.learn_trim_time"] == 2.0
 
 
-def test_gaps_and_dropouts_are_told(tmp_path: Path, capsys) -> None:
+def test_gaps_and_dropouts_are_told(importer: Importer) -> None:
     kept = np.r_[0:101, 131:COUNT]
     topics = TORQUES | {
         ("sensor_combined", 0): sensor_combined(IMU_NS[kept], RATES[kept], FORCE[kept])
     }
     dropouts = ((100_500_000, 150), (100_600_000, 20))
-    log = write_ulog(tmp_path / "gaps.ulg", topics, {}, dropouts)
-    said = run([str(log), "--output", str(tmp_path / "bag")], capsys)
+    said = importer(write_ulog(importer.folder / "gaps.ulg", topics, {}, dropouts)).said
     assert "the logger lost messages 2 times, together 0.17 s, at most 0.15 s" in said
     assert "1 gap of more than 0.02 s, together 0.155 s, the longest 0.155 s at 100.50 s" in said
 
 
 @pytest.mark.skipif(not SAMPLE.exists(), reason="../shared/logs/px4_quad_sample.ulg is not there")
-class TestRecordedLog:
-    """A real log of 2016, in the old format. The vehicle was moved about by hand, disarmed."""
-
-    def test_everything_is_in_the_bag(self, tmp_path: Path, capsys) -> None:
-        from pyulog import ULog
-
-        said = run([str(SAMPLE), "--output", str(tmp_path / "bag")], capsys)
-        log = ULog(str(SAMPLE))
-        gyro = log.get_dataset("sensor_combined").data
-        controls = log.get_dataset("actuator_controls_0").data
-        bag = contents(tmp_path / "bag")
-        np.testing.assert_array_equal(bag.imu_t_ns // 1000, gyro["timestamp"])
-        np.testing.assert_array_equal(bag.rates[:, 1], gyro["gyro_rad[1]"])
-        np.testing.assert_array_equal(bag.force[:, 2], gyro["accelerometer_m_s2[2]"])
-        np.testing.assert_array_equal(bag.actuator_t_ns // 1000, controls["timestamp"])
-        np.testing.assert_array_equal(bag.column("pitch"), controls["control[1]"])
-        assert "17070 samples over 68.9 s at 250 Hz" in said
-        assert "never armed" in said
-        assert "SENS_BOARD_ROT 0, none, fine offsets -1.50 1.19 0.00 deg" in said
-        assert "the logger lost messages 4 times" in said
-
-    def test_nothing_is_learnt_from_it(self, tmp_path: Path, capsys) -> None:
-        """Motors that stand still turn nothing: every control derivative must admit it."""
-        run([str(SAMPLE), "--output", str(tmp_path / "bag")], capsys)
-        found = replayed(tmp_path / "bag", parameters(tmp_path / "bag"))
-        assert not found.dropped
-        powers = [found.names.index(name) for name in ("pdot/da", "qdot/de", "rdot/dr")]
-        where = tuple(np.array([found.free[i] for i in powers]).T)
-        assert (np.abs(found.values[where]) < 3.0 * found.sigma[where]).all()
-
-    def test_its_pulse_widths_are_a_quadrotor_at_rest(self, tmp_path: Path, capsys) -> None:
-        arguments = [str(SAMPLE), "--actuators-topic", "actuator_outputs", "--trim", "neutral"]
-        said = run([*arguments, "--output", str(tmp_path / "bag")], capsys)
-        assert "a quadrotor in X" in said
-        values = parameters(tmp_path / "bag")
-        np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
-        np.testing.assert_allclose(values["actuators.scale"], 1.0 / (1950.0 - 1075.0))
-        assert values["actuators.trim"] == [1075.0] * 4
-        flight_only = [str(SAMPLE), "--flight-only", "--output", str(tmp_path / "flight")]
-        assert "it never flew: leave --flight-only out" in refusal(flight_only, capsys)
-        assert (contents(tmp_path / "bag").actuators[:, :4] == 900.0).all()
+def test_a_recorded_log(importer: Importer) -> None:
+    """One of 2016, in the old format. The vehicle was moved about by hand, disarmed."""
+    bag, values, said = importer(SAMPLE)
+    log = ULog(str(SAMPLE))
+    gyro = log.get_dataset("sensor_combined").data
+    controls = log.get_dataset("actuator_controls_0").data
+    np.testing.assert_array_equal(bag.imu_t_ns // 1000, gyro["timestamp"])
+    np.testing.assert_array_equal(bag.rates[:, 1], gyro["gyro_rad[1]"])
+    np.testing.assert_array_equal(bag.force[:, 2], gyro["accelerometer_m_s2[2]"])
+    np.testing.assert_array_equal(bag.actuator_t_ns // 1000, controls["timestamp"])
+    np.testing.assert_array_equal(bag.column("pitch"), controls["control[1]"])
+    assert "17070 samples over 68.9 s at 250 Hz" in said
+    assert "never armed" in said
+    assert "SENS_BOARD_ROT 0, none, fine offsets -1.50 1.19 0.00 deg" in said
+    assert "the logger lost messages 4 times" in said
+    # motors that stand still turn nothing: every control derivative must admit it
+    found = replayed(importer.folder / "bag_1", values)
+    assert not found.dropped
+    powers = [found.names.index(name) for name in ("pdot/da", "qdot/de", "rdot/dr")]
+    where = tuple(np.array([found.free[i] for i in powers]).T)
+    assert (np.abs(found.values[where]) < 3.0 * found.sigma[where]).all()
+    options = ("--actuators-topic", "actuator_outputs", "--trim", "neutral")
+    bag, values, said = importer(SAMPLE, *options)
+    assert "a quadrotor in X" in said
+    np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
+    np.testing.assert_allclose(values["actuators.scale"], 1.0 / (1950.0 - 1075.0))
+    assert values["actuators.trim"] == [1075.0] * 4
+    assert (bag.actuators[:, :4] == 900.0).all()
+    line = importer.refused(SAMPLE, "--flight-only")
+    assert "it never flew: leave --flight-only out" in line

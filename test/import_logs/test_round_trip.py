@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataflash_writing import DataflashWriter
-from imported import Contents, Result, contents, flight, mixing, parameters, replayed, run
+from imported import Contents, Importer, Result, contents, flight, mixing, replayed
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
 from uav_ident_ros.offline import main as replay
@@ -74,9 +74,8 @@ def allocated(measured: Measurements) -> dict:
     )
 
 
-def same_inputs(folder: Path, trim: dict[str, float]) -> dict:
+def same_inputs(values: dict, trim: dict[str, float]) -> dict:
     """Generated parameters, with the simulation's own trim in place of the flight's median."""
-    values = parameters(folder)
     values["actuators.trim"] = [trim[name] for name in values["actuators.channels"]]
     values["actuators.estimate_delay"] = False
     values["structure"] = "augmented"  # the plant has no aerodynamic forces
@@ -117,32 +116,34 @@ TO_FRD = np.array([1.0, -1.0, -1.0])
 TRIM_MOTOR = {"motor_1": 0.5, "elevator": 0.0, "rudder": 0.0, "aileron": 0.0}
 
 
-def test_new_px4_log(tmp_path: Path, measured: Measurements, expected: Result, capsys) -> None:
+def test_new_px4_log(
+    tmp_path: Path, measured: Measurements, expected: Result, importer: Importer
+) -> None:
     log = write_ulog(tmp_path / "new.ulg", allocated(measured), FIXED_WING)
-    said = run([str(log), "--output", str(tmp_path / "new")], capsys)
-    imported = contents(tmp_path / "new")
+    imported, values, said = importer(log)
     assert_same_rates(measured, imported, np.float32)
     np.testing.assert_array_equal(imported.actuator_t_ns, measured.actuator_t_ns)
     assert imported.names == ["motor_1", "elevator", "rudder", "aileron"]
     raw = (measured.actuators * PLAIN_SIGNS).astype(np.float32)
     np.testing.assert_array_equal(imported.actuators, raw[:, [3, 0, 1, 2]])
     assert "0.30 ms after the gyro sample" in said
-    found = replayed(tmp_path / "new", same_inputs(tmp_path / "new", TRIM_MOTOR))
+    found = replayed(importer.folder / "bag_1", same_inputs(values, TRIM_MOTOR))
     assert_same_coefficients(found, expected, 1e-3)
 
 
-def test_old_px4_log(tmp_path: Path, measured: Measurements, expected: Result, capsys) -> None:
+def test_old_px4_log(
+    tmp_path: Path, measured: Measurements, expected: Result, importer: Importer
+) -> None:
     values = (measured.actuators * PLAIN_SIGNS)[:, [2, 0, 1, 3]]
     controls = np.hstack([values, np.zeros((len(values), 4))])
     topics = px4_topics(measured, ("actuator_controls_0", controls, "control"))
     log = write_ulog(tmp_path / "old.ulg", topics, {})
-    run([str(log), "--output", str(tmp_path / "old")], capsys)
-    imported = contents(tmp_path / "old")
+    imported, values, _ = importer(log)
     assert_same_rates(measured, imported, np.float32)
     np.testing.assert_array_equal(imported.actuators, controls.astype(np.float32))
-    assert parameters(tmp_path / "old")["actuators.channels"] == ["roll", "pitch", "yaw", "thrust"]
+    assert values["actuators.channels"] == ["roll", "pitch", "yaw", "thrust"]
     trim = {"roll": 0.0, "pitch": 0.0, "yaw": 0.0, "thrust": 0.5}
-    found = replayed(tmp_path / "old", same_inputs(tmp_path / "old", trim))
+    found = replayed(importer.folder / "bag_1", same_inputs(values, trim))
     assert_same_coefficients(found, expected, 1e-3)
 
 
@@ -150,7 +151,7 @@ def test_old_px4_log(tmp_path: Path, measured: Measurements, expected: Result, c
     "thinned", [("actuator_motors", "actuator_servos"), ("actuator_servos",)], ids=" ".join
 )
 def test_px4_setpoints_stand_in_for_thinned_out_actuators(
-    tmp_path: Path, measured, capsys, thinned: tuple[str, ...]
+    tmp_path: Path, measured, importer: Importer, thinned: tuple[str, ...]
 ) -> None:
     """PX4's default profile logs the actuators at 10 Hz and the setpoints at 50 Hz; the one for
     system identification the motors in full, the servos not."""
@@ -166,19 +167,17 @@ def test_px4_setpoints_stand_in_for_thinned_out_actuators(
         ("vehicle_thrust_setpoint", thrust, "xyz"),
     )
     log = write_ulog(tmp_path / "default.ulg", topics, FIXED_WING | {"SDLOG_PROFILE": 1})
-    said = run([str(log), "--output", str(tmp_path / "default")], capsys)
+    imported, values, said = importer(log)
     advice = "is logged at 10 Hz only (SDLOG_PROFILE 1: make it 17, 'high rate')"
     assert said.count(f"{thinned[0]} {advice}") == 1
-    imported = contents(tmp_path / "default")
     np.testing.assert_array_equal(imported.actuators[:, :3], torque.astype(np.float32))
-    values = parameters(tmp_path / "default")
     assert values["actuators.channels"] == ["roll_torque", "pitch_torque", "yaw_torque", "thrust_x"]
     np.testing.assert_array_equal(
         mixing(values), [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
     )
 
 
-def test_ardupilot_log(tmp_path: Path, capsys) -> None:
+def test_ardupilot_log(tmp_path: Path, importer: Importer) -> None:
     """Rates are single floats, commands whole microseconds: of 1000 for the whole range."""
     measured = flight(channels="pwm")
     writer = DataflashWriter(tmp_path)
@@ -192,23 +191,22 @@ def test_ardupilot_log(tmp_path: Path, capsys) -> None:
            zip(stamps(measured.actuator_t_ns), pulses, strict=True)]
     )  # fmt: skip
     log = writer.write(tmp_path / "plane.bin")
-    said = run([str(log), "--output", str(tmp_path / "plane")], capsys)
+    imported, values, said = importer(log)
     assert "ArduPlane V4.5.0" in said
     assert "low-passed at 20 Hz (INS_GYRO_FILTER)" in said
-    imported = contents(tmp_path / "plane")
     assert_same_rates(measured, imported, np.float32)
     np.testing.assert_array_equal(imported.actuator_t_ns, measured.actuator_t_ns)
     assert imported.names == ["elevator", "rudder", "aileron", "throttle"]
     np.testing.assert_array_equal(imported.actuators, pulses)
 
     trim = dict(zip(imported.names, measured.channel_trim, strict=True))
-    values = same_inputs(tmp_path / "plane", trim)
+    values = same_inputs(values, trim)
     # One unit of a surface is its full deflection here, 500 us, and 0.5 rad in the simulation.
     full = 500.0 * np.abs(PWM.mixing).sum(axis=1)
     for row, name in enumerate(("de", "dr", "da")):
         weights = np.array(values[f"actuators.mixing.{name}"])
         values[f"actuators.mixing.{name}"] = (weights * full[row]).tolist()
-    found = replayed(tmp_path / "plane", values)
+    found = replayed(importer.folder / "bag_1", values)
     exact = dataclasses.replace(measured, actuators=pulses)
     assert_same_coefficients(found, original(exact, tmp_path / "whole_microseconds"), 1e-3)
     # The rounding itself, 0.3 us rms of 50, costs less than the noise of the gyro does.
@@ -245,24 +243,23 @@ channels:
 """
 
 
-def test_table(tmp_path: Path, measured: Measurements, expected: Result, capsys) -> None:
+def test_table(
+    tmp_path: Path, measured: Measurements, expected: Result, importer: Importer
+) -> None:
     """Decimals hold everything: the same to the bit, nanoseconds since 1970 included."""
     table = csv_of(measured, tmp_path / "flight.csv")
     (tmp_path / "columns.yaml").write_text(COLUMNS, encoding="utf-8")
-    arguments = [str(table), "--columns", str(tmp_path / "columns.yaml")]
-    run([*arguments, "--output", str(tmp_path / "table")], capsys)
-    imported = contents(tmp_path / "table")
+    imported, values, _ = importer(table, "--columns", str(tmp_path / "columns.yaml"))
     assert_same_rates(measured, imported, np.float64)
     np.testing.assert_array_equal(imported.actuator_t_ns, measured.actuator_t_ns)
     np.testing.assert_array_equal(imported.actuators, measured.actuators)
     trim = {"elevator": 0.0, "rudder": 0.0, "aileron": 0.0, "throttle": 0.5}
-    values = same_inputs(tmp_path / "table", trim)
-    found = replayed(tmp_path / "table", values)
+    found = replayed(importer.folder / "bag_1", same_inputs(values, trim))
     np.testing.assert_array_equal(found.values, expected.values)
     np.testing.assert_array_equal(found.sigma, expected.sigma)
 
 
-def test_tables_of_other_units(tmp_path: Path, measured: Measurements, capsys) -> None:
+def test_tables_of_other_units(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
     """Degrees, g, knots, milliseconds: the same flight to rounding."""
     lines = ["ms;P;Q;R;X;Y;Z;kn;s1"]
     for t, pqr, force in zip(
@@ -284,17 +281,13 @@ def test_tables_of_other_units(tmp_path: Path, measured: Measurements, capsys) -
         "channels:\n  tail: {column: s1, scale: 0.002, neutral: 1500.0, de: 1.0}\n",
         encoding="utf-8",
     )
-    run(
-        [str(tmp_path / "flight.csv"), "--columns", str(tmp_path / "columns.yaml"), "--airspeed",
-         "--output", str(tmp_path / "bag")], capsys
-    )  # fmt: skip
-    imported = contents(tmp_path / "bag")
+    options = ("--columns", str(tmp_path / "columns.yaml"), "--airspeed")
+    imported, values, _ = importer(tmp_path / "flight.csv", *options)
     np.testing.assert_allclose(imported.rates, measured.rates, rtol=1e-12)
     np.testing.assert_allclose(imported.force, measured.specific_force, rtol=1e-12)
     np.testing.assert_allclose(imported.airspeed, 20.0, rtol=1e-12)
     np.testing.assert_array_equal(imported.imu_t_ns, measured.imu_t_ns - measured.imu_t_ns[0])
     assert imported.frame_ids == {"base_link"}
-    values = parameters(tmp_path / "bag")
     assert values["imu.convention"] == "flu"
     assert values["imu.lever_arm"] == [0.1, 0.0, -0.05]
     assert values["airspeed.type"] == "geometry_msgs/msg/TwistStamped"
@@ -373,11 +366,14 @@ def recorded_summary(tmp_path_factory: pytest.TempPathFactory) -> dict:
 
 @pytest.mark.parametrize(("write", "unit"), [(px4_example, 1.0), (ardupilot_example, 0.5)])
 def test_the_whole_way_from_a_log_to_a_verdict(
-    tmp_path: Path, capsys, recorded_summary: dict, write: Callable[[Path], Path], unit: float
+    tmp_path: Path,
+    importer: Importer,
+    recorded_summary: dict,
+    write: Callable[[Path], Path],
+    unit: float,
 ) -> None:
     """By the two commands a user types, without an option."""
-    run([str(write(tmp_path)), "--output", str(tmp_path / "bag")], capsys)
-    imported = summary_of(tmp_path / "bag", tmp_path / "imported")
+    imported = summary_of(importer(write(tmp_path)).folder, tmp_path / "imported")
     assert imported["usable"] and recorded_summary["usable"]
     assert imported["inputs"]["rates"]["dropped"] == {}
     assert abs(imported["delay"] - DELAY_NS * 1e-9) < 0.005

@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Logs imported by the command, as a user does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from imported import Importer
+
+
+@pytest.fixture
+def importer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Importer:
+    """Imports logs into bags of one folder."""
+    return Importer(tmp_path, capsys)
