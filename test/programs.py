@@ -8,7 +8,11 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import pytest
 from repository import ROOT
+
+Capture = pytest.CaptureFixture[str]
+"""What a test reads that a program printed."""
 
 
 def python(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
@@ -17,7 +21,7 @@ def python(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, **options)
 
 
-def refusal(main: Callable[[Sequence[str]], int], arguments: Sequence[str], capsys: Any) -> str:
+def refusal(main: Callable[[Sequence[str]], int], arguments: Sequence[str], capsys: Capture) -> str:
     """The one line with which a program refuses its arguments."""
     try:
         status: Any = main(arguments)

@@ -21,6 +21,7 @@ from estimates import as_message, estimate_of
 from excerpts import BAGS, excerpt
 from geometry_msgs.msg import Vector3, Vector3Stamped
 from plants import DT_NS, START, STRUCTURE, coefficients
+from programs import Capture
 from sensor_msgs.msg import Imu, JointState
 
 from uav_ident_ros.client import AttitudeModel, Coefficients
@@ -150,9 +151,7 @@ def test_the_prediction_from_a_message_is_that_of_the_client() -> None:
         ("own_gate", r"own: .*'load': '(\d+)%'.*\nwithout: (?!.*load)"),
     ],
 )
-def test_parts_of_ones_own(
-    name: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_parts_of_ones_own(name: str, words: str, tmp_path: Path, capsys: Capture) -> None:
     bag = excerpt(tmp_path / "bag", 20.0, "c172p")
     shutil.copy(BAGS / "c172p" / "identifier.yaml", bag)
     load(name).main(bag)

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from excerpts import PARAMETERS, ROOT, SECOND_NS, excerpt
-from programs import python, refusal
+from programs import Capture, python, refusal
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.files.coefficients_file import load_coefficients
@@ -164,9 +164,7 @@ def test_aircraft_and_structures_are_kept_apart() -> None:
     assert alone.pooled == {}
 
 
-def test_the_command_writes_page_and_coefficients(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_page_and_coefficients(tmp_path: Path, capsys: Capture) -> None:
     from uav_ident_ros.offline.flights_table import CSV_FILE
 
     write_csv(tmp_path / CSV_FILE, synthetic(0, loss=0.02))
@@ -198,9 +196,7 @@ def write_csv(path: Path, rows: list[FlightRow]) -> None:
 
 
 @pytest.mark.parametrize("content", [None, "", "a,b\n1,2\n", "aircraft\nx\n"])
-def test_what_is_no_table_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None
-) -> None:
+def test_what_is_no_table_is_one_line(tmp_path: Path, capsys: Capture, content: str | None) -> None:
     path = tmp_path / "flights.csv"
     if content is not None:
         path.write_text(content)
@@ -261,7 +257,7 @@ def test_the_table_has_a_row_for_each_flight_and_coefficient(replayed: Path) -> 
 
 
 def test_what_is_done_is_not_done_again(
-    logs: Path, replayed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    logs: Path, replayed: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     output = tmp_path / "out"
     shutil.copytree(replayed, output)
@@ -340,7 +336,7 @@ def test_a_cluster_gives_the_same_table(logs: Path, replayed: Path, tmp_path: Pa
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(
-    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    logs: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     line = refusal(main, arguments(logs, tmp_path, "--scheduler", "nonsense://x"), capsys)
     assert line.startswith("replay: no Dask scheduler answers at 'nonsense://x'")

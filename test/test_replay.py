@@ -24,7 +24,7 @@ from excerpts import (
     replayed_run,
     summary,
 )
-from programs import python, refusal
+from programs import Capture, python, refusal
 from rosbags.highlevel import AnyReader
 
 from uav_ident_ros.bags.messages import TWIST, joint_state, plain, twist_stamped
@@ -197,9 +197,7 @@ def test_same_bag_same_bytes(flight: Path, replayed: Path, tmp_path: Path) -> No
         assert (tmp_path / "again" / name).read_bytes() == (replayed / name).read_bytes()
 
 
-def test_table(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_table(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     short = excerpt(tmp_path / "short", 10.0, "pulses")
     assert main([str(short), *options("pulses")]) == NOT_USABLE
@@ -252,9 +250,7 @@ def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("frame_id", ["imu_frd", "map_ned"])
-def test_contradicting_frame_is_a_fault(
-    frame_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_contradicting_frame_is_a_fault(frame_id: str, tmp_path: Path, capsys: Capture) -> None:
     def reframed(topic: str, log_ns: int, message: Any) -> None:
         if topic == IMU:
             message.header.frame_id = frame_id
@@ -372,7 +368,7 @@ BAD_INPUT = {
 
 @pytest.mark.parametrize("case", BAD_INPUT)
 def test_bad_input_is_one_line_and_status_2(
-    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    case: str, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     arguments, words = BAD_INPUT[case]
@@ -404,9 +400,7 @@ def test_only_a_bag_is_replaced(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["estimates"]
 
 
-def test_without_actuators_there_is_a_table_but_no_score(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_actuators_there_is_a_table_but_no_score(tmp_path: Path, capsys: Capture) -> None:
     def late(topic: str, log_ns: int, message: Any) -> list[Entry]:
         # Actuators stamped by another clock are a fault, and never used.
         return [(topic, log_ns + (100 * SECOND_NS if topic == ACTUATORS else 0), message)]
@@ -492,9 +486,7 @@ def with_airspeed(msgtype: str, topic: str = AIRSPEED, every: int = 10) -> Any:
 
 
 @pytest.mark.parametrize("msgtype", [NUMBER, TWIST])
-def test_airspeed_is_taken_as_by_the_core(
-    msgtype: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_airspeed_is_taken_as_by_the_core(msgtype: str, tmp_path: Path, capsys: Capture) -> None:
     bag = excerpt(tmp_path / "bag", 20.0, "multisine", with_airspeed(msgtype))
     changes = {"airspeed__type": msgtype, "airspeed__reference": 20.0}
     identifier, estimates = fed_by_hand("multisine", bag, **changes)

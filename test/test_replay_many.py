@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 from excerpts import BAGS, PARAMETERS, ROOT, excerpt, summary
-from programs import python, refusal
+from programs import Capture, python, refusal
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.offline import main
@@ -192,7 +192,7 @@ def gone(group: int) -> bool:
 
 
 def test_an_empty_folder_is_refused_and_stops_no_other(
-    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    logs: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     (tmp_path / "empty").mkdir()
     assert main([str(tmp_path / "empty")]) == NO_RESULT
@@ -215,9 +215,7 @@ def test_outcomes_keep_the_order_of_the_jobs(tmp_path: Path) -> None:
 # --- many configurations -----------------------------------------------------------------------
 
 
-def test_configurations_are_ranked_on_one_bag(
-    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_configurations_are_ranked_on_one_bag(logs: Path, tmp_path: Path, capsys: Capture) -> None:
     good = parameter_file(tmp_path / "good.yaml", estimator="least_squares")
     late = parameter_file(tmp_path / "late.yaml", actuators__delay=0.15)
     arguments = [str(logs / "monday" / "flight"), "--params-file", str(PARAMETERS)]
@@ -236,9 +234,7 @@ def test_configurations_are_ranked_on_one_bag(
         assert settings["actuators.type"] == "sensor_msgs/msg/JointState"
 
 
-def test_a_refused_configuration_is_no_result(
-    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_refused_configuration_is_no_result(logs: Path, tmp_path: Path, capsys: Capture) -> None:
     wrong = parameter_file(tmp_path / "wrong.yaml", update_rate=20)
     arguments = [str(logs / "tuesday" / "flight"), "--params-file", str(PARAMETERS)]
     arguments += ["--compare", str(wrong), str(PARAMETERS), "--output", str(tmp_path / "out")]
@@ -249,7 +245,7 @@ def test_a_refused_configuration_is_no_result(
     assert re.search(r"^ 2 wrong( +-){5}  no result: ", captured.out, re.MULTILINE)
 
 
-def test_compare_takes_one_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_compare_takes_one_bag(tmp_path: Path, capsys: Capture) -> None:
     for bags in ([str(BAGS)], [str(BAGS / "pulses"), str(BAGS / "multisine")]):
         arguments = [*bags, "--compare", str(PARAMETERS)]
         assert "--compare takes one bag" in refusal(main, arguments, capsys)
@@ -312,14 +308,12 @@ def test_help_comes_at_once_without_what_the_work_needs() -> None:
         (["bag", "--jobs", "many"], "'many' is not a number from 1 on"),
     ],
 )
-def test_wrong_options_are_one_line(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_options_are_one_line(arguments: list[str], words: str, capsys: Capture) -> None:
     assert words in refusal(main, arguments, capsys)
 
 
 def test_a_fault_of_the_program_is_no_result(
-    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     def broken(*arguments: object, **options: object) -> None:
         raise ZeroDivisionError

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from excerpts import ROOT, excerpt
+from programs import Capture
 
 from uav_ident_ros.offline import progress
 from uav_ident_ros.offline.status import NOT_USABLE, USABLE
@@ -65,7 +66,7 @@ def test_many_bags_show_one_bar(tmp_path: Path) -> None:
 
 
 def test_without_a_terminal_a_line_now_and_then(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     assert progress.bar(total=3).disable  # pytest's error stream is none
     now = iter(range(0, 10**6, 10))  # every look at the clock is ten seconds later

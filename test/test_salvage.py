@@ -14,6 +14,7 @@ from excerpts import ACTUATORS, BAGS, IMU, SECOND_NS, Entry, excerpt
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap_writing import TYPES, rewritten
+from programs import Capture
 
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.salvage import SalvageReader
@@ -228,7 +229,7 @@ def replayed(bag: Path, output: Path, *options: str) -> tuple[int, dict[str, Any
 
 @pytest.mark.parametrize("hole", [True, False])
 def test_replay_of_a_damaged_bag(
-    hole: bool, long_flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    hole: bool, long_flight: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     damaged = tmp_path / "flight.mcap"
     damaged.write_bytes(long_flight.read_bytes()[: None if hole else -400_000])
@@ -246,7 +247,7 @@ def test_replay_of_a_damaged_bag(
 
 
 def test_damage_is_said_where_it_leaves_no_result(
-    flight: Path, copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flight: Path, copy: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     copy.write_bytes(flight.read_bytes()[: flight.stat().st_size // 2])
     status, _ = replayed(copy, tmp_path / "out", "--topic", "imu/data:=/gyro")
@@ -328,7 +329,7 @@ def test_messages_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
     assert summary["ticks"] > 90
 
 
-def test_what_is_no_file_on_a_disk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_file_on_a_disk(tmp_path: Path, capsys: Capture) -> None:
     os.mkfifo(tmp_path / "pipe.mcap")
     for path in (tmp_path / "pipe.mcap", Path("/dev/zero")):
         assert replayed(path, tmp_path / "out") == (NO_RESULT, {})

@@ -8,9 +8,10 @@ import re
 import offline_speed
 import pytest
 import sample_walk
+from programs import Capture
 
 
-def test_table(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     monkeypatch.setattr("sys.argv", ["offline_speed.py", "--minutes", "0.2", "--rounds", "1"])
     offline_speed.main()
     printed = capsys.readouterr().out
@@ -27,7 +28,7 @@ def test_table(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 
 
 def test_the_walk_of_a_sample_leads_through_the_parts_in_their_order(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.setattr(sample_walk, "LEARNING", 1.0)
     sample_walk.main([])

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 from imported import Importer
+from programs import Capture
 
 
 @pytest.fixture
-def importer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Importer:
+def importer(tmp_path: Path, capsys: Capture) -> Importer:
     """Imports logs into bags of one folder."""
     return Importer(tmp_path, capsys)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import rclpy
 from node_process import wait_for
+from programs import Capture
 from rclpy.context import Context
 from std_msgs.msg import String
 
@@ -140,9 +141,7 @@ def test_excitation_goes_through_the_loop(flown: Flown, tmp_path: Path) -> None:
     assert tracking_error(record, 6.0, FAULT).max() < 10.0
 
 
-def test_a_process_that_does_not_start_ends_the_flight(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_process_that_does_not_start_ends_the_flight(tmp_path: Path, capsys: Capture) -> None:
     wrong = replace(SHORT, parameters={"controller": {"law": "hope"}})
     with pytest.raises(SimulationError, match=r"controller ended: .*'hope'"):
         fly(wrong, tmp_path / "flight")
@@ -151,7 +150,7 @@ def test_a_process_that_does_not_start_ends_the_flight(
 
 
 def test_on_fixed_coefficients_the_aircraft_is_lost_and_leaves_its_record_and_the_table(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: Capture
 ) -> None:
     fault = "4: aileron effect -1"  # which nobody survives on fixed coefficients
     arguments = ["--duration", "60", "--mode", "fixed", "--fault", fault]

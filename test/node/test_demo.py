@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from node_process import ROOT
-from programs import python, refusal
+from programs import Capture, python, refusal
 from recordings import recording, write_bag
 
 from uav_ident_ros.demo import main
@@ -45,6 +45,6 @@ def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_pa
     ],
 )
 def test_wrong_input_is_refused_in_one_line(
-    arguments: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], said: str, tmp_path: Path, capsys: Capture
 ) -> None:
     assert said in refusal(main, [*arguments, "--output", str(tmp_path)], capsys)

@@ -16,6 +16,7 @@ import pytest
 import rclpy.logging
 from estimates import estimate_of
 from node_process import wait_for
+from programs import Capture
 from recordings import NODE, Fly, call, recording
 from std_srvs.srv import Trigger
 
@@ -52,6 +53,7 @@ class Vehicle:
         self.identifier = OnlineIdentifier(Settings.from_values(own))
         log = rclpy.logging.get_logger("test_memory")
         self.memory = Memory(self.identifier, NODE, log)
+        self.memory.start(NOW)
 
     @property
     def values(self) -> np.ndarray:
@@ -86,11 +88,9 @@ def test_every_node_has_a_file_of_its_own(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_what_was_saved_is_started_from(path: Path) -> None:
     first = Vehicle(path)
-    first.memory.start()
     first.learn(3.5)
     assert first.memory.save(first.estimate(usable=False))[0]
     second = Vehicle(path)
-    second.memory.start()
     assert np.array_equal(second.values, first.values)
     second.identifier.reset()
     assert not second.values.any(), "a reset goes back to the configured start"
@@ -115,13 +115,12 @@ def test_what_was_saved_is_started_from(path: Path) -> None:
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_what_cannot_be_used_is_named_and_kept_aside(
-    path: Path, capfd: pytest.CaptureFixture[str], spoil: Callable[[str], str], reason: str
+    path: Path, capfd: Capture, spoil: Callable[[str], str], reason: str
 ) -> None:
     write(path, coefficients(2.0), saved=NOW, learned_with={"actuators.scale": "[]"})
     spoiled = spoil(path.read_text())
     path.write_text(spoiled)
     vehicle = Vehicle(path)
-    vehicle.memory.start(NOW)
     said = capfd.readouterr().err
     assert re.search(f"starting cold: .*'{re.escape(str(path))}'.*{reason}", said), said
     assert not vehicle.values.any()
@@ -132,16 +131,13 @@ def test_what_cannot_be_used_is_named_and_kept_aside(
 
 
 @pytest.mark.parametrize("kind", ["folder", "pipe", "another structure"])
-def test_what_is_no_file_of_it_is_refused(
-    path: Path, kind: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_file_of_it_is_refused(path: Path, kind: str, capfd: Capture) -> None:
     path.parent.mkdir()
     if kind == "another structure":
         write(path, coefficients(2.0, "baseline"), saved=NOW)
     else:
         path.mkdir() if kind == "folder" else os.mkfifo(path)
     vehicle = Vehicle(path)
-    vehicle.memory.start(NOW)
     said = capfd.readouterr().err
     assert ("it is for structure 'baseline'" if kind[0] == "a" else f"'{path}'") in said
     assert not vehicle.values.any()
@@ -150,21 +146,18 @@ def test_what_is_no_file_of_it_is_refused(
         assert not vehicle.memory.save(vehicle.estimate(usable=True))[0]
 
 
-def test_age_is_that_of_the_computers_clock(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_age_is_that_of_the_computers_clock(path: Path, capfd: Capture) -> None:
     """The message time is 5 ns, as simulated time may be: it says nothing."""
     day = timedelta(days=1)
     for age, started in ((day, True), (6 * day, True), (8 * day, False)):
         write(path, coefficients(2.0), saved=NOW - age)
         vehicle = Vehicle(path)
-        vehicle.memory.start(NOW)
         assert vehicle.values.any() == started, age
     vehicle = Vehicle(path, state_max_age=0.0)
-    vehicle.memory.start(NOW)
     assert vehicle.values.any(), "0 stands for never too old"
     capfd.readouterr()
     write(path, coefficients(2.0), saved=NOW + day)
     vehicle = Vehicle(path)
-    vehicle.memory.start(NOW)
     assert vehicle.values.any()
     assert "the computer's clock is 24 h behind" in capfd.readouterr().err
     # without a time in it, the file has that of the disk
@@ -173,13 +166,11 @@ def test_age_is_that_of_the_computers_clock(path: Path, capfd: pytest.CaptureFix
         moment = (NOW - timedelta(days=age)).timestamp()
         os.utime(path, (moment, moment))
         vehicle = Vehicle(path)
-        vehicle.memory.start(NOW)
         assert vehicle.values.any() == started
 
 
 def test_usable_coefficients_are_saved_by_themselves(path: Path) -> None:
     vehicle = Vehicle(path, save_period=10.0)
-    vehicle.memory.start()
     vehicle.learn(1.0)
     vehicle.memory.attend(vehicle.estimate(usable=False), now=0.0)
     assert not path.exists()
@@ -193,7 +184,6 @@ def test_usable_coefficients_are_saved_by_themselves(path: Path) -> None:
 
 def test_at_the_end_usable_coefficients_are_not_lost_to_others(path: Path) -> None:
     vehicle = Vehicle(path)
-    vehicle.memory.start()
     vehicle.memory.finish(vehicle.estimate(usable=False))
     assert not path.exists(), "nothing was learned"
     vehicle.learn(1.0)
@@ -203,7 +193,6 @@ def test_at_the_end_usable_coefficients_are_not_lost_to_others(path: Path) -> No
     vehicle.memory.finish(vehicle.estimate(usable=True))
     assert load_with_notes(path)[1].usable is True
     next_flight = Vehicle(path)
-    next_flight.memory.start()
     next_flight.learn(3.0)
     next_flight.memory.finish(next_flight.estimate(usable=False))
     assert load_with_notes(path)[0].values.max() == 2.0
@@ -221,7 +210,7 @@ def test_what_a_killed_process_left_is_removed(path: Path) -> None:
     gone, running = 2**22 + 1, os.getpid()  # the first is above every process number
     for process in (gone, running):
         path.with_name(f".identifier.yaml.{process}.tmp").write_text("half")
-    Vehicle(path).memory.start(NOW)
+    Vehicle(path)
     left = sorted(p.name for p in path.parent.iterdir())
     assert left == [f".identifier.yaml.{running}.tmp", "identifier.yaml"]
 

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from node_process import PATIENCE, ROOT, StartNode
-from programs import python, refusal
+from programs import Capture, python, refusal
 from recordings import Fly, Recording, change, part, recording
 
 from uav_ident_ros.monitor.cli import parser
@@ -279,6 +279,6 @@ def test_without_rich_it_says_what_to_install() -> None:
     ],
 )
 def test_a_wrong_command_line_is_one_line(
-    arguments: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], said: str, capsys: Capture
 ) -> None:
     assert said in refusal(parser().parse_args, arguments, capsys)

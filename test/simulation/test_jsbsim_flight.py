@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from programs import Capture
 
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
@@ -154,6 +155,6 @@ def test_without_jsbsim_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyP
         fly(AircraftFlight("c172p", (), 1.0))
 
 
-def test_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_printed(capfd: Capture) -> None:
     fly(AircraftFlight("c172p", (), 0.1))
     assert capfd.readouterr() == ("", "")

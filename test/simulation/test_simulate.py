@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from programs import refusal
+from programs import Capture, refusal
 from rosbags.highlevel import AnyReader
 
 from uav_ident_ros.simulation.cli import main
@@ -93,12 +93,12 @@ def test_options_reach_the_bag(tmp_path: Path) -> None:
     ],
 )
 def test_bad_arguments_are_one_line_and_status_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: str, named: str
+    tmp_path: Path, capsys: Capture, options: str, named: str
 ) -> None:
     arguments = ["--output", str(tmp_path / "bag"), *options.split()]
     assert named in refusal(main, arguments, capsys)
     assert not (tmp_path / "bag").exists()
 
 
-def test_an_existing_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_folder_is_refused(tmp_path: Path, capsys: Capture) -> None:
     assert "exists already" in refusal(main, ["--output", str(tmp_path)], capsys)
