@@ -23,9 +23,8 @@ from std_msgs.msg import Float64MultiArray
 
 from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.guest import Guest
+from uav_ident_ros.messages.types import NS_PER_S
 from uav_ident_ros.ros import latched, stamp_ns, to_stamp
-
-SECOND_NS = 1_000_000_000
 
 CLOCK_PERIOD_NS = 10_000_000
 """Interval of /clock, ns: 100 Hz, so that stamps on arrival are good to 10 ms."""
@@ -216,7 +215,7 @@ class Player(Guest):
         for message in messages:
             while clock_ns + CLOCK_PERIOD_NS <= message.log_ns:
                 clock_ns += CLOCK_PERIOD_NS
-                due = start + (clock_ns - start_ns) / SECOND_NS / speed
+                due = start + (clock_ns - start_ns) / NS_PER_S / speed
                 self.spin_for(due - time.monotonic())
                 if in_step:
                     self._keep_in_step(clock_ns, start_ns)
@@ -257,7 +256,7 @@ class Player(Guest):
             if time.monotonic() > begun + PATIENCE:
                 raise PlayerError(
                     f"waited {PATIENCE:g} s in vain for the output of "
-                    f"{(wanted_ns - start_ns) / SECOND_NS:.2f} s into the recording"
+                    f"{(wanted_ns - start_ns) / NS_PER_S:.2f} s into the recording"
                 )
             if not self.spin_for(NUDGE_AFTER, lambda: self.outputs.newest_ns >= wanted_ns):
                 furthest = wanted_ns + ANSWER_WITHIN_NS + CLOCK_AHEAD_NS

@@ -27,10 +27,10 @@ from rosbags.rosbag2 import (
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from uav_ident_ros.messages.types import NS_PER_S
+
 FOREVER = QosTime(2147483647, 4294967295)
 """Infinite duration, as rosbag2 writes it."""
-
-NANOSECONDS = 1_000_000_000
 
 
 class BagWriteError(Exception):
@@ -80,7 +80,7 @@ def message_class(msgtype: str) -> Any:
 def stamp(t_ns: int) -> Any:
     """builtin_interfaces/msg/Time of a time in ns."""
     return message_class("builtin_interfaces/msg/Time")(
-        sec=int(t_ns) // NANOSECONDS, nanosec=int(t_ns) % NANOSECONDS
+        sec=int(t_ns) // NS_PER_S, nanosec=int(t_ns) % NS_PER_S
     )
 
 

@@ -41,11 +41,10 @@ from uav_ident_ros.files.strict_yaml import EntryError, StrictLoader, mapping, y
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
 from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.messages.types import NS_PER_S
 
 FORMAT = "uav_ident_ros/coefficients"
 VERSION = "1"
-
-NS_PER_S = 1_000_000_000
 
 LARGEST_FILE = 1_000_000
 """Size beyond which it is some other file, bytes: ours have a few thousand."""

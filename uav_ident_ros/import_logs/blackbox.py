@@ -22,7 +22,7 @@ from uav_ident_ros.import_logs.flight_log import (
     gyro_and_force,
 )
 from uav_ident_ros.import_logs.knowledge import between, effects_of_arms, table
-from uav_ident_ros.import_logs.log import NS_PER_US
+from uav_ident_ros.messages.types import NS_PER_US
 
 MAGIC = b"H Product:Blackbox flight data recorder"
 """First bytes of every blackbox log."""

@@ -22,7 +22,8 @@ from uav_ident_ros.import_logs.flight_log import (
     Stream,
     gyro_and_force,
 )
-from uav_ident_ros.import_logs.stamps import LATEST_NS, NS_PER_S
+from uav_ident_ros.import_logs.stamps import LATEST_NS
+from uav_ident_ros.messages.types import NS_PER_S
 
 COMMENT = "#"
 """Lines that begin with it are skipped."""

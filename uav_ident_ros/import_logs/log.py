@@ -15,11 +15,10 @@ from uav_ident_ros.identification.structure import BoolArray, FloatArray
 from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError
 from uav_ident_ros.import_logs.resync import Gap, loss_in_words
 from uav_ident_ros.import_logs.stamps import plausible, rate
+from uav_ident_ros.messages.types import NS_PER_US
 
 Column = NDArray[Any]
 """Values of one field, in the type of the log."""
-
-NS_PER_US = 1_000
 
 STAMPS = {"timestamp": NS_PER_US, "TimeUS": NS_PER_US, "TimeMS": 1_000_000}
 """Fields of the time since the autopilot's start, and their unit, ns; TimeMS until 2015."""

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.import_logs.flight_log import ImportLogError
-from uav_ident_ros.import_logs.log import NS_PER_US, Column, Log
+from uav_ident_ros.import_logs.log import Column, Log
 from uav_ident_ros.import_logs.resync import walk
+from uav_ident_ros.messages.types import NS_PER_US
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 """First bytes of every ULog file."""

@@ -10,11 +10,10 @@ from numpy.lib.stride_tricks import sliding_window_view as windows
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.messages.types import NS_PER_S
 
 Stretches = Sequence[tuple[int, int]]
 """Start and end of stretches of time, ns."""
-
-NS_PER_S = 1_000_000_000
 
 GAP_INTERVALS, SHORTEST_GAP = 3.0, 0.02
 """An interval of more than so many median ones, and longer than so many s, is a gap: jitter stays

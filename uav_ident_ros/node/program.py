@@ -12,8 +12,9 @@ from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedE
 from rclpy.node import Node
 from rclpy.task import Future
 
+from uav_ident_ros.commandline import USAGE_ERROR
 from uav_ident_ros.node.ending import Ending
-from uav_ident_ros.node.startup import REFUSALS, USAGE_ERROR, explain, parameter_sources, start
+from uav_ident_ros.node.startup import REFUSALS, explain, parameter_sources, start
 
 SPIN_TIME = 0.1
 """Seconds that the executor may go on before the program looks whether it was asked to end."""

@@ -27,9 +27,6 @@ from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.node.notices import without_sources
 
-USAGE_ERROR = 2
-"""Exit status for a wrong command line or wrong parameters."""
-
 
 class UsageError(Exception):
     """The command line holds something that is not for this program."""

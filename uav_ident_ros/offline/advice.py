@@ -11,6 +11,7 @@ from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.identification.structure import INPUTS, ROWS
 from uav_ident_ros.offline.evidence import ROW_FORCES, Evidence
+from uav_ident_ros.offline.tables import AXES
 
 MAIN_DERIVATIVES: Mapping[str, str] = {"de": "qdot/de", "dr": "rdot/dr", "da": "pdot/da"}
 """The derivative that each surface is there for; throttle has none that is worth its own flight."""
@@ -68,7 +69,6 @@ LOST_SHARE = 0.3
 """Share of the ticks lost to one gate that deserves a word."""
 
 DAMPING = ("pdot/p", "qdot/q", "rdot/r")
-AXES = ("p", "q", "r")
 
 
 class Advice(NamedTuple):

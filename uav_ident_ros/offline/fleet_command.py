@@ -11,14 +11,13 @@ from pathlib import Path
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import BagWriteError
+from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, save_coefficients
 from uav_ident_ros.offline.fleet import Aircraft, fleet_of
 from uav_ident_ros.offline.flights_table import read_flights
 from uav_ident_ros.offline.picture import PictureError
+from uav_ident_ros.offline.status import NO_RESULT
 from uav_ident_ros.offline.tables import columns
-
-NO_RESULT = 2
-"""Exit status: no table can be used."""
 
 DESCRIPTION = """\
 Put the flights of each aircraft together: pooled coefficients with their scatter from flight to
@@ -41,7 +40,7 @@ example:
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; the return value is the exit status, see `fleet --help`."""
-    parser = argparse.ArgumentParser(
+    parser = OneLineParser(
         prog="fleet",
         description=DESCRIPTION,
         epilog=EPILOG,

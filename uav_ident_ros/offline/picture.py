@@ -13,7 +13,8 @@ from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
-from uav_ident_ros.report.flight import AXES, Flight, collect
+from uav_ident_ros.offline.tables import AXES
+from uav_ident_ros.report.flight import Flight, collect
 from uav_ident_ros.report.predictions import Predictions, predict
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, SPECIFIC_FORCES, FloatArray
-from uav_ident_ros.report.flight import AXES, Flight
+from uav_ident_ros.offline.tables import AXES
+from uav_ident_ros.report.flight import Flight
 
 SIGNALS = (*INPUTS, *AXES, *SPECIFIC_FORCES)
 """Signals of a flight, in the order of `signals`."""

@@ -14,6 +14,7 @@ from bokeh.palettes import Blues256
 from uav_ident_ros.identification.linearisation import Mode
 from uav_ident_ros.identification.prediction import LAST_PART
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.offline.tables import AXES
 from uav_ident_ros.report.analysis import (
     HIGHEST_FREQUENCY,
     LONGEST_LAG,
@@ -24,7 +25,7 @@ from uav_ident_ros.report.analysis import (
     signals,
     thirds,
 )
-from uav_ident_ros.report.flight import AXES, Flight
+from uav_ident_ros.report.flight import Flight
 from uav_ident_ros.report.predictions import Predictions
 from uav_ident_ros.report.style import COLORS, DASHES, SERIES
 from uav_ident_ros.report.timeline import Chart, columns, hover, plain_figure, value_range

@@ -20,9 +20,6 @@ from uav_ident_ros.offline.ticks import Ticks
 PAUSE_BETWEEN = 1.0
 """Shown between two time bases, s: how far apart they really were is unknown or days."""
 
-AXES = ("p", "q", "r")
-"""Rates about the body axes, in the order of every array here."""
-
 
 class Clock:
     """Seconds since the first rates, over every time base of the flight."""
