@@ -244,6 +244,12 @@ class Player(Guest):
             self._advance_clock(self._clock_ns + CLOCK_PERIOD_NS)
             self.spin_for(NUDGE_AFTER)
         self.spin_for(SETTLE)
+        # A busy node may have seen all of these steps before the last messages.
+        newest_ns = None
+        while newest_ns != self.outputs.newest_ns:
+            newest_ns = self.outputs.newest_ns
+            self._advance_clock(self._clock_ns + CLOCK_PERIOD_NS)
+            self.spin_for(SETTLE)
 
     def _wait_for_answer(self, wanted_ns: int, start_ns: int) -> None:
         """Listen until the tick of `wanted_ns` is there.

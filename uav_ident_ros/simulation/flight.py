@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -47,6 +48,11 @@ def whole_steps(time: float, rate: float, what: str) -> int:
     if not (steps >= 0.0 and abs(steps - round(steps)) < STEP_TOLERANCE * max(1.0, steps)):
         raise SimulationError(f"{what} is no whole number of simulation steps of {1e3 / rate:g} ms")
     return round(steps)
+
+
+def sample_count(duration: float, rate: float) -> int:
+    """Return the number of samples of a flight (s) at a rate (Hz), first and last included."""
+    return math.floor(duration * rate + STEP_TOLERANCE) + 1
 
 
 def effect_of(changes: Sequence[CoefficientChange], time: float) -> FloatArray:

@@ -15,13 +15,11 @@ from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault
 from uav_ident_ros.simulation.flight import (
-    STEP_TOLERANCE,
     CoefficientChange,
     Flight,
     effect_of,
-    stamps,
 )
-from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
+from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
 from uav_ident_ros.simulation.live import LiveAircraft
 from uav_ident_ros.simulation.noise import Sensors
@@ -108,33 +106,28 @@ def fly(
         spec.aircraft, Sensors(rate=spec.actuator_rate), spec.delay, faults, spec.seed,
         spec.speed, spec.rate,
     )  # fmt: skip
-    count = math.floor(spec.duration * spec.rate + STEP_TOLERANCE) + 1
-    times = np.arange(0.0, count / spec.rate, 1.0 / spec.actuator_rate)
-    excitation = sample_inputs(spec.segments, times)
 
-    def told(k: int) -> FloatArray:
-        wanted = live.autopilot.surfaces(live.signals, _bank_reference(spec, times[k]))
-        return live.aircraft.clip(wanted + excitation[k])
+    def told(t: float, excitation: FloatArray) -> FloatArray:
+        wanted = live.autopilot.surfaces(live.signals, _bank_reference(spec, t))
+        return live.aircraft.clip(wanted + excitation)
 
-    rows, commands = live.record(count, told)
-    record = live.aircraft.to_si(np.array(rows))
+    flown = live.record(spec.segments, spec.duration, told)
+    record = live.aircraft.to_si(flown.rows)
     extra = {key: record[:, COLUMN[key]] for key in ("alpha", "beta", "roll", "pitch", "altitude")}
     surfaces = [COLUMN[key] for key in SURFACE_NAMES]
     airspeed = record[:, COLUMN["airspeed"]]
     return Flight(
         name=name or airframe(spec.aircraft).name,
-        t_ns=stamps(np.arange(count) / spec.rate),
         rates=record[:, 0:3],
         angular_acceleration=record[:, 3:6],
         specific_force=record[:, 6:9],
-        actuator_t_ns=stamps(times[: len(commands)]),
-        inputs=commands - live.trim,
+        inputs=flown.commands - live.trim,
         trim=np.array(live.trim),
         delay=spec.delay,
         changes=spec.changes,
         # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
         local_truth=cruise_derivatives(spec.aircraft, round(float(airspeed.mean()), 1)),
-        excitation=excited_intervals(spec.segments, spec.duration),
         airspeed=airspeed,
         extra={**extra, "surfaces": record[:, surfaces]},
+        **flown.common,
     )

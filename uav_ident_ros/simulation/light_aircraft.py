@@ -23,9 +23,9 @@ from uav_ident_ros.simulation.flight import (
     CoefficientChange,
     Flight,
     effect_of,
-    stamps,
+    sample_count,
 )
-from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
+from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.live import Live
 from uav_ident_ros.simulation.noise import Sensors
 
@@ -94,30 +94,25 @@ def fly(spec: LightFlight, name: str = "light_aircraft") -> Flight:
     SimulationError
         If the actuator rate does not divide the rate, or the aircraft is lost.
     """
-    live, count = _LiveLight(spec), round(spec.duration * spec.rate) + 1
-    times = np.arange(0, count, round(spec.rate / spec.actuator_rate)) / spec.rate
-    excitation = sample_inputs(spec.segments, times)
+    live = _LiveLight(spec)
 
-    def told(k: int) -> FloatArray:
-        return np.add(_autopilot(spec, live.state, times[k]), excitation[k])
+    def told(t: float, excitation: FloatArray) -> FloatArray:
+        return np.add(_autopilot(spec, live.state, t), excitation)
 
-    rows, commands = live.record(count, told)
-    record = np.array(rows)
+    flown = live.record(spec.segments, spec.duration, told)
+    record = flown.rows
     speed = np.linalg.norm(record[:, 3:6], axis=1)
     return Flight(
         name=name,
-        t_ns=stamps(np.arange(count) / spec.rate),
         rates=record[:, 0:3],
         angular_acceleration=record[:, 9:12],
         specific_force=record[:, 12:15],
-        actuator_t_ns=stamps(times),
-        inputs=commands,
+        inputs=flown.commands,
         trim=np.array(DEFAULT_TRIM),
         delay=spec.delay,
         time_constant=spec.time_constant,
         changes=spec.changes,
         local_truth=dict(spec.truth),
-        excitation=excited_intervals(spec.segments, spec.duration),
         airspeed=speed,
         extra={
             "alpha": np.arctan2(record[:, 5], record[:, 3]),
@@ -127,6 +122,7 @@ def fly(spec: LightFlight, name: str = "light_aircraft") -> Flight:
             "altitude": record[:, 8],
             "surfaces": record[:, 15:19],
         },
+        **flown.common,
     )
 
 
@@ -138,7 +134,7 @@ class _LiveLight(Live):
         self.spec, self.faults = spec, Schedule(())
         self.state: State = (0.0, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._acting = self._surface = np.zeros(len(INPUTS))
-        self._wind = iter(_wind(spec, round(spec.duration * spec.rate) + 1))
+        self._wind = iter(_wind(spec, sample_count(spec.duration, spec.rate)))
         lag = spec.time_constant
         self._keep = math.exp(-1.0 / (spec.rate * lag)) if lag > 0.0 else 0.0
 

@@ -20,7 +20,8 @@ from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, settle
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, Faults, Schedule
-from uav_ident_ros.simulation.flight import whole_steps
+from uav_ident_ros.simulation.flight import sample_count, stamps, whole_steps
+from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.quadrotor import Body, Hold, Quadrotor
 
@@ -50,6 +51,15 @@ class Sample:
     measured_force: FloatArray
     attitude: FloatArray  # (3,) True roll, pitch, yaw, rad
     surfaces: FloatArray  # (4,) Where elevator, rudder, aileron (rad) and throttle are
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A flight that was recorded."""
+
+    rows: FloatArray  # (N, ...) The row of every step of the simulation
+    commands: FloatArray  # (M, C) The outputs of every interval
+    common: dict[str, Any]  # What a `Flight` has of any vehicle: stamps and excited intervals
 
 
 class Live:
@@ -147,25 +157,36 @@ class Live:
 
     def record(
         self,
-        count: int,  # Steps of the simulation
-        told: Callable[[int], FloatArray],  # The outputs of each interval, within their limits
-    ) -> tuple[list[Any], FloatArray]:
-        """Fly on; return the row of every step and the outputs of every interval.
+        segments: Sequence[Segment],  # Excitation
+        duration: float,  # s
+        # The outputs of an interval, within their limits, from its time (s) and excitation
+        told: Callable[[float, FloatArray], FloatArray],
+    ) -> Recording:
+        """Fly on and keep everything.
 
         Raises
         ------
         SimulationError
             If it is lost.
         """
-        self.rows = []
+        count = sample_count(duration, self.rate)
+        times = np.arange(0, count, self._substeps) / self.rate
+        excitation = sample_inputs(segments, times)
         commands: list[FloatArray] = []
+        self.rows = []
         for step in range(count):
             if step % self._substeps == 0:
                 self._check()
-                commands.append(told(len(commands)))
+                k = len(commands)
+                commands.append(told(float(times[k]), excitation[k]))
                 self._tell(commands[-1])
             self._advance_step()
-        return self.rows, np.array(commands)
+        common = {
+            "t_ns": stamps(np.arange(count) / self.rate),
+            "actuator_t_ns": stamps(times),
+            "excitation": excited_intervals(segments, duration),
+        }
+        return Recording(np.array(self.rows), np.array(commands), common)
 
     @property
     def time(self) -> float:

@@ -33,6 +33,7 @@ from uav_ident_ros.simulation.flight import (
     CoefficientChange,
     Flight,
     changed_coefficients,
+    sample_count,
     stamps,
 )
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
@@ -128,7 +129,7 @@ class _Grid:
 
 
 def _make_grid(spec: PlantFlight) -> _Grid:
-    samples = math.floor(spec.duration * spec.rate + STEP_TOLERANCE) + 1
+    samples = sample_count(spec.duration, spec.rate)
     if samples < 2:
         raise SimulationError(
             f"a duration of {spec.duration} s holds no two samples at {spec.rate} Hz"

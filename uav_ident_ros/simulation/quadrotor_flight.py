@@ -13,8 +13,8 @@ from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import STEP_TOLERANCE, Flight, stamps, whole_steps
-from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
+from uav_ident_ros.simulation.flight import Flight, sample_count, whole_steps
+from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.live import LiveQuadrotor
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.quadrotor import Body
@@ -51,35 +51,31 @@ def fly(spec: QuadrotorFlight, name: str = "quadrotor") -> Flight:
     SimulationError
         If it is lost.
     """
-    count = math.floor(spec.duration * spec.rate + STEP_TOLERANCE) + 1
-    gusts = spec.gusts.sample(count, 3, spec.rate, np.random.default_rng([spec.seed, 0]))
+    count, rng = sample_count(spec.duration, spec.rate), np.random.default_rng([spec.seed, 0])
+    gusts = spec.gusts.sample(count, 3, spec.rate, rng)
     live = LiveQuadrotor(
         Sensors(rate=spec.actuator_rate), spec.delay, rate=spec.rate,
         body=Body(time_constant=spec.time_constant), gusts=gusts,
     )  # fmt: skip
-    times = np.arange(0, count, round(spec.rate / spec.actuator_rate)) / spec.rate
-    excitation = sample_inputs(spec.segments, times)
 
-    def told(k: int) -> FloatArray:
-        return live.motors(excitation[k] + live.hold.inputs(live.craft))
+    def told(_: float, excitation: FloatArray) -> FloatArray:
+        return live.motors(excitation + live.hold.inputs(live.craft))
 
-    rows, motors = live.record(count, told)
-    rates, force, acceleration, angles = np.array(rows).transpose(1, 0, 2)
+    flown = live.record(spec.segments, spec.duration, told)
+    rates, force, acceleration, angles = flown.rows.transpose(1, 0, 2)
     return Flight(
         name=name,
-        t_ns=stamps(np.arange(count) / spec.rate),
         rates=rates,
         angular_acceleration=acceleration,
         specific_force=force,
-        actuator_t_ns=stamps(times),
-        inputs=QUADROTOR.inputs(motors, live.trim),
+        inputs=QUADROTOR.inputs(flown.commands, live.trim),
         trim=live.trim,
         delay=spec.delay,
         time_constant=spec.time_constant,
         local_truth=live.craft.body.derivatives(),
         parameters=PARAMETERS,
-        excitation=excited_intervals(spec.segments, spec.duration),
         extra={"gust": gusts, "angles": angles},
+        **flown.common,
     )
 
 
