@@ -170,13 +170,13 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
         "leans_on_force",
         {"fit": fit(measured_force=80.0 + FORCE_POINTS * JUST_BELOW)},
         {"fit": fit(measured_force=[80.0, 80.0, 80.0 + FORCE_POINTS * JUST_ABOVE])},
-        r"in points: 20 of r \(ay\); a controller has no such measurement",
+        r"lean on specific forces, .*: with the measured ones the fit is higher, .* r: 20 \(ay\)",
     ),
     "structure without forces": (
         "leans_on_force",
         {"fit": fit(model=0.0, measured_force=np.nan)},
         {"fit": fit(model=0.0, measured_force=80.0)},
-        r"80 of p \(ay\), 80 of q \(az\), 80 of r \(ay\)",
+        r"p: 80 \(ay\), q: 80 \(az\), r: 80 \(ay\)",
     ),
     "noisy gyro": (
         "noisy_gyro",
@@ -194,13 +194,13 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
         "slow_streams",
         {"imu_rate": SLOW_IMU * JUST_ABOVE},
         {"imu_rate": SLOW_IMU * JUST_BELOW},
-        r"the Imu come at 49 Hz: 50 Hz at the least are needed \(PX4: SDLOG_PROFILE bit 4, .*; A",
+        r"of the Imu come at 49 Hz: 50 Hz are needed \(PX4: SDLOG_PROFILE bit 4, .*; A",
     ),
     "slow actuators": (
         "slow_streams",
         {"actuator_rate": SLOW_ACTUATORS * JUST_ABOVE},
         {"actuator_rate": SLOW_ACTUATORS * JUST_BELOW},
-        "the actuators come at 24 Hz: 25 Hz",
+        "the messages of the actuators come at 24 Hz: 25 Hz",
     ),
     "no actuators have no rate": (
         "slow_streams",
@@ -228,7 +228,7 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
         "short_flight",
         {"duration": SHORT_FLIGHT * JUST_ABOVE},
         {"duration": SHORT_FLIGHT * JUST_BELOW},
-        "59 s are a short flight",
+        "the flight is short, 59 s: excite it",
     ),
     "holding is as good": (
         "no_better_than_holding",

@@ -60,6 +60,7 @@ class Browser:
         self._unread = b""
         self._count = 0
         self._session: str | None = None
+        self.width = 0  # of the page that is open; 0 before the first
         # What the page did since it was opened: requests, console messages, errors
         self.events: list[dict[str, Any]] = []
         targets = self.call("Target.getTargets")["targetInfos"]
@@ -103,8 +104,14 @@ class Browser:
         message, _, self._unread = self._unread.partition(b"\0")
         return json.loads(message)
 
-    def open(self, page: Path, width: int, height: int = 900, scheme: str = "light") -> None:
+    def prefer(self, scheme: str) -> None:
+        """Have the reader prefer a light or a dark page."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.call("Emulation.setEmulatedMedia", media="", features=features)
+
+    def open(self, page: Path, width: int, height: int = 900) -> None:
         """Open a file in a window of a width, on a screen like a telephone's below 600."""
+        self.width = width
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -112,8 +119,7 @@ class Browser:
             deviceScaleFactor=1,
             mobile=width < 600,
         )
-        features = [{"name": "prefers-color-scheme", "value": scheme}]
-        self.call("Emulation.setEmulatedMedia", features=features)
+        self.prefer("light")
         self.events.clear()
         self.call("Page.navigate", url=page.resolve().as_uri())
         self.until("document.readyState === 'complete'")

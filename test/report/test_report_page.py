@@ -261,7 +261,7 @@ def test_a_flight_too_short_to_judge_and_oddly_named_has_a_report_too(tmp_path: 
     assert verdict.one("p", class_="first").text.startswith("First: The aircraft hardly flew")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert [a["name"] for a in summary["advice"]] == ["never_flew", "short_flight"]
-    assert verdict.one("ol").text.strip().startswith("2 s are a short flight")
+    assert verdict.one("ol").text.strip().startswith("The flight is short, 2 s")
     assert all(exact(cell) is None for cell in table(page, "After 30 s").rows()[0][1:])
     shown = charts(page)
     assert "rates-p" in shown

@@ -164,7 +164,7 @@ def row_needs_force(e: Evidence) -> Iterator[str]:
 def leans_on_force(e: Evidence) -> Iterator[str]:
     """Name the axes whose fit comes from measured forces."""
     points = [
-        f"{measured - free:.0f} of {axis} ({ROW_FORCES[row]})"
+        f"{axis}: {measured - free:.0f} ({ROW_FORCES[row]})"
         for row, axis, measured, free in zip(
             ROWS, AXES, e.fit.measured_force, e.fit.model, strict=True
         )
@@ -172,8 +172,8 @@ def leans_on_force(e: Evidence) -> Iterator[str]:
     ]
     if points:
         yield (
-            f"with the specific forces measured the fit would be higher, in points: "
-            f"{', '.join(points)}; a controller has no such measurement of the next second"
+            "the predictions lean on specific forces, which a controller does not know ahead: with "
+            f"the measured ones the fit is higher, in points, {', '.join(points)}"
         )
 
 
@@ -200,8 +200,8 @@ def slow_streams(e: Evidence) -> Iterator[str]:
     ):
         if 0.0 < rate < needed:
             yield (
-                f"the {word} come at {rate:.0f} Hz: {needed + 1.0:.0f} Hz at the least are needed "
-                f"({FAST_LOGS})"
+                f"the messages of the {word} come at {rate:.0f} Hz: {needed + 1.0:.0f} Hz are "
+                f"needed ({FAST_LOGS})"
             )
 
 
@@ -236,7 +236,7 @@ def wrong_sign(e: Evidence) -> Iterator[str]:
 def short_flight(e: Evidence) -> Iterator[str]:
     """Say that the flight is over before the couplings have shown."""
     if e.duration < SHORT_FLIGHT:
-        yield f"{e.duration:.0f} s are a short flight: two minutes of excitation are a good one"
+        yield f"the flight is short, {e.duration:.0f} s: excite it for two minutes"
 
 
 def no_better_than_holding(e: Evidence) -> Iterator[str]:
