@@ -2,7 +2,8 @@
 """Delay and servo lag found from the flight: ``python benchmarks/delays.py [--seeds N] [--sweep]``.
 
 Simulated flights of three aircraft, in the open and the closed loop, in gusts from none to strong,
-with every delay and lag, told neither; and flights on which nobody excites. Printed for each: the
+with every delay and lag, told neither; flights of a quadrotor, whose autopilot answers every gust;
+and flights on which nobody excites. Printed for each: the
 sum that was found, its sigma, and the largest error in sigmas of any estimate of the flight that
 was sure. With ``--sweep`` recorded flights: the free fits over 1 s with fixed delays, and with the
 delay estimated.
@@ -35,6 +36,8 @@ from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, fly
+from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
+from uav_ident_ros.simulation.quadrotor_flight import fly as hover
 from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT, vehicle
 
 DURATION = 90.0
@@ -85,6 +88,15 @@ def light(seed: int, delay: float, lag: float, gusts: float, **more: Any) -> Mea
     return measure(light_aircraft.fly(flight), verdict_flights.SENSORS, seed)
 
 
+def quadrotor(seed: int, delay: float, gusts: float) -> Measurements:
+    """Let the quadrotor hover."""
+    segments = (Segment("multisine", 2.0, DURATION, AMPLITUDES, band=(0.2, 4.0), seed=seed),)
+    flight = QuadrotorFlight(
+        segments, DURATION, 500.0, delay=delay, gusts=ColouredNoise(gusts, 0.3), seed=seed
+    )
+    return measure(hover(flight), replace(NOISY, rate=100.0, channels="quadrotor"), seed)
+
+
 def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
     """Yield name, whether it is excited and what flies it."""
     for delay, lag in LATE:
@@ -101,6 +113,10 @@ def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
             yield (f"c172p, {1e3 * delay:.0f} ms, turbulence {turbulence}", True,
                    partial(verdict_flights._fly, "c172p", seed, excitation=((2.0, 1e3),),
                            duration=DURATION, wind=turbulence, delay=delay, bank=20.0))  # fmt: skip
+    for gusts in (0.0, 0.1, 0.3, 1.0):
+        for delay in (0.012, 0.06):
+            yield (f"quadrotor, {1e3 * delay:.0f} + 50 ms, gusts {gusts:g} rad/s^2", True,
+                   partial(quadrotor, seed, delay, gusts))  # fmt: skip
     for gusts in (0.3, 1.0):
         yield (f"plant, feedback, gusts {gusts:g}", False,
                partial(plant, seed, 0.06, 0.0, gusts, True, False))  # fmt: skip
@@ -135,14 +151,14 @@ def judged(trial: tuple[str, bool, Any]) -> Result:
 
 
 def cut(block: Block, flow: FlowSignals, k: int, name: str) -> tuple[Block, FlowSignals | None]:
-    """Cut a piece of `PIECE` cells; the plant of the paper's structure has no flow."""
+    """Cut a piece of `PIECE` cells; others than aircraft have no flow."""
     cells, edges = slice(k, k + PIECE), slice(k, k + PIECE + 1)
     piece = replace(
         block, t_ns=block.t_ns[edges], x=block.x[edges], u=block.u[cells],
         specific_force=block.specific_force[edges], restarted=block.restarted and k == 0,
     )  # fmt: skip
     signals = FlowSignals(flow.angles[edges], flow.down[edges], flow.airspeed)
-    return piece, None if name.startswith("plant") else signals
+    return piece, None if name.startswith(("plant", "quadrotor")) else signals
 
 
 def line(r: Result) -> str:

@@ -14,6 +14,10 @@ limits    how far rates and attitude come during a run and in the two seconds af
 end       how the runs end, and after how long
 tracking  rms of rates minus reference, with and without excitation
 error     of the dominant derivatives when the run ends, and how many lie within 2 sigma
+
+With ``--quadrotor`` the quadrotor is identified in the same way, in hover, and later loses a third
+of the thrust of one motor while nobody excites: when that is noticed, and the errors of its
+derivatives before the fault and five seconds after it.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -40,16 +44,16 @@ from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
-from uav_ident_ros.simulation.live import LiveAircraft
+from uav_ident_ros.simulation.live import Live, LiveAircraft, LiveQuadrotor
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
+from uav_ident_ros.simulation.quadrotor import Body
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "config" / "closed_loop"
 BUILD = ROOT / "build"
 AIRCRAFT = "c172p"
 SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
-DELAY = 0.02
 SEVERITIES = {"calm": 0, "light": 1, "moderate": 2, "heavy": 4}
 """JSBSim's severities of turbulence."""
 
@@ -59,6 +63,13 @@ START, LONGEST, AFTER = 10.0, 60.0, 2.0
 LEAD = 0.15
 AIRSPEED = 53.0
 """Of the aircraft, m/s."""
+
+FAULT, RELEARNED, TRACKED = 50.0, 5.0, 8.0
+"""When the motor of the quadrotor fails, how much later it is to be relearned, and the time before
+the fault and after its first two seconds over which tracking is measured, s."""
+
+LEFT = 0.7
+"""What is left of the motor's thrust; of the quadrotor's derivatives, three quarters and that."""
 
 DOMINANT = (
     "pdot/p", "pdot/da", "pdot/beta", "qdot/q", "qdot/de", "qdot/alpha", "rdot/dr", "rdot/beta",
@@ -86,22 +97,30 @@ class Found:
 class Flight:
     """One flight, a sample at a time."""
 
-    def __init__(self, severity: int, seed: int) -> None:
-        self.aircraft = LiveAircraft(AIRCRAFT, SENSORS, DELAY, (), seed)
-        self.aircraft.faults.apply(Fault("turbulence", value=float(severity)))
-        values = load_parameters(CONFIG / f"{AIRCRAFT}.yaml", "identifier")
+    def __init__(self, severity: int, seed: int, name: str = AIRCRAFT) -> None:
+        values = load_parameters(CONFIG / f"{name}.yaml", "identifier")
         values |= {"excitation.lead": LEAD, "excitation.duration": LONGEST}
-        values |= {"structure": "flight_dynamics", "airspeed.reference": AIRSPEED}
+        guided = load_parameters(CONFIG / f"{name}.yaml", "rate_reference")
+        controller = load_parameters(CONFIG / f"{name}.yaml", "controller")
+        delay = values["actuators.delay"]
+        self.aircraft: Live
+        if name == AIRCRAFT:
+            self.aircraft = LiveAircraft(name, SENSORS, delay, (), seed)
+            self.aircraft.faults.apply(Fault("turbulence", value=float(severity)))
+            values |= {"airspeed.reference": AIRSPEED}
+            guide = (0.5, 0.1)
+        else:
+            self.aircraft = LiveQuadrotor(SENSORS, delay, (), seed)
+            guide = (guided["bank"], guided["pitch"])
         self.settings = Settings.from_values(values)
         self.identifier = OnlineIdentifier(self.settings)
-        known = Coefficients.from_file(CONFIG / f"{AIRCRAFT}_coefficients.yaml")
-        controller = load_parameters(CONFIG / f"{AIRCRAFT}.yaml", "controller")
+        known = Coefficients.from_file(CONFIG / f"{name}_coefficients.yaml")
         self.trim = np.array(controller["trim"])
         limits = np.array([controller["least"], controller["largest"]]) - self.trim
         source = CoefficientSource(Fallback.NOMINAL, known)
-        self.controller = RateController(source, known, limits, DELAY, adaptive=False)
+        self.controller = RateController(source, known, limits, controller["delay"], adaptive=False)
         self.excitation = Excitation(controller["excitation_limit"])
-        self.manoeuvres = Manoeuvres(0.5, 0.1, (2.0, 4.0), AIRSPEED, seed)
+        self.manoeuvres = Manoeuvres(*guide, (2.0, 4.0), guided["airspeed"], seed)
         self.run = ExcitationRun(self.identifier.structure)
         self.reference: FloatArray = np.zeros(3)
 
@@ -174,6 +193,54 @@ def fly(job: tuple[str, int, bool]) -> Found:
     )  # fmt: skip
 
 
+def lose_a_motor(seed: int) -> dict[str, Any]:
+    """Identify the quadrotor in hover and let a motor lose thrust: what came of it."""
+    flight = Flight(0, seed, "quadrotor")
+    errors, healthy, relearned = [], None, None
+    while flight.aircraft.time < FAULT + 2.0 + TRACKED:
+        if not flight.run.active and not flight.run.why and flight.aircraft.time >= START:
+            settings = replace(flight.settings.excitation, duration=FAULT - START - 10.0)
+            flight.run.start(settings, flight.identifier.flying(), flight.estimate)
+        if healthy is None and flight.aircraft.time >= FAULT:
+            healthy = flight.estimate
+            flight.aircraft.faults.apply(Fault("effect", "motor_front_left", LEFT))
+        if relearned is None and flight.aircraft.time >= FAULT + RELEARNED:
+            relearned = flight.estimate
+        errors.append(flight.step()[5:])
+    start = EPOCH_NS * 1e-9 + FAULT
+    changes = {c.name: c.t - start for c in flight.identifier.changed}
+    out: dict[str, Any] = {"seed": seed, "run": flight.run.why, "changes": changes}
+    share = (len(LiveQuadrotor.names) - 1 + LEFT) / len(LiveQuadrotor.names)
+    for when, estimate, left in (("before", healthy, 1.0), ("after", relearned, share)):
+        assert estimate is not None
+        out[when] = {
+            name: float(estimate.coefficients[flight.identifier.structure.index(name)])
+            / (left * true) - 1.0
+            for name, true in Body().derivatives().items()
+        }  # fmt: skip
+    rates, count = np.degrees(np.array(errors)), round(TRACKED * SENSORS.rate)
+    fault = round(FAULT * SENSORS.rate)
+    parts = (rates[fault - count : fault], rates[-count:])
+    out["tracking"] = [np.sqrt(np.mean(part**2, axis=0)).tolist() for part in parts]
+    return out
+
+
+def quadrotor_lines(found: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield a line for each flight of the quadrotor."""
+    for one in found:
+        noticed = ", ".join(f"{name} {t:.1f} s" for name, t in one["changes"].items())
+        errors = [
+            " / ".join(f"{name} {100 * e:.0f}" for name, e in one[when].items())
+            for when in ("before", "after")
+        ]
+        tracking = [" / ".join(f"{v:.1f}" for v in part) for part in one["tracking"]]
+        yield (
+            f"seed {one['seed']}: {one['run']}; errors before {errors[0]} %, {RELEARNED:g} s after "
+            f"{errors[1]} %; noticed: {noticed}; rms p / q / r {tracking[0]}, from the third "
+            f"second on {tracking[1]} deg/s"
+        )
+
+
 def lines(found: list[Found]) -> Iterator[str]:
     """Yield the table."""
     yield (
@@ -209,7 +276,12 @@ def main() -> int:
     parser.add_argument("--severity", choices=tuple(SEVERITIES), action="append")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--output", type=Path, default=BUILD / "excitation.json")
+    parser.add_argument("--quadrotor", action="store_true", help="a motor that fails instead")
     options = parser.parse_args()
+    if options.quadrotor:
+        with get_context("spawn").Pool(options.workers) as pool:
+            print(*quadrotor_lines(pool.map(lose_a_motor, range(options.seeds))), sep="\n")
+        return 0
     jobs = [
         (severity, seed, excited)
         for severity in options.severity or SEVERITIES

@@ -79,6 +79,14 @@ SURE_SIGMA = 0.015
 SYSTEMATIC_ERROR = 0.007
 """What blocks do not tell, s: noise and gusts in the regressors, inputs held between samples."""
 
+ANSWER_TIME = 0.1
+"""Time in which an autopilot answers a rate, s: where its answers outweigh what is injected, motion
+that nothing explains makes the inputs look as much later, times its share. With flow angles, gusts
+are explained."""
+
+LARGEST_RATE = 100.0
+"""Rate to which a prediction diverges at most, rad/s."""
+
 SMALLEST_MOVE = 0.005
 """The delay in use moves by no less than this, s: the fit is flat about the right one."""
 
@@ -202,6 +210,7 @@ class DelayBank:
         edges = block.t_ns
         if self._parts and (self._parts[-1][0][-1] != edges[0] or delay_ns != self._delay_ns):
             self.restart()
+        self._has_flow = flow is not None
         self._delay_ns, self._airspeed = delay_ns, 1.0 if flow is None else flow.airspeed
         others = np.zeros((len(edges), 4))
         if flow is not None:
@@ -251,7 +260,8 @@ class DelayBank:
             return False
         self._errors.append(np.stack(found))
         if len(self._errors) >= FEWEST_BLOCKS:
-            self.estimate = judge(np.stack(self._errors), self.delays, self._lag)
+            opposed = False if self._has_flow else self._models[0].opposed(EARLY)
+            self.estimate = judge(np.stack(self._errors), self.delays, self._lag, opposed)
         return True
 
     def _judge_models(self, signals: _Signals) -> Iterator[FloatArray | None]:
@@ -308,6 +318,21 @@ class _Models:
             f[..., 1] = _slopes(edges[..., surface, None])[..., 0]
             self._forces[k] = keep * self._forces[k] + _products(f, _slopes(force)[..., k, None])
 
+    def opposed(
+        self,
+        now: int,  # The model whose inputs are not delayed
+    ) -> BoolArray:
+        """Whether the inputs, by each model, act against p, q, r more than they make them, (J, 3).
+
+        So do those of an autopilot; what is injected makes the rates of an aircraft that damps
+        itself.
+        """
+        sums, rates = self._moments[now], slice(3)
+        means = np.outer(sums[rates, _CONSTANT], sums[_CONSTANT, _INPUTS])
+        together = sums[rates, _INPUTS] - means / max(float(sums[_CONSTANT, _CONSTANT]), STEP)
+        effect = _solve(self._moments, _PRECISION)[:, _INPUTS]
+        return np.asarray(np.einsum("kj,djk->dk", together, effect) < 0.0)
+
     def _predict(self, signals: _Signals, u: FloatArray) -> FloatArray:
         """Rates after each step of each window, (J, W, N, 3), from the measured state."""
         v = signals.airspeed
@@ -339,7 +364,7 @@ class _Models:
         on, driven = (np.eye(5) + half) @ after, STEP * driven @ after[:, None]
         states = np.empty_like(driven)
         for k in range(WINDOW):
-            start = start @ on + driven[:, :, k]
+            start = (start @ on + driven[:, :, k]).clip(-LARGEST_RATE, LARGEST_RATE)
             states[:, :, k] = start
         return states[..., :3]
 
@@ -348,10 +373,12 @@ def judge(
     errors: FloatArray,  # (B, L, J, 3) Squared errors of p, q, r in each block
     delays: FloatArray,  # (J,) The delays, s
     lag: float = 0.0,  # Servo lag in use, s, beyond which the bank's lags are
+    opposed: BoolArray | bool = False,  # (J, 3) Whether the inputs act against the rates
 ) -> DelayEstimate:
     """Return the delay at which the models predicted best, and how sure that is.
 
-    Sigma is that of the jackknife over blocks, and half the difference of the flight's halves.
+    Sigma is that of the jackknife over blocks, half the difference of the flight's halves, and
+    what an autopilot's answers can feign.
     """
     count, total = len(errors), errors.sum(axis=0)
     halves = (errors[: count // 2].sum(axis=0), errors[count // 2 :].sum(axis=0))
@@ -369,8 +396,9 @@ def judge(
     found = np.stack((best[:, 0], mean), axis=1)
     # The two, by the jackknife and by the halves.
     variance = (count - 1) * found[3:].var(axis=0) + 0.25 * (found[1] - found[2]) ** 2
-    variance += SYSTEMATIC_ERROR**2
     middle = int(np.argmin(cost[0, 0]))
+    answered = np.broadcast_to(opposed, total[0].shape)[middle]
+    variance += SYSTEMATIC_ERROR**2 + _feigned(total[0], middle, answered) ** 2
     sides = np.clip([middle - APART, middle + APART], 0, len(delays) - 1)
     rises = cost[:, 0, sides] - cost[:, 0, [middle]]
     spread = np.sqrt((count - 1) * rises[3:].var(axis=0)) + np.finfo(float).tiny
@@ -381,6 +409,18 @@ def judge(
         total_sigma=math.sqrt(variance[1] + between),
         rise=float((rises[0] / spread).min()) if inside[0, 0] else 0.0,
     )
+
+
+def _feigned(
+    errors: FloatArray,  # (J, 3) Squared errors of p, q, r
+    middle: int,  # Where they are least
+    opposed: BoolArray,  # (3,) Whether the inputs act against p, q, r
+) -> float:
+    """By how much answers to unexplained motion can make inputs look late, s."""
+    beside = errors[[max(middle - 1, 0), min(middle + 1, len(errors) - 1)]].sum(axis=0)
+    weight = np.maximum(beside / errors[middle] - 2.0, 0.0)
+    share = np.where(opposed, np.sqrt(errors[middle] / errors.max(axis=0)), 0.0)
+    return ANSWER_TIME * float((weight * share).sum() / max(float(weight.sum()), STEP))
 
 
 def _vertices(

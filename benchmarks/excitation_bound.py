@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How soon excitation tells the derivatives, and how soon it could: ``excitation_bound.py``.
+
+The light aircraft flies turns on its autopilot, with a yaw damper, in light, moderate and heavy
+gusts; nothing is known at the start. After ten seconds multisines on all surfaces, a tenth of their
+travel, are added and told as ``excitation``. Measured is the time from then until all dominant
+derivatives, six, are within 15 % of the truth for good, and how often they are within two sigma at
+any time of the flight; in flights without excitation, how often they are called known.
+
+Beside it stands what the same flights would allow whom nothing escapes. The Cramér-Rao bound of a
+flight is the covariance of the extended Kalman filter of states (rates, flow angles, the gusts in
+them) and all coefficients of the structure, linearised about what really happened, with the true
+statistics of gusts and noise and the same prior (Tichavský, Muravchik and Nehorai, "Posterior
+Cramér-Rao bounds for discrete-time nonlinear filtering", IEEE Trans. Signal Processing 46, 1998).
+The errors of an estimator that reaches it are Gaussian, and what it learns between two times is
+independent of its error after: so they can be drawn, from the last back to the first, and their
+time until "for good" is that of a hundred such estimators on each flight.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; before NumPy loads
+
+import cases
+import numpy as np
+import verdict_flights
+
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.filters import expm
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.prior import weak_sigma
+from uav_ident_ros.identification.structure import (
+    FORCE_ROWS,
+    KINEMATIC_ROWS,
+    ROWS,
+    STRUCTURES,
+    FloatArray,
+)
+from uav_ident_ros.simulation import light_aircraft
+from uav_ident_ros.simulation.flight import Flight
+from uav_ident_ros.simulation.inputs import Segment, sample_inputs
+from uav_ident_ros.simulation.light_aircraft import GUST_TIME, ROLL_GUST_TIME, SPEED, TRUTH
+from uav_ident_ros.simulation.noise import measure
+
+GUSTS = {"light": 0.3, "moderate": 0.8, "heavy": 1.5}
+"""Wind on each axis, m/s rms, at 20 m/s."""
+
+START, DURATION = 10.0, 70.0
+"""Start of the excitation and end of the flight, s: a run of ``excitation.duration``."""
+
+PEAKS = dict.fromkeys(("de", "dr", "da"), 0.08)
+"""A tenth of the range of surfaces that go to 0.4 rad on either side, rad."""
+
+BAND = (0.2, 2.0)
+"""That of ``excitation.band``, Hz."""
+
+DOMINANT = (*cases.DOMINANT, "pdot/beta", "qdot/alpha", "rdot/beta")
+"""Those that have to be near, six, and what else is looked at."""
+
+SIX = len(cases.DOMINANT)
+CONTROLS = slice(3, SIX)
+NEAR = 0.15
+KNOWN = 4.0
+"""Value over sigma from which a derivative counts as known: ``supervision.min_t_ratio``."""
+
+DRAWS = 100
+RATE = verdict_flights.SENSORS.rate
+TICK = 5
+"""Samples in a tick."""
+
+STRUCTURE = STRUCTURES["flight_dynamics"]
+STATES = 8
+"""p q r, beta and alpha of the motion through still air, what gusts add to both, rolling gust."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one flight gave."""
+
+    gusts: str
+    seed: int
+    excited: bool
+    seconds: dict[str, float]  # Until near for good, by derivative and of all six; inf if never
+    bound: dict[str, float]  # The same of estimators that reach the bound, median
+    within: dict[str, float]  # Share of the ticks within two sigma, by derivative
+    known: float  # Share of the ticks in which a control derivative is known
+    usable: float  # Share of the ticks in which a row is usable
+    wrong: float  # ... and its control derivative off by more than half
+
+
+def fly(gusts: str, seed: int, excited: bool) -> tuple[Flight, tuple[Segment, ...]]:
+    """Fly it."""
+    segments = (Segment("multisine", START, DURATION, PEAKS, 10.0, BAND, seed=seed),)
+    spec = light_aircraft.LightFlight(
+        segments if excited else (), DURATION, bank=20.0, gust=GUSTS[gusts],
+        delay=verdict_flights.DELAY, seed=seed,
+    )  # fmt: skip
+    return light_aircraft.fly(spec), spec.segments
+
+
+def identify(flight: Flight, segments: Sequence[Segment], seed: int) -> list[Estimate]:
+    """Identify it as the node would, from nothing; return the estimates of all ticks."""
+    case = cases.measured(measure(flight, verdict_flights.SENSORS, seed), "light", seed)
+    identifier = OnlineIdentifier(case.settings({}))
+    told = iter(sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9))
+    estimates = []
+    for _, is_rates, t, v in cases.messages(case):
+        if not is_rates:
+            identifier.add_actuators(t, v)
+            if segments:
+                identifier.add_excitation(t, next(told).tolist())
+            continue
+        identifier.add_rates(t, v[:3], v[3:])
+        while (due := identifier.due()) is not None:
+            estimate = identifier.update(due)
+            assert estimate is not None
+            estimates.append(estimate)
+    return estimates
+
+
+def true_coefficients() -> FloatArray:
+    """Lay out the truth in the structure, (7, 15)."""
+    out = np.zeros(STRUCTURE.mask.shape)
+    for name, value in TRUTH.items():
+        out[STRUCTURE.index(name)] = value
+    return out
+
+
+def covariances(flight: Flight, gust: float) -> FloatArray:
+    """Cramér-Rao bound of the dominant derivatives at the ticks, (K, D, D)."""
+    every = round(flight.rate / RATE)
+    u, x = flight.extra["surfaces"][::every], flight.rates[::every]
+    ay, az = flight.specific_force[::every, 1:].T
+    beta = (ay - TRUTH["ay/dr"] * u[:, 1]) / TRUTH["ay/beta"]
+    alpha = (az - TRUTH["az/de"] * u[:, 0]) / TRUTH["az/alpha"]
+    f = STRUCTURE.regressor(x, u, np.stack((beta, alpha), axis=1))
+    motion, sensed, steps = linearised(gust)
+    free = np.array(STRUCTURE.free)
+    labels = np.array(STRUCTURE.row_labels)[free[:, 0]]
+    # Where the term of each coefficient enters: state equations, measured forces.
+    enters, shows = np.zeros((STATES, len(free))), np.zeros((5, len(free)))
+    for k, row in enumerate(ROWS):
+        enters[k] = labels == row
+    for k, (force, angle) in enumerate(zip(FORCE_ROWS, KINEMATIC_ROWS, strict=True)):
+        enters[3 + k] = (labels == force) / SPEED + (labels == angle)
+        shows[3 + k] = labels == force
+    size = STATES + len(free)
+    p = np.diag([1.0] * STATES + [weak_sigma(STRUCTURE)[i, j] ** 2 for i, j in free])
+    p[STATES - 3 : STATES, STATES - 3 : STATES] = np.diag(steps)
+    decay = np.diag(motion)[-3:] ** 2
+    sensors = verdict_flights.SENSORS
+    noise = np.diag([sensors.gyro_noise**2] * 3 + [sensors.accelerometer_noise**2] * 2)
+    chosen = [STATES + STRUCTURE.names.index(name) for name in DOMINANT]
+    step, h = np.eye(size), np.hstack((sensed, shows))
+    step[:STATES, :STATES] = motion
+    out = []
+    for k, row in enumerate(f[:, free[:, 1]]):
+        h[:, STATES:] = shows * row
+        gain = p @ h.T
+        p -= gain @ np.linalg.solve(h @ gain + noise, gain.T)
+        if k % TICK == 0:
+            out.append(p[np.ix_(chosen, chosen)])
+        step[:STATES, STATES:] = enters * row / RATE
+        p = step @ p @ step.T
+        p[range(5, 8), range(5, 8)] += steps * (1.0 - decay)
+        p = 0.5 * (p + p.T)
+    return np.array(out)
+
+
+def linearised(gust: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Transition of the states over a sample, what the sensors see of them, gust variances."""
+    a = np.zeros((STATES, STATES))
+    c = true_coefficients()
+    beta, alpha = (STRUCTURE.column(name) for name in ("beta", "alpha"))
+    rates = slice(STRUCTURE.column("p"), STRUCTURE.column("r") + 1)
+    rows = np.zeros((5, STATES))  # of the accelerations and forces
+    rows[:, :3] = c[:5, rates]
+    rows[:, 3] = rows[:, 5] = c[:5, beta]
+    rows[:, 4] = rows[:, 6] = c[:5, alpha]
+    rows[:, 7] = c[:5, rates.start]  # it rolls through the air
+    a[:3], a[3:5] = rows[:3], rows[3:] / SPEED
+    a[3, 2], a[4, 1] = -1.0, 1.0
+    a[range(5, 8), range(5, 8)] = -1.0 / np.array([GUST_TIME, GUST_TIME, ROLL_GUST_TIME])
+    variances = gust**2 * np.array([SPEED**-2, SPEED**-2, light_aircraft.LightFlight.roll_gust**2])
+    sensed = np.vstack((np.eye(3, STATES), rows[3:]))
+    return expm(a / RATE), sensed, variances
+
+
+def for_good(near: FloatArray) -> dict[str, float]:
+    """Seconds until the derivatives (..., K, D) stay near, median over flights; inf if never."""
+    chosen = {name: near[..., k] for k, name in enumerate(DOMINANT)}
+    chosen["all"] = near[..., :SIX].all(axis=-1)
+    out = {}
+    for name, each in chosen.items():
+        ticks = each.shape[-1] - np.cumprod(each[..., ::-1], axis=-1).sum(axis=-1)
+        seconds = np.where(ticks < each.shape[-1], ticks * TICK / RATE, np.inf)
+        out[name] = float(np.percentile(seconds, 50, method="nearest"))
+    return out
+
+
+def drawn(covariance: FloatArray, seed: int) -> FloatArray:
+    """Draw errors of estimators that reach the bound (K, D, D): (DRAWS, K, D)."""
+    rng = np.random.default_rng(seed)
+    learned = np.concatenate((covariance[:-1] - covariance[1:], covariance[-1:]))
+    values, vectors = np.linalg.eigh(learned)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
+    steps = np.einsum("kij,nkj->nki", root, rng.standard_normal((DRAWS, *covariance.shape[:2])))
+    return np.asarray(np.cumsum(steps[:, ::-1], axis=1)[:, ::-1])
+
+
+def judge(job: tuple[str, int, bool]) -> Found:
+    """Fly, identify and bound one."""
+    gusts, seed, excited = job
+    flight, segments = fly(*job)
+    estimates = identify(flight, segments, seed)
+    truth = np.array([TRUTH[name] for name in DOMINANT])
+    places = tuple(zip(*map(STRUCTURE.index, DOMINANT), strict=True))
+    values = np.array([e.coefficients[places] for e in estimates])
+    sigmas = np.array([e.sigma[places] for e in estimates])
+    usable = np.array([e.usable_rows for e in estimates])
+    errors, allowed = np.abs(values - truth), NEAR * np.abs(truth)
+    first = round(START * RATE / TICK)
+    bound = {}
+    if excited:
+        error = drawn(covariances(flight, GUSTS[gusts])[first:], seed)
+        bound = for_good(np.abs(error) <= allowed)
+    wrong = (errors > 0.5 * np.abs(truth))[:, CONTROLS]
+    known = (np.abs(values) > KNOWN * sigmas)[:, CONTROLS]
+    return Found(
+        gusts, seed, excited,
+        seconds=for_good((errors <= allowed)[first:]),
+        bound=bound,
+        within=dict(zip(DOMINANT, (errors <= 2.0 * sigmas).mean(axis=0).tolist(), strict=True)),
+        known=float(known.any(axis=1).mean()),
+        usable=float(usable.any(axis=1).mean()),
+        wrong=float((usable & wrong).any(axis=1).mean()),
+    )  # fmt: skip
+
+
+def lines(found: Sequence[Found]) -> Iterator[str]:
+    """Yield the tables."""
+    names = (*DOMINANT, "all")
+    yield "| gusts, flights | | " + " | ".join((*DOMINANT, "all six")) + " |"
+    yield "|---" * (len(names) + 2) + "|"
+    for gusts in GUSTS:
+        some = [f for f in found if f.gusts == gusts and f.excited]
+        if not some:
+            continue
+
+        def cells(what: str, some: Sequence[Found] = some) -> str:
+            each = ([getattr(f, what)[name] for f in some] for name in names)
+            return " | ".join(f"{np.percentile(s, 50, method='nearest'):.1f}" for s in each)
+
+        within = (100.0 * np.mean([f.within[name] for f in some]) for name in DOMINANT)
+        all_six = 100.0 * np.mean([[f.within[name] for name in cases.DOMINANT] for f in some])
+        soon = sum(f.seconds["all"] <= 1.5 * f.bound["all"] for f in some)
+        yield f"| {gusts}, {len(some)} | near for good, s | {cells('seconds')} |"
+        yield f"| | bound, s | {cells('bound')} |"
+        yield f"| | within 2 sigma, % | {' | '.join(f'{w:.0f}' for w in within)} | {all_six:.1f} |"
+        yield (
+            f"{gusts}: {soon} of {len(some)} within 1.5 times the bound; usable and wrong "
+            f"{100 * np.mean([f.wrong for f in some]):.1f} % of the time"
+        )
+    for gusts in GUSTS:
+        some = [f for f in found if f.gusts == gusts and not f.excited]
+        if some:
+            shares = (100.0 * np.mean([getattr(f, name) for f in some])
+                      for name in ("known", "usable", "wrong"))  # fmt: skip
+            within_2 = 100.0 * np.mean([[f.within[n] for n in cases.DOMINANT] for f in some])
+            yield (
+                f"{gusts}, without excitation, {len(some)}: of the time a control derivative "
+                "known {:.0f} %, a row usable {:.0f} %, and wrong {:.1f} %; ".format(*shares)
+                + f"the six within 2 sigma {within_2:.0f} %"
+            )
+
+
+def main() -> int:
+    """Fly and print; return the exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--gusts", choices=tuple(GUSTS), action="append")
+    parser.add_argument("--excited", action="store_true", help="leave out the flights without")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--output", type=Path, default=Path("build/excitation_bound.json"))
+    options = parser.parse_args()
+    jobs = [
+        (gusts, seed, excited)
+        for gusts in options.gusts or GUSTS
+        for seed in range(1, options.seeds + 1)
+        for excited in ((True,) if options.excited else (True, False))
+    ]
+    found = []
+    with get_context("spawn").Pool(options.workers) as pool:
+        for one in pool.imap_unordered(judge, jobs):
+            found.append(one)
+            print(f"{one.gusts}, seed {one.seed}: {one.seconds['all']:.1f} s", file=sys.stderr)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps([asdict(f) for f in found], indent=1), encoding="utf-8")
+    print("\n".join(lines(found)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
