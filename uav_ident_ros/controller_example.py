@@ -32,7 +32,7 @@ from uav_ident_ros.client import (
     subscribe_excitation,
 )
 from uav_ident_ros.control import Effect, Gains, Law, RateController
-from uav_ident_ros.control.controller import BANDWIDTHS
+from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import run, spin
@@ -56,7 +56,7 @@ PARAMETERS: dict[str, Any] = {
     "least": [-0.4, -0.25, -0.25, 0.0],
     "largest": [0.4, 0.25, 0.25, 1.0],
     "excitation_limit": [0.0, 0.0, 0.0, 0.0],  # largest that is ever added to de dr da dth
-    "delay": 0.02,  # s
+    "delay": 0.02,  # s; another that the flight shows takes its place, adaptive
     "coefficients_delay": 0.0,  # s; above 0.2 in lock-step with a simulation
     "reference_delay": 0.0,  # s; two samples in lock-step with a simulation
 }
@@ -97,7 +97,7 @@ class ControllerExample(Node):
     def _make(self, nominal: Coefficients) -> RateController:
         value = self._value
         p, q, r = value["rate_gain"]
-        gains = Gains((p, q, r), value["bandwidth"] or BANDWIDTHS[self._law])
+        gains = Gains((p, q, r), value["bandwidth"] or OWN_GAINS[self._law].bandwidth)
         return RateController(
             self._source,
             nominal,
@@ -192,12 +192,12 @@ def _of(axes: list[str]) -> str:
 
 
 def measured(controller: RateController) -> list[KeyValue]:
-    """Return the measured effect of the inputs, for /diagnostics."""
+    """Return the measured effect and delay of the inputs, for /diagnostics."""
     found = controller.effectiveness
-    return [
-        KeyValue(key=f"measured effect of {axis}", value=f"{factor:.2f} +- {sigma:.2f} of believed")
-        for axis, factor, sigma in zip(AXES, found.factor, found.sigma, strict=True)
-    ]
+    values = {"delay flown on": f"{1e3 * controller.delay.delay:.0f} ms"}
+    for axis, factor, sigma in zip(AXES, found.factor, found.sigma, strict=True):
+        values[f"measured effect of {axis}"] = f"{factor:.2f} +- {sigma:.2f} of believed"
+    return [KeyValue(key=key, value=value) for key, value in values.items()]
 
 
 def main(args: list[str] | None = None) -> int:

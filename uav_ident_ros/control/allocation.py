@@ -78,11 +78,13 @@ def bounded_least_squares(
     """
     x = np.zeros(len(low))
     held = np.zeros(len(low))  # -1 at low, +1 at high, 0 free
+    normal = rows.T @ rows
     while True:
         free = held == 0.0
         step = np.zeros(len(low))
         if free.any():
-            step[free] = np.linalg.lstsq(rows[:, free], target - rows @ x, rcond=None)[0]
+            pull = rows[:, free].T @ (target - rows @ x)
+            step[free] = np.linalg.solve(normal[np.ix_(free, free)], pull)
         room = np.where(step > 0.0, high - x, low - x)
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(step != 0.0, room / step, np.inf)

@@ -28,8 +28,6 @@ class Law(Enum):
 
 
 OWN_GAINS = {Law.INCREMENTAL: GAINS, Law.INVERSION: INVERSION_GAINS}
-BANDWIDTHS = {law: gains.bandwidth for law, gains in OWN_GAINS.items()}
-"""Bandwidth of each law's filter or observer unless told otherwise, rad/s."""
 
 
 class RateController:
