@@ -123,3 +123,15 @@ def test_excitation_outweighs_what_was_known() -> None:
     value, sigma = learned(samples, gusts, 0.0, 2.0 * TRUE)
     assert value == pytest.approx(TRUE, rel=0.1)
     assert abs(value - TRUE) < 3.0 * sigma
+
+
+def test_a_whole_derivative_that_was_known_is_not_doubted_for_a_force() -> None:
+    """Before the flight tells anything sigma is the prior's, whatever the side force may be."""
+    start = start_from(Settings())
+    values, sigma = start.values.copy(), start.sigma.copy()
+    for name, value in (("rdot/dr", -4.0), ("rdot/beta", 8.0)):
+        values[STRUCTURE.index(name)] = value
+        sigma[STRUCTURE.index(name)] = 0.2 * abs(value)
+    start = replace(start, values=values, sigma=sigma)
+    solution = Information(STRUCTURE, LAYOUT, start, 0.1).solve(values)
+    assert solution.sigma[STRUCTURE.index("rdot/dr")] == pytest.approx(0.8)

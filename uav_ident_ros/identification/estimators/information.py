@@ -315,25 +315,27 @@ class Information:
         """
         sums = self.sums if extra is None else self.sums.plus(extra)
         transform = self._transform(values)
-        used = self._pairs
-        projected, system = self._system(sums, transform)
+        prior = self._prior(sums)
+        projected, system = self._system(sums, transform, prior)
         target = sums.zy[:, :, None] - sums.zf @ (transform @ self._initial[:, :, None])
         try:
             inverse = np.linalg.inv(system)
         except np.linalg.LinAlgError:
             inverse = np.full_like(system, np.nan)
-        gain = np.where(used, inverse @ projected, 0.0)
+        gain = np.where(self._pairs, inverse @ projected, 0.0)
         physical = self._initial + (gain @ target)[:, :, 0]
-        covariance = self._covariance(sums, inverse, gain)
+        covariance = self._covariance(sums, inverse, gain, prior)
         linear = (transform @ physical[:, :, None])[:, :, 0]
         return Solution(
             linear,
             transform @ covariance @ transform.transpose(0, 2, 1),
             self._place(physical, self._start.values),
-            self._sigma(covariance, linear),
+            self._sigma(covariance, linear, 1.0 - np.einsum("ijj->ij", inverse) * prior),
         )
 
-    def _system(self, sums: Sums, transform: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _system(
+        self, sums: Sums, transform: FloatArray, prior: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Return ``B^T S^-1`` and ``B^T S^-1 B + P``, with B = R T; both (rows, k, k)."""
         instruments = np.where(self._pairs, sums.zz, 0.0)
         power = np.einsum("ijj->ij", instruments)
@@ -344,7 +346,7 @@ class Information:
         projected = np.linalg.solve(scaled, slope).transpose(0, 2, 1)
         system = projected @ slope
         diagonal = np.einsum("ijj->ij", system)
-        diagonal += self._prior(sums) + self._rest
+        diagonal += prior + self._rest
         # Columns without power have neither data nor, where fixed, a prior.
         diagonal[diagonal <= 0.0] = 1.0
         return projected * scale[:, None, :], system
@@ -360,7 +362,9 @@ class Information:
         longer = 1.0 + self._told * share * (sums.answer_time / self._unit_time)[:, None]
         return np.asarray(self._precision * self.unit[:, None] * longer)
 
-    def _covariance(self, sums: Sums, inverse: FloatArray, gain: FloatArray) -> FloatArray:
+    def _covariance(
+        self, sums: Sums, inverse: FloatArray, gain: FloatArray, prior: FloatArray
+    ) -> FloatArray:
         """Return the covariance of the coefficients, shape (rows, k, k).
 
         ``G Omega G^T`` with Omega the sum of the outer products of the scores of one-second
@@ -374,12 +378,12 @@ class Information:
         middle = sums.scores * correction[:, None, None]
         middle += (self.variance * sums.answer_time)[:, None, None] * sums.answers
         held = np.divide(
-            self._prior(sums) ** 2, self._precision,
+            prior**2, self._precision,
             out=np.zeros_like(self._precision), where=self.free,
         )  # fmt: skip
-        prior = inverse * held[:, None, :]
         return np.asarray(
-            gain @ middle @ gain.transpose(0, 2, 1) + prior @ inverse.transpose(0, 2, 1)
+            gain @ middle @ gain.transpose(0, 2, 1)
+            + (inverse * held[:, None, :]) @ inverse.transpose(0, 2, 1)
         )
 
     def _transform(self, values: FloatArray) -> FloatArray:
@@ -395,18 +399,21 @@ class Information:
             transform[at_rows.force, entry, entry] = values[at_rows.force, at_rows.angle]
         return transform
 
-    def _sigma(self, covariance: FloatArray, linear: FloatArray) -> FloatArray:
+    def _sigma(
+        self, covariance: FloatArray, linear: FloatArray, resolution: FloatArray
+    ) -> FloatArray:
         """Return the standard deviations of the structure's coefficients, shape (R, n).
 
         What is not free keeps that of the start. Where a flow angle is used, the uncertainty of
-        the force row that defines it adds to that of the moment.
+        the force row that defines it adds to that of the moment, as far as the samples tell of it:
+        the `resolution` (rows, k), 1 without a prior.
         """
         variance = np.maximum(np.einsum("ijj->ij", covariance), 0.0)
         out = self._place(variance, np.zeros_like(self._start.values))
         for at in self._flow:
             share, force = linear[at.row, at.angle] ** 2, out[at.rows.force]
-            for column in (at.rows.angle, *(column for _, column in at.others)):
-                out[at.row, column] += share * force[column]
+            for entry, column in ((at.angle, at.rows.angle), *at.others):
+                out[at.row, column] += share * force[column] * resolution[at.row, entry] ** 2
         return np.where(self._start.free, np.sqrt(out), self._start.sigma)
 
     def _place(self, entries: FloatArray, out: FloatArray) -> FloatArray:
