@@ -665,8 +665,10 @@ class OnlineIdentifier:
         if not self._news:
             return
         self._news = False
-        denied = self._too_early()
-        if self._flow is not None:  # without flow angles a gust looks like a late input
+        denied = "" if self._warm else self._too_early()
+        # What was known beforehand stands against a delay that inputs seem to have which answer
+        # gusts; and without flow angles every gust looks like a late input.
+        if self._flow is not None and not (self._warm and self._estimator.answers.any()):
             denied = self.delay_estimate.contradiction(self.delay) or denied
         self._verdict = self._supervisor.judge(
             t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error,
@@ -675,13 +677,17 @@ class OnlineIdentifier:
         if self.settings.supervision.plausibility:
             self._plausibility.judge(coefficients, sigma)
 
+    @property
+    def _warm(self) -> bool:
+        """Whether the control derivatives were known beforehand."""
+        return self._start.warm(self.settings.supervision.min_t_ratio)
+
     def _too_early(self) -> str:
-        """Return why a cold start cannot be judged yet; empty if it can, and of a warm start.
+        """Return why a cold start cannot be judged yet; empty if it can.
 
         A model that is wrong in kind, late or saturating, fits the first seconds like any other.
         """
-        warm = self._start.warm(self.settings.supervision.min_t_ratio)
-        if warm or self._learned_time >= START_TIME:
+        if self._learned_time >= START_TIME:
             return ""
         return f"learned from {int(self._learned_time)} s, {START_TIME:g} s are needed to judge"
 

@@ -54,6 +54,10 @@ class Estimator(Protocol):
         """What the main inputs do otherwise than the model says, relative to their effect, (3,)."""
 
     @property
+    def answers(self) -> FloatArray:
+        """Share of each input that answers disturbances, shape (4,), 0 ... 1."""
+
+    @property
     def inputs(self) -> FloatArray:
         """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
 

@@ -17,6 +17,7 @@ from uav_ident_ros.identification.settings import (
 )
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
+    INPUTS,
     PRODUCT_COLUMNS,
     STRUCTURES,
     BoolArray,
@@ -141,6 +142,7 @@ class GradientEstimator:
         self.start = start
         self.learning: BoolArray = np.ones(3, dtype=bool)
         self.model_error: FloatArray = np.zeros(3)  # nor at this
+        self.answers: FloatArray = np.zeros(len(INPUTS))  # nor at this
         self.clear: BoolArray = np.ones(3, dtype=bool)  # it does not look
         self.changes: list[tuple[int, int]] = []
         information = Information(structure, layout(structure), start, 2.0 / settings.filter.cutoff)

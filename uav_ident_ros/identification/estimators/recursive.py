@@ -245,6 +245,11 @@ class RecursiveRegression:
         return self._error.share
 
     @property
+    def answers(self) -> FloatArray:
+        """Share of each input that answers disturbances, shape (4,), 0 ... 1."""
+        return self._feedback.share
+
+    @property
     def inputs(self) -> FloatArray:
         """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
         return self._linear(self._solution)[: len(ROWS), INPUT_COLUMNS]
