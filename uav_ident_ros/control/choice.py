@@ -116,6 +116,10 @@ class AxisChoice:
         )
         return Effect(values, self._base.copy(), sources, tuple(self._reasons))
 
+    def forget_measured(self) -> None:
+        """Go back to the effects without factors: they were measured with a wrong delay."""
+        self._factor[:] = 1.0
+
     def _adopt(self, t_ns: int, measured: Effectiveness) -> None:
         newest = self._source.newest(t_ns)
         old = newest is None or newest is self._seen

@@ -120,12 +120,13 @@ class RateController:
         if self._adaptive:
             held = partial(self._acting, before_ns)
             if self.delay.update(x, self.effect.base, held, dt):
-                self.effectiveness.restart()
-        delay = self.delay.delay
-        led = self._references.at(before_ns + round((dt - delay) * 1e9))
-        self.effectiveness.update(
-            x, self.effect.base, self._acting(before_ns, delay), dt, led, self.delay.in_doubt
-        )
+                for axis in range(len(x)):
+                    self.effectiveness.changed(axis)
+                self._choice.forget_measured()
+        t_ns = before_ns + round(dt * 1e9)
+        acting = self._acting(t_ns, self.delay.delay)
+        led = self._references.at(t_ns - round(self.delay.delay * 1e9))
+        self.effectiveness.update(x, self.effect.base, acting, dt, led, self.delay.in_doubt)
 
     def _acting(self, t_ns: int, delay: float) -> FloatArray:
         """Return the inputs that act from `t_ns` on until the next sample's, shape (4,)."""
