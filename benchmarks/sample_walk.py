@@ -3,9 +3,10 @@
 
     .venv/bin/python benchmarks/sample_walk.py [--list]
 
-An identifier flies the start of a committed bag. Then everything is counted that is called from one
-rates sample that makes a tick due until the estimate of that tick is there: functions by their name
-in the source, comprehensions and lambdas as a part of the function they stand in.
+An identifier flies the start of a committed bag. Then everything is counted that is called from a
+rates sample on until the estimate it belongs to is there: what the samples of two ticks call, as
+two are learned from at once. Functions count by their name in the source, comprehensions and
+lambdas as a part of the function they stand in.
 """
 
 from __future__ import annotations
@@ -37,9 +38,8 @@ Walk = dict[str, list[str]]
 """Functions of each file, in the order in which they are first called."""
 
 
-def walked(work: Callable[[], object]) -> Walk:
-    """Do some work and return which functions of the package it calls."""
-    found: Walk = {}
+def walked(work: Callable[[], object], found: Walk) -> None:
+    """Do some work and add which functions of the package it calls."""
     root = Path(uav_ident_ros.__file__).parent
 
     def look(frame: FrameType, event: str, _: Any) -> None:
@@ -55,7 +55,6 @@ def walked(work: Callable[[], object]) -> Walk:
         work()
     finally:
         sys.setprofile(None)
-    return found
 
 
 def follow(identifier: OnlineIdentifier, *sample: Any) -> None:
@@ -65,7 +64,8 @@ def follow(identifier: OnlineIdentifier, *sample: Any) -> None:
 
 
 def walk_of_a_sample() -> Walk:
-    """Fly the start of the bag; return the walk of the sample that makes the next tick due."""
+    """Fly the start of the bag; return the walk of the samples of two ticks."""
+    walk: Walk = {}
     settings = Settings.from_values(load_parameters(FLIGHT / "identifier.yaml", "identifier"))
     identifier, read = OnlineIdentifier(settings), ActuatorReader(settings.actuators)
     with Bag(FLIGHT) as bag:
@@ -77,10 +77,13 @@ def walk_of_a_sample() -> Walk:
                 identifier.add_actuators(t_ns or log_ns, values)
                 continue
             sample = (reading.stamp_ns, reading.rates, reading.specific_force)
-            flown = (log_ns - bag.start_ns) * 1e-9 > LEARNING
-            if flown and reading.stamp_ns >= identifier.next_due_ns:
-                return walked(partial(follow, identifier, *sample))
-            follow(identifier, *sample)
+            flown = (log_ns - bag.start_ns) * 1e-9 - LEARNING
+            if flown > 2.0 / settings.update_rate:
+                return walk
+            if flown > 0.0:
+                walked(partial(follow, identifier, *sample), walk)
+            else:
+                follow(identifier, *sample)
     raise SystemExit(f"'{FLIGHT}' is shorter than {LEARNING:g} s")
 
 
