@@ -119,7 +119,6 @@ def parameter_file(prepared: Prepared) -> str:
             "use_sim_time": True,
             "state_file": "none",  # every flight starts from the initial coefficients
             "imu.convention": "flu",
-            "input_wait": "0.02 # actuators are stamped as the Imu, and sent at once",
             "actuators.type": "sensor_msgs/msg/JointState",
             "actuators.channels": list(SURFACE_NAMES),
             "actuators.trim": trim,
