@@ -2,9 +2,7 @@
 """Samples in: checked, told from outliers, put by, and the ticks that they make due.
 
 Tick k is at message time ``k / update_rate``. It is due when the newest stamp of the rates has
-passed it by `input_wait`, and uses every sample stamped at or before it. Where nothing can be late
-any more it is due sooner: as soon as every stream that was heard has passed it, each of which came
-in the order of its stamps so far. The estimates are the same either way.
+passed it by `input_wait`, and uses every sample stamped at or before it.
 """
 
 from __future__ import annotations
@@ -37,10 +35,6 @@ EXCITATION = "excitation"
 """The streams, as `Intake.drops` names them."""
 
 SECOND_NS = 1_000_000_000
-
-ORDERLY_TIME = 5.0
-"""How long all streams must have come in order before a tick no longer waits for late samples, s:
-some hundred samples, of which one would have come late where lateness is common."""
 
 NO_TICK = -(2**62)
 """Time of the last tick before the first, ns."""
@@ -123,9 +117,6 @@ class Intake:
         self._mismatches = 0
         self._due: deque[int] = deque()
         self._next_tick: int | None = None
-        self._newest_of: dict[str, int] = {}  # Newest stamps of the streams beside the rates, ns
-        self._first_ns = 0  # Stamp of the first actuator sample, ns
-        self._orderly = True  # Whether every stream came in the order of its stamps
         self.last_tick_ns = NO_TICK
 
     @property
@@ -166,12 +157,11 @@ class Intake:
         return problem
 
     def _take_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
-        newest = self._guard.newest
-        assert newest is not None
-        self._orderly &= t_ns >= newest
         if t_ns <= self.last_tick_ns:
             return Drop.LATE
         self._buffers[RATES].append(t_ns, (*pqr, *force))
+        newest = self._guard.newest
+        assert newest is not None
         if self.last_tick_ns == NO_TICK:
             # The first samples may come in any order too.
             first = self._first_tick(t_ns)
@@ -241,11 +231,6 @@ class Intake:
         problem = value_problem(values, stream.width, stream.largest) or self._stamp_problem(t_ns)
         if name == ACTUATORS:
             self._follow_clock(t_ns, problem)
-        if problem in (None, Drop.LATE):
-            self._orderly &= problem is None and t_ns >= self._newest_of.get(name, t_ns)
-            if name == ACTUATORS and name not in self._newest_of:
-                self._first_ns = t_ns
-            self._newest_of[name] = max(t_ns, self._newest_of.get(name, t_ns))
         if problem is Drop.LATE and stream.kept_if_late:
             t_ns, problem = self.last_tick_ns + 1, None
         if problem is not None:
@@ -256,8 +241,6 @@ class Intake:
         buffer.append(t_ns, values)
         if self._next_tick is None:
             buffer.forget_waiting(t_ns, self._lookback_ns)
-        elif self._guard.newest is not None:
-            self._find_due(self._guard.newest)
         return None
 
     def _stamp_problem(self, t_ns: int) -> Drop | None:
@@ -295,8 +278,7 @@ class Intake:
     def next_due_ns(self) -> int:
         """Stamp of the rates from which on the next tick is due, ns, after the first tick."""
         assert self._next_tick is not None
-        tick_ns = self._tick_ns(self._next_tick)
-        return tick_ns if self._complete(tick_ns) else tick_ns + self._wait_ns
+        return self._tick_ns(self._next_tick) + self._wait_ns
 
     def ticks(self, until_ns: int) -> Iterator[int]:
         """Yield every tick up to and including `until_ns`, due or not."""
@@ -312,18 +294,11 @@ class Intake:
 
     def _find_due(self, newest_ns: int) -> None:
         """Put the ticks on the list that rates stamped `newest_ns` make due."""
-        while self.next_due_ns <= newest_ns:
-            assert self._next_tick is not None
+        assert self._next_tick is not None
+        while self._tick_ns(self._next_tick) + self._wait_ns <= newest_ns:
             self.last_tick_ns = self._tick_ns(self._next_tick)
             self._due.append(self.last_tick_ns)
             self._next_tick += 1
-
-    def _complete(self, tick_ns: int) -> bool:
-        """Whether no sample beside the rates can come any more that belongs before a tick."""
-        if not self._orderly or ACTUATORS not in self._newest_of:
-            return False
-        heard_ns = self._newest_of[ACTUATORS] - self._first_ns
-        return heard_ns >= ORDERLY_TIME * SECOND_NS and min(self._newest_of.values()) >= tick_ns
 
     def _tick_ns(self, k: int) -> int:
         return k * SECOND_NS * self._rate.denominator // self._rate.numerator

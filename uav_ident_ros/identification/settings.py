@@ -507,9 +507,8 @@ class Settings:
         "estimates sooner; 20 Hz suits most.")
     input_wait: float = _setting(0.05, "s", (0.0, 1.0), text=
         "How far the newest Imu stamp must have passed a tick before it is computed: the latency "
-        "allowed to late messages. A tick does not wait where none can be late: every topic has "
-        "passed it, and all came in the order of their stamps so far. Raise it if samples are "
-        "dropped as late; lower it for less latency.")
+        "allowed to late messages. Raise it if samples are dropped as late; lower it for less "
+        "latency.")
     time_jump: float = _setting(1.0, "s", (0.1, 60.0), text=
         "A stamp further than this from the stream is an outlier; five that agree among "
         "themselves are a new time base. Change it only for recordings with gaps that are meant.")
