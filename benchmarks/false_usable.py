@@ -324,14 +324,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--structure", choices=tuple(STRUCTURES), default="")
     parser.add_argument("--classes", nargs="+", choices=tuple(verdict_flights.CLASSES))
-    parser.add_argument("--seeds", type=int, default=2, help="seeds 1 to N of each flight")
-    parser.add_argument("--short", action="store_true", help="one seed, shorter flights")
+    parser.add_argument("--seeds", type=int, help="seeds 1 to N of each flight: 2, --short 1")
+    parser.add_argument("--short", action="store_true", help="shorter flights")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--verbose", action="store_true", help="a line for each flight")
     parser.add_argument("--output", type=Path, default=BUILD)
     options = parser.parse_args(arguments)
     classes = options.classes or list(verdict_flights.CLASSES)
-    seeds = range(1, 2 if options.short else options.seeds + 1)
+    seeds = range(1, (options.seeds or (1 if options.short else 2)) + 1)
     length = verdict_flights.SHORT if options.short else verdict_flights.LONG
     jobs = verdict_flights.trials(classes, tuple(seeds), length)
     outcomes = []
