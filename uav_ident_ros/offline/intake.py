@@ -188,7 +188,6 @@ class Intake:
             self._take_orderly(stamps, values, begin, end, tick)
             if place < len(messages):
                 self._take_one(messages[place])
-                tick()
             begin, taken = end, place + 1
 
     def _block(self, data: list[bytes]) -> ImuBlock | None:

@@ -86,7 +86,7 @@ class ModelError:
             The samples.
         weight : (3,) array
             How much they count in each row.
-        ratio : (rows, k) array
+        ratio : (3, k) array
             q of the instruments as `Feedback` has it: an input that answers looks late.
         restarted : bool
             Whether the first does not continue those before.

@@ -184,8 +184,8 @@ class RecursiveRegression:
         self._layout = layout(self._structure)
         self._bounds = slope_bounds(self._structure)
         self._error = ModelError(self._layout)
-        told = start.told(self._structure)[: len(ROWS)][:, INPUT_COLUMNS].any(axis=1)
-        self._told = self._row_weights(told)[:, None] > 0
+        inputs_told = start.told(self._structure)[: len(ROWS), INPUT_COLUMNS]
+        self._told = inputs_told.any(axis=1, keepdims=True)
         self._feedback = Feedback()
         self._driven_by = _driven_by(self._layout)
         self._used_rows = np.nonzero(self._layout.used)[0]
@@ -278,7 +278,7 @@ class RecursiveRegression:
             ratio = self._feedback.ratio[self._driven_by]
         gathered = RowSamples.of(samples, residual).pick(self._layout)
         # Late or answering gusts: where nothing was known before, either is a reason to deny.
-        told = np.where(self._told, ratio, 0.0)
+        told = self._told * ratio[: len(ROWS)]
         self._error.add(gathered, weight, told, restarted=samples.restarted)
         weight = self._row_weights(weight)
         self._reference.add(gathered, weight, ratio)
