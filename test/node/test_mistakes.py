@@ -143,7 +143,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
         {"actuators": put("position", [0.1, 0.0])},
     ),
     "channels that are no numbers": (
-        DROPPED.format("/actuators", "channel"),
+        DROPPED.format("/actuators", "channels e, r, a, t are nan, nan, nan, nan: not all finite"),
         {"actuators": put("position", [math.nan] * 4)},
     ),
     "channels of another kind": (

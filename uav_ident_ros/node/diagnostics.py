@@ -47,8 +47,8 @@ class InputMonitor:
         self.received = 0
         self.refused: Counter[str] = Counter()
         """Messages that never reached the identifier, by reason."""
-        self.detail = ""
-        """What was wrong with the last of them."""
+        self.details: dict[str, str] = {}
+        """What was wrong with the last of them, by reason."""
         self.publishers: list[str] = []
         """Nodes that publish it."""
         self.last_arrival: float | None = None
@@ -62,7 +62,7 @@ class InputMonitor:
     def refuse(self, reason: str, detail: str) -> None:
         """Count a message that never reaches the identifier, and why."""
         self.refused[reason] += 1
-        self.detail = detail
+        self.details[reason] = detail
 
     def rate(self) -> float:
         """Messages per second since the last call, Hz."""

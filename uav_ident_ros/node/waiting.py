@@ -119,7 +119,7 @@ class Waiting:
         if received < ENOUGH or dropped.total() < received:
             return ""
         reason = dropped.most_common(1)[0][0]
-        what = CURES.get(reason) or monitor.detail or reason
+        what = monitor.details.get(reason) or CURES.get(reason) or reason
         return f"every message on '{monitor.topic}' is dropped: {what}"
 
     def _standing(self) -> str:
