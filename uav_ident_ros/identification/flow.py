@@ -10,7 +10,7 @@ pulled to the angle at which the force rows give the measured force.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import asin, atan2, cos, sin
+from math import asin, atan2, cos, exp, sin
 
 import numpy as np
 
@@ -18,13 +18,11 @@ from uav_ident_ros.identification.model import (
     GRAVITY,
     LARGEST_ANGLE,
     FlowSignals,
-    Steps,
     plan_steps,
 )
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
-    INPUT_COLUMNS,
     RATE_COLUMNS,
     FloatArray,
     Structure,
@@ -41,6 +39,8 @@ where down is; less difference, more weight."""
 LEAST_SPEED_SHARE = 0.5
 """Airspeed relative to the reference below which the reference serves in its place: on the
 ground and in hover nothing may be divided by an airspeed that goes to zero."""
+
+_ROLL, _BIAS = RATE_COLUMNS.start, CONSTANT_COLUMN
 
 Vector = tuple[float, float, float]
 
@@ -147,39 +147,40 @@ class FlowObserver:
             v = airspeed
         self._speed = v
         plan = plan_steps(len(block.u), block.h)
-        dts = (plan.cells * block.h).tolist()
-        rates = plan.means(0.5 * (block.x[:-1] + block.x[1:]))
-        x = rates.tolist()
-        force = plan.means(0.5 * (block.specific_force[:-1] + block.specific_force[1:]))
-        told = self._told(force, np.hstack((rates, plan.means(block.u))), coefficients)
-        directions = _gravity(force, x, v)
+        middle = [0.5 * (part[:-1] + part[1:]) for part in (block.x, block.specific_force)]
+        samples = plan.means(np.concatenate((middle[0], block.u, middle[1]), axis=1)).tolist()
+        a = coefficients.tolist()
+        missing = [(a[rows.kinematics][_ROLL], a[rows.kinematics][_BIAS]) for rows in self._rows]
         if block.restarted:
-            self._restart(directions, told)
-        missing = [coefficients[5:7, j].tolist() for j in (RATE_COLUMNS.start, CONSTANT_COLUMN)]
-        angles, downs = [tuple(self.angles)], [self.down]
-        rows = zip(dts, x, force.tolist(), told.tolist(), directions, strict=True)
-        for dt, rates, sample, angle, (m, weight) in rows:
+            self._restart(samples[0], a, v)
+        edges = [(*self.angles, *self.down)]
+        for cells, sample in zip(plan.cells.tolist(), samples, strict=True):
+            dt, rates, force = cells * block.h, sample[:3], sample[-3:]
+            m, weight = _gravity(force, rates, v)
             self._turn(dt, rates, m, ATTITUDE_GAIN * weight)
-            self._follow_angles(dt, rates, sample, angle, v, missing)
-            angles.append(tuple(self.angles))
-            downs.append(self.down)
-        return _signals(plan, angles, downs, v)
+            self._follow_angles(dt, rates, force, self._told(sample, a), v, missing)
+            edges.append((*self.angles, *self.down))
+        found = plan.at_edges(np.array(edges))
+        return FlowSignals(found[:, :2], found[:, 2:], v)
 
-    def _told(self, force: FloatArray, rates_inputs: FloatArray, a: FloatArray) -> FloatArray:
-        """Flow angles at which the force rows give the measured forces, shape (s, 2), rad."""
-        columns = slice(RATE_COLUMNS.start, INPUT_COLUMNS.stop)
-        angles = [
-            (force[:, 1 + k] - rates_inputs @ a[rows.force, columns]) / a[rows.force, rows.angle]
-            for k, rows in enumerate(self._rows)
-        ]
-        return np.asarray(np.clip(np.stack(angles, axis=1), -LARGEST_ANGLE, LARGEST_ANGLE))
+    def _told(self, sample: list[float], a: list[list[float]]) -> list[float]:
+        """Flow angles at which the force rows give the measured forces, rad."""
+        told = []
+        for rows, force in zip(self._rows, sample[-2:], strict=True):
+            made = a[rows.force]
+            for j in rows.others:
+                force -= made[j] * sample[j - RATE_COLUMNS.start]
+            slope = made[rows.angle]
+            angle = force / slope if slope else 0.0
+            told.append(min(max(angle, -LARGEST_ANGLE), LARGEST_ANGLE))
+        return told
 
-    def _restart(self, directions: list[tuple[Vector, float]], told: FloatArray) -> None:
-        """Begin where the first samples say that down and the flow are."""
-        direction, weight = directions[0]
+    def _restart(self, sample: list[float], a: list[list[float]], v: float) -> None:
+        """Begin where the first sample says that down and the flow are."""
+        direction, weight = _gravity(sample[-3:], sample[:3], v)
         if weight > 0.0:
             self.down = direction
-        self.angles = told[0].tolist()
+        self.angles = self._told(sample, a)
 
     def _turn(self, dt: float, rates: list[float], m: Vector, gain: float) -> None:
         """Turn the direction of gravity with the aircraft, and towards `m`."""
@@ -205,33 +206,23 @@ class FlowObserver:
         force: list[float],
         told: list[float],
         v: float,
-        missing: list[list[float]],
+        missing: list[tuple[float, float]],
     ) -> None:
         """Move the flow angles on, exactly for signals that are constant over `dt`."""
-        keep = np.exp(-self._rate * dt)
-        by_p, bias = missing
+        keep = exp(-self._rate * dt)
         for k, turning in ((0, -rates[2]), (1, rates[1])):
+            by_p, bias = missing[k]
             rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v
-            rate += by_p[k] * rates[0] + bias[k]
-            aim = told[k] + rate / self._rate
-            self.angles[k] = float(aim + keep * (self.angles[k] - aim))
+            aim = told[k] + (rate + by_p * rates[0] + bias) / self._rate
+            self.angles[k] = aim + keep * (self.angles[k] - aim)
 
 
-def _gravity(force: FloatArray, x: list[list[float]], v: float) -> list[tuple[Vector, float]]:
-    """Direction of gravity that each sample tells, and how far it is to be believed, 0 ... 1."""
-    out = []
-    for (fx, fy, fz), (_, q, r) in zip(force.tolist(), x, strict=True):
-        m = (-fx, r * v - fy, -q * v - fz)
-        size = (m[0] * m[0] + m[1] * m[1] + m[2] * m[2]) ** 0.5
-        weight = max(0.0, 1.0 - abs(size - GRAVITY) / (GRAVITY_BAND * GRAVITY))
-        out.append((_unit(m) if size > 0.0 else (0.0, 0.0, 1.0), weight))
-    return out
-
-
-def _signals(
-    plan: Steps, angles: list[tuple[float, ...]], downs: list[Vector], v: float
-) -> FlowSignals:
-    return FlowSignals(plan.at_edges(np.array(angles)), plan.at_edges(np.array(downs)), v)
+def _gravity(force: list[float], rates: list[float], v: float) -> tuple[Vector, float]:
+    """Direction of gravity that a sample tells, and how far it is to be believed, 0 ... 1."""
+    m = (-force[0], rates[2] * v - force[1], -rates[1] * v - force[2])
+    size = (m[0] * m[0] + m[1] * m[1] + m[2] * m[2]) ** 0.5
+    weight = max(0.0, 1.0 - abs(size - GRAVITY) / (GRAVITY_BAND * GRAVITY))
+    return (_unit(m) if size > 0.0 else (0.0, 0.0, 1.0)), weight
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

@@ -461,13 +461,12 @@ class OnlineIdentifier:
     def _leave_out_glitches(self) -> None:
         """Drop new rates that no aircraft turns at; the paper knows no such thing."""
         rates = self._sampler.rates
-        new = int(rates.t.searchsorted(self._looked_ns, side="right"))
+        new = rates.after(self._looked_ns)
         if self.settings.filter.method == "backward_difference" or new == len(rates.t):
             return
         before = rates.v[new - 1, :3] if new else None
         limit = self.settings.supervision.max_rate
-        which = np.zeros(len(rates.t), dtype=bool)
-        which[new:] = self._glitches.find(rates.v[new:, :3], before, limit)
+        which = self._glitches.find(rates.v[new:, :3], before, limit)
         if which.any():
             rates.leave_out(which)
             self.drops[RATES][Drop.GLITCH] += int(which.sum())
@@ -478,16 +477,16 @@ class OnlineIdentifier:
         if len(self._armed.t):
             self._supervisor.armed = bool(self._armed.v[-1, 0])
             self._armed.trim(t_ns)
-        rates, raw = self._sampler.rates, self._sampler.raw_inputs.v
-        new = int(rates.t.searchsorted(self._looked_ns, side="right"))
+        rates, raw = self._sampler.rates, self._sampler.raw_inputs
+        samples, channels = rates.v[rates.after(self._looked_ns) :], raw.v
         if self.settings.filter.method == "backward_difference":
-            new, raw = len(rates.t), raw[:0]  # the paper knows no gates on the signals
-        fresh = raw[self._sampler.raw_inputs.t[: len(raw)] > self._looked_ns]
+            samples, channels = samples[:0], channels[:0]  # the paper knows no gates on the signals
+        fresh = channels[raw.after(self._looked_ns) :]
         self._looked_ns = t_ns
         if self.settings.supervision.plausibility:
-            self._plausibility.look(t_ns * NS, rates.v[new:], fresh)
+            self._plausibility.look(t_ns * NS, samples, fresh)
         fault = self._plausibility.signal_fault
-        self._supervisor.look(t_ns * NS, rates.v[new:], raw, self._speed.newest, fault)
+        self._supervisor.look(t_ns * NS, samples, channels, self._speed.newest, fault)
 
     def _filtered_tick(self) -> bool:
         """Follow the blocks that this tick completes; return whether there were any."""

@@ -19,7 +19,7 @@ that points down, in body axes (``d = [-sin theta, sin phi cos theta, cos phi co
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -178,11 +178,10 @@ def bounded(states: FloatArray) -> FloatArray:
     return np.asarray(np.fmin(np.fmax(states, -LARGEST_RATE), LARGEST_RATE))
 
 
-def diverged(state: FloatArray) -> bool:
+def diverged(state: Sequence[float]) -> bool:
     """Whether a state is beyond what an aircraft does; NaN is."""
-    return not (
-        (np.abs(state[:3]) < LARGEST_RATE).all() and (np.abs(state[3:5]) < LARGEST_ANGLE).all()
-    )
+    limits = zip((LARGEST_RATE,) * 3 + (LARGEST_ANGLE,) * 2, state, strict=False)
+    return not all(abs(value) < limit for limit, value in limits)
 
 
 def with_measured_force(coefficients: FloatArray, structure: Structure) -> FloatArray:
@@ -304,7 +303,7 @@ class IdentifiedModel:
         if block.restarted:
             self.state = self.measured(block, flow)[0].copy()
         states: FloatArray = self.propagate(coefficients, block, self.state, flow, leak_time)
-        if diverged(states[-1]):
+        if diverged(states[-1].tolist()):
             self.resets += 1
             states = self.measured(block, flow).copy()
         self.state = states[-1]
@@ -369,7 +368,7 @@ class IdentifiedModel:
         state = self.state + dt * (self.effective(coefficients) @ f)
         if leak_time > 0.0:
             state = state + min(dt / leak_time, 1.0) * (x - self.state)
-        if diverged(state):
+        if diverged(state.tolist()):
             self.resets += 1
             state = np.array(x)
         self.state = state
@@ -406,7 +405,7 @@ def _over_cells(
     first = start.tolist()
     states = list(integrate(derivative, first, steps))
     coarse = np.array([first, *states[per_cell - 1 :: per_cell]])
-    if diverged(coarse[-1]):
+    if diverged(states[-1]):
         # Diverged is diverged: what lies between infinite states would be no number.
         coarse = bounded(coarse)
     return plan.at_edges(coarse)

@@ -377,8 +377,7 @@ def _rotations(vectors: FloatArray) -> FloatArray:
 
 
 def _counts(name: str, u: FloatArray) -> Finding | None:
-    middle = float(np.median(u))
-    if abs(middle) < COUNTS:
+    if np.abs(u).max() < COUNTS or abs(middle := float(np.median(u))) < COUNTS:
         return None
     return Finding(
         "channel range",
@@ -412,8 +411,10 @@ def _degrees(name: str, u: FloatArray) -> Finding | None:
 
 def _interleaved(name: str, u: FloatArray) -> Finding | None:
     """Find samples that the next one takes back: two streams in turn."""
-    step, over_two = np.abs(np.diff(u)), np.abs(u[2:] - u[:-2])
+    step, over_two = np.abs(u[1:] - u[:-1]), np.abs(u[2:] - u[:-2])
     away = np.minimum(step[:-1], step[1:])
+    if away.max() <= STEP:
+        return None
     returns = away > np.maximum(RETURN * np.maximum(over_two, np.median(over_two)), STEP)
     share = float(np.mean(returns))
     if share < RETURNING_SHARE:

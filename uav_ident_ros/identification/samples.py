@@ -107,12 +107,17 @@ class SampleBuffer:
         return before - len(self._waiting_t)
 
     def leave_out(self, which: BoolArray) -> None:
-        """Drop samples in use, chosen by a bool array of their number."""
-        self.t, self.v = self.t[~which], self.v[~which]
+        """Drop some of the newest samples in use, chosen by a bool array of their number."""
+        kept = np.append(np.ones(len(self.t) - len(which), dtype=bool), ~which)
+        self.t, self.v = self.t[kept], self.v[kept]
+
+    def after(self, t_ns: int) -> int:
+        """Index of the first sample in use that is stamped after `t_ns`."""
+        return int(self.t.searchsorted(t_ns, side="right"))
 
     def trim(self, t_ns: int) -> None:
         """Drop the samples in use before the last one at or before `t_ns`."""
-        first = int(np.searchsorted(self.t, t_ns, side="right")) - 1
+        first = self.after(t_ns) - 1
         if first > 0:
             self.t, self.v = self.t[first:], self.v[first:]
 
@@ -126,7 +131,7 @@ class SampleBuffer:
         """
         if len(self.t) == len(t_ns) and np.array_equal(self.t, t_ns):
             return self.v
-        right = np.clip(np.searchsorted(self.t, t_ns), 1, len(self.t) - 1)
+        right = np.minimum(np.maximum(self.t.searchsorted(t_ns), 1), len(self.t) - 1)
         left = right - 1
         share = (t_ns - self.t[left]) / (self.t[right] - self.t[left])
         low = self.v[left]

@@ -141,7 +141,7 @@ class Sampler:
         at = t_ns - self._delay_ns
         self.rates.trim(t_ns)
         self.raw_inputs.trim(t_ns - self._memory_ns)
-        last = int(np.searchsorted(self.raw_inputs.t, at, side="right")) - 1
+        last = self.raw_inputs.after(at) - 1
         self.waiting_for = "rates" if not len(self.rates.t) else "actuators" if last < 0 else ""
         if self.waiting_for:
             return None
@@ -269,18 +269,17 @@ class Sampler:
         """Whether a fresh enough input acts at each of the edges."""
         at = edges - delay_ns
         t = self.raw_inputs.t
-        last = np.searchsorted(t, at, side="right") - 1
+        last = t.searchsorted(at, side="right") - 1
         begin = t[np.maximum(last, 0)]
         if not self._linear:
             return np.asarray((last >= 0) & (at - begin <= self._stale_ns))
-        end = t[np.minimum(np.searchsorted(t, at), len(t) - 1)]
+        end = t[np.minimum(t.searchsorted(at), len(t) - 1)]
         return np.asarray((last >= 0) & (at <= end) & (end - begin <= self._stale_ns))
 
     def _block(self, edges: TimeArray, restarted: bool) -> Block:
         assert self.h_ns is not None
-        signals = self.rates.interpolate(edges)
-        x = self._frame.to_body(signals[:, :3])
-        force = self._frame.to_body(signals[:, 3:])
+        signals = self.rates.interpolate(edges).reshape(-1, 2, 3)
+        x, force = self._frame.to_body(signals).transpose(1, 0, 2)
         if self._arm.any():
             force[:, 1:] -= centripetal(x, self._arm)
         u = self._input_means(edges - self._delay_ns, self._lag, restarted)
