@@ -664,10 +664,11 @@ class OnlineIdentifier:
         if not self._news:
             return
         self._news = False
-        denied = "" if self._warm else self._too_early()
+        warm = self._start.warm(self.settings.supervision.min_t_ratio)
+        denied = "" if warm else self._too_early()
         # What was known beforehand stands against a delay that inputs seem to have which answer
         # gusts; and without flow angles every gust looks like a late input.
-        if self._flow is not None and not (self._warm and self._estimator.answers.any()):
+        if self._flow is not None and not (warm and self._estimator.answers.any()):
             denied = self.delay_estimate.contradiction(self.delay) or denied
         self._verdict = self._supervisor.judge(
             t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error,
@@ -675,11 +676,6 @@ class OnlineIdentifier:
         )  # fmt: skip
         if self.settings.supervision.plausibility:
             self._plausibility.judge(coefficients, sigma)
-
-    @property
-    def _warm(self) -> bool:
-        """Whether the control derivatives were known beforehand."""
-        return self._start.warm(self.settings.supervision.min_t_ratio)
 
     def _too_early(self) -> str:
         """Return why a cold start cannot be judged yet; empty if it can.

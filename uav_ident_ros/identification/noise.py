@@ -49,6 +49,7 @@ class NoiseModel:
         self._covariances: FloatArray = np.zeros((rows, ORDER + 1))
         self._time = self._since_fit = 0.0
         self._lags = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
+        self._matrices: dict[int, FloatArray] = {}
         self._past: FloatArray | None = None
         self._known = 0
 
@@ -75,11 +76,7 @@ class NoiseModel:
         signals = np.concatenate((self._past, new), axis=1)
         self._past = signals[:, -ORDER:]
         self._learn(signals[:, :, 0], samples.dt)
-        white = new.copy()
-        for lag in range(1, ORDER + 1):
-            before = signals[:, ORDER - lag : ORDER - lag + m]
-            white -= self.weights[:, lag - 1, None, None] * before
-        white = white[:, max(ORDER - self._known, 0) :]
+        white = (self._whitening(m) @ signals)[:, max(ORDER - self._known, 0) :]
         self._known = min(self._known + m, ORDER)
         f, z = white[:, :, 2 : 2 + c], white[:, :, 2 + c :]
         return RowSamples(white[:, :, 1], white[:, :, 0], f, z, samples.dt)
@@ -90,13 +87,22 @@ class NoiseModel:
         m = new.shape[1]
         self._time += m * dt
         share = min(m * dt / min(self._time, MEMORY), 1.0)
-        for lag in range(ORDER + 1):
-            product = np.add.reduce(new * residual[:, ORDER - lag : ORDER - lag + m], axis=1) / m
-            self._covariances[:, lag] += share * (product - self._covariances[:, lag])
+        lagged = residual[:, np.add.outer(np.arange(ORDER, -1, -1), np.arange(m))]
+        products = (lagged @ new[:, :, None])[:, :, 0] / m
+        self._covariances += share * (products - self._covariances)
         self._since_fit += m * dt
         if self._since_fit >= FIT_TIME:
             self._since_fit = 0.0
             self._fit()
+
+    def _whitening(self, m: int) -> FloatArray:
+        """Matrices that turn `ORDER` + m signals into m innovations, (rows, m, `ORDER` + m)."""
+        if m not in self._matrices:
+            matrix = self._matrices[m] = np.zeros((len(self.weights), m, ORDER + m))
+            for k in range(m):
+                matrix[:, k, k : k + ORDER] = -self.weights[:, ::-1]
+                matrix[:, k, k + ORDER] = 1.0
+        return self._matrices[m]
 
     def _fit(self) -> None:
         """Solve the Yule-Walker equations."""
@@ -105,5 +111,6 @@ class NoiseModel:
         level = np.maximum(c[:, 0], np.finfo(float).tiny)
         np.einsum("ijj->ij", matrix)[...] += (LOADING * level)[:, None]
         self.weights = np.linalg.solve(matrix, c[:, 1:, None])[:, :, 0]
+        self._matrices.clear()
         left = c[:, 0] - (self.weights * c[:, 1:]).sum(axis=1)
         self.variance = np.maximum(left, LOADING * c[:, 0])

@@ -145,14 +145,20 @@ class Regression:
         """Return the means over stretches of `SAMPLE_TIME`, or nearly."""
         m = len(self.y)
         count = min(m, max(1, round(self.time / SAMPLE_TIME)))
-        begin = np.arange(count) * m // count
-        width = np.diff(begin, append=m)[:, None]
+        begin, width = _parts(m, count)
         y, f, z = (np.add.reduceat(part, begin) / width for part in (self.y, self.f, self.z))
         return Regression(y, f, z, self.time / count, self.restarted, self.injected)
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
         """Return ``e = y - A f`` of coefficients of shape (rows, c); shape (m, rows)."""
         return np.asarray(self.y - self.f @ coefficients.T)
+
+
+@lru_cache(maxsize=64)
+def _parts(m: int, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Where `count` parts of m samples begin, and how many each has, (count, 1)."""
+    begin = np.arange(count) * m // count
+    return begin, np.diff(begin, append=m)[:, None]
 
 
 class StateVariableFilter:

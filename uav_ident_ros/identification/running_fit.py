@@ -122,8 +122,10 @@ class RunningFit:
     def _predict(self, piece: Block) -> None:
         """Predict the next piece of the second, and compare."""
         x, now = piece.x[1:], self._now
-        now[_SPREAD] += np.full(3, len(x)), x.sum(axis=0), (x * x).sum(axis=0)
-        now[_HOLD] += ((x - self._start) ** 2).sum(axis=0)
+        now[0] += len(x)
+        now[1] += np.add.reduce(x)
+        now[2] += np.add.reduce(x * x)
+        now[_HOLD] += np.add.reduce((x - self._start) ** 2)
         if self._holds_force:
             held = np.broadcast_to(self._force, piece.specific_force.shape)
             piece = replace(piece, specific_force=held)
@@ -160,7 +162,7 @@ class RunningFit:
     ) -> tuple[FloatArray, FloatArray]:
         """Sum of the squared errors of a prediction from `start`, (3,), and where it ends."""
         states = bounded(self._model.propagate(coefficients, piece, start, self._flow)[1:])
-        return ((piece.x[1:] - states[:, :3]) ** 2).sum(axis=0), states[-1]
+        return np.add.reduce((piece.x[1:] - states[:, :3]) ** 2), states[-1]
 
 
 def _spread(sums: FloatArray) -> FloatArray:
