@@ -223,18 +223,16 @@ class ChangeDetector:
         self._agreeing = np.where(alarm, self._agreeing + 1, 0)
         self._remember(np.where(alarm, 0.0, found.power), found.slope**2, elapsed)
         changed = []
-        for i in range(3):
+        sure = self._agreeing >= CONFIRMATIONS
+        for i in np.flatnonzero(sure.any(axis=1)).tolist():
             # One release at a time in a row: the strongest, the others may only mirror it.
-            strongest = int(
-                np.argmax(np.where(self._agreeing[i] >= CONFIRMATIONS, found.t[i], 0.0))
-            )
-            if self._agreeing[i, strongest] >= CONFIRMATIONS:
-                stepped = self.step(i).explained > found.explained[i, strongest]
-                changed.append((i, CONSTANT if stepped and self._has_constant[i] else strongest))
-                self._hold_off[i] = WINDOW_TIME
-                self._agreeing[i] = 0
-                for _, power, _ in self._newest:
-                    power[i] = 0.0
+            strongest = int(np.where(sure[i], found.t[i], 0.0).argmax())
+            stepped = self.step(i).explained > found.explained[i, strongest]
+            changed.append((i, CONSTANT if stepped and self._has_constant[i] else strongest))
+            self._hold_off[i] = WINDOW_TIME
+            self._agreeing[i] = 0
+            for _, power, _ in self._newest:
+                power[i] = 0.0
         return changed
 
     def _remember(self, power: FloatArray, square: FloatArray, elapsed: float) -> None:
@@ -254,7 +252,7 @@ class ChangeDetector:
 
     def _slopes(self, coefficients: FloatArray) -> Slopes:
         """Look for slopes over the window."""
-        y = np.concatenate([part.y[:, :3] for part in self.recent])
+        y = np.concatenate([part.y for part in self.recent])[:, :3]
         f = np.concatenate([part.f for part in self.recent])
         residual = y - f @ coefficients.T
         residual -= np.add.reduce(residual) / len(y)
@@ -270,13 +268,12 @@ class ChangeDetector:
         product = np.add.reduce(u_white * white)
         slope = product / power
         deviation = np.sqrt(self._long_run(u_white * (white - slope * u_white))) / power
-        return Slopes(
-            self._scatter(slope),
-            self._scatter(deviation),
-            self._scatter(_ratio(np.abs(slope), deviation)),
-            self._scatter(_ratio(slope * product, np.add.reduce(white * white))),
-            np.add.reduce(u * u) * self.recent[-1].dt,
-        )
+        t = _ratio(np.abs(slope), deviation)
+        explained = _ratio(slope * product, np.add.reduce(white * white))
+        placed = np.zeros((4, 3, len(INPUTS)))
+        placed[:, self._row, self._input] = slope, deviation, t, explained
+        power = np.add.reduce(u * u) * self.recent[-1].dt
+        return Slopes(placed[0], placed[1], placed[2], placed[3], power)
 
     def step(self, row: int) -> Step:
         """Return the step of the constant that explains most of a row's last window."""
@@ -296,12 +293,6 @@ class ChangeDetector:
         passed = round(PASSED / (self._cutoff * self.recent[-1].dt))
         size = float(product[best] / power[best])
         return Step(size, share, max(0, count - 1 - best - passed))
-
-    def _scatter(self, values: FloatArray) -> FloatArray:
-        """Values of the watched coefficients at their places, zero elsewhere, shape (3, 4)."""
-        out = np.zeros((3, 4))
-        out[self._row, self._input] = values
-        return out
 
     def _long_run(self, scores: FloatArray) -> FloatArray:
         """Return the variance of the sums of scores of shape (m, k), shape (k,).
