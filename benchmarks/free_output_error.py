@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One online pass beside an offline fit: ``python benchmarks/free_output_error.py [FLIGHT ...]``.
 
+``--hold qdot/pp=0`` keeps a coefficient of the offline fit at a value.
+
 The offline fit minimises what is scored: the free prediction over 5 s, of windows in the first 60 %
 of the flight, by `scipy.optimize.least_squares`, with the structure, the prior and the flow states
 of the online pass. Both are scored over the last 40 %, at 1, 3 and 5 s, p / q / r.
@@ -10,8 +12,9 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads
@@ -95,10 +98,13 @@ def predicted(a: FloatArray, flown: Windows) -> FloatArray:
     return np.nan_to_num(np.clip(np.array(out), -LARGEST, LARGEST), nan=LARGEST)
 
 
-def fit(case: cases.Case, track: cases.Track) -> FloatArray:
+def fit(case: cases.Case, track: cases.Track, held: Mapping[str, float]) -> FloatArray:
     """Fit the structure of an online pass offline, (7, n), from what the pass had learned then."""
-    start = start_from(track.settings)
-    free, flown = start.free, windows(case, track)
+    start, flown = start_from(track.settings), windows(case, track)
+    free = start.free.copy()
+    for name, value in held.items():
+        free[track.structure.index(name)] = False
+        start.values[track.structure.index(name)] = value
     weight = 1.0 / flown.x.std(axis=(0, 2))
 
     def residuals(thetas: FloatArray) -> FloatArray:
@@ -123,12 +129,12 @@ def fit(case: cases.Case, track: cases.Track) -> FloatArray:
     return coefficients
 
 
-def row(flight: str) -> str:
+def row(flight: str, held: Mapping[str, float]) -> str:
     """One row of the table."""
     case = cases.load(flight)
     speed = {"airspeed.reference": RECORDED_SPEED} if flight in RECORDED else {}
     track = cases.identify(case, {"structure": "flight_dynamics", **speed})
-    offline = np.broadcast_to(fit(case, track), track.coefficients.shape)
+    offline = np.broadcast_to(fit(case, track, held), track.coefficients.shape)
     both = [cases.score(case, t).free for t in (track, replace(track, coefficients=offline))]
     cells = [f"{triple(online)} | {triple(fitted)}" for online, fitted in zip(*both, strict=True)]
     return f"| {flight} | " + " | ".join(cells) + f" | {(both[0] - both[1]).min():.1f} |"
@@ -138,12 +144,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("flights", nargs="*", metavar="FLIGHT")
+    parser.add_argument("--hold", nargs="*", default=[], metavar="NAME=VALUE")
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args(arguments)
+    held = {name: float(value) for name, _, value in (h.partition("=") for h in options.hold)}
     print("| flight | 1 s, online | offline | 3 s | offline | 5 s | offline | worst |")
     print("|---|---|---|---|---|---|---|---|")
     with get_context("spawn").Pool(options.workers) as pool:
-        for line in pool.imap(row, options.flights or FLIGHTS):
+        for line in pool.imap(partial(row, held=held), options.flights or FLIGHTS):
             print(line, flush=True)
     return 0
 

@@ -2,7 +2,8 @@
 """Angle of attack and sideslip as published beside vanes: ``python benchmarks/vanes.py``.
 
 `thor75_flight` has vanes; the identifier never sees them. Correlation over the flight from 30 s on,
-in the air, between 0.05 and 3 rad/s: the zero of a vane and its flutter tell nothing.
+in the air, between 0.05 and 3 rad/s: the zero of a vane and its flutter tell nothing. Below, what
+any coefficients could reach: the force alone, and with the surface's part fitted to the vane.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from free_prediction import RECORDED_SPEED
 from scipy.signal import butter, sosfiltfilt
 
 from uav_ident_ros.bags.reading import Bag
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.inputs import InputMap
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 FLIGHT = "thor75_flight"
 BAND = (0.05, 3.0)
@@ -43,20 +45,44 @@ def recorded(topic: str, *fields: str) -> FloatArray:
 
 
 def main() -> int:
-    """Print both correlations."""
+    """Print the correlations."""
     case = cases.load(FLIGHT)
     values = {"structure": "flight_dynamics", "airspeed.reference": RECORDED_SPEED}
     track = cases.identify(case, values)
     assert track.flow is not None
     t = np.asarray(track.t_ns) * 1e-9
     vanes, airspeed = recorded("/vanes", "x", "y"), recorded("/airspeed", "data")
-    air = (np.interp(t, *airspeed.T) > FLYING) & (track.time > SETTLED)
-    rate = (len(t) - 1) / (t[-1] - t[0])
-    band = butter(2, BAND, "bandpass", fs=2.0 * np.pi * rate, output="sos")
-    for name, vane, own in (("alpha", 1, 1), ("beta", 2, 0)):
-        measured = np.interp(t, vanes[:, 0], vanes[:, vane])
-        pair = [sosfiltfilt(band, part)[air] for part in (track.flow.angles[:, own], measured)]
-        print(f"{name}: correlation with the vane {np.corrcoef(*pair)[0, 1]:.2f}")
+    speed = np.interp(t, *airspeed.T)
+    air = (speed > FLYING) & (track.time > SETTLED)
+    band = butter(2, BAND, "bandpass", fs=2.0 * np.pi * (len(t) - 1) / (t[-1] - t[0]), output="sos")
+
+    def dynamic(signal: FloatArray) -> FloatArray:
+        return np.asarray(sosfiltfilt(band, signal)[air])
+
+    def at_ticks(t_ns: cases.TimeArray, signals: FloatArray, delay: float = 0.0) -> FloatArray:
+        return np.array([np.interp(t - delay, t_ns * 1e-9, signal) for signal in signals.T])
+
+    actuators = track.settings.actuators
+    forces = at_ticks(case.imu_t_ns, case.measured(track.settings)[1])
+    inputs = InputMap(actuators).apply(case.actuators)
+    surfaces = at_ticks(case.actuator_t_ns, inputs, actuators.delay)
+    per_pressure = (RECORDED_SPEED / np.maximum(speed, FLYING)) ** 2
+    for k, (name, label) in enumerate((("beta", "dr"), ("alpha", "de"))):
+        vane = dynamic(np.interp(t, vanes[:, 0], vanes[:, 2 - k]))
+
+        def agreement(signal: FloatArray, vane: FloatArray = vane) -> float:
+            return abs(float(np.corrcoef(signal, vane)[0, 1]))
+
+        print(
+            f"{name}: correlation with the vane {agreement(dynamic(track.flow.angles[:, k])):.2f}"
+        )
+        for what, scale in (("the usual airspeed", 1.0), ("the measured one", per_pressure)):
+            both = np.stack((dynamic(forces[k] * scale), dynamic(surfaces[INPUTS.index(label)])), 1)
+            best = both @ np.linalg.lstsq(both, vane, rcond=None)[0]
+            print(
+                f"  the force alone, with {what}: {agreement(both[:, 0]):.2f}; "
+                f"less what {label} would best make of it: {agreement(best):.2f}"
+            )
     return 0
 
 
