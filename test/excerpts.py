@@ -36,8 +36,10 @@ def excerpt(
         announced: set[str] = set()
         first_ns = bag.start_ns + round(begin * SECOND_NS)
         for topic, log_ns, data in bag.messages([IMU, ACTUATORS]):
-            if not first_ns <= log_ns <= first_ns + round(seconds * SECOND_NS):
+            if log_ns < first_ns:
                 continue
+            if log_ns > first_ns + round(seconds * SECOND_NS):
+                break
             message = decoders[topic](data)
             changed = change(topic, log_ns, message)
             for name, at, written in [(topic, log_ns, message)] if changed is None else changed:

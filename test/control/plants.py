@@ -15,6 +15,7 @@ from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, Fl
 STRUCTURE = STRUCTURES["baseline"]
 DT_NS = 10_000_000
 DELAY_STEPS = 2
+SUBSTEPS = 4
 START = 1_700_000_000 * 10**9
 LIMITS = np.array([[-0.4, -0.3, -0.3, 0.0], [0.4, 0.3, 0.3, 0.0]])
 STEP = np.array([0.3, 0.1, 0.05])
@@ -55,7 +56,7 @@ def flown(
     delay_steps: int = DELAY_STEPS,  # True delay; the controller is told `DELAY_STEPS`
 ) -> FloatArray:
     """Rates of the plant, (N, 3); `effect` may change with time."""
-    rng = np.random.default_rng(1)
+    rng, healthy = np.random.default_rng(1), coefficients().values
     x, underway, rates = np.zeros(3), [np.zeros(4)] * delay_steps, []
     for k in range(round(seconds * 1e9 / DT_NS)):
         t = k * DT_NS * 1e-9
@@ -66,8 +67,8 @@ def flown(
         underway.append(flying.update(START + k * DT_NS, measured, wanted))
         u = underway.pop(0)
         push = np.atleast_2d(disturbance)[k % len(np.atleast_2d(disturbance))]
-        plant = coefficients(effect(t) if callable(effect) else effect).values
-        for _ in range(10):
-            f = STRUCTURE.regressor(x, u)
-            x = x + DT_NS * 1e-10 * (plant @ f + push)
+        plant = healthy.copy()
+        plant[:, INPUT_COLUMNS] *= effect(t) if callable(effect) else effect
+        for _ in range(SUBSTEPS):
+            x = x + DT_NS * 1e-9 / SUBSTEPS * (plant @ STRUCTURE.regressor(x, u) + push)
     return np.array(rates)

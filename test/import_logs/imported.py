@@ -23,7 +23,7 @@ from uav_ident_ros.simulation.noise import Measurements
 EXCITED = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
 
 
-def flight(duration: float = 30.0, **sensors: Any) -> Measurements:
+def flight(duration: float = 10.0, **sensors: Any) -> Measurements:
     """A plant of the paper's structure under multisines, in the axes of the autopilots."""
     definition = {
         "plant": "small_uav",

@@ -5,7 +5,6 @@ the format can hold, and the same coefficients."""
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataflash_writing import DataflashWriter
+from excerpts import BAGS, excerpt, summary
 from imported import Contents, Importer, Result, contents, flight, mixing, replayed
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
@@ -296,7 +296,6 @@ def test_tables_of_other_units(tmp_path: Path, measured: Measurements, importer:
     assert values["actuators.mixing.de"] == [1.0]
 
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "bags" / "c172p"
 SPEED = 53.3
 """Of the example flight, m/s: by GPS, as there is no airspeed in it."""
 
@@ -304,15 +303,20 @@ DELAY_NS = 60_000_000
 """By how much the commands are logged before they act; in the simulation they act at once."""
 
 
-def example() -> Contents:
-    """The example flight, with a delay: the log does not say it, and the import has to find it."""
-    recorded = contents(EXAMPLE)
+@pytest.fixture(scope="module")
+def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first part of the example flight of a JSBSim aircraft."""
+    return excerpt(tmp_path_factory.mktemp("example") / "c172p", 60.0, "c172p")
+
+
+def delayed(bag: Path) -> Contents:
+    """That flight, with a delay: the log does not say it, and the import has to find it."""
+    recorded = contents(bag)
     return dataclasses.replace(recorded, actuator_t_ns=recorded.actuator_t_ns - DELAY_NS)
 
 
-def px4_example(folder: Path) -> Path:
-    """The example flight of a JSBSim aircraft as a PX4 log."""
-    recorded = example()
+def px4_example(recorded: Contents, folder: Path) -> Path:
+    """The flight as a PX4 log."""
     values = recorded.actuators * PLAIN_SIGNS
     seldom = recorded.actuator_t_ns[::5]
     topics = {
@@ -333,9 +337,8 @@ def px4_example(folder: Path) -> Path:
     return write_ulog(folder / "c172p.ulg", topics, FIXED_WING)
 
 
-def ardupilot_example(folder: Path) -> Path:
+def ardupilot_example(recorded: Contents, folder: Path) -> Path:
     """The same as an ArduPilot log: 500 us of a servo are 0.5 rad."""
-    recorded = example()
     values = recorded.actuators * PLAIN_SIGNS * [1.0, -1.0, 1.0, 1.0]  # the rudder is reversed
     pulses = np.rint([1500, 1500, 1500, 1000] + 1000.0 * values).astype(int)
     imu = np.hstack([recorded.rates * TO_FRD, recorded.force * TO_FRD])
@@ -353,27 +356,29 @@ def ardupilot_example(folder: Path) -> Path:
     return writer.write(folder / "c172p.bin")
 
 
-def summary_of(bag: Path, output: Path) -> dict:
-    arguments = [str(bag), "--params-file", str(bag / "identifier.yaml")]
-    assert replay([*arguments, "--output", str(output)]) == 0
-    return dict(json.loads((output / "summary.json").read_text()))
+def summary_of(bag: Path, parameters: Path, output: Path) -> dict:
+    assert replay([str(bag), "--params-file", str(parameters), "--output", str(output)]) == 0
+    return summary(output)
 
 
 @pytest.fixture(scope="module")
-def recorded_summary(tmp_path_factory: pytest.TempPathFactory) -> dict:
-    return summary_of(EXAMPLE, tmp_path_factory.mktemp("recorded") / "out")
+def recorded_summary(example: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
+    own = BAGS / "c172p" / "identifier.yaml"
+    return summary_of(example, own, tmp_path_factory.mktemp("recorded") / "out")
 
 
 @pytest.mark.parametrize(("write", "unit"), [(px4_example, 1.0), (ardupilot_example, 0.5)])
 def test_the_whole_way_from_a_log_to_a_verdict(
     tmp_path: Path,
     importer: Importer,
+    example: Path,
     recorded_summary: dict,
-    write: Callable[[Path], Path],
+    write: Callable[[Contents, Path], Path],
     unit: float,
 ) -> None:
     """By the two commands a user types, without an option."""
-    imported = summary_of(importer(write(tmp_path)).folder, tmp_path / "imported")
+    bag = importer(write(delayed(example), tmp_path)).folder
+    imported = summary_of(bag, bag / "identifier.yaml", tmp_path / "imported")
     assert imported["usable"] and recorded_summary["usable"]
     assert imported["inputs"]["rates"]["dropped"] == {}
     assert abs(imported["delay"] - DELAY_NS * 1e-9) < 0.005
