@@ -268,13 +268,15 @@ class StateVariableFilter:
             assert coefficients is not None
             edges[:, 3:5] = block.force
             f[:, n:] = _turning(block.x, block.force, flow.down, flow.airspeed)
+            made = _force_of_states(model_states, coefficients)
+            turning = _turning(model_states, made, model_states[:, 5:], flow.airspeed)
+            z[:, INPUT_COLUMNS.stop :] = np.concatenate((made, turning), axis=1)
             left, right = edges[:-1].copy(), edges[1:].copy()
-            left[:, 5 : self._y] = right[:, 5 : self._y] = block.u[:, self._surfaces]
-            first = self._y + self._f + INPUT_COLUMNS.stop
-            for side, states in ((left, model_states[:-1]), (right, model_states[1:])):
-                force = _model_force(states, driven_by, coefficients)
-                side[:, first : first + 2] = force
-                side[:, first + 2 :] = _turning(states[:, :3], force, states[:, 5:8], flow.airspeed)
+            by_inputs = driven_by @ coefficients[3:5, INPUT_COLUMNS].T
+            more = np.concatenate((by_inputs, by_inputs / flow.airspeed), axis=1)
+            for side in (left, right):
+                side[:, 5 : self._y] = block.u[:, self._surfaces]
+                side[:, -more.shape[1] :] += more
         inputs = slice(self._y + INPUT_COLUMNS.start, self._y + INPUT_COLUMNS.stop)
         left[:, inputs] = right[:, inputs] = block.u
         inputs = slice(inputs.start + self._f, inputs.stop + self._f)
@@ -354,12 +356,10 @@ def _turning(x: FloatArray, force: FloatArray, down: FloatArray, v: float) -> Fl
     return turning
 
 
-def _model_force(states: FloatArray, u: FloatArray, a: FloatArray) -> FloatArray:
-    """Specific forces ay, az that the model makes, shape (m, 2), m/s^2."""
-    force: FloatArray = u @ a[3:5, INPUT_COLUMNS].T
-    force += states[:, :3] @ a[3:5, RATE_COLUMNS].T
-    force += states[:, 3:5] * a[[3, 4], [LAST_COLUMNS.start, LAST_COLUMNS.start + 1]]
-    return force
+def _force_of_states(states: FloatArray, a: FloatArray) -> FloatArray:
+    """Specific forces ay, az that the states of the model make, without inputs, (m, 2), m/s^2."""
+    slopes = a[[3, 4], [LAST_COLUMNS.start, LAST_COLUMNS.start + 1]]
+    return np.asarray(states[:, :3] @ a[3:5, RATE_COLUMNS].T + states[:, 3:5] * slopes)
 
 
 def without_negligible(signals: FloatArray) -> FloatArray:

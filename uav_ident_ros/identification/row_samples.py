@@ -36,8 +36,8 @@ class RowSamples:
     @classmethod
     def of(cls, samples: Regression, residual: FloatArray) -> Self:
         """Return samples with residuals (m, rows); their regressors are those of every row."""
-        shape = (residual.shape[1], *samples.f.shape)
-        f, z = (np.broadcast_to(part, shape) for part in (samples.f, samples.z))
+        rows = residual.shape[1]
+        f, z = (part[None].repeat(rows, axis=0) for part in (samples.f, samples.z))
         return cls(samples.y.T, residual.T, f, z, samples.dt)
 
     @classmethod
@@ -57,9 +57,11 @@ class RowSamples:
 
     def pick(self, layout: Layout) -> RowSamples:
         """Return the samples with the columns that each row is regressed on; 0 where unused."""
-        rows, m = self.y.shape
-        at = np.arange(rows)[:, None, None], np.arange(m)[:, None], layout.index[:, None]
-        f, z = (np.where(layout.used[:, None], part[at], 0.0) for part in (self.f, self.z))
+        rows, used = np.arange(len(self.y))[:, None], layout.used[:, :, None]
+        f, z = (
+            np.where(used, part[rows, :, layout.index], 0.0).transpose(0, 2, 1)
+            for part in (self.f, self.z)
+        )
         return replace(self, f=f, z=z)
 
     def uninstrumented(self) -> RowSamples:
