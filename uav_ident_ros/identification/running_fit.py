@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from uav_ident_ros.identification.model import FlowSignals, IdentifiedModel, bounded
-from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.sampling import Block, join
 from uav_ident_ros.identification.structure import FloatArray, Structure
 
 PREDICTION_TIME = 1.0
@@ -72,8 +72,8 @@ class RunningFit:
 
     def restart(self) -> None:
         """Give up the prediction under way."""
+        self._parts: list[Block] = []
         self._time = 0.0
-        self._now: FloatArray = np.zeros((6, 3))
 
     def forget(self) -> None:
         """Judge by what comes: the aircraft has changed. `fit` stays until there is a new one."""
@@ -93,7 +93,7 @@ class RunningFit:
         coefficients: FloatArray,
         saved: FloatArray | None,
     ) -> None:
-        """Predict a block of signals; once a second is full, it counts.
+        """Take a block of signals; once a second is full, it is predicted and counts.
 
         Parameters
         ----------
@@ -108,48 +108,37 @@ class RunningFit:
         """
         if block.restarted:
             self.restart()
-        if self._time == 0.0:
-            self._coefficients, self._saved = coefficients, saved
-            self._flow, self._force = flow, block.specific_force[:1]
-            self._start = block.x[0]
-            self._predicted = self._predicted_by_saved = self._model.measured(block, flow)[0]
-        self._predict(block)
+        if not self._parts:
+            self._coefficients, self._saved, self._flow = coefficients, saved, flow
+            self._start = self._model.measured(block, flow)[0]
+        self._parts.append(block)
         self._time += block.time
         if self._time >= PREDICTION_TIME - 0.5 * block.h:
-            self._count()
+            self._count(join(self._parts))
             self.restart()
 
-    def _predict(self, piece: Block) -> None:
-        """Predict the next piece of the second, and compare."""
-        x, now = piece.x[1:], self._now
-        now[0] += len(x)
-        now[1] += np.add.reduce(x)
-        now[2] += np.add.reduce(x * x)
-        now[_HOLD] += np.add.reduce((x - self._start) ** 2)
+    def _count(self, second: Block) -> None:
+        """Predict a second, and count it."""
         if self._holds_force:
-            held = np.broadcast_to(self._force, piece.specific_force.shape)
-            piece = replace(piece, specific_force=held)
-        error, self._predicted = self._error(piece, self._coefficients, self._predicted)
-        now[_MODEL] += error
+            held = np.broadcast_to(second.specific_force[:1], second.specific_force.shape)
+            second = replace(second, specific_force=held)
+        x, now = second.x[1:], np.zeros((6, 3))
+        now[_SPREAD] = np.full(3, len(x)), x.sum(axis=0), (x * x).sum(axis=0)
+        now[_HOLD] = ((x - second.x[0]) ** 2).sum(axis=0)
+        now[_MODEL] = self._error(second, self._coefficients)
         if self._saved is not None:
-            last = self._predicted_by_saved
-            error, self._predicted_by_saved = self._error(piece, self._saved, last)
-            now[_SAVED] += error
-
-    def _count(self) -> None:
-        """Count the second that was predicted."""
+            now[_SAVED] = self._error(second, self._saved)
         self.predictions += 1
         self._age += self._time
-        self._sums = self._added(self._sums, min(FIT_MEMORY, 0.5 * self._age))
-        self._flight = self._added(self._flight, FLIGHT_SHARE * self._age)
+        self._sums = self._added(self._sums, now, min(FIT_MEMORY, 0.5 * self._age))
+        self._flight = self._added(self._flight, now, FLIGHT_SHARE * self._age)
         self.fit, self.hold, self.saved = _fit(self._sums)
         self.flight_fit, self.flight_hold, _ = _fit(self._flight)
         if self._saved is None:
             self.saved = np.zeros(3)
 
-    def _added(self, sums: FloatArray, memory: float) -> FloatArray:
-        """Return sums with the second that was predicted, and older ones faded by `memory`, s."""
-        now = self._now
+    def _added(self, sums: FloatArray, now: FloatArray, memory: float) -> FloatArray:
+        """Return sums with those of a second, and older ones faded by `memory`, s."""
         sums = np.exp(-self._time / memory) * sums + now
         typical = _spread(sums) * now[0] / sums[0]
         failed = FAILED_PREDICTION * np.maximum(_spread(now), typical)
@@ -157,12 +146,10 @@ class RunningFit:
         sums[errors] -= np.maximum(now[errors] - failed, 0.0)
         return np.asarray(sums)
 
-    def _error(
-        self, piece: Block, coefficients: FloatArray, start: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Sum of the squared errors of a prediction from `start`, (3,), and where it ends."""
-        states = bounded(self._model.propagate(coefficients, piece, start, self._flow)[1:])
-        return np.add.reduce((piece.x[1:] - states[:, :3]) ** 2), states[-1]
+    def _error(self, second: Block, coefficients: FloatArray) -> FloatArray:
+        """Sum of the squared errors of a prediction, shape (3,)."""
+        states = self._model.propagate(coefficients, second, self._start, self._flow)
+        return np.asarray(((second.x - bounded(states)[:, :3])[1:] ** 2).sum(axis=0))
 
 
 def _spread(sums: FloatArray) -> FloatArray:
