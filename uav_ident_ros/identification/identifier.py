@@ -152,6 +152,7 @@ class OnlineIdentifier:
                 )
         self.settings = settings
         self._supervisor.settings = settings
+        self._warm = self._start.warm(settings.supervision.min_t_ratio)
         if any(setting.restarts for setting in changed):
             self._make_signals_anew("actuators.delay" in {setting.name for setting in changed})
         else:
@@ -161,6 +162,7 @@ class OnlineIdentifier:
     def _begin(self, start: Start, delay: float) -> None:
         """Forget everything and start from what is known."""
         self._start = start
+        self._warm = start.warm(self.settings.supervision.min_t_ratio)
         self._estimator: Estimator = self._make_estimator(self.settings, self._start)
         self._speed = SpeedScaling(self.settings.airspeed, self.structure)
         self._sampler.delay = delay
@@ -664,11 +666,10 @@ class OnlineIdentifier:
         if not self._news:
             return
         self._news = False
-        warm = self._start.warm(self.settings.supervision.min_t_ratio)
-        denied = "" if warm else self._too_early()
+        denied = "" if self._warm else self._too_early()
         # What was known beforehand stands against a delay that inputs seem to have which answer
         # gusts; and without flow angles every gust looks like a late input.
-        if self._flow is not None and not (warm and self._estimator.answers.any()):
+        if self._flow is not None and not (self._warm and self._estimator.answers.any()):
             denied = self.delay_estimate.contradiction(self.delay) or denied
         self._verdict = self._supervisor.judge(
             t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error,

@@ -227,7 +227,7 @@ class Plausibility:
         if not self.accelerometer or len(self._motion) < 2:
             return []
         times = np.array([time for time, _ in self._motion])
-        signals = np.stack([signal for _, signal in self._motion])
+        signals = np.concatenate([signal for _, signal in self._motion]).reshape(-1, 6)
         rates = self._frame.to_body(signals[:, :3])
         force = self._frame.to_body(signals[:, 3:])
         if times[-1] - times[0] < ENOUGH - LOOK_TIME:
