@@ -22,7 +22,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +32,11 @@ from hostile import SECOND_NS, Hostile, stamped
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.domain import own_domain
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, declarations
 from uav_ident_ros.messages.types import import_type
+from uav_ident_ros.offline.run import OfflineRun, run_over
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "multisine"
@@ -305,14 +307,17 @@ class Campaign:
             self.listen(0.02)
         self.wait()
 
+    @cached_property
+    def _replayed(self) -> OfflineRun:
+        """The replay of the flight, whose windows and inputs the score is of."""
+        return run_over(BAG, load_parameters(BAG / "identifier.yaml", "identifier"))
+
     def learned(self) -> PredictionFit:
         """Fit of the coefficients that the node published last, on the end of the flight."""
-        from uav_ident_ros.files.parameter_file import load_parameters
-        from uav_ident_ros.offline.run import run_over
         from uav_ident_ros.offline.ticks import Ticks
 
         self.listen(0.5)
-        run = run_over(BAG, load_parameters(BAG / "identifier.yaml", "identifier"))
+        run = self._replayed
         assert self._watch.coefficients is not None
         learned = self._watch.coefficients.reshape(run.structure.mask.shape)
         run.estimates = Ticks(

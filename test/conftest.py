@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from once import made_once
 
 # The package limits BLAS's threads by the environment, so it must load before NumPy.
 import uav_ident_ros  # noqa: F401
@@ -42,3 +44,19 @@ def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         for name, value in environment.items():
             patch.setenv(name, value)
         yield
+
+
+@pytest.fixture(scope="session")
+def replayed_example(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results and report of a replay of the JSBSim aircraft's committed bag."""
+
+    def replay(folder: Path) -> None:
+        from excerpts import BAGS
+
+        from uav_ident_ros.offline import main
+
+        bag = BAGS / "c172p"
+        parameters = ["--params-file", str(bag / "identifier.yaml")]
+        assert main([str(bag), *parameters, "--output", str(folder / bag.name), "--report"]) == 0
+
+    return made_once(tmp_path_factory, "replays", replay) / "c172p"

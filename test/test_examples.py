@@ -152,7 +152,7 @@ def test_the_prediction_from_a_message_is_that_of_the_client() -> None:
     ],
 )
 def test_parts_of_ones_own(name: str, words: str, tmp_path: Path, capsys: Capture) -> None:
-    bag = excerpt(tmp_path / "bag", 20.0, "c172p")
+    bag = excerpt(tmp_path / "bag", 14.0, "c172p")
     shutil.copy(BAGS / "c172p" / "identifier.yaml", bag)
     load(name).main(bag)
     found = re.search(words, capsys.readouterr().out)

@@ -260,13 +260,14 @@ def test_what_is_done_is_not_done_again(
     logs: Path, replayed: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     output = tmp_path / "out"
+    again = arguments(logs, output, "--jobs", "1")
     shutil.copytree(replayed, output)
     times = {file: file.stat().st_mtime_ns for file in output.rglob("estimates.mcap")}
     # cut off in the middle of a flight, before its last file; another has no end
     (output / "flight1" / DONE_FILE).unlink()
     cut = output / "flight0" / DONE_FILE
     cut.write_text(cut.read_text()[:40])
-    assert main(arguments(logs, output)) == 2
+    assert main(again) == 2
     assert re.search(
         r"5 bags: .*1 no result; 3 of them as replayed before", capsys.readouterr().out
     )
@@ -277,10 +278,10 @@ def test_what_is_done_is_not_done_again(
     # other settings are another replay
     other = tmp_path / "other.yaml"
     other.write_text(PARAMETERS.read_text() + "    filter.cutoff: 20.0\n")
-    assert main([*arguments(logs, output), "--params-file", str(other)]) == 2
+    assert main([*again, "--params-file", str(other)]) == 2
     assert "as replayed before" not in capsys.readouterr().out
     # and what it has written anew is not taken for the first one
-    assert main(arguments(logs, output)) == 2
+    assert main(again) == 2
     assert "as replayed before" not in capsys.readouterr().out
 
 

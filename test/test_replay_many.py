@@ -9,12 +9,12 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from excerpts import BAGS, PARAMETERS, ROOT, excerpt, summary
+from node_process import PATIENCE, wait_for
 from programs import Capture, python, refusal
 
 from uav_ident_ros.bags.reading import BagError
@@ -164,14 +164,14 @@ def test_interrupt_ends_every_process(tmp_path: Path) -> None:
         [*command, "--output", str(tmp_path / "out")],
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
-    while len(children(process.pid)) < 2:  # the processes are starting, or under way
-        time.sleep(0.05)
+    # the processes are starting, or under way
+    assert wait_for(lambda: len(children(process.pid)) >= 2)
     os.killpg(process.pid, signal.SIGINT)
-    output, errors = process.communicate(timeout=60.0)
+    output, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert "bags:" not in output
     assert "Traceback" not in errors
-    assert gone(process.pid)
+    assert wait_for(lambda: gone(process.pid))
 
 
 def children(pid: int) -> list[str]:
@@ -181,13 +181,11 @@ def children(pid: int) -> list[str]:
 
 
 def gone(group: int) -> bool:
-    """Whether a group of processes ends."""
-    for _ in range(100):
-        try:
-            os.killpg(group, 0)
-        except ProcessLookupError:
-            return True
-        time.sleep(0.1)
+    """Whether a group of processes has ended."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return True
     return False
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataflash_writing import DataflashWriter
-from excerpts import BAGS, excerpt, summary
+from excerpts import BAGS, summary
 from imported import Contents, Importer, Result, contents, flight, mixing, replayed
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
@@ -303,15 +303,9 @@ DELAY_NS = 60_000_000
 """By how much the commands are logged before they act; in the simulation they act at once."""
 
 
-@pytest.fixture(scope="module")
-def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first part of the example flight of a JSBSim aircraft."""
-    return excerpt(tmp_path_factory.mktemp("example") / "c172p", 60.0, "c172p")
-
-
-def delayed(bag: Path) -> Contents:
-    """That flight, with a delay: the log does not say it, and the import has to find it."""
-    recorded = contents(bag)
+def delayed() -> Contents:
+    """The example flight, with a delay: the log does not say it, and the import has to find it."""
+    recorded = contents(BAGS / "c172p")
     return dataclasses.replace(recorded, actuator_t_ns=recorded.actuator_t_ns - DELAY_NS)
 
 
@@ -356,36 +350,24 @@ def ardupilot_example(recorded: Contents, folder: Path) -> Path:
     return writer.write(folder / "c172p.bin")
 
 
-def summary_of(bag: Path, parameters: Path, output: Path) -> dict:
-    assert replay([str(bag), "--params-file", str(parameters), "--output", str(output)]) == 0
-    return summary(output)
-
-
-@pytest.fixture(scope="module")
-def recorded_summary(example: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
-    own = BAGS / "c172p" / "identifier.yaml"
-    return summary_of(example, own, tmp_path_factory.mktemp("recorded") / "out")
-
-
 @pytest.mark.parametrize(("write", "unit"), [(px4_example, 1.0), (ardupilot_example, 0.5)])
 def test_the_whole_way_from_a_log_to_a_verdict(
     tmp_path: Path,
     importer: Importer,
-    example: Path,
-    recorded_summary: dict,
+    replayed_example: Path,
     write: Callable[[Contents, Path], Path],
     unit: float,
 ) -> None:
     """By the two commands a user types, without an option."""
-    bag = importer(write(delayed(example), tmp_path)).folder
-    imported = summary_of(bag, bag / "identifier.yaml", tmp_path / "imported")
-    assert imported["usable"] and recorded_summary["usable"]
+    bag, output = importer(write(delayed(), tmp_path)).folder, tmp_path / "imported"
+    parameters = ["--params-file", str(bag / "identifier.yaml")]
+    assert replay([str(bag), *parameters, "--output", str(output)]) == 0
+    imported, recorded = summary(output), summary(replayed_example)
+    assert imported["usable"] and recorded["usable"]
     assert imported["inputs"]["rates"]["dropped"] == {}
     assert abs(imported["delay"] - DELAY_NS * 1e-9) < 0.005
     for coefficient in ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr"):
-        found, expected = (
-            s["coefficients"][coefficient]["value"] for s in (imported, recorded_summary)
-        )
+        found, expected = (s["coefficients"][coefficient]["value"] for s in (imported, recorded))
         scale = unit if "/d" in coefficient else 1.0
         # 2 ms of delay cost 8 % of the damping in yaw; control derivatives are within 3 %:
         # a little is left for what else may change.

@@ -23,8 +23,8 @@ from uav_ident_ros.simulation.errors import SimulationError
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
-FAULT = 8.0
-SHORT = Loop(duration=10.0, heed_verdict=False, faults=(f"{FAULT}: aileron effect 0.5",))
+FAULT = 7.0
+SHORT = Loop(duration=8.5, heed_verdict=False, faults=(f"{FAULT}: aileron effect 0.5",))
 """A flight on coefficients that are adopted, with a fault at the end."""
 
 TIMEOUT = 200.0

@@ -8,14 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-from node_process import ROOT, StartNode
+from node_process import PATIENCE, ROOT, StartNode
 from programs import python
 from recordings import MakePlayer, recording
 
-from uav_ident_ros.offline import main as replay
-
 EXAMPLES = ROOT / "examples"
-BAG = ROOT / "bags" / "c172p"
 
 
 def command(name: str, *arguments: str) -> list[str]:
@@ -33,11 +30,8 @@ def test_every_example_is_listed() -> None:
     assert sorted(listed) == sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
-def test_what_reads_results_reads_those_of_a_replay(tmp_path: Path) -> None:
-    folder = tmp_path / "c172p"
-    parameters = ["--params-file", str(BAG / "identifier.yaml")]
-    assert replay([str(BAG), *parameters, "--output", str(folder)]) == 0
-    header, row = run("fleet_table.py", str(tmp_path)).splitlines()
+def test_what_reads_results_reads_those_of_a_replay(replayed_example: Path) -> None:
+    header, row = run("fleet_table.py", str(replayed_example.parent)).splitlines()
     shown = "pdot/p pdot/da qdot/q qdot/de rdot/r rdot/dr"
     assert header.split() == ["flight", "verdict", *shown.split()]
     assert row.startswith("c172p           usable ")
@@ -59,7 +53,7 @@ def test_what_listens_hears_a_running_node(
         player.play_in_step(flight.messages[:part])
         player.spin_for(2.0)  # counted is not connected yet: the rest must be heard from its start
         player.play_in_step(flight.messages[part:])
-        assert plot.wait(60.0) == 0
+        assert plot.wait(PATIENCE) == 0
     finally:
         plot.kill()
         plot.wait()

@@ -21,8 +21,9 @@ from collections.abc import Callable, Iterator
 import pytest
 from node_process import PATIENCE, ROOT, StartNode
 from programs import Capture, python, refusal
-from recordings import Fly, Recording, change, part, recording
+from recordings import Fly, change, recording
 
+from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.monitor.cli import parser
 from uav_ident_ros.player import Player
 
@@ -66,41 +67,49 @@ def start_monitor() -> Iterator[StartMonitor]:
         process.communicate()
 
 
-def play_while(player: Player, messages: list, process: subprocess.Popen[str]) -> None:
-    """Play in real time until a process ends, or the messages do."""
-
-    def look(_: int) -> None:
-        if process.poll() is not None:
-            raise EndedError
-
-    with contextlib.suppress(EndedError):
-        player.play(messages, on_time=look)
-
-
-def test_a_flight_before_it_converges_after_it_and_when_it_is_over(
+def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
     fly: Fly, start_monitor: StartMonitor
 ) -> None:
-    flight = recording("multisine", 40.0)
-    _, player = fly(flight, sim_time=True)
+    flight = recording("multisine", 75.0)
+    _, player = fly(flight, sim_time=True, parameters={"supervision.min_fit": "99.5"})
+    reached = flight.messages[0].log_ns
 
-    def once(begin: float, *arguments: str) -> tuple[int, str]:
-        """Let the monitor hear the flight from a time on, s; its status and what it shows."""
+    def play_while(process: subprocess.Popen[str]) -> None:
+        """Go on at real time, or as fast as the node follows, until a process ends."""
+
+        def look(t_ns: int) -> None:
+            nonlocal reached
+            reached = t_ns
+            if process.poll() is not None:
+                raise EndedError
+
+        with contextlib.suppress(EndedError):
+            rest = [m for m in flight.messages if m.log_ns >= reached]
+            player.play(rest, on_time=look, in_step=True)
+
+    def stretch(seconds: float) -> list[Message]:
+        """What comes in the next seconds of the flight."""
+        nonlocal reached
+        begin, reached = reached, reached + round(seconds * 1e9)
+        return [m for m in flight.messages if begin <= m.log_ns < reached]
+
+    def once(*arguments: str) -> tuple[int, str]:
+        """Let the monitor hear the flight; its status and what it shows."""
         monitor = start_monitor("--once", *arguments)
-        play_while(player, part(flight, begin, 40.0), monitor)
+        play_while(monitor)
         shown, errors = monitor.communicate(timeout=PATIENCE)
         assert "Traceback" not in errors
         return monitor.returncode, shown
 
-    change(player, {"supervision.min_fit": 99.5})
-    player.play_in_step(part(flight, 0.0, 22.0))
-    status, shown = once(22.0, "--timeout", "60", "--node", "/identifier")
+    player.play_in_step(stretch(22.0))
+    status, shown = once("--timeout", "60", "--node", "/identifier")
     assert status == 1
     assert shown.startswith("/identifier  learning  not usable  tick ")
     assert "needed: 100 %" in shown
 
     change(player, {"supervision.min_fit": -20.0})
-    player.play_in_step(part(flight, 0.0, 22.0))
-    status, shown = once(22.0, "--timeout", "60", "--node", "/identifier")
+    player.play_in_step(stretch(2.0))
+    status, shown = once("--timeout", "60", "--node", "/identifier")
     assert status == 0, shown
     assert shown.startswith("/identifier  converged  usable  tick ")
     newest = player.outputs.named[-1]
@@ -113,21 +122,18 @@ def test_a_flight_before_it_converges_after_it_and_when_it_is_over(
     monitors = {ending: start_monitor("--node", "identifier/") for ending in ENDINGS}
     ticks: dict[signal.Signals, list[float]] = {ending: [] for ending in ENDINGS}
 
-    told: set[signal.Signals] = set()
-
     def read(ending: signal.Signals) -> None:
         for line in monitors[ending].stdout or ():
+            told = len(ticks[ending]) >= 3
             ticks[ending].extend(float(t) for t in re.findall(r"  tick ([\d.]+) s$", line))
-            if len(ticks[ending]) >= 3 and ending not in told:
-                told.add(ending)
+            if len(ticks[ending]) >= 3 and not told:
                 monitors[ending].send_signal(ending)
 
     readers = [threading.Thread(target=read, args=(ending,)) for ending in ENDINGS]
     for reader in readers:
         reader.start()
-    player.play_in_step(part(flight, 0.0, 2.0))
     for monitor in monitors.values():
-        play_while(player, part(flight, player_time(player, flight), 40.0), monitor)
+        play_while(monitor)
     for reader in readers:
         reader.join(PATIENCE)
     for ending, monitor in monitors.items():
@@ -145,11 +151,6 @@ def test_a_flight_before_it_converges_after_it_and_when_it_is_over(
     assert "none since" in shown
 
 
-def player_time(player: Player, flight: Recording) -> float:
-    """How far a recording has been played, s."""
-    return (player.outputs.newest_ns - flight.messages[0].log_ns) * 1e-9
-
-
 def test_once_says_when_there_is_nothing_to_hear(start_monitor: StartMonitor) -> None:
     for arguments in ((), ("--node", "/nowhere/identifier")):
         monitor = start_monitor("--once", "--timeout", "1", *arguments)
@@ -165,6 +166,7 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
 ) -> None:
     for name in ("one", "two"):
         start_node("-r", f"__ns:=/{name}")
+    for name in ("one", "two"):
         player = Player({}, f"/{name}/identifier", clock=False)
         try:
             player.wait_until(player.node_is_there, "the node")

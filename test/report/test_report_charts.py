@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bokeh.models import CrosshairTool, HoverTool, VArea
-from excerpts import BAGS, parameters, replayed_run
+from excerpts import excerpt, parameters, replayed_run
 from numpy.typing import NDArray
 from scipy import signal
 
@@ -39,8 +39,8 @@ Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
-def run() -> OfflineRun:
-    return replayed_run(BAGS / "multisine", parameters())
+def run(tmp_path_factory: pytest.TempPathFactory) -> OfflineRun:
+    return replayed_run(excerpt(tmp_path_factory.mktemp("flight") / "bag", 40.0), parameters())
 
 
 @pytest.fixture(scope="module")

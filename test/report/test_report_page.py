@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from excerpts import BAGS, PARAMETERS, SECOND_NS, Entry, excerpt
+from excerpts import summary as summary_of
 from html_page import Node, parse
 
 import uav_ident_ros
@@ -48,13 +49,13 @@ def charts(page: Node) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def page(replayed: Path) -> Node:
-    return parse((replayed / "report.html").read_text(encoding="utf-8"))
+def page(replayed_example: Path) -> Node:
+    return parse((replayed_example / "report.html").read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
-def summary(replayed: Path) -> dict[str, Any]:
-    return json.loads((replayed / "summary.json").read_text(encoding="utf-8"))
+def summary(replayed_example: Path) -> dict[str, Any]:
+    return summary_of(replayed_example)
 
 
 def exact(cell: Node) -> float | None:
@@ -228,12 +229,12 @@ def test_names_on_the_page_are_unique_and_what_is_referred_to_exists(page: Node)
     assert referred <= set(names)
 
 
-def test_colours_have_names_and_it_is_small(page: Node, replayed: Path) -> None:
+def test_colours_have_names_and_it_is_small(page: Node, replayed_example: Path) -> None:
     style = page.one("style").text
     styles = [style, *(n.attributes.get("style", "") for n in page.all())]
     used = {shade for text in styles for shade in re.findall(r"var\(--(\w+)\)", text)}
     assert used <= set(re.findall(r"--(\w+):", style)) | {"share", "hold"}
-    assert (replayed / "report.html").stat().st_size < LARGEST_FILE
+    assert (replayed_example / "report.html").stat().st_size < LARGEST_FILE
 
 
 # --- other flights ---------------------------------------------------------------------------

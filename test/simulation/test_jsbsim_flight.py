@@ -22,7 +22,7 @@ SMALL = 0.5
 """Of the usual excitation: small enough for derivatives that are local."""
 
 
-def spec_of(name: str, duration: float = 62.0, **changes: object) -> AircraftFlight:
+def spec_of(name: str, duration: float = 15.0, **changes: object) -> AircraftFlight:
     peaks = {key: SMALL * peak for key, peak in airframe(name).excitation.items()}
     segment = Segment("multisine", start=2.0, amplitudes=peaks)
     return AircraftFlight(name, (segment,), duration, **changes)
@@ -40,7 +40,7 @@ def cessna() -> Flight:
 
 @pytest.mark.parametrize("name", airframe_names())
 def test_every_aircraft_flies_as_its_true_derivatives_say(name: str) -> None:
-    flight = fly(spec_of(name, 32.0))
+    flight = fly(spec_of(name))
     truth = linearise_cruise(name)
     u = flight.extra["surfaces"] - flight.trim
     x = np.column_stack([flight.rates, flight.extra["beta"], flight.extra["alpha"]])

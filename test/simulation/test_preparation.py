@@ -53,8 +53,8 @@ def test_it_flies_on_what_was_identified(small: Prepared) -> None:
     assert outcome.lost is None and len(outcome.time) == 800
     assert outcome.error(3.0, 8.0).max() < 5.0
     assert len(outcome.usable) > 100
-    again = fly_loop(small, Mission(8.0), make(small), make_identifier(small))
-    np.testing.assert_array_equal(outcome.rates, again.rates)
+    again = fly_loop(small, Mission(4.0), make(small), make_identifier(small))
+    np.testing.assert_array_equal(outcome.rates[:400], again.rates)
 
 
 def test_a_reversed_aileron_is_survived_and_a_fixed_law_is_lost(small: Prepared) -> None:
