@@ -36,6 +36,9 @@ LONGEST_LIFE = 1.5
 STEP = 0.005
 """Interval of the calls of ~/save, s."""
 
+PATIENCE = 60.0
+"""Seconds in which a node on a busy machine has written its first file."""
+
 SPEED = 4.0
 """Speed of the flight, relative to real time."""
 
@@ -143,7 +146,7 @@ def _live(feeder: Feeder, node: subprocess.Popen[bytes], state_file: Path, life:
     player.wait_for_node()
     player.outputs.clear()
     before = state_file.stat().st_mtime_ns if state_file.exists() else 0
-    limit = time.monotonic() + 20.0
+    limit = time.monotonic() + PATIENCE
     end = limit
     while time.monotonic() < end and node.poll() is None:
         feeder.feed(STEP)

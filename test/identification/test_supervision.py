@@ -97,8 +97,7 @@ def test_quiet_flight_teaches_next_to_nothing_and_grows_stale() -> None:
     assert not estimates[-1].usable
 
 
-def test_the_running_fit_is_that_of_the_definition() -> None:
-    """Against the same sums written out, for coefficients that stay as they are."""
+def test_the_running_fit_tells_the_axis_whose_coefficient_is_wrong() -> None:
     flight = plant_flight(12.0)
     measurements = measure(flight, Sensors(gyro_noise=0.0), seed=2)
     assert flight.coefficients is not None
