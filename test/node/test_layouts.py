@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shipped layouts: well-formed, and every path in them is one that the node really publishes.
+
+The programs' rules are written here a second time, from their sources: how PlotJuggler restores
+its widgets and its ROS parser names series, and the grammar of Foxglove's message paths.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from node_process import ROOT
+from rclpy.serialization import deserialize_message
+from recordings import NODE, RATES_TOPIC, Fly, recording
+from sensor_msgs.msg import JointState
+
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.messages.published import entry_names
+from uav_ident_ros.player import Player
+
+NAMED = f"{NODE}/coefficients_named"
+STRUCTURE = STRUCTURES["flight_dynamics"]
+"""Structure that the layouts are made for."""
+
+PLOTJUGGLER = ET.parse(ROOT / "config" / "plotjuggler.xml").getroot()
+FOXGLOVE: dict[str, Any] = json.loads((ROOT / "config" / "foxglove.json").read_text())
+PANELS = FOXGLOVE["configById"]
+DRAWN = [str(curve.get("name")) for curve in PLOTJUGGLER.iter("curve")]
+"""Curves of PlotJuggler, by name."""
+
+CURVES = [curve for panel in PANELS.values() for curve in panel.get("paths", ())]
+"""Curves of Foxglove."""
+
+
+# --- the files --------------------------------------------------------------------------------
+
+
+def entries_in_plotjuggler() -> Counter[tuple[str, str]]:
+    """Name and part of every entry of ~/coefficients_named that is drawn."""
+    own = [c.removeprefix(f"{NAMED}/") for c in DRAWN if c.startswith(f"{NAMED}/")]
+    return Counter((name, part) for name, _, part in (c.rpartition("/") for c in own))
+
+
+def entries_in_foxglove() -> Counter[tuple[str, str]]:
+    """Name and part of every entry, by its index in the arrays."""
+    names = entry_names(STRUCTURE)
+    found = [re.fullmatch(rf"{NAMED}\.(\w+)\[(\d+)\]", curve["value"]) for curve in CURVES]
+    return Counter((names[int(m.group(2))], m.group(1)) for m in found if m is not None)
+
+
+def test_both_programs_draw_every_coefficient_once_with_its_deviation() -> None:
+    coefficients = {(name, part) for name in STRUCTURE.names for part in ("position", "effort")}
+    others = {(n, "position") for n in entry_names(STRUCTURE) if n not in STRUCTURE.names}
+    drawn = entries_in_plotjuggler()
+    assert set(drawn.values()) == {1}
+    assert coefficients <= set(drawn) <= coefficients | others
+    assert drawn == entries_in_foxglove()
+
+
+def test_plotjuggler_finds_what_it_looks_for() -> None:
+    """The elements and attributes that PlotJuggler 3 reads when it restores its widgets."""
+    tabs = PLOTJUGGLER.findall("tabbed_widget[@name='Main Window']/Tab")
+    assert tabs
+    for tab in tabs:
+        containers = tab.findall("Container")
+        assert str(len(containers)) == tab.get("containers")
+        for container in containers:
+            (splitter,) = list(container)
+            assert splitter.tag == "DockSplitter"
+    for splitter in PLOTJUGGLER.iter("DockSplitter"):
+        children = list(splitter)
+        assert splitter.get("orientation") in ("|", "-")
+        assert splitter.get("count") == str(len(children))
+        sizes = [float(size) for size in str(splitter.get("sizes")).split(";")]
+        assert len(sizes) == len(children)
+        assert {child.tag for child in children} <= {"DockSplitter", "DockArea"}
+    for area in PLOTJUGGLER.iter("DockArea"):
+        (plot,) = list(area)
+        assert plot.get("mode") == "TimeSeries"
+        assert [child.tag for child in plot][:2] == ["range", "limitY"]
+        assert {child.tag for child in plot[2:]} == {"curve"}
+
+
+def test_plotjuggler_is_restored_with_its_subscriber() -> None:
+    """As its ROS plugins save it since January 2024, see their parser_configuration.cpp."""
+    (streamer,) = PLOTJUGGLER.findall("Plugins/plugin")
+    (previous,) = PLOTJUGGLER.findall("previouslyLoaded_Streamer")
+    assert streamer.get("ID") == previous.get("name") == "ROS2 Topic Subscriber"
+    saved = {child.tag: str(child.get("value")) for child in streamer}
+    assert saved["use_header_stamp"] == "true"
+    # a larger array is cut or thrown away: ~/coefficients_named must pass whole
+    assert int(saved["max_array_size"]) > max(len(entry_names(s)) for s in STRUCTURES.values())
+    topics = saved["selected_topics"].split(";")
+    assert all(any(name.startswith(f"{topic}/") for name in DRAWN) for topic in topics)
+
+
+def leaves(layout: Any) -> list[str]:
+    """Panel ids of a tree of splits; a split has two parts and a share."""
+    if isinstance(layout, str):
+        return [layout]
+    assert set(layout) == {"direction", "first", "second", "splitPercentage"}
+    assert layout["direction"] in ("row", "column")
+    assert 0.0 < layout["splitPercentage"] < 100.0
+    return leaves(layout["first"]) + leaves(layout["second"])
+
+
+def test_foxglove_finds_every_panel_once_and_draws_by_the_stamps() -> None:
+    tabs = PANELS[FOXGLOVE["layout"]]["tabs"]
+    shown = [panel for tab in tabs for panel in leaves(tab["layout"])]
+    assert Counter(shown) == Counter(set(PANELS) - {FOXGLOVE["layout"]})
+    kinds = {"Plot", "Indicator", "DiagnosticSummary", "DiagnosticStatusPanel"}
+    assert {panel.partition("!")[0] for panel in shown} == kinds
+    assert all(c["enabled"] and c["timestampMethod"] == "headerStamp" for c in CURVES)
+
+
+# --- with a node ------------------------------------------------------------------------------
+
+
+def published(player: Player, imu: Any) -> dict[str, Any]:
+    """The newest message on every topic, the Imu's included."""
+    outputs = player.outputs
+    return {
+        RATES_TOPIC: imu,
+        NAMED: outputs.named[-1],
+        f"{NODE}/predicted_rates": outputs.predicted_rates[-1],
+        f"{NODE}/prediction_error": outputs.prediction_error[-1],
+        "/diagnostics": DiagnosticArray(status=[outputs.status[-1]]),
+    }
+
+
+def numbers(name: str, value: Any) -> Iterator[str]:
+    """Names of the numbers in a message, its fields joined by '/'."""
+    if isinstance(value, (int, float)):
+        yield name
+    elif hasattr(value, "get_fields_and_field_types"):
+        for field in value.get_fields_and_field_types():
+            yield from numbers(f"{name}/{field}", getattr(value, field))
+
+
+def series(topic: str, message: Any) -> Iterator[str]:
+    """Names of the series that PlotJuggler makes of a message."""
+    if isinstance(message, JointState):
+        for part in ("position", "velocity", "effort"):
+            for name, _ in zip(message.name, getattr(message, part), strict=False):
+                yield f"{topic}/{name}/{part}"
+    elif isinstance(message, DiagnosticArray):
+        for status in message.status:
+            assert status.hardware_id == ""  # else it is part of the name
+            for value in status.values:
+                if is_number(value.value):
+                    yield f"{topic}/{status.name}/{value.key}"
+    else:
+        yield from numbers(topic, message)
+
+
+def is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+PATH = re.compile(r"""\.(\w+)(?:\[(\d+)\]|\[(:)\]\{(\w+)=="([^"]*)"\})?""")
+
+
+def at(path: str, messages: dict[str, Any]) -> Any:
+    """Value of a Foxglove message path: fields, indices, and the first that a filter lets pass."""
+    topic, dot, rest = path.partition(".")
+    value = messages[topic]
+    position = 0
+    while position < len(dot + rest):
+        part = PATH.match(dot + rest, position)
+        assert part is not None, f"'{path}' does not parse"
+        field, index, every, key, wanted = part.groups()
+        value = getattr(value, field)
+        if index is not None:
+            value = value[int(index)]
+        if every is not None:
+            (value,) = (entry for entry in value if getattr(entry, key) == wanted)
+        position = part.end()
+    return value
+
+
+@pytest.fixture
+def messages(fly: Fly) -> dict[str, Any]:
+    """What the node publishes for a flight, in the structure that the layouts are made for."""
+    flight = recording("c172p", 6.0)
+    _, player = fly(flight, parameters={"structure": STRUCTURE.name}, sim_time=True)
+    player.play_in_step(flight.messages)
+    player.wait_until(
+        lambda: any("delay [s]" in {v.key for v in s.values} for s in player.outputs.status[-1:]),
+        "a status with an estimate",
+    )
+    newest = next(m for m in reversed(flight.messages) if m.topic == RATES_TOPIC)
+    return published(player, deserialize_message(newest.data, flight.classes[RATES_TOPIC]))
+
+
+def test_the_layouts_draw_what_the_node_publishes(messages: dict[str, Any]) -> None:
+    there = {name for topic, message in messages.items() for name in series(topic, message)}
+    assert DRAWN
+    assert set(DRAWN) - there == set()
+    (selected,) = PLOTJUGGLER.iter("selected_topics")
+    assert set(str(selected.get("value")).split(";")) == set(messages)
+
+    light = PANELS["Indicator!usable"]["path"]
+    for path, label in [(c["value"], c["label"]) for c in CURVES] + [(light, "usable")]:
+        value = at(path, messages)
+        assert isinstance(value, float) or is_number(value), path
+        index = re.fullmatch(r".*/coefficients_named\.\w+\[(\d+)\]", path)
+        if index is not None:  # an index says nothing by itself: the label must be right
+            name = messages[NAMED].name[int(index.group(1))]
+            assert name.removeprefix("verdict/") == label
+
+    panel, status = PANELS["DiagnosticStatusPanel!node"], messages["/diagnostics"].status[0]
+    assert panel["selectedName"] == status.name
+    assert panel["selectedHardwareId"] == status.hardware_id
