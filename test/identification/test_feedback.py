@@ -14,7 +14,7 @@ from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, layout
 from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.structure import FORCE_ROWS, STRUCTURES
 
 STRUCTURE = STRUCTURES["flight_dynamics"]
 LAYOUT = layout(STRUCTURE)
@@ -116,6 +116,12 @@ def test_an_answer_does_not_undo_what_was_known() -> None:
     assert abs(biased - TRUE) > 0.3 * TRUE
     assert abs(held - TRUE) < 0.1 * TRUE
     assert sigma < 0.25 * TRUE
+
+
+def test_of_what_makes_forces_something_is_known_of_any_aircraft() -> None:
+    told = start_from(Settings()).told(STRUCTURE)
+    forces = np.isin(STRUCTURE.row_labels, FORCE_ROWS)
+    np.testing.assert_array_equal(told, STRUCTURE.mask & forces[:, None])
 
 
 def test_excitation_outweighs_what_was_known() -> None:

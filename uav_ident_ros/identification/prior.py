@@ -106,8 +106,14 @@ class Start:
         return precision
 
     def told(self, structure: Structure) -> BoolArray:
-        """Coefficients of which something was known before the flight, shape (R, n)."""
-        return np.asarray(self.free & (self.sigma < weak_sigma(structure)))
+        """Coefficients of which something was known before the flight, shape (R, n).
+
+        Of the force rows something is known of any aircraft: lift is weight, and how much of it
+        surfaces and fins make. Of the others, only what somebody has told or a flight before.
+        """
+        told = self.sigma < weak_sigma(structure)
+        told[[flow.force for flow in structure.flow]] = True
+        return np.asarray(self.free & told)
 
     def warm(self, t_ratio: float) -> bool:
         """Whether each moment row starts with a control derivative of so many sigmas."""
