@@ -116,6 +116,13 @@ def motion(structure: Structure, a: Array, state: Array, u: Array, force: Array)
     return flight_equations(a, state, u, AIRSPEED)
 
 
+def line(t: Array, values: Array, at: float) -> Array:
+    """The straight line between samples at a time; the first and last value hold beyond."""
+    k = min(max(int(np.searchsorted(t, at)), 1), len(t) - 1)
+    share = min(max((at - t[k - 1]) / (t[k] - t[k - 1]), 0.0), 1.0)
+    return (1.0 - share) * values[k - 1] + share * values[k]
+
+
 def integrated(
     derivative: Callable[[float, Array], Array], begin: float, end: float, state: Array
 ) -> Array:
@@ -155,7 +162,7 @@ def fly(
     def commanded(at: float) -> Array:
         if interpolation == "hold":
             return u[np.searchsorted(tu, at - delay + 1e-12, side="right") - 1]
-        return np.array([np.interp(at - delay, tu, column) for column in u.T])
+        return line(tu, u, at - delay)
 
     start = np.array([0.1, -0.05, 0.02])
     if structure is FLIGHT:
@@ -279,21 +286,20 @@ def predicted(
     tu = (record.inputs.t_ns - START_NS) * 1e-9
     structure, a = record.structure, record.coefficients[tick]
 
-    def force_at(at: float) -> Array:
-        return np.array([np.interp(at, t, column) for column in record.force.T])
+    force = line(t, record.force, t0)
 
     def derivative(at: float, state: Array) -> Array:
-        u = np.array([np.interp(at, tu, column) for column in record.inputs.u.T])
+        u = line(tu, record.inputs.u, at)
         if free:
-            return motion(structure, a, state, u, force_at(t0))
-        last = force_at(at)
+            return motion(structure, a, state, u, force)
+        last = line(t, record.force, at)
         if structure is FLIGHT:  # the flow angles at which the rows give the measured forces
             without = a @ structure.regressor(state, u)
             slopes = [a[structure.index(name)] for name in ("ay/beta", "az/alpha")]
             last = (last - without[3:5]) / slopes
         return a[:3] @ structure.regressor(state, u, last)
 
-    state = np.array([np.interp(t0, t, column) for column in record.rates.T])
+    state = line(t, record.rates, t0)
     if free and record.flow is not None:
         down = record.flow.down[tick]
         attitude = [np.arctan2(down[1], down[2]), -np.arcsin(down[0])]
