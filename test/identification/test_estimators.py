@@ -83,6 +83,17 @@ def test_gusts_bias_least_squares_but_not_the_instruments() -> None:
 
 
 @BOTH
+def test_sigma_without_noise_is_the_error_of_a_linear_model(estimator: str) -> None:
+    """Three percent: no residual shows what one number for all speeds and angles is off by."""
+    m = measured(40.0, noise=0.0)
+    identifier = started(m, estimator=estimator)
+    last = run(identifier, messages(m))[-1]
+    places = tuple(zip(*map(identifier.structure.index, DOMINANT), strict=True))
+    ratio = last.sigma[places] / np.abs(last.coefficients[places])
+    np.testing.assert_allclose(ratio, 0.03, rtol=0.01)
+
+
+@BOTH
 def test_sigma_covers_the_error(estimator: str) -> None:
     """Pooled over a few flights in gusts; the campaign does it over hundreds."""
     ratios = []

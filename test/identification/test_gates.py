@@ -28,7 +28,7 @@ STRUCTURE = "throttle_coupled"
 Alter = Callable[[float, Message], Message]
 
 
-def measured(duration: float = 30.0, **changes: Any) -> Measurements:
+def measured(duration: float = 45.0, **changes: Any) -> Measurements:
     return measure(plant_flight(duration, **changes), Sensors(gyro_noise=0.02), seed=2)
 
 
@@ -46,8 +46,8 @@ def healthy() -> Estimate:
 
 @cache
 def halved() -> Measurements:
-    """The same flight, and on, with half an elevator from 30 s."""
-    return measured(50.0, changes=(CoefficientChange(30.0, {"qdot/de": 0.5}),))
+    """The same flight, and on, with half an elevator from 40 s."""
+    return measured(60.0, changes=(CoefficientChange(40.0, {"qdot/de": 0.5}),))
 
 
 def altered(measurements: Measurements, alter: Alter) -> list[Message]:
@@ -87,11 +87,11 @@ def test_a_control_check_on_the_ground_teaches_nothing_and_its_cost_is_told(
     assert {e.reason for e in standing} == {"at rest: no rate moves beyond the gyro's noise"}
     assert {e.state for e in standing} == {"paused"}
     assert not any(e.coefficients.any() for e in standing)
-    assert all(e.adapting for e in since(estimates, 10.5, 30.0))
+    assert all(e.adapting for e in since(estimates, 10.5, 45.0))
     assert estimates[-1].usable
     costs = flown.gate_costs()
     resting = sum(e.reason.startswith("at rest") for e in estimates) / len(estimates)
-    assert costs["rest"].share == pytest.approx(resting, abs=0.01) and 0.25 < resting < 0.35
+    assert costs["rest"].share == pytest.approx(resting, abs=0.01) and 0.15 < resting < 0.25
     assert costs["rest"].setting == "supervision.min_motion, min_force_motion"
     assert "channel limit" not in costs
     flown.adapt = False
@@ -126,7 +126,7 @@ def test_a_saturated_gyro_pauses_half_a_second_more_and_is_not_scored(
     before = since(estimates, 19.0, 19.9)[-1]
     np.testing.assert_array_equal(paused[-1].coefficients, paused[0].coefficients)
     np.testing.assert_allclose(paused[-1].coefficients, before.coefficients, rtol=0.05, atol=0.5)
-    after = since(estimates, 21.7, 30.0)
+    after = since(estimates, 21.7, 45.0)
     assert all(e.adapting for e in after)
     assert after[-1].usable
     np.testing.assert_allclose(since(estimates, 24.0, 25.0)[-1].fit, before.fit, atol=3.0)
@@ -134,13 +134,13 @@ def test_a_saturated_gyro_pauses_half_a_second_more_and_is_not_scored(
 
 def test_a_stuck_gyro_is_named_and_not_learned_from(excited: Measurements) -> None:
     def freeze(t: float, m: Message) -> Message:
-        if not 20.0 <= t < 26.0:
+        if not 33.0 <= t < 39.0:
             return m
         return with_rates(m, np.array([m.values[0], 0.123, m.values[2]]))
 
     stream = altered(excited, freeze)
     estimates = run(identifier(excited), stream)
-    assert {e.reason for e in since(estimates, 20.4, 26.0)} == {
+    assert {e.reason for e in since(estimates, 33.4, 39.0)} == {
         "the Imu is stuck: q has not changed for 0.25 s or more"
     }
     np.testing.assert_allclose(
@@ -206,18 +206,18 @@ def test_below_flying_speed_nothing_is_learned(excited: Measurements) -> None:
 
 def test_a_knock_is_kept_from_good_coefficients(excited: Measurements) -> None:
     def knock(t: float, m: Message) -> Message:
-        if not 20.0 <= t < 20.4:
+        if not 33.0 <= t < 33.4:
             return m
-        shake = 6.0 * np.sin(2.0 * np.pi * 5.0 * (t - 20.0)) * np.array([1.0, -1.0, 1.0])
+        shake = 6.0 * np.sin(2.0 * np.pi * 5.0 * (t - 33.0)) * np.array([1.0, -1.0, 1.0])
         return with_rates(m, np.array(m.values[:3]) + shake)
 
     stream = altered(excited, knock)
     gated, ungated = (
         run(identifier(excited, supervision__max_residual=ratio), stream) for ratio in (6.0, 0.0)
     )
-    kept = since(gated, 20.15, 20.3)
+    kept = since(gated, 33.15, 33.3)
     assert {e.reason.split(";")[0] for e in kept} == {"residual far outside its usual size"}
-    assert since(gated, 24.0, 25.0)[-1].adapting
+    assert since(gated, 37.0, 38.0)[-1].adapting
 
     def moved(estimates: list[Estimate]) -> float:
         return float(np.abs(estimates[-1].coefficients - healthy().coefficients).max())
@@ -230,14 +230,15 @@ def test_a_halved_elevator_is_named_and_not_usable_until_learned_anew() -> None:
     estimates = run(flown, messages(halved()))
     (change,) = flown.changed
     noticed = change.t - estimates[0].t_ns * 1e-9
-    assert (change.name, 30.0 < noticed < 37.0) == ("qdot/de", True)
-    before = since(estimates, 25.0, 30.0)[-1]
+    assert (change.name, 40.0 < noticed < 47.0) == ("qdot/de", True)
+    before = since(estimates, 35.0, 40.0)[-1]
     assert before.usable
     dropped = since(estimates, noticed + 0.1, noticed + 2.9)
     assert {(e.usable, e.reason) for e in dropped} == {
         (False, "qdot/de changed in flight and is learned anew")
     }
-    assert dropped[0].sigma[1, 8] > 1.5 * before.sigma[1, 8]
+    doubt = [e.sigma[1, 8] / abs(e.coefficients[1, 8]) for e in (before, dropped[0])]
+    assert doubt[1] > 1.5 * doubt[0]
     last = estimates[-1]
     assert last.usable
     assert last.coefficients[1, 8] == pytest.approx(0.5 * before.coefficients[1, 8], rel=0.1)
@@ -295,13 +296,13 @@ def test_an_instant_out_of_range_costs_nothing(excited: Measurements) -> None:
     """One sample of 2000 deg/s took the verdict away for 52 s."""
     stream = altered(excited, lambda _, m: m)
     index = [k for k, m in enumerate(stream) if m.stream == "rates" and m.t_ns > stream[0].t_ns][
-        4600
+        7000
     ]
     rates = np.array(stream[index].values[:3])
     stream[index] = with_rates(stream[index], np.array([34.9, *rates[1:]]))
     flown = identifier(excited)
     estimates = run(flown, stream)
-    after = since(estimates, 22.0, 26.0)
+    after = since(estimates, 34.0, 38.0)
     assert all(e.usable and e.adapting for e in after)
     assert flown.drops["rates"][Drop.GLITCH] == 1
     last = estimates[-1].coefficients

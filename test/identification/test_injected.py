@@ -10,11 +10,21 @@ import pytest
 from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 
 from uav_ident_ros.identification.drops import Drop
+from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.intake import EXCITATION
+from uav_ident_ros.identification.prior import start_from
+from uav_ident_ros.identification.regression import Regression, layout
+from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.sampling import Sampler, join
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import (
+    INPUT_COLUMNS,
+    INPUTS,
+    RATE_COLUMNS,
+    STRUCTURES,
+    FloatArray,
+)
 
 RATES_NS = np.arange(0, 4000, 10) * MS
 INPUTS_NS = np.arange(0, 4000, 20) * MS
@@ -131,3 +141,28 @@ def test_nobody_who_injects_nothing_changes_the_estimate() -> None:
     silent.insert(50, ("excitation", silent[50][1], (0.0,) * 4))
     first, second = identifier_over(plain), identifier_over(silent)
     np.testing.assert_array_equal(first.coefficient_set().values, second.coefficient_set().values)
+
+
+def test_a_second_of_a_poor_model_does_not_outweigh_a_minute() -> None:
+    """Its response to what is injected is thirty times that of the aircraft, in a gust."""
+    rng = np.random.default_rng(1)
+    estimator = RecursiveRegression(start_from(Settings()), Settings(), instrumental=True)
+    structure, dt = STRUCTURES["flight_dynamics"], 0.05
+    problem, da = layout(structure), INPUT_COLUMNS.start + INPUTS.index("da")
+
+    def fly(seconds: float, response: float, gust: float) -> None:
+        for _ in range(round(seconds / (4 * dt))):
+            f, y = np.zeros((4, problem.size)), 0.02 * rng.normal(size=(4, problem.rows))
+            f[:, RATE_COLUMNS], f[:, da] = 0.1 * rng.normal(size=(4, 3)), 0.05 * rng.normal(size=4)
+            y[:, 0] += -5.0 * f[:, RATE_COLUMNS.start] + 40.0 * f[:, da] + gust
+            z = f.copy()
+            z[:, RATE_COLUMNS] *= response
+            samples = Regression(y, f, z, dt, injected=True)
+            residual = estimator.residual(samples)
+            white = RowSamples.of(samples, residual)
+            estimator.update(samples, residual, white, np.ones(3))
+
+    fly(12.0, 1.0, 0.0)
+    fly(1.0, 30.0, 2.0)
+    fly(60.0, 1.0, 0.0)
+    assert estimator.coefficients[structure.index("pdot/p")] == pytest.approx(-5.0, rel=0.05)

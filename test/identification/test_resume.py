@@ -27,7 +27,7 @@ STRUCTURE = "throttle_coupled"
 
 @cache
 def first_flight() -> tuple[Flight, Measurements]:
-    flight = plant_flight(30.0)
+    flight = plant_flight(45.0)
     return flight, measure(flight, Sensors(gyro_noise=0.02), seed=2)
 
 

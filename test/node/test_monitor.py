@@ -101,7 +101,7 @@ def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
         assert "Traceback" not in errors
         return monitor.returncode, shown
 
-    player.play_in_step(stretch(22.0))
+    player.play_in_step(stretch(32.0))
     status, shown = once("--timeout", "60", "--node", "/identifier")
     assert status == 1
     assert shown.startswith("/identifier  learning  not usable  tick ")

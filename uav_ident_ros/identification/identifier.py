@@ -54,7 +54,11 @@ from uav_ident_ros.identification.supervision import Change, State, Supervisor
 
 START_TIME = 20.0
 """Time of learning for which the coefficients of a cold start count as poor, s: the model leaks,
-every tick is learned from at once, and the verdict is withheld."""
+and every tick is learned from at once."""
+
+JUDGED_FROM = 30.0
+"""Time of learning from which a cold start is judged, s: twice as many seconds as a row has
+coefficients. A model that is wrong in kind fits fewer like any other (`ModelError`)."""
 
 ANSWER_TIME = 2.0
 """Time for which an aircraft still answers an input, s: a few periods of the short modes."""
@@ -679,13 +683,10 @@ class OnlineIdentifier:
             self._plausibility.judge(coefficients, sigma)
 
     def _too_early(self) -> str:
-        """Return why a cold start cannot be judged yet; empty if it can.
-
-        A model that is wrong in kind, late or saturating, fits the first seconds like any other.
-        """
-        if self._learned_time >= START_TIME:
+        """Return why a cold start cannot be judged yet; empty if it can."""
+        if self._learned_time >= JUDGED_FROM:
             return ""
-        return f"learned from {int(self._learned_time)} s, {START_TIME:g} s are needed to judge"
+        return f"learned from {int(self._learned_time)} s, {JUDGED_FROM:g} s are needed to judge"
 
     def _waiting(self, fed: bool) -> tuple[State, str] | None:
         """Return state word and reason while something is wrong or missing; None if not."""

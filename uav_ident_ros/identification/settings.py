@@ -439,7 +439,7 @@ class ExcitationSettings:
     lead: float = _setting(0.15, "s", (0.0, 0.9), read_only=False, text=
         "How far ahead of the tick a value is stamped: the stamp says from when the controller "
         "adds it, so that both know when it acted. Raise it for a slow link.")
-    min_t_ratio: float = _setting(15.0, "", (0.0, 1000.0), read_only=False, text=
+    min_t_ratio: float = _setting(15.0, "", (0.0, 30.0), read_only=False, text=
         "Value over sigma from which a coefficient is known; when all are, the run ends early. 15 "
         "is 7 %. 0 goes on to the end.")
     max_rate: float = _setting(1.5, "rad/s", (0.0, 100.0), read_only=False, text=
@@ -461,7 +461,7 @@ class SupervisionSettings:
     min_fit: float = _setting(-20.0, "%", (-100.0, 100.0), read_only=False, text=
         "Running fit of free 1-second predictions that every axis needs; it must also beat "
         "holding the rate. Lower it for gusty flight, raise it for a demanding controller.")
-    min_t_ratio: float = _setting(4.0, "", (0.0, 100.0), read_only=False, text=
+    min_t_ratio: float = _setting(4.0, "", (0.0, 30.0), read_only=False, text=
         "Value over sigma that the main control derivative of every row needs. Raise it for a "
         "controller that needs sure values.")
     max_age: float = _setting(10.0, "s", (0.0, 1e6), read_only=False, text=

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.information import Information
+from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information
 from uav_ident_ros.identification.estimators.recursive import InstrumentalVariable
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, layout
@@ -181,6 +181,7 @@ class GradientEstimator:
             self._step(y, f, samples.dt)
         reference = self._reference.solve(self.coefficients)
         distance = self.coefficients - reference.values
+        distance = np.hypot(distance, MODEL_ERROR * self.coefficients)
         self.sigma = np.where(self.start.free, np.hypot(reference.sigma, distance), 0.0)
 
     def _step(self, y: FloatArray, f: FloatArray, dt: float) -> None:

@@ -23,6 +23,7 @@ from uav_ident_ros.identification.estimators.change import (
 )
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import (
+    MODEL_ERROR,
     Information,
     Solution,
     Sums,
@@ -38,6 +39,7 @@ from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
     MAIN_COLUMNS,
+    RATE_COLUMNS,
     ROWS,
     STRUCTURES,
     BoolArray,
@@ -56,6 +58,13 @@ SNAPSHOT_TIME = 0.5
 
 WHITENED_TIME = 0.25
 """Time between two solutions of the whitened estimate, s: sigma needs no more."""
+
+POWER_TIME = 10.0
+"""Memory of the mean square of the rates, s."""
+
+LARGEST_LEVERAGE = 9.0
+"""Square of a rate that the model answers to what is injected, relative to the mean square of those
+measured, up to which its samples count in full: three sigma."""
 
 READD_TIME = 2.5
 """Newest stretch that lies after a noticed change, s, or very nearly."""
@@ -187,6 +196,8 @@ class RecursiveRegression:
         inputs_told = start.told(self._structure)[: len(ROWS), INPUT_COLUMNS]
         self._told = inputs_told.any(axis=1, keepdims=True)
         self._feedback = Feedback()
+        self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
+        self._injected = False
         self._driven_by = _driven_by(self._layout)
         self._used_rows = np.nonzero(self._layout.used)[0]
         self._used_columns = self._layout.index[self._layout.used]
@@ -272,8 +283,13 @@ class RecursiveRegression:
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.learning = self._gate.learning & (weight > 0.0)
         weight = weight * seen
+        self._follow_power(samples)
         ratio = np.zeros(self._driven_by.shape)
-        if not samples.injected:
+        if samples.injected:
+            share = self._influence(samples)
+            samples = replace(samples, z=share * samples.z)
+            white = replace(white, z=share * white.z)
+        else:
             self._feedback.add(samples, moments, weight)
             ratio = self._feedback.ratio[self._driven_by]
         gathered = RowSamples.of(samples, residual).pick(self._layout)
@@ -292,6 +308,28 @@ class RecursiveRegression:
             self._since_white = 0.0
         self._accept(self._solve())
 
+    def _follow_power(self, samples: Regression) -> None:
+        """Follow the power of the rates; look anew for errors of the model where injection begins.
+
+        Samples from before it have other instruments, which answer disturbances.
+        """
+        square = np.square(samples.f[:, RATE_COLUMNS]).mean(axis=0)
+        self._power += min(samples.time / POWER_TIME, 1.0) * (square - self._power)
+        if samples.injected and not self._injected:
+            self._error = ModelError(self._layout)
+        self._injected = samples.injected
+
+    def _influence(self, samples: Regression) -> float:
+        """Factor of the instruments of injected samples, 0 ... 1.
+
+        While coefficients are poor the response of the model may be ten times that of the aircraft,
+        and a second of it would outweigh a minute (bounded influence; Mallows 1975).
+        """
+        response = np.square(samples.z[:, RATE_COLUMNS]).max(axis=0)
+        allowed = LARGEST_LEVERAGE * self._power
+        over = np.divide(response, allowed, out=np.zeros_like(response), where=allowed > 0.0)
+        return float(1.0 / np.sqrt(max(over.max(), 1.0)))
+
     def _row_weights(self, weight: FloatArray) -> FloatArray:
         """Weights of all rows (rows,): forces count as the moments that are learned with them."""
         if self._layout.rows == len(weight):
@@ -309,8 +347,8 @@ class RecursiveRegression:
         sigma = np.hypot(sigma, solution.values - self._white.values)
         main = np.arange(len(ROWS)), MAIN_COLUMNS
         sigma[main] = np.hypot(sigma[main], self.model_error * solution.values[main])
-        sigma = np.where(self._start.free, sigma, self._start.sigma)
-        return replace(solution, sigma=sigma)
+        sigma = np.hypot(sigma, MODEL_ERROR * solution.values)
+        return replace(solution, sigma=np.where(self._start.free, sigma, self._start.sigma))
 
     def _accept(self, solution: Solution) -> None:
         """Take a solution, unless a row makes no sense: then all starts anew where it stood."""
