@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import rclpy
 from node_process import wait_for
-from once import made_once
 from programs import Capture
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -47,14 +46,6 @@ def fly(loop: Loop, folder: Path, during: Callable[[ClosedLoop], None] | None = 
     return record, {name: running.log(name) for name in running.processes}
 
 
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
-    """That flight, for those that differ from it."""
-    folder = made_once(tmp_path_factory, "loop", lambda made: fly(SHORT, made / "flown")) / "flown"
-    with np.load(folder / "flight.npz") as archive:
-        return dict(archive), {path.stem: path.read_text() for path in folder.glob("*.log")}
-
-
 def land(running: ClosedLoop) -> None:
     """End the flight now; the record is kept."""
     running.processes["simulated_plant"].send_signal(signal.SIGINT)
@@ -64,8 +55,10 @@ def said(running: ClosedLoop, name: str, words: str) -> bool:
     return wait_for(lambda: words in running.log(name), TIMEOUT)
 
 
-def test_a_flight_is_the_same_however_fast_the_machine_is(flown: Flown, tmp_path: Path) -> None:
-    """Once more, and disturbed from outside."""
+def test_a_flight_is_the_same_however_fast_the_machine_is_until_it_is_excited(
+    tmp_path: Path,
+) -> None:
+    """Once more, disturbed from outside, and from four seconds on the identifier excites it."""
 
     def hold_up(running: ClosedLoop) -> None:
         """Stop the controller and the identifier for a moment, somewhere in the flight."""
@@ -75,14 +68,28 @@ def test_a_flight_is_the_same_however_fast_the_machine_is(flown: Flown, tmp_path
             time.sleep(0.4)
             running.processes[name].send_signal(signal.SIGCONT)
 
-    first, logs = flown
-    again, _ = fly(SHORT, tmp_path / "again", hold_up)
+    plain, logs = fly(SHORT, tmp_path / "plain")
     assert "; 0 samples without an answer" in logs["simulated_plant"]
     assert "aileron effect 0.5" in logs["simulated_plant"]
     assert "flying on identified coefficients" in logs["controller"]
+    assert tracking_error(plain, 3.0, 5.0).max() < 5.0
+    assert not plain["excitation"].any()
+
+    record, logs = fly(replace(SHORT, excite=4.0), tmp_path / "excited", hold_up)
+    assert "excitation is running" in logs["simulated_plant"]
+    asked = record["excitation"]
+    started = float(record["time"][asked.any(axis=1)][0])
+    assert 4.0 < started < 5.0
+    before = record["time"] < started
     for name in ("rates", "measured", "reference", "outputs", "surfaces"):
-        np.testing.assert_array_equal(first[name], again[name])
-    assert tracking_error(first, 3.0, 5.0).max() < 5.0
+        np.testing.assert_array_equal(record[name][before], plain[name][before])
+    whole = record["time"] < FAULT
+    asked = asked[whole]
+    answer = (record["outputs"] - plain["outputs"])[whole, :3]
+    for k in range(3):  # the feedback answers what it sees of it, no more
+        share = float(asked[:, k] @ answer[:, k] / (asked[:, k] @ asked[:, k]))
+        assert 0.2 < share < 1.5
+    assert tracking_error(record, 6.0, FAULT).max() < 10.0
 
 
 def test_the_identifier_may_be_killed_and_faults_come_by_topic(tmp_path: Path) -> None:
@@ -137,24 +144,6 @@ def publish_faults(running: ClosedLoop, *commands: str) -> None:
         executor.shutdown()
         node.destroy_node()
         rclpy.shutdown(context=context)
-
-
-def test_excitation_goes_through_the_loop(flown: Flown, tmp_path: Path) -> None:
-    plain, (record, logs) = flown[0], fly(replace(SHORT, excite=4.0), tmp_path / "excited")
-    assert "excitation is running" in logs["simulated_plant"]
-    assert not plain["excitation"].any()
-    asked = record["excitation"]
-    started = float(record["time"][asked.any(axis=1)][0])
-    assert 4.0 < started < 5.0
-    before = record["time"] < started
-    np.testing.assert_array_equal(record["outputs"][before], plain["outputs"][before])
-    whole = record["time"] < FAULT
-    asked = asked[whole]
-    answer = (record["outputs"] - plain["outputs"])[whole, :3]
-    for k in range(3):  # the feedback answers what it sees of it, no more
-        share = float(asked[:, k] @ answer[:, k] / (asked[:, k] @ asked[:, k]))
-        assert 0.2 < share < 1.5
-    assert tracking_error(record, 6.0, FAULT).max() < 10.0
 
 
 def test_a_process_that_does_not_start_ends_the_flight(tmp_path: Path, capsys: Capture) -> None:
