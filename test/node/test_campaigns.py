@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import random
+import shutil
 import sys
 from pathlib import Path
 
 import pytest
+from excerpts import PARAMETERS, excerpt
 from node_process import ROOT
 from programs import python
 from rclpy.serialization import deserialize_message
@@ -50,7 +52,9 @@ def test_a_node_ended_by_signals_has_saved_what_it_learned() -> None:
 def test_nothing_that_a_graph_can_do_brings_the_node_down(
     sim_time: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in SHORT.items():
+    bag = excerpt(tmp_path / "multisine", 30.0)
+    shutil.copy(PARAMETERS, bag)
+    for name, value in {**SHORT, "BAG": bag}.items():
         monkeypatch.setattr(faults, name, value)
     campaign = faults.Campaign(seed=2, count=MESSAGES, sim_time=sim_time, folder=tmp_path)
     outcome = campaign.run()
