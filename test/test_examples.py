@@ -20,7 +20,7 @@ import rclpy
 from estimates import as_message, estimate_of
 from excerpts import BAGS, excerpt
 from geometry_msgs.msg import Vector3, Vector3Stamped
-from plants import DT_NS, START, STRUCTURE, coefficients
+from plants import DT_NS, START, STRUCTURE, a_sample_later, coefficients
 from programs import Capture
 from sensor_msgs.msg import Imu, JointState
 
@@ -77,8 +77,7 @@ def flown(node: Any, seconds: float = 4.0) -> np.ndarray:
         node.on_imu(sample(START + k * DT_NS, x))
         underway.append(sent.u)
         u = underway.pop(0)
-        for _ in range(10):
-            x = x + DT_NS * 1e-10 * (plant @ STRUCTURE.regressor(x, u))
+        x = a_sample_later(x, u, plant)
     return x
 
 
@@ -121,8 +120,7 @@ def test_the_monitor_warns_of_a_weak_aileron_alone(
         u = [0.02 * np.sin(3.0 * t), 0.03 * np.sin(2.0 * t), 0.02 * np.sin(4.0 * t), 0.0]
         node.on_actuators(JointState(position=u))
         node.on_imu(sample(t_ns, x + 0.002 * rng.standard_normal(3)))
-        for _ in range(10):
-            x = x + DT_NS * 1e-10 * (plant @ STRUCTURE.regressor(x, np.array(u)))
+        x = a_sample_later(x, np.array(u), plant)
     said = module.warnings(node.measured)
     assert [line[: len(word)] for line, word in zip(said, words, strict=True)] == words
     node.destroy_node()

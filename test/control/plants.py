@@ -45,6 +45,15 @@ def controller(
     return RateController(source, nominal, LIMITS, delay, law, gains=gains, **options), source
 
 
+def a_sample_later(
+    x: FloatArray, u: FloatArray, plant: FloatArray, push: FloatArray | float = 0.0
+) -> FloatArray:
+    """Rates of a plant of these coefficients after the interval of a sample, in Euler's steps."""
+    for _ in range(SUBSTEPS):
+        x = x + DT_NS * 1e-9 / SUBSTEPS * (plant @ STRUCTURE.regressor(x, u) + push)
+    return x
+
+
 def flown(
     flying: RateController,
     effect: Callable[[float], FloatArray | float] | float = 1.0,
@@ -69,6 +78,5 @@ def flown(
         push = np.atleast_2d(disturbance)[k % len(np.atleast_2d(disturbance))]
         plant = healthy.copy()
         plant[:, INPUT_COLUMNS] *= effect(t) if callable(effect) else effect
-        for _ in range(SUBSTEPS):
-            x = x + DT_NS * 1e-9 / SUBSTEPS * (plant @ STRUCTURE.regressor(x, u) + push)
+        x = a_sample_later(x, u, plant, push)
     return np.array(rates)
