@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An excited flight stays within its limits; the campaign is benchmarks/excitation.py."""
+"""An excited flight stays within its limits: benchmarks/excitation.py in short.
+
+That a run ends at the first tick beyond a limit is held by test_excitation_run.py and, over DDS,
+by test_excite.py.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,7 @@ from uav_ident_ros.identification.excitation_run import Phase
 from uav_ident_ros.identification.settings import ExcitationSettings
 from uav_ident_ros.identification.structure import FloatArray
 
+pytestmark = pytest.mark.campaign
 WARM_UP, EXCITED = 4.0, 14.0
 
 

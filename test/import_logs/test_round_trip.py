@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataflash_writing import DataflashWriter
-from excerpts import BAGS, summary
+from excerpts import BAGS, excerpt, summary
 from imported import Contents, Imported, Importer, Result, contents, flight, mixing, replayed
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
@@ -302,9 +302,9 @@ DELAY_NS = 60_000_000
 """By how much the commands are logged before they act; in the simulation they act at once."""
 
 
-def delayed() -> Contents:
+def delayed(bag: Path = BAGS / "c172p") -> Contents:
     """The example flight, with a delay: the log does not say it, and the import has to find it."""
-    recorded = contents(BAGS / "c172p")
+    recorded = contents(bag)
     return dataclasses.replace(recorded, actuator_t_ns=recorded.actuator_t_ns - DELAY_NS)
 
 
@@ -378,9 +378,8 @@ def test_an_ardupilot_log_of_the_flight_says_what_a_px4_log_does(
     tmp_path: Path, importer: Importer
 ) -> None:
     """The same samples, and the same is asked of `replay`: so is the verdict."""
-    px4, plane = (
-        importer(write(delayed(), tmp_path)) for write in (px4_example, ardupilot_example)
-    )
+    flown = delayed(excerpt(tmp_path / "first_part", 15.0, "c172p"))
+    px4, plane = (importer(write(flown, tmp_path)) for write in (px4_example, ardupilot_example))
     for name in ("imu_t_ns", "rates", "force", "actuator_t_ns"):
         np.testing.assert_array_equal(getattr(plane.bag, name), getattr(px4.bag, name))
     # one unit of a surface is its full deflection here, 500 us; a pulse is a whole microsecond
