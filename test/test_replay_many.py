@@ -37,7 +37,7 @@ def parameter_file(path: Path, **values: object) -> Path:
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as it grows on a disk: flights, a short one, a broken one, results, other files."""
     folder = tmp_path_factory.mktemp("logs")
-    excerpt(folder / "monday" / "flight", 26.0)
+    excerpt(folder / "monday" / "flight", 40.0)
     excerpt(folder / "tuesday" / "flight", 3.0)
     (folder / "broken.mcap").write_bytes(b"not a bag")
     (folder / "notes.txt").write_text("hello")

@@ -55,7 +55,7 @@ def flight(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 @pytest.fixture(scope="module")
 def long_flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A whole file of a flight that is long enough to learn from."""
-    return rewritten(tmp_path_factory.mktemp("long") / "flight.mcap", seconds=28.0)
+    return rewritten(tmp_path_factory.mktemp("long") / "flight.mcap", seconds=40.0)
 
 
 @pytest.fixture
