@@ -91,6 +91,8 @@ def _the_one(found: list[str]) -> str:
 
 def once(listener: Listener, node: str | None, timeout: float) -> int:
     """Print one block; return the exit status that tells what a controller may do."""
+    from uav_ident_ros.monitor.view import View  # before it listens: what it hears grows old
+
     if node is None:
         found = listener.find(timeout)
         if not found:
@@ -102,8 +104,6 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
     if heard.tick is None and not heard.status.state:
         print(f"monitor: nothing was heard of '{node}' for {timeout:g} s", file=sys.stderr)
         return NOTHING_HEARD
-    from uav_ident_ros.monitor.view import View
-
     View(plain=True).show(heard)
     return USABLE if heard.usable else NOT_USABLE
 
