@@ -19,6 +19,7 @@ from recordings import (
     published,
     recording,
     shown,
+    wait_for_status,
     wait_for_words,
 )
 from sensor_msgs.msg import JointState
@@ -72,6 +73,7 @@ def test_save_writes_what_is_published_and_diagnostics_compare_with_it(
     assert np.array_equal(saved.values, dense)
     assert saved.t_ns == player.outputs.newest_ns
 
+    wait_for_status(player)  # with it the node takes note of what was written
     player.play_in_step(flight.messages)
     values = shown(player)
     assert float(values["saved fit p [%]"]) != 0.0
