@@ -292,19 +292,8 @@ def source() -> Iterator[Source]:
     made.close()
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_every_mistake_is_named_with_what_to_do(
-    mistake: str, source: Source, node: NodeProcess
-) -> None:
-    """One node for all: what is wrong may also begin in flight, and end again."""
-    words, changes = MISTAKES[mistake]
-    logged = len(node.log)
-    source.make(changes)
-    assert source.says(words), (source.heard, node.log[logged:])
-    assert wait_for(lambda: words in node.log[logged:]), node.log[logged:]
-
-
-def test_after_the_mistakes_it_goes_on(source: Source, node: NodeProcess) -> None:
+def until_all_is_well(source: Source) -> None:
+    """Publish as is right until the node hears every stream."""
     source.make({})
 
     def well() -> bool:
@@ -312,4 +301,22 @@ def test_after_the_mistakes_it_goes_on(source: Source, node: NodeProcess) -> Non
         return any(line.startswith(("paused", "learning")) for line in source.heard[-1:])
 
     assert wait_for(well), source.heard
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_every_mistake_is_named_with_what_to_do(
+    mistake: str, source: Source, node: NodeProcess
+) -> None:
+    """One node for all: what is wrong may also begin in flight, and end again."""
+    words, changes = MISTAKES[mistake]
+    if "for more than" in words:  # only what was there can end
+        until_all_is_well(source)
+    logged = len(node.log)
+    source.make(changes)
+    assert source.says(words), (source.heard, node.log[logged:])
+    assert wait_for(lambda: words in node.log[logged:]), node.log[logged:]
+
+
+def test_after_the_mistakes_it_goes_on(source: Source, node: NodeProcess) -> None:
+    until_all_is_well(source)
     assert node.process.poll() is None
