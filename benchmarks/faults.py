@@ -37,6 +37,7 @@ from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, declarations
 from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.offline.run import OfflineRun, run_over
+from uav_ident_ros.offline.ticks import Ticks
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "multisine"
@@ -314,8 +315,6 @@ class Campaign:
 
     def learned(self) -> PredictionFit:
         """Fit of the coefficients that the node published last, on the end of the flight."""
-        from uav_ident_ros.offline.ticks import Ticks
-
         self.listen(0.5)
         run = self._replayed
         assert self._watch.coefficients is not None

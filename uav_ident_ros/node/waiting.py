@@ -37,7 +37,8 @@ CURES: dict[str, str] = {
     Drop.LATE: "they come late: raise 'input_wait', or synchronise the clocks",
     Drop.DUPLICATE: "their stamps repeat: let the source stamp each",
 }
-"""What to do about messages that are all dropped for one reason; others say it themselves."""
+"""What to do about messages that are all dropped for one reason, where what read them says nothing
+of its own."""
 
 _AWAITED = {stream.name: stream for stream in STREAMS if stream.setting}
 """The streams that are waited for."""

@@ -283,8 +283,13 @@ class RecursiveRegression:
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.learning = self._gate.learning & (weight > 0.0)
         weight = weight * seen
-        self._follow_power(samples)
+        square = np.add.reduce(np.square(samples.f[:, RATE_COLUMNS])) / len(samples.f)
+        self._power += min(samples.time / POWER_TIME, 1.0) * (square - self._power)
         ratio = np.zeros(self._driven_by.shape)
+        if samples.injected and not self._injected:
+            # Samples from before it have other instruments, which answer disturbances.
+            self._error = ModelError(self._layout)
+        self._injected = samples.injected
         if samples.injected:
             share = self._influence(samples)
             samples = replace(samples, z=share * samples.z)
@@ -307,17 +312,6 @@ class RecursiveRegression:
             self._white = self._whitened.solve(self.coefficients)
             self._since_white = 0.0
         self._accept(self._solve())
-
-    def _follow_power(self, samples: Regression) -> None:
-        """Follow the power of the rates; look anew for errors of the model where injection begins.
-
-        Samples from before it have other instruments, which answer disturbances.
-        """
-        square = np.square(samples.f[:, RATE_COLUMNS]).mean(axis=0)
-        self._power += min(samples.time / POWER_TIME, 1.0) * (square - self._power)
-        if samples.injected and not self._injected:
-            self._error = ModelError(self._layout)
-        self._injected = samples.injected
 
     def _influence(self, samples: Regression) -> float:
         """Factor of the instruments of injected samples, 0 ... 1.
