@@ -6,28 +6,22 @@ offline output-error fit of the same structure, padasip's RLS and NLMS on the sa
 the paper's law as printed, and holding the last rate. Scored is the 1-second prediction fit
 over the last 40 % of the flight, against the measured and the noise-free rates, and the error
 of the dominant coefficients where the truth is known. The table goes to the terminal, the
-figures to ``build/accuracy.json``, the picture to ``build/accuracy.png``.
+figures to ``build/accuracy.json``.
 """
 
 from __future__ import annotations
 
-import argparse
 import fnmatch
-import json
-import os
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # ten-by-ten matrices; before NumPy loads
+from dataclasses import replace
+from typing import Any
 
 import accuracy_report
 import adaptive_filters
+import bench
 import cases
-import flights
 import numpy as np
 import output_error
 
@@ -61,45 +55,25 @@ QUICK = (
 )
 
 ESTIMATORS = ("gradient", "least_squares", "instrumental_variable")
-PAPER = flights.ROOT / "config" / "paper_2006.yaml"
-BUILD = flights.ROOT / "build"
-WORKERS = 2
+PAPER = bench.ROOT / "config" / "paper_2006.yaml"
 
-
-@dataclass(frozen=True)
-class Cell:
-    """One method on one flight."""
-
-    # flight, seed: The flight
-    flight: str
-    seed: int | None
-    # structure, method: Labels
-    structure: str
-    method: str
-    # model, truth, hold, measured_force: Fits of p, q, r, percent; NaN where there is none
-    model: tuple[float, ...]
-    truth: tuple[float, ...]
-    hold: tuple[float, ...]
-    measured_force: tuple[float, ...]
-    # Largest relative error of the dominant coefficients at the end, percent
-    coefficient_error: float
-    seconds: float  # Processing time
+Cell = dict[str, Any]
+"""One method on one flight: which, its fits of p, q, r (percent; NaN where there is none), the
+largest relative error of the dominant coefficients at the end (percent), processing time (s)."""
 
 
 def _cell(case: cases.Case, structure: str, method: str, track: cases.Track, began: float) -> Cell:
     fits = cases.score(case, track)
-    return Cell(
-        case.name,
-        case.seed,
-        structure,
-        method,
-        tuple(fits.model.tolist()),
-        tuple(fits.truth.tolist()),
-        tuple(fits.hold.tolist()),
-        tuple(fits.measured_force.tolist()),
-        _dominant_error(case, track),
-        time.monotonic() - began,
-    )
+    kinds = ("model", "truth", "hold", "measured_force")
+    return {
+        "flight": case.name,
+        "seed": case.seed,
+        "structure": structure,
+        "method": method,
+        **{kind: getattr(fits, kind).tolist() for kind in kinds},
+        "coefficient_error": _dominant_error(case, track),
+        "seconds": time.monotonic() - began,
+    }
 
 
 def _dominant_error(case: cases.Case, track: cases.Track) -> float:
@@ -111,10 +85,12 @@ def _dominant_error(case: cases.Case, track: cases.Track) -> float:
     return float(100.0 * np.max(np.abs(track.coefficients[-1][where] / truth[where] - 1.0)))
 
 
-def run_flight(name: str, seed: int | None) -> list[Cell]:
+def run_flight(job: tuple[str, int | None]) -> list[Cell]:
     """Run every method on one flight."""
-    case = cases.load(name, seed)
-    out = [_run_paper(case)]
+    case = cases.load(*job)
+    began = time.monotonic()
+    values: Mapping[str, object] = load_parameters(PAPER, "identifier")
+    out = [_cell(case, "paper (20)", "paper 2006", cases.identify(case, values), began)]
     for label, values in cases.MODELS.items():
         out += _run_structure(case, label, values)
     if case.flight is None:
@@ -123,12 +99,6 @@ def run_flight(name: str, seed: int | None) -> list[Cell]:
         track = cases.identify(case, {**values, "actuators.delay": 0.0})
         out.append(_cell(case, "+ ay, az", "instrumental_variable, delay estimated", track, began))
     return out
-
-
-def _run_paper(case: cases.Case) -> Cell:
-    values = load_parameters(PAPER, "identifier")
-    began = time.monotonic()
-    return _cell(case, "paper (20)", "paper 2006", cases.identify(case, values), began)
 
 
 def _run_structure(case: cases.Case, label: str, values: Mapping[str, object]) -> Iterator[Cell]:
@@ -178,34 +148,21 @@ def _jobs(only: str, quick: bool, seeds: int) -> list[tuple[str, int | None]]:
     return jobs
 
 
-def _job(job: tuple[str, int | None]) -> list[Cell]:
-    return run_flight(*job)
-
-
-def _run(jobs: Sequence[tuple[str, int | None]], workers: int) -> Iterator[Cell]:
-    with ProcessPoolExecutor(workers) as pool:
-        for (name, seed), cells in zip(jobs, pool.map(_job, jobs), strict=True):
-            said = f"{name} seed {seed}: {accuracy_report.in_short([asdict(c) for c in cells])}"
-            print(said, file=sys.stderr, flush=True)
-            yield from cells
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="accuracy.py", description=__doc__.splitlines()[0])
+    parser = bench.parser(__doc__, seeds=3, workers=2, output=bench.BUILD)
     parser.add_argument("--quick", action="store_true", help="six flights, one seed each")
     parser.add_argument("--only", default="*", metavar="PATTERN", help="flights, as in 'c172p_*'")
-    parser.add_argument("--seeds", type=int, default=3, help="seeds of each simulated flight")
-    parser.add_argument("--workers", type=int, default=WORKERS, help="processes")
-    parser.add_argument("--output", type=Path, default=BUILD, help="folder of the results")
     options = parser.parse_args(arguments)
     jobs = _jobs(options.only, options.quick, options.seeds)
     if not jobs:
         parser.error(f"no flight matches '{options.only}': there are {', '.join(FLIGHTS)}")
-    found = [asdict(cell) for cell in _run(jobs, options.workers)]
-    options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / "accuracy.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
+    found: list[Cell] = []
+    for cells in bench.each(run_flight, jobs, options.workers):
+        name, seed = cells[0]["flight"], cells[0]["seed"]
+        print(f"{name} seed {seed}: {accuracy_report.in_short(cells)}", file=sys.stderr, flush=True)
+        found += cells
+    bench.keep(options.output / "accuracy.json", found)
     print(accuracy_report.table(found))
-    accuracy_report.plot(found, options.output / "accuracy.png")
     return 0
 
 

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table and picture of what `accuracy.py` measured."""
+"""Table of what `accuracy.py` measured."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
+import bench  # noqa: F401  (before NumPy)
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
@@ -138,56 +138,3 @@ def _against_output_error(cells: Sequence[CellRow]) -> list[str]:
             f"{structure:12}{method:42}{mean:8.1f}{gaps[worst].min():8.1f}  {worst} {axis}"
         )
     return lines
-
-
-def plot(cells: Sequence[CellRow], path: Path) -> None:
-    """Draw the mean fit of every flight, one mark per method, for each structure."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    names = list(dict.fromkeys(cell["flight"] for cell in cells))
-    structures = list(dict.fromkeys(cell["structure"] for cell in cells))
-    methods = list(dict.fromkeys(c["method"] for c in cells if not c["method"].startswith(NLMS)))
-    figure, axes = pyplot.subplots(
-        1, len(structures), figsize=(5 * len(structures), 1.5 + 0.3 * len(names)), sharey=True,
-        squeeze=False,
-    )  # fmt: skip
-    for axis, structure in zip(axes[0], structures, strict=True):
-        for method in methods:
-            _draw_method(axis, cells, names, structure, method)
-        hold = [_clipped_mean(cells, name, None, None, "hold") for name in names]
-        axis.plot(hold, range(len(names)), "|", color="grey", label="hold the last rate")
-        axis.set_title(structure)
-        axis.set_xlim(CLIP - 3.0, 100.0)
-        axis.set_xlabel("1-second fit, mean of p, q, r (%)")
-        axis.grid(axis="x", alpha=0.3)
-    axes[0, 0].set_yticks(range(len(names)), names)
-    axes[0, 0].invert_yaxis()
-    axes[0, -1].legend(fontsize="x-small", loc="lower left")
-    figure.tight_layout()
-    figure.savefig(path, dpi=120)
-    pyplot.close(figure)
-
-
-def _draw_method(
-    axis: Any, cells: Sequence[CellRow], names: Sequence[str], structure: str, method: str
-) -> None:
-    values = [_clipped_mean(cells, name, structure, method, "model") for name in names]
-    if not np.isnan(values).all():
-        marker = {"instrumental_variable": "o", REFERENCE: "x"}.get(method, ".")
-        axis.plot(values, range(len(names)), marker, label=method)
-
-
-def _clipped_mean(
-    cells: Sequence[CellRow], flight: str, structure: str | None, method: str | None, field: str
-) -> float:
-    chosen = [
-        cell[field]
-        for cell in cells
-        if cell["flight"] == flight
-        and structure in (None, cell["structure"])
-        and method in (None, cell["method"])
-    ]
-    return float(np.maximum(chosen, CLIP).mean()) if chosen else float("nan")

@@ -8,20 +8,13 @@ the defaults, prints what came out with its spread, and keeps every figure in
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # ten-by-ten matrices; before NumPy loads
-
 import adaptive_filters
+import bench
 import cases
 import flights
 import numpy as np
@@ -32,9 +25,8 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.row_samples import RowSamples
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
+from uav_ident_ros.simulation.flight import Flight
 
-BUILD = flights.ROOT / "build"
-WORKERS = 2
 IV, LS = "instrumental_variable", "least_squares"
 EXCITATION_START = 2.0
 """When the multisines of every flight here begin, s."""
@@ -46,15 +38,23 @@ Result = dict[str, Any]
 Job = tuple[Any, ...]
 
 
-def _over(jobs: Sequence[Job], function: Callable[..., Result], workers: int) -> list[Result]:
-    """Call the function with each job's arguments, in parallel, results in order."""
-    with ProcessPoolExecutor(workers) as pool:
-        futures = [pool.submit(function, *job) for job in jobs]
-        out = []
-        for job, future in zip(jobs, futures, strict=True):
-            out.append(future.result())
-            print(*job, file=sys.stderr, flush=True)
-        return out
+def _over(jobs: Sequence[Job], function: Callable[[Job], Result], workers: int) -> list[Result]:
+    """Do all jobs in parallel; return their results in order."""
+    out = []
+    for job, result in zip(jobs, bench.each(function, jobs, workers), strict=True):
+        out.append(result)
+        print(*job, file=sys.stderr, flush=True)
+    return out
+
+
+def _flown(job: Job, until: float = np.inf) -> tuple[Flight, cases.Track, Result]:
+    """Fly and identify a flight, seed, estimator, and structure if not the widest."""
+    name, seed, estimator, structure = (*job, WIDEST)[:4]
+    case = cases.simulated(name, seed)
+    track = cases.identify(case, {"estimator": estimator, "structure": structure}, until=until)
+    assert case.flight is not None
+    what = {"flight": name, "seed": seed, "estimator": estimator, "structure": structure}
+    return case.flight, track, what
 
 
 def _methods() -> list[tuple[str, str]]:
@@ -62,8 +62,12 @@ def _methods() -> list[tuple[str, str]]:
     return [(IV, WIDEST), (IV, "throttle_coupled"), (LS, WIDEST)]
 
 
-def _chosen(results: Sequence[Result], **wanted: str) -> list[Result]:
-    return [r for r in results if all(r[key] == value for key, value in wanted.items())]
+def _groups(results: Sequence[Result], *keys: str) -> Iterator[tuple[str, list[Result]]]:
+    """Yield the results that are alike in some keys, with these in columns."""
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        groups.setdefault("".join(f"{result[key]:24}" for key in keys), []).append(result)
+    yield from groups.items()
 
 
 def _index(structure: Structure, names: Sequence[str]) -> tuple[FloatArray, ...]:
@@ -85,44 +89,32 @@ CONVERGENCE_FLIGHTS = {"exact_convergence": 32.0, "exact_noise_003": 32.0, "exac
 
 def convergence(seeds: int, workers: int) -> list[Result]:
     """Time from the start of excitation until the six dominant coefficients stay within 10 %."""
-    names = tuple(CONVERGENCE_FLIGHTS)
-    methods = _methods()
-    jobs = [(n, s, *m) for n in names for m in methods for s in range(1, seeds + 1)]
+    jobs = [
+        (n, s, *m) for n in CONVERGENCE_FLIGHTS for m in _methods() for s in range(1, seeds + 1)
+    ]
     results = _over(jobs, _convergence_of, workers)
-    for name in names:
-        for estimator, structure in methods:
-            group = _chosen(results, flight=name, estimator=estimator, structure=structure)
-            times = [r["seconds"] for r in group]
-            soon = sum(t <= 7.5 for t in times)
-            last = max({r["last"] for r in group}, key=[r["last"] for r in group].count)
-            print(
-                f"{name:20}{estimator:24}{structure:18}{_spread(times)} s; {soon} of {len(times)} "
-                f"within 7.5 s; last to settle: {last}"
-            )
+    for label, group in _groups(results, "flight", "estimator", "structure"):
+        times = [r["seconds"] for r in group]
+        soon = sum(t <= 7.5 for t in times)
+        last = max({r["last"] for r in group}, key=[r["last"] for r in group].count)
+        print(
+            f"{label}{_spread(times)} s; {soon} of {len(times)} within 7.5 s; last to settle: "
+            f"{last}"
+        )
     return results
 
 
-def _convergence_of(name: str, seed: int, estimator: str, structure: str) -> Result:
-    case = cases.simulated(name, seed)
-    values = {"estimator": estimator, "structure": structure}
-    track = cases.identify(case, values, until=CONVERGENCE_FLIGHTS[name])
-    assert case.flight is not None
+def _convergence_of(job: Job) -> Result:
+    flight, track, what = _flown(job, CONVERGENCE_FLIGHTS[job[0]])
     where = _index(track.structure, cases.DOMINANT)
-    truth = cases.truth_in(track.structure, case.flight)[where]
+    truth = cases.truth_in(track.structure, flight)[where]
     off = np.abs(track.coefficients[:, *where] / truth - 1.0) > 0.1
     # The tick after the last one outside; infinite if it ends outside.
     after = [int(np.flatnonzero(column)[-1]) + 1 if column.any() else 0 for column in off.T]
     latest = max(after)
     settled = track.time[latest] if latest < len(track.time) else np.inf
     last = cases.DOMINANT[int(np.argmax(after))]
-    return {
-        "flight": name,
-        "seed": seed,
-        "estimator": estimator,
-        "structure": structure,
-        "seconds": float(settled - EXCITATION_START),
-        "last": last,
-    }
+    return what | {"seconds": float(settled - EXCITATION_START), "last": last}
 
 
 # -- gusts ---------------------------------------------------------------------------------
@@ -130,38 +122,29 @@ def _convergence_of(name: str, seed: int, estimator: str, structure: str) -> Res
 
 def gusts(seeds: int, workers: int) -> list[Result]:
     """Free-run fit on a held-out calm flight of models learned in gusts of 1 rad/s^2."""
-    methods = _methods()
-    jobs = [("exact_gusts_10", s, *m) for m in methods for s in range(1, seeds + 1)]
+    jobs = [("exact_gusts_10", s, *m) for m in _methods() for s in range(1, seeds + 1)]
     results = _over(jobs, _final_of, workers)
     held_out = cases.simulated("exact_held_out")
     for result, fit in zip(results, _free_run_fits(held_out, results), strict=True):
         result["fit"] = fit.tolist()
-    for estimator, structure in methods:
-        group = _chosen(results, estimator=estimator, structure=structure)
+    for label, group in _groups(results, "estimator", "structure"):
         fits = np.array([r["fit"] for r in group])
-        print(
-            f"exact_gusts_10 -> exact_held_out {estimator:24}{structure:18}mean "
-            + "/".join(f"{v:.1f}" for v in fits.mean(axis=0))
-            + ", sd "
-            + "/".join(f"{v:.1f}" for v in fits.std(axis=0))
-            + ", worst "
-            + "/".join(f"{v:.1f}" for v in fits.min(axis=0))
-        )
+        parts = (fits.mean(axis=0), fits.std(axis=0), fits.min(axis=0))
+        mean, sd, worst = ("/".join(f"{v:.1f}" for v in part) for part in parts)
+        print(f"exact_gusts_10 -> exact_held_out {label}mean {mean}, sd {sd}, worst {worst}")
     return results
 
 
-def _final_of(name: str, seed: int, estimator: str, structure: str = WIDEST) -> Result:
-    case = cases.simulated(name, seed)
-    track = cases.identify(case, {"estimator": estimator, "structure": structure})
-    assert case.flight is not None
-    truth = cases.truth_in(track.structure, case.flight, case.flight.duration)
+def _final_of(job: Job) -> Result:
+    flight, track, what = _flown(job)
+    return what | _at(track, -1, cases.truth_in(track.structure, flight, flight.duration))
+
+
+def _at(track: cases.Track, tick: int, truth: FloatArray) -> Result:
+    """Return the estimate of a tick beside the truth."""
     return {
-        "flight": name,
-        "seed": seed,
-        "estimator": estimator,
-        "structure": structure,
-        "coefficients": track.coefficients[-1].tolist(),
-        "sigma": track.sigma[-1].tolist(),
+        "coefficients": track.coefficients[tick].tolist(),
+        "sigma": track.sigma[tick].tolist(),
         "truth": truth.tolist(),
     }
 
@@ -196,12 +179,11 @@ def coverage(seeds: int, workers: int) -> list[Result]:
     names += [(name, max(1, seeds // 3)) for name in CLOSED_LOOP]
     jobs = [(n, s, e) for n, count in names for e in (IV, LS) for s in range(1, count + 1)]
     results = _over(jobs, _final_of, workers)
-    for estimator in (IV, LS):
-        for name, _ in names:
-            group = [r for r in results if (r["flight"], r["estimator"]) == (name, estimator)]
-            print(f"{name:28}{estimator:24}{_coverage_line(group)}")
-        group = [r for r in results if r["flight"] in OPEN_LOOP and r["estimator"] == estimator]
-        print(f"{'open loop, pooled':28}{estimator:24}{_coverage_line(group)}")
+    for label, group in _groups(results, "flight", "estimator"):
+        print(f"{label}{_coverage_line(group)}")
+    pooled = [r for r in results if r["flight"] in OPEN_LOOP]
+    for label, group in _groups(pooled, "estimator"):
+        print(f"{'open loop, pooled':24}{label}{_coverage_line(group)}")
     return results
 
 
@@ -246,39 +228,30 @@ def quiet(seeds: int, workers: int) -> list[Result]:
     names = ("exact_quiet_gusts_03", "exact_quiet_gusts_10")
     jobs = [(n, s, e) for n in names for e in (IV, LS) for s in range(1, seeds + 1)]
     results = _over(jobs, _quiet_of, workers)
-    for name in names:
-        for estimator in (IV, LS):
-            group = [r for r in results if (r["flight"], r["estimator"]) == (name, estimator)]
-            moves = [r["move"] for r in group]
-            worst = max(group, key=lambda r: r["move"])
-            z = np.abs(_ratios(group))
-            print(
-                f"{name:24}{estimator:24}largest move {_spread(moves)} sigma ({worst['name']}); "
-                f"rows learned {100 * np.mean([r['learned'] for r in group]):.1f} % of the quiet; "
-                f"at its beginning within 1 sigma {_percent(z < 1.0)}, 2 sigma {_percent(z < 2.0)}"
-            )
+    for label, group in _groups(results, "flight", "estimator"):
+        moves = [r["move"] for r in group]
+        worst = max(group, key=lambda r: r["move"])
+        z = np.abs(_ratios(group))
+        print(
+            f"{label}largest move {_spread(moves)} sigma ({worst['name']}); "
+            f"rows learned {100 * np.mean([r['learned'] for r in group]):.1f} % of the quiet; "
+            f"at its beginning within 1 sigma {_percent(z < 1.0)}, 2 sigma {_percent(z < 2.0)}"
+        )
     return results
 
 
-def _quiet_of(name: str, seed: int, estimator: str) -> Result:
-    case = cases.simulated(name, seed)
-    track = cases.identify(case, {"estimator": estimator})
-    assert case.flight is not None
+def _quiet_of(job: Job) -> Result:
+    flight, track, what = _flown(job)
     begin = track.at(QUIET_START)
     mask = track.structure.mask
     sigma = track.sigma[begin][mask]
     moves = np.abs(track.coefficients[begin:, mask] - track.coefficients[begin, mask]) / sigma
     worst = moves.max(axis=0)
-    return {
-        "flight": name,
-        "seed": seed,
-        "estimator": estimator,
+    return what | {
         "move": float(worst.max()),
         "name": track.structure.names[int(worst.argmax())],
         "learned": float(track.learning[begin:].mean()),
-        "coefficients": track.coefficients[begin].tolist(),
-        "sigma": track.sigma[begin].tolist(),
-        "truth": cases.truth_in(track.structure, case.flight).tolist(),
+        **_at(track, begin, cases.truth_in(track.structure, flight)),
     }
 
 
@@ -300,13 +273,12 @@ def changes(seeds: int, workers: int) -> list[Result]:
     names = [(n, seeds) for n in PLANT_CHANGES] + [(n, few) for n in AIRCRAFT_CHANGES]
     jobs = [(n, s, IV) for n, count in names for s in range(1, count + 1)]
     results = _over(jobs, _change_of, workers)
-    for name, _ in names:
-        group = [r for r in results if r["flight"] == name]
+    for label, group in _groups(results, "flight"):
         noticed = [r["noticed"] for r in group]
         followed = [r["followed"] for r in group]
         moved = [r["moved"] for r in group]
         print(
-            f"{name:32}{len(group)} seeds: noticed {_spread(noticed)} s "
+            f"{label:32}{len(group)} seeds: noticed {_spread(noticed)} s "
             f"({sum(t <= 6.0 for t in noticed)} within 6 s); within 15 % {_spread(followed)} s "
             f"({sum(t <= 10.0 for t in followed)} within 10 s); others moved by "
             f"{_spread(moved)} of what is allowed ({sum(m <= 1.0 for m in moved)} kept, worst "
@@ -316,17 +288,16 @@ def changes(seeds: int, workers: int) -> list[Result]:
     return results
 
 
-def _change_of(name: str, seed: int, estimator: str) -> Result:
-    case = cases.simulated(name, seed)
-    assert case.flight is not None
-    when = case.flight.changes[0].time
-    track = cases.identify(case, {"estimator": estimator}, until=when + WATCHED)
+def _change_of(job: Job) -> Result:
+    name = job[0]
+    when = float(flights.definition(name)["changes"][0]["time"])
+    flight, track, what = _flown(job, when + WATCHED)
     primary = PRIMARY[name.split("_")[2]]
     i, j = track.structure.index(primary)
     begin = track.at(when)
     old = track.coefficients[begin]
-    if case.flight.coefficients is not None:
-        new = float(cases.truth_in(track.structure, case.flight, when + 1.0)[i, j])
+    if flight.coefficients is not None:
+        new = float(cases.truth_in(track.structure, flight, when + 1.0)[i, j])
     else:
         new = 0.5 * float(old[i, j])
     found = [t - when for t, row, column in track.changes if (row, column) == (i, j) and t > when]
@@ -336,25 +307,23 @@ def _change_of(name: str, seed: int, estimator: str) -> Result:
     where = _index(track.structure, others)
     allowed = np.maximum(2.0 * track.sigma[begin][where], 0.1 * np.abs(old[where]))
     moved = (np.abs(track.coefficients[begin:, *where] - old[where]) / allowed).max(axis=0)
-    watched = set(case.flight.changes[0].factors)
+    watched = set(flight.changes[0].factors)
     own = {track.structure.index(n) for n in watched & set(track.structure.names)} or {
         (row, j) for row in range(3)
     }
-    return {
-        "flight": name,
-        "seed": seed,
-        "estimator": estimator,
+    return what | {
         "noticed": min(found, default=np.inf),
         "followed": float(track.time[last] - when) if last < len(track.time) else np.inf,
         "moved": float(moved.max()),
         "mover": others[int(moved.argmax())],
         "false": sum((row, column) not in own for _, row, column in track.changes),
-        "changes": [(t, *_name(track.structure, row, column)) for t, row, column in track.changes],
+        "changes": _named(track),
     }
 
 
-def _name(structure: Structure, row: int, column: int) -> tuple[str]:
-    return (structure.names[structure.free.index((row, column))],)
+def _named(track: cases.Track) -> list[tuple[float, str]]:
+    names, free = track.structure.names, track.structure.free
+    return [(round(t, 1), names[free.index((row, column))]) for t, row, column in track.changes]
 
 
 def alarms(seeds: int, workers: int) -> list[Result]:
@@ -366,10 +335,9 @@ def alarms(seeds: int, workers: int) -> list[Result]:
     return results
 
 
-def _alarms_of(name: str, seed: int, estimator: str) -> Result:
-    track = cases.identify(cases.simulated(name, seed), {"estimator": estimator})
-    found = [(round(t, 1), *_name(track.structure, i, j)) for t, i, j in track.changes]
-    return {"flight": name, "seed": seed, "estimator": estimator, "changes": found}
+def _alarms_of(job: Job) -> Result:
+    _, track, what = _flown(job)
+    return what | {"changes": _named(track)}
 
 
 # -- cost ----------------------------------------------------------------------------------
@@ -407,11 +375,7 @@ def _update_times(case: cases.Case, estimator: str) -> tuple[FloatArray, FloatAr
         own.append(time.thread_time() - began)
 
     setattr(identifier._estimator, "update", timed)  # noqa: B010  (a method, to the type checker)
-    for _, is_rates, t, v in cases.messages(case):
-        if not is_rates:
-            identifier.add_actuators(t, v)
-            continue
-        identifier.add_rates(t, v[:3], v[3:])
+    for _ in cases.fed(case, identifier):
         while (due := identifier.due()) is not None:
             began = time.thread_time()
             identifier.update(due)
@@ -442,40 +406,26 @@ def _rls_times(case: cases.Case, samples: int) -> FloatArray:
 # -- command -------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Campaign:
-    """A campaign and its numbers of seeds."""
-
-    run: Callable[[int, int], list[Result]]
-    seeds: int
-    quick: int
-
-
-CAMPAIGNS: Mapping[str, Campaign] = {
-    "convergence": Campaign(convergence, 10, 5),
-    "gusts": Campaign(gusts, 20, 6),
-    "coverage": Campaign(coverage, 200, 12),
-    "quiet": Campaign(quiet, 5, 1),
-    "changes": Campaign(changes, 20, 5),
-    "alarms": Campaign(alarms, 3, 1),
-    "cost": Campaign(cost, 3, 1),
+CAMPAIGNS: Mapping[str, tuple[Callable[[int, int], list[Result]], int, int]] = {
+    "convergence": (convergence, 10, 5),
+    "gusts": (gusts, 20, 6),
+    "coverage": (coverage, 200, 12),
+    "quiet": (quiet, 5, 1),
+    "changes": (changes, 20, 5),
+    "alarms": (alarms, 3, 1),
+    "cost": (cost, 3, 1),
 }
+"""The campaigns, and their numbers of seeds: usual, and with ``--quick``."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="campaigns.py", description=__doc__.splitlines()[0])
+    parser = bench.parser(__doc__, seeds=0, workers=2, output=bench.BUILD)
     parser.add_argument("name", choices=CAMPAIGNS, metavar="NAME", help=", ".join(CAMPAIGNS))
-    parser.add_argument("--seeds", type=int, help="seeds instead of the campaign's own number")
     parser.add_argument("--quick", action="store_true", help="few seeds")
-    parser.add_argument("--workers", type=int, default=WORKERS, help="processes")
-    parser.add_argument("--output", type=Path, default=BUILD, help="folder of the results")
     options = parser.parse_args(arguments)
-    campaign = CAMPAIGNS[options.name]
-    seeds = options.seeds or (campaign.quick if options.quick else campaign.seeds)
-    results = campaign.run(seeds, options.workers)
-    options.output.mkdir(parents=True, exist_ok=True)
-    path = options.output / f"campaign_{options.name}.json"
-    path.write_text(json.dumps(results, indent=1), encoding="utf-8")
+    run, usual, few = CAMPAIGNS[options.name]
+    results = run(options.seeds or (few if options.quick else usual), options.workers)
+    bench.keep(options.output / f"campaign_{options.name}.json", results)
     return 0
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 
 import flights
 import numpy as np
+from bench import ROOT
 from numpy.typing import NDArray
 
 from uav_ident_ros.bags.reading import Bag
@@ -39,7 +40,7 @@ from uav_ident_ros.simulation.recording import parameters
 
 TimeArray = NDArray[np.int64]
 
-RECORDED = flights.ROOT.parent / "shared" / "bags"
+RECORDED = ROOT.parent / "shared" / "bags"
 """Recorded real flights; cases of one that is absent are left out."""
 
 RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
@@ -226,13 +227,9 @@ def identify(
     end = case.imu_arrival_ns[-1] if np.isinf(until) else start + round(until * 1e9)
     estimates, learning, delays = [], [], []
     changes: list[tuple[float, int, int]] = []
-    for arrival, is_rates, t, v in messages(case):
+    for arrival in fed(case, identifier):
         if arrival > end:
             break
-        if not is_rates:
-            identifier.add_actuators(t, v)
-            continue
-        identifier.add_rates(t, v[:3], v[3:])
         for estimate in identifier.advance():
             estimates.append(estimate)
             learning.append(identifier.learning)
@@ -251,6 +248,16 @@ def identify(
         changes=changes,
         flow=flow_states(estimates),
     )
+
+
+def fed(case: Case, identifier: OnlineIdentifier) -> Iterator[int]:
+    """Give an identifier a flight; yield the arrival of each rates sample, which may be due."""
+    for arrival, is_rates, t, v in messages(case):
+        if is_rates:
+            identifier.add_rates(t, v[:3], v[3:])
+            yield arrival
+        else:
+            identifier.add_actuators(t, v)
 
 
 def messages(case: Case) -> Any:
@@ -312,17 +319,11 @@ class Fits:
 def score(case: Case, track: Track) -> Fits:
     """Score a track as replay does: each window with the delay that was in use."""
     rates, force = case.measured(track.settings)
-    against_measured = _fit(case, track, rates, force)
+    found = _fit(case, track, rates, force)
     truth = np.full(3, np.nan)
     if case.true_rates is not None:
         truth = _fit(case, track, case.true_rates, force).model
-    return Fits(
-        against_measured.model,
-        against_measured.hold,
-        against_measured.free,
-        against_measured.measured_force,
-        truth,
-    )
+    return Fits(found.model, found.hold, found.free, found.measured_force, truth)
 
 
 def _fit(case: Case, track: Track, rates: FloatArray, force: FloatArray) -> Any:

@@ -11,27 +11,25 @@ Tables go to the terminal, figures to build/closed_loop/. Faults: ``fault_campai
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import os
-import struct
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import bench
 import numpy as np
 
-import uav_ident_ros  # noqa: F401  (first: it limits the threads of NumPy)
 from uav_ident_ros.domain import own_domain
+from uav_ident_ros.guest import Guest
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.messages.types import header_ns
+from uav_ident_ros.ros import stamp_ns
 from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, tracking_error
-
-ROOT = Path(__file__).resolve().parents[1]
-BUILD = ROOT / "build" / "closed_loop"
 
 DURATION = 100.0
 
@@ -87,11 +85,12 @@ def cold(_: int) -> dict[str, Any]:
 
 def cold_lines(found: dict[str, Any]) -> Iterator[str]:
     shown = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr", "pdot/dth", "qdot/pr")
-    yield "| coefficient | " + " | ".join(found) + " |"
-    yield "|---" * (len(found) + 1) + "|"
-    for name in shown:
-        cells = ["{:.2f} ± {:.2f}".format(*run["coefficients"][name]) for run in found.values()]
-        yield f"| `{name}` | " + " | ".join(cells) + " |"
+    cells = (
+        ["{:.2f} ± {:.2f}".format(*run["coefficients"][name]) for run in found.values()]
+        for name in shown
+    )
+    rows = ((f"`{name}`", *row) for name, row in zip(shown, cells, strict=True))
+    yield from bench.table(("coefficient", *found), rows)
     for start, run in found.items():
         p, q, r = run["fit"]
         yield (
@@ -123,46 +122,24 @@ def restart(seeds: int) -> dict[str, Any]:
 
 def kill_and_restart(running: ClosedLoop) -> None:
     """Kill the identifier at one time of the flight and start it at another."""
-    with Clock() as clock:
-        clock.wait_until(KILL_TIME)
+    from rosgraph_msgs.msg import Clock
+
+    times: list[int] = []
+    guest = Guest("flight_clock")
+    guest.node.create_subscription(Clock, "/clock", lambda m: times.append(stamp_ns(m.clock)), 1)
+
+    def wait_until(flight_time: float) -> None:
+        due = flight_time * 1e9
+        guest.spin_for(FLIGHT_TIMEOUT, lambda: bool(times) and times[-1] - times[0] >= due)
+
+    try:
+        wait_until(KILL_TIME)
         running.processes["identifier"].kill()
         running.processes["identifier"].wait()
-        clock.wait_until(RESTART_TIME)
+        wait_until(RESTART_TIME)
         running.start("identifier")
-
-
-class Clock:
-    """Time of the flight, from /clock."""
-
-    def __enter__(self) -> Clock:
-        from rclpy.context import Context
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.node import Node
-        from rosgraph_msgs.msg import Clock as ClockMessage
-
-        self._context = Context()
-        self._context.init(args=[])
-        node = Node("flight_clock", context=self._context, use_global_arguments=False)
-        node.create_subscription(ClockMessage, "/clock", self._keep, 1)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(node)
-        self._first: float | None = None
-        self._now = 0.0
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._executor.shutdown()
-        self._context.try_shutdown()
-
-    def _keep(self, message: Any) -> None:
-        now = message.clock.sec + 1e-9 * message.clock.nanosec
-        self._first = now if self._first is None else self._first
-        self._now = now - self._first
-
-    def wait_until(self, flight_time: float) -> None:
-        end = time.monotonic() + FLIGHT_TIMEOUT
-        while self._now < flight_time and time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=0.1)
+    finally:
+        guest.close()
 
 
 def restart_lines(found: dict[str, Any]) -> Iterator[str]:
@@ -175,10 +152,6 @@ def restart_lines(found: dict[str, Any]) -> Iterator[str]:
 
 
 # --- latency ---------------------------------------------------------------------------------
-
-STAMP = struct.Struct("<iI")
-STAMP_OFFSET = 4
-"""Of a serialized message that begins with a header, after the encapsulation header."""
 
 LATENCY_TIME = 40.0
 WARM_UP = 5.0
@@ -203,8 +176,7 @@ def latency(_: int) -> dict[str, Any]:
         fly(loop, lambda running, ages=ages, dropped=dropped: listen(running, ages, dropped))
         found: dict[str, Any] = {
             topic: {
-                "p50": float(np.percentile(values, 50)),
-                "p99": float(np.percentile(values, 99)),
+                **{f"p{q}": float(np.percentile(values, q)) for q in (50, 99)},
                 "count": len(values),
             }
             for topic, values in ages.items()
@@ -216,54 +188,40 @@ def latency(_: int) -> dict[str, Any]:
 def listen(running: ClosedLoop, ages: dict[str, list[float]], dropped: dict[str, str]) -> None:
     """Collect the age of each message on its arrival here, ms, and what the identifier dropped."""
     from diagnostic_msgs.msg import DiagnosticArray
-    from rclpy.context import Context
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.node import Node
     from sensor_msgs.msg import Imu, JointState
 
-    context = Context()
-    context.init(args=[])
-    node = Node("listener", context=context, use_global_arguments=False)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
     begin: list[float] = []
 
-    def keep(topic: str) -> Callable[[bytes], None]:
-        def take(data: bytes) -> None:
-            seconds, nanoseconds = STAMP.unpack_from(data, STAMP_OFFSET)
-            begin.append(time.monotonic()) if not begin else None
-            if time.monotonic() - begin[0] > WARM_UP:
-                ages.setdefault(topic, []).append(
-                    (time.time_ns() - seconds * 10**9 - nanoseconds) * 1e-6
-                )
-
-        return take
+    def take(topic: str, message: Any) -> None:
+        now = time.monotonic()
+        begin.append(now) if not begin else None
+        if now - begin[0] > WARM_UP:
+            ages.setdefault(topic, []).append((time.time_ns() - header_ns(message)) * 1e-6)
 
     def take_diagnostics(message: DiagnosticArray) -> None:
         for status in message.status:
             dropped.update({v.key: v.value for v in status.values if ": dropped" in v.key})
 
-    node.create_subscription(DiagnosticArray, "/diagnostics", take_diagnostics, 10)
+    guest = Guest("listener")
+    subscribe = guest.node.create_subscription
+    subscribe(DiagnosticArray, "/diagnostics", take_diagnostics, 10)
     for topic, kind in (
         ("imu/data", Imu), ("command", JointState), ("identifier/coefficients_named", JointState),
     ):  # fmt: skip
-        node.create_subscription(kind, topic, keep(topic), 50, raw=True)
+        subscribe(kind, topic, partial(take, topic), 50)
     while running.processes["simulated_plant"].poll() is None:
-        executor.spin_once(timeout_sec=0.1)
-    executor.shutdown()
-    context.try_shutdown()
+        guest.spin_for(0.1)
+    guest.close()
 
 
 def latency_lines(found: dict[str, Any]) -> Iterator[str]:
-    yield "| Imu, input_wait | from its stamp to | p50, ms | p99, ms | messages |"
-    yield "|---|---|---|---|---|"
+    rows = []
     for case, told in found.items():
-        for topic, values in told["ages"].items():
-            yield (
-                f"| {case} | `{topic}` | {values['p50']:.1f} | {values['p99']:.1f} | "
-                f"{values['count']} |"
-            )
-        yield f"| {case} | dropped | {told['dropped']} | | |"
+        for topic, v in told["ages"].items():
+            rows.append((case, f"`{topic}`", f"{v['p50']:.1f}", f"{v['p99']:.1f}", f"{v['count']}"))
+        rows.append((case, "dropped", f"{told['dropped']}", "", ""))
+    head = ("Imu, input_wait", "from its stamp to", "p50, ms", "p99, ms", "messages")
+    return bench.table(head, rows)
 
 
 PROGRAMS = {
@@ -274,17 +232,13 @@ PROGRAMS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = bench.parser(__doc__, seeds=3)
     parser.add_argument("name", choices=tuple(PROGRAMS))
-    parser.add_argument("--seeds", type=int, default=3)
     options = parser.parse_args(arguments)
-    os.chdir(ROOT)
+    os.chdir(bench.ROOT)
     measure, lines = PROGRAMS[options.name]
-    BUILD.mkdir(parents=True, exist_ok=True)
     found = measure(options.seeds)
-    (BUILD / f"{options.name}.json").write_text(json.dumps(found, indent=1))
+    bench.keep(bench.BUILD / "closed_loop" / f"{options.name}.json", found)
     print("\n".join(lines(found)))
 
 

@@ -11,16 +11,12 @@ delay estimated.
 
 from __future__ import annotations
 
-import argparse
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from typing import Any, NamedTuple
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # ten-by-ten matrices; before NumPy loads
-
+import bench
 import cases
 import numpy as np
 import verdict_flights
@@ -205,21 +201,19 @@ def sweep(name: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print what was found."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
-    parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--workers", type=int, default=2)
+    parser = bench.parser(__doc__, seeds=2, workers=2)
     parser.add_argument("--sweep", action="store_true", help="recorded flights instead")
     options = parser.parse_args(arguments)
-    with get_context("spawn").Pool(options.workers) as pool:
-        if options.sweep:
-            for text in pool.imap(sweep, filter(cases.is_recorded, cases.RECORDED_DELAY)):
-                print(text, flush=True)
-            return 0
-        results = []
-        todo = [trial for seed in range(1, options.seeds + 1) for trial in trials(seed)]
-        for result in pool.imap(judged, todo):
-            results.append(result)
-            print(line(result), flush=True)
+    if options.sweep:
+        flights = filter(cases.is_recorded, cases.RECORDED_DELAY)
+        for text in bench.each(sweep, flights, options.workers):
+            print(text, flush=True)
+        return 0
+    results = []
+    todo = [trial for seed in range(1, options.seeds + 1) for trial in trials(seed)]
+    for result in bench.each(judged, todo, options.workers):
+        results.append(result)
+        print(line(result), flush=True)
     print(*summary(results), sep="\n")
     return 0
 

@@ -15,13 +15,13 @@ sigmas that the identifier gave itself.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import bench
+import cases
 import numpy as np
-from cases import Case, identify
 
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
@@ -32,7 +32,6 @@ from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
 from uav_ident_ros.simulation.linearisation import Linearisation, linearise_cruise
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.recording import parameters
 
 DURATION = 120.0
 SENSORS = Sensors(rate=200.0, gyro_noise=0.005, accelerometer_noise=0.05)
@@ -45,20 +44,8 @@ def identified(
     segment = Segment("multisine", start=2.0, amplitudes=airframe(aircraft).excitation, seed=seed)
     flight = fly(AircraftFlight(aircraft, (segment,), DURATION, seed=seed))
     assert flight.airspeed is not None
-    m = measure(flight, SENSORS, seed)
-    case = Case(
-        name=aircraft,
-        seed=seed,
-        parameters=parameters(m),
-        imu_t_ns=m.imu_t_ns,
-        imu_arrival_ns=m.imu_log_ns,
-        rates=m.rates,
-        force=m.specific_force,
-        actuator_t_ns=m.actuator_t_ns,
-        actuator_arrival_ns=m.actuator_log_ns,
-        actuators=m.actuators,
-    )
-    track = identify(case, values)
+    case = cases.measured(measure(flight, SENSORS, seed), aircraft, seed)
+    track = cases.identify(case, values)
     found = CoefficientSet(track.structure.name, track.coefficients[-1], track.sigma[-1])
     return found, float(flight.airspeed.mean())
 
@@ -104,11 +91,10 @@ def _mode(value: complex | None) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the tables; the return value is the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = bench.parser(__doc__, seed=1)
     parser.add_argument("aircraft", nargs="*", default=list(airframe_names()), help="default: all")
     parser.add_argument("--structure", choices=tuple(STRUCTURES), help="default: the setting's")
     parser.add_argument("--coefficients", type=Path, help="compare this file: fly nothing")
-    parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args(arguments)
     values = {"structure": options.structure} if options.structure else {}
     for aircraft in options.aircraft:

@@ -9,11 +9,10 @@ are: all of it must stay as it is.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
+import bench
 import cases
 import numpy as np
 
@@ -25,8 +24,6 @@ FLIGHT = "exact_quiet_gusts_03"
 HOUR = 3600.0
 MARGIN = 1.0
 """Flown beyond the last hour, s: a tick waits for the samples that follow it."""
-
-PAGES_TO_MIB = 4096 / 2**20
 
 
 def messages(case: cases.Case, duration: float) -> Iterator[tuple[bool, int, list[float]]]:
@@ -44,27 +41,20 @@ def messages(case: cases.Case, duration: float) -> Iterator[tuple[bool, int, lis
         lap += 1
 
 
-def memory() -> float:
-    """Resident memory of this process, MiB."""
-    pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
-    return int(pages) * PAGES_TO_MIB
-
-
 def report(hour: int, times: list[float], error: FloatArray) -> None:
     """Print the figures of an hour."""
     p50, p99, most = (1e6 * np.percentile(times, q) for q in (50, 99, 100))
     print(
         f"hour {hour}: {len(times)} ticks, p50 {p50:.0f} us, p99 {p99:.0f} us, most {most:.0f} us; "
-        f"memory {memory():.1f} MiB; dominant coefficients off by at most {error.max():.1%}",
+        f"memory {bench.resident_mb():.1f} MiB; dominant coefficients off by at most "
+        f"{error.max():.1%}",
         flush=True,
     )
 
 
 def main() -> None:
     """Fly, and print."""
-    parser = argparse.ArgumentParser(prog="endurance.py", description=__doc__.splitlines()[0])
-    parser.add_argument("--hours", type=float, default=6.0, help="hours of flight")
-    options = parser.parse_args()
+    options = bench.parser(__doc__, hours=6.0).parse_args()
     case = cases.simulated(FLIGHT)
     assert case.flight is not None
     identifier = OnlineIdentifier(case.settings({"actuators.estimate_delay": True}))
@@ -72,7 +62,7 @@ def main() -> None:
     dominant = tuple(np.array([identifier.structure.index(n) for n in cases.DOMINANT]).T)
     times: list[float] = []
     hour, start = 1, int(case.imu_t_ns[0])
-    print(f"memory at the start, the flight in it, {memory():.1f} MiB")
+    print(f"memory at the start, the flight in it, {bench.resident_mb():.1f} MiB")
     for is_rates, t, v in messages(case, options.hours * HOUR + MARGIN):
         if not is_rates:
             identifier.add_actuators(t, v)

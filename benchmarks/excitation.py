@@ -22,18 +22,14 @@ derivatives before the fault and five seconds after it.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
+import bench
 import numpy as np
 
-import uav_ident_ros  # noqa: F401  (first: it limits the threads of NumPy)
 from uav_ident_ros.client import Coefficients, CoefficientSource, Excitation, Fallback
 from uav_ident_ros.control import RateController
 from uav_ident_ros.files.parameter_file import load_parameters
@@ -49,9 +45,7 @@ from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
 from uav_ident_ros.simulation.quadrotor import Body
 
-ROOT = Path(__file__).resolve().parents[1]
-CONFIG = ROOT / "config" / "closed_loop"
-BUILD = ROOT / "build"
+CONFIG = bench.ROOT / "config" / "closed_loop"
 AIRCRAFT = "c172p"
 SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
 SEVERITIES = {"calm": 0, "light": 1, "moderate": 2, "heavy": 4}
@@ -225,7 +219,7 @@ def lose_a_motor(seed: int) -> dict[str, Any]:
     return out
 
 
-def quadrotor_lines(found: list[dict[str, Any]]) -> Iterator[str]:
+def quadrotor_lines(found: Iterable[dict[str, Any]]) -> Iterator[str]:
     """Yield a line for each flight of the quadrotor."""
     for one in found:
         noticed = ", ".join(f"{name} {t:.1f} s" for name, t in one["changes"].items())
@@ -270,17 +264,15 @@ def lines(found: list[Found]) -> Iterator[str]:
 
 def main() -> int:
     """Fly and print; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=20)
+    output = bench.BUILD / "excitation.json"
+    parser = bench.parser(__doc__, seeds=20, workers=2, output=output)
     parser.add_argument("--excited", action="store_true", help="leave out the flights without")
     parser.add_argument("--severity", choices=tuple(SEVERITIES), action="append")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--output", type=Path, default=BUILD / "excitation.json")
     parser.add_argument("--quadrotor", action="store_true", help="a motor that fails instead")
     options = parser.parse_args()
     if options.quadrotor:
-        with get_context("spawn").Pool(options.workers) as pool:
-            print(*quadrotor_lines(pool.map(lose_a_motor, range(options.seeds))), sep="\n")
+        flown = bench.each(lose_a_motor, range(options.seeds), options.workers)
+        print(*quadrotor_lines(flown), sep="\n")
         return 0
     jobs = [
         (severity, seed, excited)
@@ -288,14 +280,11 @@ def main() -> int:
         for seed in range(options.seeds)
         for excited in ((True,) if options.excited else (False, True))
     ]
-    with get_context("spawn").Pool(options.workers) as pool:
-        found = []
-        for one in pool.imap_unordered(fly, jobs):
-            found.append(one)
-            print(f"flown: {one.severity}, seed {one.seed}: {one.why}", file=sys.stderr)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    figures: list[Any] = [vars(f) for f in found]
-    options.output.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    found = []
+    for one in bench.each(fly, jobs, options.workers):
+        found.append(one)
+        print(f"flown: {one.severity}, seed {one.seed}: {one.why}", file=sys.stderr)
+    bench.keep(options.output, [vars(one) for one in found])
     print("\n".join(lines(found)))
     return 0
 

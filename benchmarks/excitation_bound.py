@@ -19,17 +19,11 @@ time until "for good" is that of a hundred such estimators on each flight.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
-from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices; before NumPy loads
-
+import bench
 import cases
 import numpy as np
 import verdict_flights
@@ -285,12 +279,10 @@ def lines(found: Sequence[Found]) -> Iterator[str]:
 
 def main() -> int:
     """Fly and print; return the exit status."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=20)
+    output = bench.BUILD / "excitation_bound.json"
+    parser = bench.parser(__doc__, seeds=20, workers=2, output=output)
     parser.add_argument("--gusts", choices=tuple(GUSTS), action="append")
     parser.add_argument("--excited", action="store_true", help="leave out the flights without")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--output", type=Path, default=Path("build/excitation_bound.json"))
     options = parser.parse_args()
     jobs = [
         (gusts, seed, excited)
@@ -299,12 +291,10 @@ def main() -> int:
         for excited in ((True,) if options.excited else (True, False))
     ]
     found = []
-    with get_context("spawn").Pool(options.workers) as pool:
-        for one in pool.imap_unordered(judge, jobs):
-            found.append(one)
-            print(f"{one.gusts}, seed {one.seed}: {one.seconds['all']:.1f} s", file=sys.stderr)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps([asdict(f) for f in found], indent=1), encoding="utf-8")
+    for one in bench.each(judge, jobs, options.workers):
+        found.append(one)
+        print(f"{one.gusts}, seed {one.seed}: {one.seconds['all']:.1f} s", file=sys.stderr)
+    bench.keep(options.output, [asdict(f) for f in found])
     print("\n".join(lines(found)))
     return 0
 

@@ -9,22 +9,17 @@ than half, with an error above three of its sigmas.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import re
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # ten-by-ten matrices; before NumPy loads
-
+import bench
 import cases
-import flights
 import numpy as np
 import verdict_flights
 from verdict_flights import GLITCH_TIME, Trial
@@ -32,7 +27,6 @@ from verdict_flights import GLITCH_TIME, Trial
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.noise import Measurements
@@ -52,8 +46,6 @@ GLITCH_LOOK = 20.0
 
 NAMED_WITHIN = 10.0
 """A mistake has to be named by then, s of flight."""
-
-BUILD = flights.ROOT / "build"
 
 
 @dataclass(frozen=True)
@@ -132,10 +124,22 @@ def run(trial: Trial, structure_name: str) -> Outcome:
     initial = None
     if trial.warm:
         initial = verdict_flights.warm_start(structure, verdict_flights.truth(flown.flight, -1.0))
+    losing: Any = False
     if trial.replayed:
-        time, values, sigma, usable, losing, reasons = _replay(flown, named, initial)
+        estimates = _replay(flown, named, initial)
     else:
-        time, values, sigma, usable, losing, reasons = _identify(case, settings, initial)
+        identifier = OnlineIdentifier(settings, initial)
+        both = [
+            (estimate, estimate.fit < identifier.running_fit.hold)
+            for _ in cases.fed(case, identifier)
+            for estimate in identifier.advance()
+        ]
+        estimates, losing = [e for e, _ in both], np.array([worse for _, worse in both])
+    time = np.array([(e.t_ns - int(case.imu_t_ns[0])) * 1e-9 for e in estimates])
+    values = np.array([e.coefficients for e in estimates])
+    sigma = np.array([e.sigma for e in estimates])
+    usable = np.array([e.usable_rows for e in estimates], dtype=bool)
+    reasons = [e.reason for e in estimates]
     true = [] if recorded else [verdict_flights.truth(flown.flight, t) for t in time]
     wrong = np.zeros(len(time), dtype=bool)
     wrong_sign = wrong.copy()
@@ -153,13 +157,10 @@ def run(trial: Trial, structure_name: str) -> Outcome:
         last[name] = (float(value[-1]), float(spread[-1]), float(truth[-1]))
     within, counted = _coverage(structure, true, values, sigma, time)
     every = usable.all(axis=1)
-    late = time >= START
     return Outcome(
-        kind=trial.kind,
-        name=trial.name,
-        seed=trial.seed,
+        trial.kind, trial.name, trial.seed,
         duration=float(time[-1]),
-        usable=float(every[late].mean()),
+        usable=float(every[time >= START].mean()),
         ever=float(usable.any(axis=1).mean()),
         wrong=float(wrong.mean()),
         wrong_sign=float(wrong_sign.mean()),
@@ -169,52 +170,19 @@ def run(trial: Trial, structure_name: str) -> Outcome:
         counted=counted,
         feedback=trial.feedback,
         last=last,
-        named=_named(trial, time, reasons),
+        named=next((float(t) for t, reason in zip(time, reasons, strict=True)
+                    if trial.names and re.search(trial.names, reason)), float("nan")),
         reason=reasons[-1],
-    )
+    )  # fmt: skip
 
 
-def _identify(
-    case: cases.Case, settings: Settings, initial: Any
-) -> tuple[FloatArray, FloatArray, FloatArray, Any, Any, list[str]]:
-    """Time of the ticks, coefficients, sigma, usable and worse than holding (K, 3), reasons."""
-    identifier = OnlineIdentifier(settings, initial)
-    estimates, losing = [], []
-    for _, is_rates, t, v in cases.messages(case):
-        if not is_rates:
-            identifier.add_actuators(t, v)
-            continue
-        identifier.add_rates(t, v[:3], v[3:])
-        for estimate in identifier.advance():
-            estimates.append(estimate)
-            losing.append(estimate.fit < identifier.running_fit.hold)
-    return _as_arrays(estimates, int(case.imu_t_ns[0]), np.array(losing))
-
-
-def _replay(
-    measured: Measurements, values: Mapping[str, Any], initial: Any
-) -> tuple[FloatArray, FloatArray, FloatArray, Any, Any, list[str]]:
-    """Return the same as `_identify`, of the flight as a bag, read back as `replay` reads it."""
+def _replay(measured: Measurements, values: Mapping[str, Any], initial: Any) -> Sequence[Estimate]:
+    """Identify a flight as a bag, read back as `replay` reads it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bag"
         write_bag(measured, path)
         known = load_parameters(path / PARAMETER_FILE, "identifier")
-        offline = run_over(path, {**known, **values}, initial)
-    unknown = np.zeros((len(offline.estimates), 3), dtype=bool)
-    return _as_arrays(offline.estimates, int(measured.imu_t_ns[0]), unknown)
-
-
-def _as_arrays(
-    estimates: Sequence[Estimate], start_ns: int, losing: Any
-) -> tuple[FloatArray, FloatArray, FloatArray, Any, Any, list[str]]:
-    return (
-        np.array([(e.t_ns - start_ns) * 1e-9 for e in estimates]),
-        np.array([e.coefficients for e in estimates]),
-        np.array([e.sigma for e in estimates]),
-        np.array([e.usable_rows for e in estimates], dtype=bool),
-        losing,
-        [e.reason for e in estimates],
-    )
+        return run_over(path, {**known, **values}, initial).estimates
 
 
 def _coverage(
@@ -249,15 +217,6 @@ def _lost(time: FloatArray, usable: Any) -> float:
     return float(GLITCH_LOOK * (np.mean(usable[before]) - np.mean(usable[after])))
 
 
-def _named(trial: Trial, time: FloatArray, reasons: Sequence[str]) -> float:
-    if not trial.names:
-        return float("nan")
-    for t, reason in zip(time, reasons, strict=True):
-        if re.search(trial.names, reason):
-            return float(t)
-    return float("nan")
-
-
 def report(outcomes: Sequence[Outcome]) -> str:
     """Return the table of the classes and the totals."""
     lines = [
@@ -290,10 +249,10 @@ def _line(label: str, outcomes: Sequence[Outcome]) -> str:
     if not outcomes:
         return f"{label:14} {0:7}"
     time = np.array([o.duration for o in outcomes])
-    ever = float(np.sum(time * [o.ever for o in outcomes]))
-    wrong = float(np.sum(time * [o.wrong for o in outcomes]))
-    sign = float(np.sum(time * [o.wrong_sign for o in outcomes]))
-    losing = float(np.sum(time * [o.losing for o in outcomes]))
+    ever, wrong, sign, losing = (
+        float(np.sum(time * [getattr(o, name) for o in outcomes]))
+        for name in ("ever", "wrong", "wrong_sign", "losing")
+    )
     counted = np.array([o.counted for o in outcomes])
     within = np.array([np.nan_to_num(o.within) for o in outcomes])
     coverage = counted @ within / counted.sum() if counted.any() else np.full(2, np.nan)
@@ -321,29 +280,24 @@ def details(outcome: Outcome) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the campaign; the status is 0 whatever comes out."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser = bench.parser(__doc__, seeds=0, workers=1, output=bench.BUILD)
     parser.add_argument("--structure", choices=tuple(STRUCTURES), default="")
     parser.add_argument("--classes", nargs="+", choices=tuple(verdict_flights.CLASSES))
-    parser.add_argument("--seeds", type=int, help="seeds 1 to N of each flight: 2, --short 1")
-    parser.add_argument("--short", action="store_true", help="shorter flights")
-    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--short", action="store_true", help="shorter flights, one seed")
     parser.add_argument("--verbose", action="store_true", help="a line for each flight")
-    parser.add_argument("--output", type=Path, default=BUILD)
     options = parser.parse_args(arguments)
     classes = options.classes or list(verdict_flights.CLASSES)
     seeds = range(1, (options.seeds or (1 if options.short else 2)) + 1)
     length = verdict_flights.SHORT if options.short else verdict_flights.LONG
     jobs = verdict_flights.trials(classes, tuple(seeds), length)
     outcomes = []
-    with ProcessPoolExecutor(options.workers) as pool:
-        for outcome in pool.map(run, jobs, [options.structure] * len(jobs)):
-            outcomes.append(outcome)
-            if options.verbose:
-                print(details(outcome), flush=True)
+    judged = partial(run, structure_name=options.structure)
+    for outcome in bench.each(judged, jobs, options.workers):
+        outcomes.append(outcome)
+        if options.verbose:
+            print(details(outcome), flush=True)
     print(report(outcomes))
-    options.output.mkdir(parents=True, exist_ok=True)
-    path = options.output / "false_usable.json"
-    path.write_text(json.dumps([asdict(o) for o in outcomes], indent=1), encoding="utf-8")
+    bench.keep(options.output / "false_usable.json", [asdict(o) for o in outcomes])
     return 0
 
 

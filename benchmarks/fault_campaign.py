@@ -24,7 +24,6 @@ Tables go to the terminal, every flight to build/fault_campaign.jsonl.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import pickle
@@ -37,9 +36,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import bench
 import numpy as np
 
-import uav_ident_ros  # noqa: F401  (first: it limits the threads of NumPy)
 from uav_ident_ros.client import CoefficientSource, Fallback
 from uav_ident_ros.control import Law
 from uav_ident_ros.control.choice import control_derivatives
@@ -60,9 +59,6 @@ from uav_ident_ros.simulation.loop import (
 )
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared, prepare
-
-ROOT = Path(__file__).resolve().parents[1]
-RESULT = ROOT / "build" / "fault_campaign.jsonl"
 
 ADAPTIVE = "adaptive"
 FIXED = ("inversion", "PID", "INDI")
@@ -340,13 +336,13 @@ def lines(flights: Sequence[dict[str, Any]]) -> Iterator[str]:
     healthy = {
         (n, a, s): f for f in flights for n, (a, fault, _, s) in [key(f)] if fault == HEALTHY
     }
-    yield "| " + " | ".join(TITLES) + " |"
-    yield "|---" * len(TITLES) + "|"
-    for fault in FAULTS:
-        for name in CONTROLLERS:
-            some = [f for f in flights if f["fault"] == fault and f["controller"] == name]
-            if some:
-                yield "| " + " | ".join([fault, name, *cells_of(some, healthy)]) + " |"
+    groups = {
+        (fault, name): [f for f in flights if f["fault"] == fault and f["controller"] == name]
+        for fault in FAULTS
+        for name in CONTROLLERS
+    }
+    rows = ((*key, *cells_of(some, healthy)) for key, some in groups.items() if some)
+    yield from bench.table(TITLES, rows)
     fates: dict[Cell, dict[str, float | None]] = {}
     for flight in flights:
         name, cell = key(flight)
@@ -390,16 +386,12 @@ def _times(values: Sequence[float | None], limit: float) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Fly the campaign; the return value is the exit status."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    result, workers = bench.BUILD / "fault_campaign.jsonl", max(1, (os.cpu_count() or 2) - 1)
+    parser = bench.parser(__doc__, minutes=np.inf, result=result, workers=workers)
     parser.add_argument("aircraft", nargs="*", default=AIRCRAFT, help=", ".join(airframe_names()))
     parser.add_argument("--fault", action="append", choices=list(FAULTS)[1:], help="default: all")
     parser.add_argument("--cells", type=int, help="how many of the design at most")
-    parser.add_argument("--minutes", type=float, default=np.inf, help="then start nothing new")
     parser.add_argument("--all", action="store_true", help="every controller flies every cell")
-    parser.add_argument("--result", type=Path, default=RESULT, help="where to go on")
-    parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 2) - 1))
     options = parser.parse_args(arguments)
     cells = design(options.aircraft, options.fault or list(FAULTS)[1:])[: options.cells]
     options.result.parent.mkdir(exist_ok=True)

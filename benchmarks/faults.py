@@ -12,7 +12,6 @@ from one seed.
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import subprocess
@@ -26,6 +25,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import bench
 import hostile
 import numpy as np
 from hostile import SECOND_NS, Hostile, stamped
@@ -39,8 +39,7 @@ from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.offline.run import OfflineRun, run_over
 from uav_ident_ros.offline.ticks import Ticks
 
-ROOT = Path(__file__).resolve().parents[1]
-BAG = ROOT / "bags" / "multisine"
+BAG = bench.ROOT / "bags" / "multisine"
 
 RATES, ACTUATORS, AIRSPEED, ARMED = "/imu/data", "/actuators", "/airspeed", "/armed"
 TYPES = {
@@ -152,10 +151,9 @@ class Campaign:
         folder: Path,  # Folder for its log and its state file
     ) -> None:
         from rcl_interfaces.srv import GetParameters
-        from rclpy.context import Context
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.node import Node
         from rosgraph_msgs.msg import Clock
+
+        from uav_ident_ros.guest import Guest
 
         self.outcome = Outcome()
         self.chance = random.Random(seed)
@@ -163,11 +161,8 @@ class Campaign:
         self._sim_time = sim_time
         self._log = folder / "node.log"
         self._process = self._start(folder)
-        self._context = Context()
-        self._context.init(args=[])
-        self._node = Node("storm", context=self._context, enable_rosout=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._guest = Guest("storm")
+        self._node, self.listen = self._guest.node, self._guest.spin_for
         # Without a stamp of its own, it holds from its arrival: by /clock, with the others.
         self.topics = [topic for topic in TYPES if sim_time or topic != ARMED]
         self._publishers = {topic: self._publisher(topic) for topic in self.topics}
@@ -198,7 +193,7 @@ class Campaign:
         ):
             command += ["-p", f"{name}:={value}"]
         with self._log.open("wb") as file:
-            return subprocess.Popen(command, cwd=ROOT, stdout=file, stderr=file)
+            return subprocess.Popen(command, cwd=bench.ROOT, stdout=file, stderr=file)
 
     def _publisher(self, topic: str) -> Any:
         return self._node.create_publisher(import_type(TYPES[topic]), topic, 1000)
@@ -237,12 +232,6 @@ class Campaign:
         self.outcome.sent[topic] += 1
         self.outcome.hostile[topic] += hostile
 
-    def listen(self, seconds: float) -> None:
-        """Hear what the node says for a while."""
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
-
     def wait(self) -> None:
         """Wait until the node has dealt with what was sent."""
         self._unheard.clear()
@@ -254,10 +243,7 @@ class Campaign:
     def _answer(self, client: Any, request: Any, timeout: float = 5.0) -> Any:
         """Call a service and return the answer; None if there is none."""
         future = client.call_async(request)
-        end = time.monotonic() + timeout
-        while not future.done() and time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=0.01)
-        if not future.done():
+        if not self.listen(timeout, future.done):
             client.remove_pending_request(future)
             return None
         return future.result()
@@ -268,7 +254,8 @@ class Campaign:
         while time.monotonic() < end:
             heard = all(p.get_subscription_count() for p in self._publishers.values())
             if heard and self._answer(self._barrier, self._question, 1.0) is not None:
-                return self.listen(0.5)
+                self.listen(0.5)
+                return
             self.listen(0.1)
         raise RuntimeError(f"the node did not start:\n{self._log.read_text()}")
 
@@ -441,9 +428,9 @@ class Campaign:
         self._node.destroy_client(client)
         return answer
 
-    def parameter_storm(self, calls: int) -> None:
+    def parameter_storm(self) -> None:
         """Call services and set parameters without a pause while it flies."""
-        for _ in range(calls):
+        for _ in range(max(20, self._count // 500)):
             self.call_something()
 
     def calm_down(self) -> None:
@@ -452,7 +439,6 @@ class Campaign:
         from rclpy.parameter import Parameter
         from std_srvs.srv import SetBool
 
-        from uav_ident_ros.files.parameter_file import load_parameters
         from uav_ident_ros.node.parameters import PARAMETER_TYPES
 
         own = load_parameters(BAG / "identifier.yaml", "identifier")
@@ -491,27 +477,20 @@ class Campaign:
         return self.outcome
 
     def _phases(self) -> Iterator[Callable[[], None]]:
-        calls = max(20, self._count // 500)
-        yield partial(self.parameter_storm, calls)  # nothing has arrived yet
+        yield self.parameter_storm  # nothing has arrived yet
         yield partial(self.fly, 5.0, self._call_now_and_then)
         yield self.calm_down
         # From here on without a reset: that it gets well by itself is the point.
         self._may_reset = False
         yield self.fly
-        yield self._note_before
+        self.outcome.before = self.learned()
         yield self.mixed_with_flight
         yield self.floods
         yield self.silences
         yield self.jumps
-        yield partial(self.parameter_storm, calls)
+        yield self.parameter_storm
         yield self.calm_down
         yield self.fly
-        yield self._note_after
-
-    def _note_before(self) -> None:
-        self.outcome.before = self.learned()
-
-    def _note_after(self) -> None:
         self.outcome.after = self.learned()
 
     def _judge(self) -> None:
@@ -531,8 +510,7 @@ class Campaign:
 
     def resident_mb(self) -> float:
         """Resident memory of the node, MB."""
-        pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+        return bench.resident_mb(self._process.pid)
 
     def end(self) -> None:
         """End the node, which must end well, and leave the graph."""
@@ -547,9 +525,7 @@ class Campaign:
         if status != 0 or "Traceback" in log:
             tail = "\n".join(log.splitlines()[-30:])
             self.outcome.problems.append(f"it ended with status {status}:\n{tail}")
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self._guest.close()
 
 
 def report(outcome: Outcome) -> Iterator[str]:
@@ -579,10 +555,7 @@ def report(outcome: Outcome) -> Iterator[str]:
 
 def main() -> int:
     """Run the campaign and print what came of it; the exit status is 1 if there is a problem."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--messages", type=int, default=100_000, help="hostile, for every input")
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
+    options = bench.parser(__doc__, messages=100_000, seed=1).parse_args()
     failed = False
     for sim_time in (False, True):
         begin = time.monotonic()

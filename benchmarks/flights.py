@@ -18,23 +18,16 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from bench import BUILD
 
-ROOT = Path(__file__).resolve().parent.parent
-if str(ROOT) not in sys.path:
-    sys.path.insert(0, str(ROOT))
-
-from uav_ident_ros import simulation  # noqa: E402
-from uav_ident_ros.simulation.definition import (  # noqa: E402
-    build_flight,
-    build_sensors,
-    definition_key,
-)
-from uav_ident_ros.simulation.errors import SimulationError  # noqa: E402
-from uav_ident_ros.simulation.flight import Flight  # noqa: E402
-from uav_ident_ros.simulation.noise import Measurements, measure  # noqa: E402
+from uav_ident_ros import simulation
+from uav_ident_ros.simulation.definition import build_flight, build_sensors, definition_key
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.flight import Flight
+from uav_ident_ros.simulation.noise import Measurements, measure
 
 DEFINITIONS = Path(__file__).with_name("flights.yaml")
-CACHE = ROOT / "build" / "flights"
+CACHE = BUILD / "flights"
 WORTH_KEEPING = 1.0
 """Flights that took longer than this to fly, s, are kept on disk."""
 

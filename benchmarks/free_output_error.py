@@ -10,15 +10,11 @@ of the online pass. Both are scored over the last 40 %, at 1, 3 and 5 s, p / q /
 
 from __future__ import annotations
 
-import argparse
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads
-
+import bench
 import cases
 import numpy as np
 from free_prediction import RECORDED, RECORDED_SPEED, triple
@@ -142,17 +138,15 @@ def row(flight: str, held: Mapping[str, float]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser = bench.parser(__doc__, workers=2)
     parser.add_argument("flights", nargs="*", metavar="FLIGHT")
     parser.add_argument("--hold", nargs="*", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args(arguments)
     held = {name: float(value) for name, _, value in (h.partition("=") for h in options.hold)}
     print("| flight | 1 s, online | offline | 3 s | offline | 5 s | offline | worst |")
     print("|---|---|---|---|---|---|---|---|")
-    with get_context("spawn").Pool(options.workers) as pool:
-        for line in pool.imap(partial(row, held=held), options.flights or FLIGHTS):
-            print(line, flush=True)
+    for line in bench.each(partial(row, held=held), options.flights or FLIGHTS, options.workers):
+        print(line, flush=True)
     return 0
 
 

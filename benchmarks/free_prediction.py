@@ -8,13 +8,9 @@ rates; beside it holding the rate, the model with the forces measured inside the
 
 from __future__ import annotations
 
-import argparse
-import os
 from collections.abc import Sequence
-from multiprocessing import get_context
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # ten-by-ten matrices; before NumPy loads
-
+import bench
 import cases
 
 from uav_ident_ros.identification.structure import FloatArray
@@ -48,17 +44,15 @@ def triple(fit: FloatArray) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser = bench.parser(__doc__, workers=2)
     parser.add_argument("flights", nargs="*", metavar="FLIGHT")
-    parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args(arguments)
     known = [name for name in RECORDED if cases.is_recorded(name)]
     flights = options.flights or [*known, *SIMULATED]
     print("| flight | 1 s | 3 s | 5 s | holding, 1 s | forces measured | augmented, measured |")
     print("|---|---|---|---|---|---|---|")
-    with get_context("spawn").Pool(options.workers) as pool:
-        for line in pool.imap(row, flights):
-            print(line, flush=True)
+    for line in bench.each(row, flights, options.workers):
+        print(line, flush=True)
     return 0
 
 

@@ -15,19 +15,9 @@ POOL = 1500
 """Messages prepared for a topic; their stamps are drawn anew each time."""
 
 NUMBERS = (
-    math.nan,
-    math.inf,
-    -math.inf,
-    1e308,
-    -1e308,
-    1e12,
-    5e-324,
-    -5e-324,
-    2.2e-308,
-    -0.0,
-    1e-40,
+    math.nan, math.inf, -math.inf, 1e308, -1e308, 1e12, 5e-324, -5e-324, 2.2e-308, -0.0, 1e-40,
     99.9,
-)
+)  # fmt: skip
 """Not finite, huge, denormal, and just plausible."""
 
 FRAMES = ("", "base_link_frd", "odom_ned", "x" * 3000, "\x7f", "базис", "/", "imu")
@@ -178,17 +168,8 @@ def parameter(chance: random.Random) -> Any:
     low = setting.low if math.isfinite(setting.low) else -1e6
     high = setting.high if math.isfinite(setting.high) else 1e6
     value = chance.choice(
-        (
-            chance.uniform(low, high),
-            chance.uniform(low, high),
-            chance.choice(NUMBERS),
-            chance.randrange(-9, 9),
-            True,
-            "none",
-            [1.0, math.nan],
-            ["a", "b"],
-            None,
-        )
-    )
+        (chance.uniform(low, high), chance.uniform(low, high), chance.choice(NUMBERS),
+         chance.randrange(-9, 9), True, "none", [1.0, math.nan], ["a", "b"], None)
+    )  # fmt: skip
     name = setting.name if chance.random() < 0.95 else chance.choice(("no.such", "use_sim_timer"))
     return Parameter(name, value=value).to_parameter_msg()

@@ -8,7 +8,6 @@ notices is one that nobody can defend: give it a test, or do without it.
 
 from __future__ import annotations
 
-import argparse
 import ast
 import os
 import shutil
@@ -16,10 +15,11 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+import bench
+from bench import ROOT
+
 CORE = Path("uav_ident_ros") / "identification"
 COPIED = ("uav_ident_ros", "test", "benchmarks", "config", "pyproject.toml")
 
@@ -37,56 +37,38 @@ LONGEST = 900.0
 """Time after which a run counts as noticed, s: a constant that makes the tests hang is."""
 
 
-@dataclass(frozen=True)
-class Constant:
-    """A number with a name."""
-
-    module: str  # Module of the core, with a dot for a folder
-    name: str  # Its name
-    # line, column, end_line, end_column: Where its value stands in the source
-    line: int
-    column: int
-    end_line: int
-    end_column: int
-
-
 def path_of(module: str) -> Path:
     """Return the file of a module of the core."""
     return CORE / Path(*module.split(".")).with_suffix(".py")
 
 
-def constants(module: str) -> Iterator[Constant]:
+def constants(module: str) -> Iterator[str]:
     """Yield the numbers that a module declares by names in capitals."""
-    tree = ast.parse((ROOT / path_of(module)).read_text(encoding="utf-8"))
+    for name, value in _declared(ast.parse((ROOT / path_of(module)).read_text(encoding="utf-8"))):
+        numbers = [n for n in ast.walk(value) if isinstance(n, ast.Constant)]
+        others = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.operator, ast.unaryop)
+        plain = all(isinstance(n, others) for n in ast.walk(value))
+        if numbers and plain and all(type(n.value) in (int, float) for n in numbers):
+            yield name
+
+
+def _declared(tree: ast.Module) -> Iterator[tuple[str, ast.expr]]:
     for node in tree.body:
         target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
         value = getattr(node, "value", None)
-        if not isinstance(target, ast.Name) or not target.id.isupper() or value is None:
-            continue
-        if _is_number(value):
-            yield Constant(
-                module, target.id, value.lineno, value.col_offset,
-                value.end_lineno or value.lineno, value.end_col_offset or 0,
-            )  # fmt: skip
+        if isinstance(target, ast.Name) and target.id.isupper() and value is not None:
+            yield target.id, value
 
 
-def _is_number(node: ast.expr) -> bool:
-    """Whether an expression is made of numbers alone."""
-    numbers = [n for n in ast.walk(node) if isinstance(n, ast.Constant)]
-    others = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.operator, ast.unaryop)
-    plain = all(isinstance(n, others) for n in ast.walk(node))
-    return bool(numbers) and plain and all(type(n.value) in (int, float) for n in numbers)
-
-
-def mutated(source: str, constant: Constant, factor: float) -> str:
-    """Return the source with the constant multiplied; whole numbers stay whole."""
+def mutated(source: str, constant: str, factor: float) -> str:
+    """Return the source with a constant multiplied; whole numbers stay whole."""
+    value = dict(_declared(ast.parse(source)))[constant]
+    text = ast.get_source_segment(source, value)
+    assert text is not None
     lines = source.splitlines(keepends=True)
-    first, last = constant.line - 1, constant.end_line - 1
-    before, after = lines[first][: constant.column], lines[last][constant.end_column :]
-    inside = "".join(lines[first : last + 1])
-    value = inside[constant.column : len(inside) - len(after)]
-    product = f"type({value})({value} * {factor})"
-    return "".join([*lines[:first], f"{before}{product}{after}", *lines[last + 1 :]])
+    begin = len("".join(lines[: value.lineno - 1])) + value.col_offset
+    product = f"type({text})({text} * {factor})"
+    return f"{source[:begin]}{product}{source[begin + len(text) :]}"
 
 
 def notices(folder: Path, tests: Sequence[str]) -> bool:
@@ -112,7 +94,7 @@ def tests_of(module: str) -> tuple[str, ...]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the mutations; the status is 1 if one goes unnoticed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser = bench.parser(__doc__)
     parser.add_argument("modules", nargs="*", help="modules of the core (all)")
     parser.add_argument("--constants", nargs="+", help="these alone")
     options = parser.parse_args(arguments)
@@ -127,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for module in modules:
             source, tests = (ROOT / path_of(module)).read_text(encoding="utf-8"), tests_of(module)
             for constant in constants(module):
-                if options.constants and constant.name not in options.constants:
+                if options.constants and constant not in options.constants:
                     continue
                 missed = []
                 for factor in FACTORS:
@@ -137,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 (folder / path_of(module)).write_text(source)
                 tried, unnoticed = tried + 1, unnoticed + bool(missed)
                 said = f"NOT NOTICED {', '.join(missed)}" if missed else "noticed"
-                print(f"{module}.{constant.name}: {said}", flush=True)
+                print(f"{module}.{constant}: {said}", flush=True)
     print(f"{tried} constants, {unnoticed} of them unnoticed")
     return int(unnoticed > 0)
 

@@ -14,7 +14,7 @@ before and after.
 
 from __future__ import annotations
 
-import argparse
+import itertools
 import multiprocessing
 import os
 import signal
@@ -28,8 +28,13 @@ from dataclasses import dataclass
 from multiprocessing.queues import Queue
 from pathlib import Path
 
+import bench
 import flights
 import numpy as np
+
+from uav_ident_ros.bags.writing import jazzy_types
+from uav_ident_ros.ros import stamp_ns
+from uav_ident_ros.simulation.recording import actuator_messages, imu_messages
 
 FLIGHT = "exact_noise_002"
 ACTUATOR_EVERY = 2
@@ -70,25 +75,17 @@ class Cost:
 
 def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, bytearray]]:
     """Messages of the flight with the time since its start, ns, in order; without stamps."""
-    from geometry_msgs.msg import Vector3
-    from rclpy.serialization import serialize_message
-    from sensor_msgs.msg import Imu, JointState
-    from std_msgs.msg import Header
-
     flight = flights.load(FLIGHT, rate=imu_rate)
-    header = Header(frame_id=flight.frame_id)
-    names = list(flight.channel_set.names)
     start = int(flight.imu_t_ns[0])
     found = []
-    for t, rates, force in zip(flight.imu_t_ns, flight.rates, flight.specific_force, strict=True):
-        imu = Imu(header=header)
-        imu.angular_velocity = Vector3(x=float(rates[0]), y=float(rates[1]), z=float(rates[2]))
-        imu.linear_acceleration = Vector3(x=float(force[0]), y=float(force[1]), z=float(force[2]))
-        found.append((int(t) - start, "imu", bytearray(serialize_message(imu))))
-    chosen = slice(None, None, ACTUATOR_EVERY)
-    for t, raw in zip(flight.actuator_t_ns[chosen], flight.actuators[chosen], strict=True):
-        state = JointState(header=header, name=names, position=raw.tolist())
-        found.append((int(t) - start, "actuators", bytearray(serialize_message(state))))
+    for topic, every, read in (
+        ("imu", 1, imu_messages), ("actuators", ACTUATOR_EVERY, actuator_messages)
+    ):  # fmt: skip
+        chosen = itertools.islice(read(flight), 0, None, every)
+        for _, _, message in chosen:
+            t_ns = stamp_ns(message.header.stamp) - start
+            data = jazzy_types().serialize_cdr(message, message.__msgtype__)
+            found.append((t_ns, topic, bytearray(data)))
     found.sort(key=lambda item: item[0])
     return (item for item in found if 0 <= item[0] <= seconds * 1e9)
 
@@ -133,18 +130,9 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / TICKS_PER_SECOND
 
 
-def resident_mb(pid: int) -> float:
-    """Resident memory of a process, MB."""
-    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
-        if line.startswith("VmRSS:"):
-            return int(line.split()[1]) / 1024
-    return float("nan")
-
-
 def measure(imu_rate: float, seconds: float, parameters: list[str]) -> Cost:
     """Run node and publisher and measure for `seconds`."""
     from uav_ident_ros.player import Player
-    from uav_ident_ros.ros import stamp_ns
 
     command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
     for parameter in (
@@ -159,7 +147,7 @@ def measure(imu_rate: float, seconds: float, parameters: list[str]) -> Cost:
     publisher = spawn.Process(
         target=publish, args=(imu_rate, WARM_UP + seconds + MARGIN, ready, sent)
     )
-    node = subprocess.Popen(command, cwd=flights.ROOT, stderr=subprocess.DEVNULL)
+    node = subprocess.Popen(command, cwd=bench.ROOT, stderr=subprocess.DEVNULL)
     player = Player({}, clock=False)
     ages: list[int] = []
     try:
@@ -176,12 +164,12 @@ def measure(imu_rate: float, seconds: float, parameters: list[str]) -> Cost:
         player.wait_until(ready.is_set, "the publisher", timeout=120.0)
         player.spin_for(WARM_UP)
         ages.clear()
-        begin, cpu, memory = time.monotonic(), cpu_seconds(node.pid), resident_mb(node.pid)
+        begin, cpu, memory = time.monotonic(), cpu_seconds(node.pid), bench.resident_mb(node.pid)
         player.spin_for(seconds)
         if node.poll() is not None:
             raise RuntimeError(f"the node has ended with status {node.returncode}")
         cpu = (cpu_seconds(node.pid) - cpu) / (time.monotonic() - begin)
-        memory_end, age_ms = resident_mb(node.pid), np.array(ages) * 1e-6
+        memory_end, age_ms = bench.resident_mb(node.pid), np.array(ages) * 1e-6
         player.wait_until(lambda: not sent.empty(), "the publisher to end", timeout=60.0)
         counts = sent.get()
         player.spin_for(SETTLE)
@@ -261,11 +249,8 @@ def main() -> int:
     """Measure and print."""
     from uav_ident_ros.domain import own_domain
 
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = bench.parser(__doc__, seconds=60.0)
     parser.add_argument("--rates", type=float, nargs="+", default=[200.0, 500.0, 1000.0])
-    parser.add_argument(
-        "--seconds", type=float, default=60.0, help="measured time per rate, up to 110"
-    )
     parser.add_argument("--parameter", action="append", default=[], metavar="NAME:=VALUE")
     parser.add_argument("--hour", action="store_true", help="memory over an hour of flight")
     options = parser.parse_args()

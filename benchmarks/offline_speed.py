@@ -10,13 +10,13 @@ rounds counts.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+import bench
 from rosbags.rosbag2 import Reader
 
 from uav_ident_ros.bags.reading import Bag
@@ -107,10 +107,7 @@ def report(seconds: float, messages: int, raw: float, split: Split, run: Offline
 
 def main() -> None:
     """Simulate, measure, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=10.0, help="length of the flight (10)")
-    parser.add_argument("--rounds", type=int, default=3, help="rounds; the best counts (3)")
-    options = parser.parse_args()
+    options = bench.parser(__doc__, minutes=10.0, rounds=3).parse_args()
     seconds = 60.0 * options.minutes
     with tempfile.TemporaryDirectory() as folder:
         path, output = Path(folder) / "flight", Path(folder) / "output"

@@ -17,15 +17,14 @@ import numpy as np
 from cases import Case
 from scipy.optimize import least_squares
 
+from uav_ident_ros.identification.model import bounded, integrate, rates_derivative
 from uav_ident_ros.identification.prior import PRODUCT_SIGMA, start_from
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     PRODUCT_COLUMNS,
-    STRUCTURES,
     FloatArray,
-    Structure,
 )
 
 WINDOW = 1.0
@@ -33,9 +32,6 @@ WINDOW = 1.0
 
 TRAINING_PART = 0.6
 """Share of the flight that is fitted."""
-
-LARGEST_RATE = 30.0
-"""Rate at which a diverging model is held, rad/s."""
 
 REWEIGHTINGS = 2
 """Fits; after each the axes are weighted anew by their residuals."""
@@ -45,8 +41,6 @@ STATE_STEP = 1e-4
 
 COEFFICIENT_STEP = 1e-5
 """Step in a coefficient, relative to the least size below or to the coefficient."""
-
-_PRODUCTS = ((0, 1), (1, 2), (0, 2), (0, 0), (2, 2))
 
 
 @dataclass(frozen=True)
@@ -100,21 +94,11 @@ def simulate(
     (m + 1, 3, P, W) array
         Rates at the edges.
     """
-    steps, h = len(windows.u), windows.h
-    out = np.empty((steps + 1, *x0.shape))
-    out[0] = x = x0.copy()
-    terms = [(i, j) for i in range(3) for j in range(8) if np.any(a[i, j])]
+    drives = ((*_drive(a, windows, k), windows.h) for k in range(len(windows.u)))
+    out = [x0.copy()]
     with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(steps):
-            drive = _drive(a, windows, k)
-            k1 = _slope(a, terms, x, drive[0])
-            k2 = _slope(a, terms, x + 0.5 * h * k1, drive[1])
-            k3 = _slope(a, terms, x + 0.5 * h * k2, drive[1])
-            k4 = _slope(a, terms, x + h * k3, drive[2])
-            x = x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
-            x = np.fmin(np.fmax(x, -LARGEST_RATE), LARGEST_RATE)
-            out[k + 1] = x
-    return out
+        out += [np.stack(x) for x in integrate(rates_derivative(a), list(x0), drives)]
+    return bounded(np.array(out))
 
 
 def _drive(a: FloatArray, windows: Windows, k: int) -> list[FloatArray]:
@@ -131,30 +115,17 @@ def _drive(a: FloatArray, windows: Windows, k: int) -> list[FloatArray]:
     ]
 
 
-def _slope(
-    a: FloatArray, terms: list[tuple[int, int]], x: FloatArray, drive: FloatArray
-) -> FloatArray:
-    f = [x[i] * x[j] for i, j in _PRODUCTS]
-    f += [x[0], x[1], x[2]]
-    out = np.broadcast_to(drive, x.shape).copy()
-    for i, j in terms:
-        out[i] += a[i, j] * f[j]
-    return out
-
-
 class Problem:
     """Weighted residuals of the windows as a function of the free coefficients."""
 
     def __init__(
         self,
-        structure: Structure,  # The model
         free: FloatArray,  # (3, n) Coefficients to fit; the others stay zero
         windows: Windows,  # The record
     ) -> None:
-        self.structure, self.free, self.windows = structure, free, windows
+        self.free, self.windows = free, windows
         self.x0 = windows.x[0].copy()
         self.weight = 1.0 / np.maximum(windows.x.std(axis=(0, 2)), 1e-3)
-        self.noise = np.ones(3)
         columns = np.argwhere(free)[:, 1]
         self._products = np.flatnonzero(columns < PRODUCT_COLUMNS.stop)
         self._at: FloatArray | None = None
@@ -260,13 +231,12 @@ def fit(
     (3, n) array
         The coefficients.
     """
-    structure = STRUCTURES[settings.structure]
     free = start_from(settings).free
     first, last = float(case.imu_t_ns[0]), float(case.imu_t_ns[-1])
     windows = cut_windows(grid_blocks(case, settings), first, first + part * (last - first))
     outcomes = []
     for start in starts:
-        problem = Problem(structure, free, windows)
+        problem = Problem(free, windows)
         theta = np.clip(np.nan_to_num(start[free]), -1e3, 1e3)
         for _ in range(REWEIGHTINGS):
             found = least_squares(

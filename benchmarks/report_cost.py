@@ -9,7 +9,6 @@ Chromium takes from the request to what is in sight, and to all charts, wall tim
 
 from __future__ import annotations
 
-import argparse
 import re
 import subprocess
 import sys
@@ -17,12 +16,13 @@ import tempfile
 import time
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "test" / "report"))
+import bench
 
-from chromium import CHROMIUM, DRAWN, IN_SIGHT, Browser  # noqa: E402
+sys.path.insert(0, str(bench.ROOT / "test" / "report"))
 
-from uav_ident_ros.simulation.cli import main as simulate  # noqa: E402
+from chromium import CHROMIUM, DRAWN, IN_SIGHT, Browser
+
+from uav_ident_ros.simulation.cli import main as simulate
 
 LOOK = 0.05
 """Interval at which the memory of a process is read, s."""
@@ -83,9 +83,8 @@ def rows(minutes: float, folder: Path, rounds: int) -> str:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = bench.parser(__doc__, rounds=3)
     parser.add_argument("--minutes", type=float, nargs="+", default=[10.0, 60.0])
-    parser.add_argument("--rounds", type=int, default=3, help="openings; the best counts (3)")
     options = parser.parse_args()
     print(
         f"{'minutes':>7}{'raw [s]':>10}{'[MB]':>8}{'replay [s]':>12}{'[MB]':>8}"

@@ -11,13 +11,14 @@ lambdas as a part of the function they stand in.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
+
+import bench
 
 import uav_ident_ros
 from uav_ident_ros.bags.reading import Bag
@@ -27,7 +28,7 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.imu import decode_imu_cdr
 from uav_ident_ros.messages.types import ActuatorReader
 
-FLIGHT = Path(__file__).parents[1] / "bags" / "c172p"
+FLIGHT = bench.ROOT / "bags" / "c172p"
 LEARNING = 30.0
 """Time after which the walk is looked at, s: all parts are at work."""
 
@@ -88,7 +89,7 @@ def walk_of_a_sample() -> Walk:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description="Count what one gyro sample passes.")
+    parser = bench.parser(__doc__)
     parser.add_argument("--list", action="store_true", help="name the functions, too")
     options = parser.parse_args(arguments)
     walk = walk_of_a_sample()

@@ -10,13 +10,12 @@ with an ordinary gyro and a noisy one. Nobody excites.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import replace
+from functools import cache, partial
 from itertools import product
 
+import bench
 import numpy as np
 
 from uav_ident_ros.control.controller import OWN_GAINS, Law
@@ -35,30 +34,21 @@ START = 30.0
 """From when on the verdict counts, s: every surface has moved by then."""
 
 
-@dataclass(frozen=True)
-class Flight:
-    """One flight."""
-
-    aircraft: str
-    turbulence: int
-    noise: float  # Of the gyro, rad/s
-    seed: int
-
-
 @cache
 def _prepared(aircraft: str) -> Prepared:
     return prepare(aircraft, None)
 
 
-def fly(flight: Flight, duration: float) -> str:
-    """Fly one, and return its line of the table."""
-    prepared = _prepared(flight.aircraft)
+def fly(flight: tuple[str, int, float, int], duration: float) -> str:
+    """Fly an aircraft in a turbulence, gyro noise (rad/s) and seed; return its line."""
+    aircraft, turbulence, noise, seed = flight
+    prepared = _prepared(aircraft)
     identifier = make_identifier(prepared)
     mission = Mission(
         duration,
-        (f"0: turbulence {flight.turbulence}",) if flight.turbulence else (),
-        flight.seed,
-        replace(SENSORS, gyro_noise=flight.noise),
+        (f"0: turbulence {turbulence}",) if turbulence else (),
+        seed,
+        replace(SENSORS, gyro_noise=noise),
     )
     law = Law.INCREMENTAL
     outcome = fly_loop(
@@ -71,29 +61,25 @@ def fly(flight: Flight, duration: float) -> str:
     usable = " ".join(f"{100.0 * share:4.0f} %" for share in rows.mean(axis=0))
     lost = "" if outcome.lost is None else f"  lost at {outcome.lost:.0f} s"
     return (
-        f"{flight.aircraft:16} {flight.turbulence:10} {flight.noise:9g} {flight.seed:5} "
+        f"{aircraft:16} {turbulence:10} {noise:9g} {seed:5} "
         f"{100.0 * rows.all(axis=1).mean():6.0f} %   {usable}   {ratios}{lost}"
     )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Fly all and print the table; the status is 0 whatever comes out."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
+    parser = bench.parser(__doc__, duration=90.0, workers=1)
     parser.add_argument("--aircraft", nargs="+", default=AIRCRAFT)
     parser.add_argument("--turbulence", nargs="+", type=int, default=(0, 3))
     parser.add_argument("--noise", nargs="+", type=float, default=(0.005, 0.03), help="rad/s")
     parser.add_argument("--seeds", nargs="+", type=int, default=(1, 2))
-    parser.add_argument("--duration", type=float, default=90.0, help="s")
-    parser.add_argument("--workers", type=int, default=1)
     options = parser.parse_args(arguments)
-    chosen = (options.aircraft, options.turbulence, options.noise, options.seeds)
-    flights = [Flight(*values) for values in product(*chosen)]
+    flights = product(options.aircraft, options.turbulence, options.noise, options.seeds)
     print(
         "aircraft         turbulence     gyro  seed  usable   pdot   qdot   rdot   main, relative"
     )
-    with ProcessPoolExecutor(options.workers) as pool:
-        for line in pool.map(fly, flights, [options.duration] * len(flights)):
-            print(line, flush=True)
+    for line in bench.each(partial(fly, duration=options.duration), flights, options.workers):
+        print(line, flush=True)
     return 0
 
 

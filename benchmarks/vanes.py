@@ -8,10 +8,6 @@ any coefficients could reach: the force alone, and with the surface's part fitte
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy loads
-
 import cases
 import numpy as np
 from free_prediction import RECORDED_SPEED

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -139,13 +139,21 @@ def _fly(
     return measured if spoil is None else spoil(measured)
 
 
-def _change(name: str, factor: float, time: float = CHANGED) -> tuple[CoefficientChange, ...]:
-    return (CoefficientChange(time, {name: factor}),)
+def _trial(
+    kind: str, seed: int, aircraft: str, words: str, told: Mapping[str, Any], **flight: Any
+) -> Trial:
+    """Return a trial of an aircraft; `told` are fields of `Trial`, the others those of `_fly`."""
+    fly = partial(_fly, aircraft, seed, **flight)
+    return Trial(kind, f"{aircraft}, {words}", seed, fly, **told)
 
 
-def _feedback(seed: int, length: float) -> list[Trial]:
+ALWAYS = {"excitation": ((2.0, 1e3),)}
+"""Excited from the start to the end."""
+
+
+def _feedback(seed: int, length: float) -> Iterator[Trial]:
     """Bank commands, yaw damper and gusts; nobody excites."""
-    flights: Sequence[tuple[str, float, float, dict[str, float]]] = (
+    for aircraft, bank, wind, more in (
         ("light_aircraft", 30.0, 0.3, {}),
         ("light_aircraft", 30.0, 0.8, {}),
         ("light_aircraft", 15.0, 1.5, {}),
@@ -156,84 +164,51 @@ def _feedback(seed: int, length: float) -> list[Trial]:
         ("T37", 30.0, 3, {}),
         ("OV10", 30.0, 3, {}),
         ("ultra_stick_25e", 20.0, 2, {}),
-    )
-    return [
-        Trial(
-            "feedback",
-            f"{aircraft}, wind {wind:g}" + "".join(f", {k} {v:g}" for k, v in more.items()),
-            seed,
-            partial(_fly, aircraft, seed, bank=bank, wind=wind, duration=length * 150.0, **more),
-            feedback=True,
-            replayed=aircraft == "c172p",
-        )
-        for aircraft, bank, wind, more in flights
-    ]
+    ):
+        words = f"wind {wind:g}" + "".join(f", {k} {v:g}" for k, v in more.items())
+        told = {"feedback": True, "replayed": aircraft == "c172p"}
+        flight = {"bank": bank, "wind": wind, "duration": length * 150.0, **more}
+        yield _trial("feedback", seed, aircraft, words, told, **flight)
 
 
-def _old_knowledge(seed: int, length: float) -> list[Trial]:
+def _old_knowledge(seed: int, length: float) -> Iterator[Trial]:
     """Excited, then bank commands alone: a surface fails, or was reversed on the ground."""
-    out = []
     for aircraft, wind in (("light_aircraft", 0.5), ("c172p", 3)):
-        fly = partial(_fly, aircraft, seed, bank=20.0, wind=wind, duration=length * 150.0)
-        failures = [("dr", -1.0), ("dr", 0.0), ("dr", 0.33), ("de", 0.33), ("da", 0.33)]
-        out += [
-            Trial(
-                "old_knowledge",
-                f"{aircraft}, {surface} x {factor:g} after the excitation",
-                seed,
-                partial(fly, excitation=((2.0, EXCITED),), changes=_change(surface, factor)),
-            )
-            for surface, factor in failures
-        ]
-        out.append(
-            Trial(
-                "old_knowledge",
-                f"{aircraft}, warm start, rudder reversed on the ground",
-                seed,
-                partial(fly, changes=_change("dr", -1.0, 0.0)),
-                warm=True,
-                feedback=True,
-            )
-        )
-    return out
+        flight = {"bank": 20.0, "wind": wind, "duration": length * 150.0}
+        for surface, factor in (("dr", -1.0), ("dr", 0.0), ("dr", 0.33), ("de", 0.33),
+                                ("da", 0.33)):  # fmt: skip
+            words = f"{surface} x {factor:g} after the excitation"
+            failure = {"changes": (CoefficientChange(CHANGED, {surface: factor}),)}
+            excited = {"excitation": ((2.0, EXCITED),)}
+            yield _trial("old_knowledge", seed, aircraft, words, {}, **flight, **excited, **failure)
+        words, told = "warm start, rudder reversed on the ground", {"warm": True, "feedback": True}
+        reversed_ = (CoefficientChange(0.0, {"dr": -1.0}),)
+        yield _trial("old_knowledge", seed, aircraft, words, told, **flight, changes=reversed_)
 
 
-def _unmodelled(seed: int, length: float) -> list[Trial]:
+def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
     """Excited, with servos that nobody told of."""
-    light = partial(
-        _fly, "light_aircraft", seed, excitation=((2.0, 1e3),), bank=20.0, wind=0.5,
-        duration=length * 110.0,
-    )  # fmt: skip
-    jsbsim = partial(_fly, "c172p", seed, excitation=((2.0, 1e3),), duration=length * 110.0)
-    late = DELAY + 0.15
-    return [
-        Trial("unmodelled", "light_aircraft, servo lag 120 ms", seed,
-              partial(light, time_constant=0.12), {"actuators.time_constant": 0.0}),
-        Trial("unmodelled", "light_aircraft, delay 150 ms longer than told", seed,
-              partial(light, delay=late), {"actuators.delay": DELAY}),
-        Trial("unmodelled", "light_aircraft, commands saturate", seed,
-              partial(light, travel=0.04, scale=2.5)),
-        Trial("unmodelled", "c172p, delay 150 ms longer than told", seed,
-              partial(jsbsim, delay=late), {"actuators.delay": DELAY}),
-    ]  # fmt: skip
+    light, late = {"bank": 20.0, "wind": 0.5}, DELAY + 0.15
+    for aircraft, words, settings, flight in (
+        ("light_aircraft", "servo lag 120 ms", {"actuators.time_constant": 0.0},
+         {**light, "time_constant": 0.12}),
+        ("light_aircraft", "delay 150 ms longer than told", {"actuators.delay": DELAY},
+         {**light, "delay": late}),
+        ("light_aircraft", "commands saturate", {}, {**light, "travel": 0.04, "scale": 2.5}),
+        ("c172p", "delay 150 ms longer than told", {"actuators.delay": DELAY}, {"delay": late}),
+    ):  # fmt: skip
+        told, flight = {"settings": settings}, {**flight, **ALWAYS, "duration": length * 110.0}
+        yield _trial("unmodelled", seed, aircraft, words, told, **flight)
 
 
-def _weak(seed: int, length: float) -> list[Trial]:
+def _weak(seed: int, length: float) -> Iterator[Trial]:
     """Noisy instruments at 25 Hz, little excitation."""
-    return [
-        Trial(
-            "weak",
-            f"{aircraft}, 25 Hz, excitation x {scale:g}",
-            seed,
-            partial(
-                _fly, aircraft, seed, excitation=((2.0, 1e3),), scale=scale, bank=20.0, wind=wind,
-                sensors=WEAK, duration=length * 110.0,
-            ),
-        )
-        for aircraft, wind, scale in (
-            ("light_aircraft", 0.5, 0.3), ("light_aircraft", 0.5, 1.0), ("c172p", 3, 0.3),
-        )
-    ]  # fmt: skip
+    for aircraft, wind, scale in (
+        ("light_aircraft", 0.5, 0.3), ("light_aircraft", 0.5, 1.0), ("c172p", 3, 0.3),
+    ):  # fmt: skip
+        words = f"25 Hz, excitation x {scale:g}"
+        flight = {"scale": scale, "bank": 20.0, "wind": wind, "sensors": WEAK, **ALWAYS}
+        yield _trial("weak", seed, aircraft, words, {}, duration=length * 110.0, **flight)
 
 
 def _glitched(measured: Measurements) -> Measurements:
@@ -244,24 +219,16 @@ def _glitched(measured: Measurements) -> Measurements:
     return replace(measured, rates=rates)
 
 
-def _excited(kind: str, seed: int, length: float, flights: Sequence[tuple[str, float, float]],
-             **more: Any) -> list[Trial]:  # fmt: skip
-    return [
-        Trial(
-            kind,
-            f"{aircraft}, bank {bank:g}, wind {wind:g}",
-            seed,
-            partial(
-                _fly, aircraft, seed, excitation=((2.0, 1e3),), bank=bank, wind=wind,
-                duration=length * 110.0, **more,
-            ),
-            replayed=aircraft == "OV10",
-        )
-        for aircraft, bank, wind in flights
-    ]  # fmt: skip
+def _excited(
+    kind: str, seed: int, length: float, flights: Sequence[tuple[str, float, float]], **more: Any
+) -> Iterator[Trial]:
+    for aircraft, bank, wind in flights:
+        words, told = f"bank {bank:g}, wind {wind:g}", {"replayed": aircraft == "OV10"}
+        flight = {"bank": bank, "wind": wind, "duration": length * 110.0, **ALWAYS, **more}
+        yield _trial(kind, seed, aircraft, words, told, **flight)
 
 
-def _clean(seed: int, length: float) -> list[Trial]:
+def _clean(seed: int, length: float) -> Iterator[Trial]:
     """Excited flights of which everything is known."""
     flights = (
         ("light_aircraft", 0.0, 0.0), ("light_aircraft", 20.0, 0.3), ("light_aircraft", 20.0, 0.8),
@@ -271,30 +238,21 @@ def _clean(seed: int, length: float) -> list[Trial]:
     return _excited("clean", seed, length, flights)
 
 
-def _glitch(seed: int, length: float) -> list[Trial]:
+def _glitch(seed: int, length: float) -> Iterator[Trial]:
     """One gyro sample of 2000 deg/s in an excited flight."""
     flights = (("light_aircraft", 20.0, 0.3), ("c172p", 0.0, 0))
     return _excited("glitch", seed, length, flights, spoil=_glitched)
 
 
-def _closed_loop(seed: int, length: float) -> list[Trial]:
+def _closed_loop(seed: int, length: float) -> Iterator[Trial]:
     """Correct coefficients from the start, every surface moved for ten seconds, then quiet."""
-    return [
-        Trial(
-            "closed_loop",
-            f"{aircraft}, gyro noise {noise:g}",
-            seed,
-            partial(
-                _fly, aircraft, seed, excitation=((2.0, 12.0),), bank=20.0, wind=wind,
-                duration=length * 110.0, sensors=replace(SENSORS, gyro_noise=noise),
-            ),
-            warm=True,
-            feedback=True,
-        )
-        for aircraft, wind, noise in (
-            ("c172p", 3, 0.01), ("c172p", 3, 0.03), ("light_aircraft", 0.3, 0.03),
-        )
-    ]  # fmt: skip
+    told = {"warm": True, "feedback": True}
+    for aircraft, wind, noise in (
+        ("c172p", 3, 0.01), ("c172p", 3, 0.03), ("light_aircraft", 0.3, 0.03),
+    ):  # fmt: skip
+        words, sensors = f"gyro noise {noise:g}", replace(SENSORS, gyro_noise=noise)
+        flight = {"excitation": ((2.0, 12.0),), "bank": 20.0, "wind": wind, "sensors": sensors}
+        yield _trial("closed_loop", seed, aircraft, words, told, duration=length * 110.0, **flight)
 
 
 def _turned(matrix: Sequence[Sequence[float]], measured: Measurements) -> Measurements:
@@ -358,44 +316,24 @@ MISTAKES: Sequence[tuple[str, Spoil | None, dict[str, Any], str]] = (
 what has to be said of it."""
 
 
-def _mistakes(seed: int, length: float) -> list[Trial]:
+def _mistakes(seed: int, length: float) -> Iterator[Trial]:
     """Excited flights with one mistake each."""
-    return [
-        Trial(
-            "mistakes",
-            f"{aircraft}, {name}",
-            seed,
-            partial(
-                _fly, aircraft, seed, excitation=((0.0, 1e3),), bank=20.0, wind=wind,
-                duration=length * 60.0, spoil=spoil,
-            ),
-            settings,
-            names=told,
-        )
-        for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 0))
-        for name, spoil, settings, told in MISTAKES
-    ]  # fmt: skip
+    for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 0)):
+        for name, spoil, settings, said in MISTAKES:
+            told = {"settings": settings, "names": said}
+            flight = {"excitation": ((0.0, 1e3),), "bank": 20.0, "wind": wind, "spoil": spoil}
+            duration = length * 60.0
+            yield _trial("mistakes", seed, aircraft, name, told, duration=duration, **flight)
 
 
-RECORDED = ("thor75_auto", "thor75_flight", "proto_flt09", "skywalker_manual")
-
-
-def _recorded(seed: int, length: float) -> list[Trial]:
+def _recorded(seed: int, length: float) -> Iterator[Trial]:
     """Real flights, as far as they are at hand: each once."""
-    names = [name for name in RECORDED if seed == 1 and cases.is_recorded(name)]
-    return [
-        Trial(
-            "recorded",
-            name,
-            seed,
-            partial(cases.recorded, name),
-            {"actuators.estimate_delay": True},
-        )
-        for name in names
-    ]
+    for name in filter(cases.is_recorded, cases.RECORDED_DELAY if seed == 1 else ()):
+        settings = {"actuators.estimate_delay": True}
+        yield Trial("recorded", name, seed, partial(cases.recorded, name), settings)
 
 
-CLASSES: dict[str, Callable[[int, float], list[Trial]]] = {
+CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
     "feedback": _feedback,
     "old_knowledge": _old_knowledge,
     "unmodelled": _unmodelled,

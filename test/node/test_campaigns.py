@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The campaigns of benchmarks/kills.py, signals.py and faults.py, in short."""
+"""The campaigns of benchmarks/endings.py and faults.py, in short."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ from sensor_msgs.msg import Imu
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
+import endings
 import faults
-import kills
-import signals
 from hostile import Hostile, example, leaves
 
 MESSAGES = 300
@@ -32,20 +31,20 @@ quite."""
 
 def test_a_node_killed_while_it_saves_leaves_a_whole_file_and_the_next_goes_on() -> None:
     # A process of its own: in leaving a graph of killed participants, Fast DDS may crash.
-    done = python("benchmarks/kills.py", "--kills", "2", timeout=300.0)
+    done = python("benchmarks/endings.py", "kills", "--count", "2", timeout=300.0)
     first, verdict = done.stdout.splitlines()
     assert first.startswith("2 kills")
     assert int(first.split()[2]) > 2, "files written"
-    assert verdict == kills.GOOD
+    assert verdict == endings.PROGRAMS["kills"][-1]
 
 
 def test_a_node_ended_by_signals_has_saved_what_it_learned() -> None:
-    done = python("benchmarks/signals.py", "--runs", "2", timeout=300.0)
+    done = python("benchmarks/endings.py", "signals", "--count", "2", timeout=300.0)
     first, verdict = done.stdout.splitlines()
     assert first.startswith("2 nodes ended; ")
     learned, left = int(first.split()[3]), int(first.split()[6])
     assert 1 <= learned <= left
-    assert verdict == signals.GOOD
+    assert verdict == endings.PROGRAMS["signals"][-1]
 
 
 @pytest.mark.parametrize("sim_time", [False, pytest.param(True, marks=pytest.mark.campaign)])
@@ -67,11 +66,11 @@ def test_nothing_that_a_graph_can_do_brings_the_node_down(
 
 def test_a_file_that_is_not_whole_is_a_problem_of_the_campaign(tmp_path: Path) -> None:
     """The yardstick itself: what it must notice, it does."""
-    result = kills.Kills()
+    wrong: list[str] = []
     path = tmp_path / "state.yaml"
     path.write_text("format: uav_ident_ros/coefficients\nversion: 1\nstruc")
-    assert kills._load(path, 1, result) is None
-    assert len(result.problems) == 1
+    assert endings.load(path, 1, wrong) is None
+    assert len(wrong) == 1
 
 
 def test_hostile_messages_are_of_every_kind_and_the_same_for_a_seed() -> None:

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the benchmarks share: the repository, their options, jobs in parallel, figures on disk."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, TypeVar
+
+import uav_ident_ros  # noqa: F401  (before NumPy: it limits its threads)
+
+ROOT = Path(__file__).resolve().parents[1]
+BUILD = ROOT / "build"
+
+HELP = {
+    "seeds": "seeds of each flight",
+    "seed": "seed of everything",
+    "workers": "processes",
+    "output": "where the figures go",
+}
+"""Options that several programs have, in words."""
+
+Job, Result = TypeVar("Job"), TypeVar("Result")
+
+
+def parser(text: str | None, **options: Any) -> argparse.ArgumentParser:
+    """Return a parser with the program's docstring and options, given with their defaults."""
+    found = argparse.ArgumentParser(
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    for name, default in options.items():
+        words = f"{HELP.get(name, name)} ({default})"
+        found.add_argument(f"--{name}", type=type(default), default=default, help=words)
+    return found
+
+
+def each(function: Callable[[Job], Result], jobs: Iterable[Job], workers: int) -> Iterator[Result]:
+    """Yield the result of every job, in their order, as processes of their own give them."""
+    with get_context("spawn").Pool(workers) as pool:
+        yield from pool.imap(function, jobs)
+
+
+def resident_mb(pid: int | str = "self") -> float:
+    """Resident memory of a process, MiB."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def keep(path: Path, figures: Any) -> None:
+    """Write figures as JSON."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(figures, indent=1), encoding="utf-8")
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
+    """Yield the lines of a Markdown table."""
+    for line in (head, ["---"] * len(head), *rows):
+        yield f"| {' | '.join(line)} |"

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""End the node again and again: ``python benchmarks/endings.py kills``, or ``signals``.
+
+A node is fed a recorded flight.
+
+kills      It is asked to save without a pause, and at a random moment it is killed (SIGKILL). The
+           state file must then be whole, the next node must start from it, and the coefficients
+           that it publishes first must be those of the file, to the bit.
+signals    At a random moment, every other time while it starts and every other time while it
+           learns, it gets SIGINT or SIGTERM, often twice or three times, as from a terminal and
+           from launch together. It must end with status 0 and without a traceback, and what it has
+           learned must be in the state file.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import bench
+import numpy as np
+
+from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.domain import own_domain
+from uav_ident_ros.files.coefficients_file import CoefficientsFileError, load_with_notes
+from uav_ident_ros.identification.structure import FloatArray
+
+BAG = bench.ROOT / "bags" / "multisine"
+TOPICS = ("/imu/data", "/actuators")
+
+LONGEST_LIFE = 1.5, 4.0
+"""The node is killed within so many seconds from its first file, and gets signals within so many
+from when it heeds them, or learns, s."""
+
+GAPS = (0.0, 0.001, 0.01, 0.1, 0.3)
+"""Times between two signals, s: together, and while the file is written."""
+
+STEP = 0.005
+"""Wall time of the flight that is fed at once, s."""
+
+PATIENCE = 60.0
+"""Seconds that a busy machine may take to start the node, or to end it."""
+
+SPEED = 4.0
+"""Speed of the flight, relative to real time."""
+
+
+class Feeder:
+    """Feeds a flight to the node, asks it to save, and hears what it publishes."""
+
+    def __init__(self) -> None:
+        from std_srvs.srv import Trigger
+
+        from uav_ident_ros.messages.types import import_type
+        from uav_ident_ros.player import Player
+
+        with Bag(BAG) as bag:
+            classes = {topic: import_type(bag.type_of(topic)) for topic in TOPICS}
+            messages = list(bag.messages(TOPICS))
+        self.player = Player(classes, clock=False)
+        self._messages = cycle(messages)
+        self._next = next(self._messages)
+        self._request = Trigger.Request()
+        self._save = self.player.node.create_client(Trigger, "/identifier/save")
+        self._answers: list[Any] = []
+
+    def feed(self) -> None:
+        """Play the next `STEP` of wall time of the flight."""
+        end = self._next.log_ns + int(STEP * SPEED * 1e9)
+        while self._next.log_ns <= end:
+            before = self._next.log_ns
+            self.player.send(self._next.topic, self._next.data)
+            self._next = next(self._messages)
+            if self._next.log_ns < before:
+                break
+        self.player.spin_for(STEP)
+
+    def ask_to_save(self) -> None:
+        """Call ~/save, without waiting for the answer."""
+        self._answers.append(self._save.call_async(self._request))
+
+    def saves(self) -> int:
+        """Count the files that were written since the last time, as the node said."""
+        done = [a for a in self._answers if a.done() and a.result().success]
+        for answer in self._answers:
+            self._save.remove_pending_request(answer)
+        self._answers = []
+        return len(done)
+
+    def learned(self) -> bool:
+        """Whether the node has learned something."""
+        coefficients = self.player.outputs.coefficients
+        return bool(coefficients) and any(coefficients[-1].data)
+
+
+@contextmanager
+def running(state_file: Path, log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run the node as a process of its own, and kill it in the end."""
+    command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
+    command += ["--params-file", str(BAG / "identifier.yaml")]
+    command += ["-p", f"state_file:={state_file}", "-p", "save_period:=1.0"]
+    with log.open("wb") as file:
+        node = subprocess.Popen(command, cwd=bench.ROOT, stdout=file, stderr=file)
+    try:
+        yield node
+    finally:
+        node.kill()
+        node.wait()
+
+
+# --- kills -----------------------------------------------------------------------------------
+
+
+def kills(feeder: Feeder, count: int, chance: random.Random, folder: Path, wrong: list[str]) -> str:
+    """Kill the node, and return what came of it; what should not have been goes to `wrong`."""
+    state_file, log = folder / "state.yaml", folder / "node.log"
+    saved: FloatArray | None = None
+    saves = interrupted = 0
+    for number in range(count + 1):
+        with running(state_file, log) as node:
+            _live_until_saved(feeder, node, state_file, chance.uniform(0.0, LONGEST_LIFE[0]))
+            saves += feeder.saves()
+        if saved is not None:
+            published = feeder.player.outputs.coefficients
+            if "started from" not in log.read_text(encoding="utf-8"):
+                wrong.append(f"start {number}: it did not start from the file")
+            if not published:
+                wrong.append(f"start {number}: it published nothing")
+            elif not np.array_equal(published[0].data, saved.ravel()):
+                wrong.append(f"start {number}: it did not go on with the values of the file")
+        if number < count:
+            interrupted += any(folder.glob(f".state.yaml.{node.pid}.tmp"))
+            saved = load(state_file, number, wrong)
+    return f"{count} kills, {saves} files written, {interrupted} killed in the middle of one"
+
+
+def _live_until_saved(
+    feeder: Feeder, node: subprocess.Popen[bytes], state_file: Path, life: float
+) -> None:
+    """Feed a node until it has written a file, and `life` seconds more."""
+    feeder.player.wait_for_node()
+    feeder.player.outputs.clear()
+    before = state_file.stat().st_mtime_ns if state_file.exists() else 0
+    limit = time.monotonic() + PATIENCE
+    end = limit
+    while time.monotonic() < end and node.poll() is None:
+        feeder.feed()
+        feeder.ask_to_save()
+        if end == limit and state_file.exists() and state_file.stat().st_mtime_ns != before:
+            end = time.monotonic() + life
+
+
+def load(state_file: Path, number: int, wrong: list[str]) -> FloatArray | None:
+    """Read the file that a killed node has left."""
+    try:
+        return load_with_notes(state_file)[0].values
+    except CoefficientsFileError as error:
+        wrong.append(f"kill {number}: {error}")
+        return None
+
+
+# --- signals ---------------------------------------------------------------------------------
+
+
+def signals(
+    feeder: Feeder, count: int, chance: random.Random, folder: Path, wrong: list[str]
+) -> str:
+    """End nodes by signals; the rest as of `kills`."""
+    learned = saved = 0
+    for number in range(count):
+        state_file, log = folder / f"{number}.yaml", folder / f"{number}.log"
+        with running(state_file, log) as node:
+            life = chance.uniform(0.0, LONGEST_LIFE[1])
+            _live_until_learned(feeder, node, life, started=number % 2 == 1)
+            knows = feeder.learned()
+            for _ in range(chance.randint(1, 3)):
+                if node.poll() is None:
+                    node.send_signal(chance.choice((signal.SIGINT, signal.SIGTERM)))
+                time.sleep(chance.choice(GAPS))
+            status = node.wait(PATIENCE)
+        learned, saved = learned + knows, saved + state_file.exists()
+        said = log.read_text(encoding="utf-8", errors="replace")
+        if status != 0 or "Traceback" in said or "FATAL" in said:
+            wrong.append(f"run {number}: status {status}: {said[-300:]}")
+        if knows and not state_file.exists():
+            wrong.append(f"run {number}: what was learned is lost")
+    return f"{count} nodes ended; {learned} had learned, {saved} left a file"
+
+
+def _live_until_learned(
+    feeder: Feeder, node: subprocess.Popen[bytes], life: float, *, started: bool
+) -> None:
+    """Feed a node for `life` seconds, from when it heeds signals or, `started`, has learned."""
+    limit = time.monotonic() + PATIENCE
+    while not _heeds(node.pid) and time.monotonic() < limit:
+        time.sleep(STEP)
+    feeder.player.spin_for(0.2)  # what the last node has said
+    feeder.player.outputs.clear()
+    while started and not feeder.learned() and time.monotonic() < limit:
+        feeder.feed()
+    end = time.monotonic() + life
+    while time.monotonic() < end:
+        feeder.feed()
+
+
+def _heeds(pid: int) -> bool:
+    """Whether a process has a handler for SIGTERM."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    caught = int(status.split("SigCgt:")[1].split()[0], 16)
+    return bool(caught >> (signal.SIGTERM - 1) & 1)
+
+
+PROGRAMS: dict[str, tuple[Callable[..., str], int, str]] = {
+    "kills": (kills, 50, "every file was whole, every node went on from it"),
+    "signals": (signals, 200, "every node ended with status 0, and saved what it had learned"),
+}
+"""The campaigns, how many nodes each ends, and what is said if there was no problem."""
+
+
+def main() -> int:
+    """Run a campaign and print what came of it; the exit status is 1 if there is a problem."""
+    parser = bench.parser(__doc__, seed=1, count=0)
+    parser.add_argument("name", choices=tuple(PROGRAMS))
+    options = parser.parse_args()
+    run, usual, good = PROGRAMS[options.name]
+    wrong: list[str] = []
+    with own_domain(), tempfile.TemporaryDirectory() as folder:
+        os.environ["ROS_LOG_DIR"] = folder
+        feeder = Feeder()
+        try:
+            count, chance = options.count or usual, random.Random(options.seed)
+            print(run(feeder, count, chance, Path(folder), wrong))
+            # Said before it leaves: Fast DDS may crash in leaving a graph of killed participants.
+            print(*wrong or [good], sep="\n", flush=True)
+        finally:
+            feeder.player.close()
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
