@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """For all tests: BLAS threads, signals, drawn examples, and a ROS domain of their own."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 from pathlib import Path

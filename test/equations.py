@@ -1,14 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The equations of motion with flow angles as books write them, and slopes by differences."""
+"""An aircraft in numbers, its equations of motion as books write them, slopes by differences."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import FloatArray, Structure
+
+# A light aircraft: damping 6, 5 and 0.5 1/s; aileron, elevator, rudder; forces; flow angles.
+AIRCRAFT = {
+    "pdot/p": -6.4, "pdot/r": 0.7, "pdot/da": 29.5, "pdot/dr": -3.1, "pdot/pq": 0.2,
+    "pdot/qr": -0.4, "pdot/ay": 1.1, "qdot/q": -5.5, "qdot/de": -26.0, "qdot/pr": 0.8,
+    "qdot/az": 0.2, "qdot/1": 1.8, "rdot/p": -0.4, "rdot/r": -0.5, "rdot/dr": -2.4,
+    "rdot/da": -0.2, "rdot/pq": -0.1, "rdot/ay": -0.35,
+    "pdot/beta": -14.0, "qdot/alpha": -30.0, "rdot/beta": 5.0, "ay/beta": -12.0, "ay/dr": 4.0,
+    "ay/p": -0.2, "ay/r": 0.5, "az/alpha": -90.0, "az/de": -6.0,
+    "betadot/p": 0.05, "betadot/1": 0.02, "alphadot/1": -0.01,
+}  # fmt: skip
+
+
+def matrix(structure: Structure, entries: Mapping[str, float]) -> FloatArray:
+    """Coefficients of a structure: these, and zeros; names that it does not have are left out."""
+    out = np.zeros(structure.mask.shape)
+    for name, value in entries.items():
+        if name in structure.names:
+            out[structure.index(name)] = value
+    return out
 
 
 def flight_equations(a: FloatArray, state: FloatArray, u: FloatArray, v: float) -> FloatArray:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates as tests need them, and the messages that are made of them."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

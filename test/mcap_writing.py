@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flight as a recorder writes it: chunks, checksums, compression, by the mcap library itself."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mcap.writer import CompressionType

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is slow to make is made once, and used by every worker of the run."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 from collections.abc import Callable

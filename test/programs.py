@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Programs as tests run them: in a process of their own, or by their main function."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable, Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the repository says of itself."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

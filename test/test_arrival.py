@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages without a time: they count from their arrival, whichever clock the Imu runs on."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -47,17 +45,6 @@ class Flight:
             for estimate in self.identifier.advance():
                 reason = estimate.reason
         return reason
-
-
-@CLOCKS
-def test_a_word_holds_from_its_arrival(imu_ns: int) -> None:
-    flight = Flight(imu_ns)
-    assert "nothing was heard" in flight.fly(1.0)
-    for armed in (False, True, False):
-        assert flight.say(armed) is None
-        assert ("armed" in flight.fly(0.3)) is not armed
-    assert len(flight.offs) == (imu_ns != NODE_NS)
-    assert not +flight.identifier.drops[ARMED]
 
 
 @CLOCKS

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a controller may rely on: the message as a model, and what is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
-from equations import flight_equations, slope
+from equations import AIRCRAFT, flight_equations, matrix, slope
 from estimates import as_message, estimate_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,7 +16,6 @@ from uav_ident_ros.client import (
     Coefficients,
     CoefficientSource,
     Fallback,
-    History,
     MessageError,
     Refusal,
 )
@@ -32,21 +29,6 @@ FLIGHT = STRUCTURES["flight_dynamics"]
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
 
-# A light aircraft: damping 6, 5 and 0.5 1/s; aileron, elevator, rudder.
-VALUES = {
-    "pdot/p": -6.4, "pdot/r": 0.7, "pdot/da": 29.5, "pdot/dr": -3.1, "pdot/pq": 0.2,
-    "pdot/qr": -0.4, "pdot/ay": 1.1, "qdot/q": -5.5, "qdot/de": -26.0, "qdot/pr": 0.8,
-    "qdot/az": 0.2, "qdot/1": 1.8, "rdot/p": -0.4, "rdot/r": -0.5, "rdot/dr": -2.4,
-    "rdot/da": -0.2, "rdot/pq": -0.1, "rdot/ay": -0.35,
-}  # fmt: skip
-
-
-def matrix(entries: dict[str, float]) -> FloatArray:
-    out = np.zeros(AUGMENTED.mask.shape)
-    for name, value in entries.items():
-        out[AUGMENTED.index(name)] = value
-    return out
-
 
 def message(
     sigma: float | dict[str, float] = 0.01,
@@ -59,7 +41,7 @@ def message(
     for name, value in ({} if isinstance(sigma, float) else sigma).items():
         spread[AUGMENTED.index(name)] = value
     estimate = estimate_of(
-        matrix({**VALUES, **(values or {})}), spread, t_ns=t_ns, usable=usable,
+        matrix(AUGMENTED, AIRCRAFT | (values or {})), spread, t_ns=t_ns, usable=usable,
         usable_rows=(True, usable, True), fit=np.array([90.0, 80.0, 85.0]),
     )  # fmt: skip
     return as_message(estimate, AUGMENTED)
@@ -78,7 +60,7 @@ def test_a_message_becomes_named_values() -> None:
     read = Coefficients.from_message(message(sigma={"pdot/da": 0.5}))
     assert read.structure is AUGMENTED
     assert read.names == AUGMENTED.names
-    np.testing.assert_array_equal(read.values, matrix(VALUES))
+    np.testing.assert_array_equal(read.values, matrix(AUGMENTED, AIRCRAFT))
     assert read.sigma[AUGMENTED.index("pdot/da")] == 0.5
     assert (read.usable, read.usable_rows, read.flow) == (True, (True, True, True), None)
     unusable = Coefficients.from_message(message(usable=False))
@@ -160,28 +142,12 @@ def test_without_forces_their_coefficients_and_the_constant_are_left_out() -> No
     assert with_force == pytest.approx(-5.5 * 0.2 + 1.8 - 0.2 * 9.0)
 
 
-def test_linearisation_is_the_derivative() -> None:
-    at, flying = np.array([0.6, -0.3, 0.4, 0.05, -0.1, 0.08, 0.2]), model()
-    expected = slope(lambda x: flying.acceleration(x[:3], x[3:]), at)
-    np.testing.assert_allclose(np.hstack(flying.linearize(at[:3], at[3:])), expected, atol=1e-7)
-
-
 # --- the model with angle of attack and sideslip -------------------------------------------------
 
-FLIGHT_VALUES = {
-    **{name: value for name, value in VALUES.items() if not name.endswith(("/ay", "/az"))},
-    "pdot/beta": -14.0, "qdot/alpha": -30.0, "rdot/beta": 5.0, "ay/beta": -12.0, "ay/dr": 4.0,
-    "ay/p": -0.2, "ay/r": 0.5, "az/alpha": -90.0, "az/de": -6.0,
-    "betadot/p": 0.05, "betadot/1": 0.02, "alphadot/1": -0.01,
-}  # fmt: skip
 
-
-def flying(**changes: float) -> AttitudeModel:
-    values = np.zeros(FLIGHT.mask.shape)
-    for name, value in {**FLIGHT_VALUES, **changes}.items():
-        values[FLIGHT.index(name)] = value
+def flying() -> AttitudeModel:
     source = CoefficientSource(Fallback.REFUSE)
-    source.take(told(FLIGHT, values))
+    source.take(told(FLIGHT, matrix(FLIGHT, AIRCRAFT)))
     return source.model(START)
 
 
@@ -308,8 +274,8 @@ def test_what_cannot_be_inverted_is_refused_by_the_axis_or_the_input() -> None:
 
 
 def nominal(**values: float) -> Coefficients:
-    entries = {**VALUES, **{name.replace("_", "/"): value for name, value in values.items()}}
-    return Coefficients(AUGMENTED, matrix(entries), np.where(AUGMENTED.mask, 0.01, 0.0))
+    entries = AIRCRAFT | {name.replace("_", "/"): value for name, value in values.items()}
+    return Coefficients(AUGMENTED, matrix(AUGMENTED, entries), 0.01 * AUGMENTED.mask)
 
 
 def da(source: CoefficientSource, t_ns: int = START) -> tuple[str, float]:
@@ -390,12 +356,3 @@ def test_a_delay_gives_what_was_old_enough() -> None:
         source.take(message(t_ns=START + k * SECOND // 20))
     assert source.model(START + 400_000_000).t_ns == START + 100_000_000
     assert source.refusal(START + 290_000_000) == "there are no coefficients yet"
-
-
-def test_a_clock_that_goes_back_starts_the_history_anew() -> None:
-    history: History[str] = History()
-    for t_ns, value in ((10, "a"), (20, "b"), (15, "c")):
-        history.add(t_ns, value)
-    assert history.at(12) == "a"
-    assert history.at(30) == "c"
-    assert history.at(9) is None

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a controller adds: what it is asked to, bounded, and no longer than it is asked to."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coefficients files: exact round trip, atomic writing, and one clear line for each fault."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -6,8 +6,6 @@ On short flights, in a folder with the names that the pages use. Run by .ci/run:
     scripts/test -m campaign test/test_commands.py
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

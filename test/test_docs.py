@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documentation says what the code does: tables, links, commands, topics, examples."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -14,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from equations import matrix
 from estimates import as_message, estimate_of
 from programs import python
 from repository import ROOT, console_scripts, launch_arguments, launch_entries
@@ -277,9 +276,7 @@ def test_the_controller_of_the_readme_inverts_the_model_and_heeds_the_verdict() 
     )
     inversion = namespace["Inversion"](node)
     structure = STRUCTURES["augmented"]
-    coefficients = np.zeros(structure.mask.shape)
-    for name, value in (("pdot/da", 30.0), ("qdot/de", -26.0), ("rdot/dr", -2.0)):
-        coefficients[structure.index(name)] = value
+    coefficients = matrix(structure, {"pdot/da": 30.0, "qdot/de": -26.0, "rdot/dr": -2.0})
 
     def receive(t_ns: int, usable: bool) -> None:
         estimate = estimate_of(coefficients, t_ns=t_ns, usable=usable)

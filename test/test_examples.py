@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The examples run, each on a linear aircraft: no DDS traffic, the nodes' own callbacks."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import shutil

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages taken in blocks tell the identifier what messages taken one by one do."""
-
-from __future__ import annotations
+"""Messages taken in blocks, and a score in pieces: as one by one, and as the whole."""
 
 import itertools
 from collections.abc import Callable
@@ -12,13 +10,9 @@ import numpy as np
 import pytest
 from excerpts import ACTUATORS, IMU, SECOND_NS, Entry, excerpt, parameters, replayed_run
 
-from uav_ident_ros.bags import messages
-from uav_ident_ros.bags.messages import NOT_MEASURED, UNKNOWN
-from uav_ident_ros.bags.writing import jazzy_types
+from uav_ident_ros.bags.messages import NOT_MEASURED
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.messages.imu import decode_imu_cdr
 from uav_ident_ros.offline import run as offline
-from uav_ident_ros.offline.imu_block import decode_imu_block
 
 SECONDS = 16.0
 
@@ -131,40 +125,16 @@ def test_the_blocks_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert len(one_by_one) <= offline.BATCH  # the first batch: the time base is not known yet
 
 
-# --- the decoder of blocks ---------------------------------------------------------------------
-
-
-def imu(k: int, frame_id: str = "imu", *, rates: bool = True, force: bool = True) -> Any:
-    rng = np.random.default_rng(k)
-    turn, values = rng.uniform(-1.0, 1.0, 4).tolist(), rng.uniform(-9.0, 9.0, (2, 3)).tolist()
-    covariances = tuple(UNKNOWN if known else NOT_MEASURED for known in (rates, force))
-    t_ns = 1_700_000_000_123_456_789 + k * 5_000_000
-    return messages.imu(t_ns, *values, frame_id, turn, covariances)
-
-
-def serialized(given: list[Any]) -> list[bytes]:
-    serialize = jazzy_types().serialize_cdr
-    return [bytes(serialize(m, "sensor_msgs/msg/Imu")) for m in given]
-
-
-@pytest.mark.parametrize("frame_id", ["", "i", "imu", "imu_link", "base_link_imu_1", "größe"])
-def test_block_decoder_reads_what_the_single_one_does(frame_id: str) -> None:
-    data = serialized([imu(k, frame_id, force=k % 3 != 0) for k in range(20)])
-    block = decode_imu_block(data)
-    assert block is not None
-    assert block.frame_id == frame_id
-    for t_ns, values, message in zip(block.t_ns, block.values, data, strict=True):
-        reading = decode_imu_cdr(message)
-        assert reading is not None
-        assert t_ns == reading.stamp_ns
-        assert values.tolist() == [*reading.rates, *(reading.specific_force or (0.0, 0.0, 0.0))]
-
-
-def test_block_decoder_leaves_what_is_not_alike_other_byte_orders_and_short_messages() -> None:
-    for other in (imu(1, "uav"), imu(1, "longer_name"), imu(1, rates=False)):
-        assert decode_imu_block(serialized([imu(0), other])) is None
-    (little,) = serialized([imu(0)])
-    big = bytes(jazzy_types().serialize_cdr(imu(0), "sensor_msgs/msg/Imu", little_endian=False))
-    assert decode_imu_block([big]) is None
-    assert decode_imu_block([little[:100]]) is None
-    assert decode_imu_block([little]) is not None
+@pytest.mark.parametrize("name", ["c172p", "multisine"])
+def test_the_score_in_pieces_is_that_of_the_whole(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = replayed_run(excerpt(tmp_path / "bag", 9.0, name), parameters(name))
+    index = run.structure.free[-1]
+    assert run.estimates.history(index)[1].tolist() == [e.sigma[index] for e in run.estimates]
+    whole = run.score()
+    monkeypatch.setattr(offline, "PIECE", 61)
+    for selection, fit in run.score().items():
+        np.testing.assert_allclose(fit.free, whole[selection].free, rtol=1e-9)
+        np.testing.assert_allclose(fit.measured_force, whole[selection].measured_force, rtol=1e-9)
+        assert (fit.windows, fit.samples) == (whole[selection].windows, whole[selection].samples)

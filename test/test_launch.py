@@ -4,8 +4,6 @@
 Everything but the last tests runs without launch, which is not on PyPI.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import runpy

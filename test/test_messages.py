@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Adapters of every supported message type, the CDR reader, and what the outputs hold."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from types import SimpleNamespace
@@ -41,7 +39,6 @@ from uav_ident_ros.messages.types import (
     ChannelError,
     MessageTypeError,
     RatesReading,
-    frame_fault,
     import_type,
 )
 
@@ -234,15 +231,6 @@ def test_wrong_field_and_names_without_names() -> None:
         reader(type="mavros_msgs/msg/RCOut", channels=["elevator"])
 
 
-def test_frames_that_contradict_the_convention_and_those_that_agree() -> None:
-    for frame_id in ("base_link_frd", "map_ned"):
-        assert frame_id in frame_fault("flu", frame_id, "sensor_msgs/msg/Imu")
-        assert not frame_fault("frd", frame_id, "sensor_msgs/msg/Imu")
-    assert not frame_fault("flu", "base_link", "sensor_msgs/msg/Imu")
-    assert not frame_fault("frd", "", "px4_msgs/msg/SensorCombined")
-    assert "'frd'" in frame_fault("flu", "", "px4_msgs/msg/SensorCombined")
-
-
 def real_imu(frame_id: str, rate_covariance: float = 0.0, force_covariance: float = 0.0) -> Any:
     types = STORE.types
     xyz = types["geometry_msgs/msg/Vector3"]
@@ -328,25 +316,6 @@ def paused(values: np.ndarray, flow: FlowState | None = None) -> Estimate:
         values, values / 10.0, usable=False, usable_rows=(True, False, True), flow=flow,
         fit=np.array([90.0, 80.0, -5.0]), adapting=False, state="paused",
     )  # fmt: skip
-
-
-def test_named_entries() -> None:
-    structure = STRUCTURES["baseline"]
-    values = np.arange(36.0).reshape(3, 12)
-    names, positions, efforts = named_entries(paused(values), structure)
-    assert names == entry_names(structure)
-    assert names[-7:] == (
-        "fit/p", "fit/q", "fit/r", "verdict/usable",
-        "verdict/usable/pdot", "verdict/usable/qdot", "verdict/usable/rdot",
-    )  # fmt: skip
-    entries = dict(zip(names, zip(positions, efforts, strict=True), strict=True))
-    assert entries["pdot/da"] == (10.0, 1.0)
-    assert entries["qdot/pr"] == (14.0, 1.4)
-    assert entries["fit/r"] == (-5.0, 0.0)
-    assert entries["verdict/usable"] == (0.0, 0.0)
-    rows = [entries[f"verdict/usable/{row}"] for row in ("pdot", "qdot", "rdot")]
-    assert rows == [(1.0, 0.0), (0.0, 0.0), (1.0, 0.0)]
-    assert len(names) == 18 + 7
 
 
 def test_named_entries_with_flow_angles() -> None:

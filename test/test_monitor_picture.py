@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the monitor shows of what it heard: size, signs, words, verdict."""
 
-from __future__ import annotations
-
 import io
 import math
 import re
@@ -13,7 +11,7 @@ from rich.console import Console
 
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME, entry_names
-from uav_ident_ros.monitor.heard import TREND_TIME, Coefficient, Heard
+from uav_ident_ros.monitor.heard import TREND_TIME, Heard
 from uav_ident_ros.monitor.picture import picture
 
 SECOND_NS = 1_000_000_000
@@ -188,24 +186,6 @@ def test_two_nodes_of_one_name_are_named() -> None:
     assert "2 nodes publish under this name" in text(result)
 
 
-@pytest.mark.parametrize(
-    ("past", "sigma", "trend"),
-    [
-        ((1.0, 1.2, 1.6), 0.5, 1),
-        ((1.0, 1.2, 1.4), 0.5, 0),
-        ((1.0, 0.2), 0.5, -1),
-        ((1.0, 9.0), 0.0, 0),
-        ((1.0, 9.0), math.inf, 0),
-        ((), 0.1, 0),
-    ],
-)
-def test_a_trend_is_more_than_a_standard_deviation(
-    past: tuple[float, ...], sigma: float, trend: int
-) -> None:
-    value = past[-1] if past else 1.0
-    assert Coefficient("pdot/p", value, sigma, past).trend == trend
-
-
 def fed(*ticks: tuple[float, float]) -> Heard:
     """A node whose `pdot/p` took these values at these times, s."""
     result = Heard("/identifier")
@@ -221,11 +201,6 @@ def test_a_trend_looks_back_ten_seconds_and_no_further() -> None:
     assert coefficient.value - coefficient.past[0] == pytest.approx(TREND_TIME, abs=0.5)
     steady = [*rising, *((60.0 + 0.05 * k, rising[-1][1]) for k in range(300))]
     assert fed(*steady).coefficients()[0].trend == 0
-
-
-def test_a_trend_begins_anew_when_time_goes_back() -> None:
-    (coefficient,) = fed((50.0, 9.0), (51.0, 9.0), (1.0, 0.0)).coefficients()
-    assert coefficient.past == (0.0, 0.0)
 
 
 def test_past_values_are_drawn_where_there_is_room() -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The package as others install it: metadata, dependencies, entry points, file headers."""
 
-from __future__ import annotations
-
 import ast
 import configparser
 import importlib

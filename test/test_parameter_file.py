@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameter files: the same values as a real rclpy node gets, and clear errors."""
 
-from __future__ import annotations
-
 import json
-import math
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,7 +11,6 @@ from uav_ident_ros.files.parameter_file import (
     ParameterFile,
     ParameterFileError,
     load_parameters,
-    scalar,
 )
 from uav_ident_ros.identification.settings import Settings
 
@@ -174,13 +169,6 @@ def test_files_without_parameters_and_what_is_no_text(tmp_path: Path) -> None:
             ParameterFile.read(tmp_path / name)
 
 
-def test_no_section_for_the_node(tmp_path: Path) -> None:
-    path = write(tmp_path, "/drone1/identifier:\n  ros__parameters: {structure: baseline}\n")
-    with pytest.raises(ParameterFileError, match=r"nothing for node '/identifier': .*drone1"):
-        load_parameters(path, "identifier")
-    assert load_parameters(path, "/drone1/identifier") == {"structure": "baseline"}
-
-
 def test_parameters_of_every_node_are_left_out_and_values_suit_the_settings(tmp_path: Path) -> None:
     text = (
         "/**:\n  ros__parameters:\n    use_sim_time: true\n    forgetting_time: 1e2\n"
@@ -193,12 +181,3 @@ def test_parameters_of_every_node_are_left_out_and_values_suit_the_settings(tmp_
     assert settings.forgetting_time == 100.0
     assert settings.actuators.channels == (2, 0, 1, 3)
     assert settings.actuators.trim == ()
-
-
-def test_scalars() -> None:
-    assert scalar("1e-3") == 0.001
-    assert isinstance(scalar("20"), int)
-    assert scalar("off") is False
-    assert scalar("off", quoted=True) == "off"
-    assert math.isnan(float(scalar(".nan")))
-    assert scalar("2.2250738585072014e-308") == sys.float_info.min

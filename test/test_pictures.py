@@ -1,18 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The picture of a flight: its labels can be read, its truth is the one that compares."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
-from uav_ident_ros.files.truth_file import read_truth
-from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline.picture import with_sigma
 from uav_ident_ros.report.style import COLORS, REGRESSORS
-
-BAGS = Path(__file__).parents[1] / "bags"
 
 
 @pytest.mark.parametrize(
@@ -32,17 +24,3 @@ def test_a_value_has_the_figures_of_its_sigma(value: float, sigma: float, text: 
 def test_no_two_things_share_a_colour() -> None:
     colours = [COLORS["measured"], COLORS["ahead"], *REGRESSORS.values()]
     assert len(set(colours)) == len(colours)
-
-
-def test_only_a_truth_that_compares_is_read() -> None:
-    augmented = STRUCTURES["augmented"]
-    assert read_truth(BAGS / "multisine", augmented).values["pdot/da"] == pytest.approx(
-        59.94, abs=0.01
-    )
-    # local derivatives hold at fixed flow angles, which this structure does not have
-    assert read_truth(BAGS / "c172p", augmented).values == {}
-    for structure in STRUCTURES.values():
-        if {"alpha", "beta"} <= set(structure.regressors):
-            assert read_truth(BAGS / "c172p", structure).values["pdot/da"] == pytest.approx(
-                29.48, abs=0.1
-            )

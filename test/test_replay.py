@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`replay`: the same as the core fed by hand, files as the contract says, and clear refusals."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import os

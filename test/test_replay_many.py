@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`replay` of many bags and of many configurations: each has its own outcome and its own folder."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import re
@@ -21,9 +19,7 @@ from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.offline import main
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.job import Job, Outcome, replay
-from uav_ident_ros.offline.options import parser
 from uav_ident_ros.offline.overview import WORST_FIT, mean_fit, overview, percent, ranked, ranking
-from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
 
 
@@ -202,14 +198,6 @@ def test_an_empty_folder_is_refused_and_stops_no_other(
     assert "2 bags: 1 not usable, 1 no result" in captured.out
 
 
-def test_outcomes_keep_the_order_of_the_jobs(tmp_path: Path) -> None:
-    jobs = [Job(tmp_path / f"nowhere{k}", f"n{k}", tmp_path / f"out{k}") for k in range(3)]
-    outcomes = replay_all(jobs, 2)
-    assert [outcome.job for outcome in outcomes] == jobs
-    assert [outcome.status for outcome in outcomes] == [NO_RESULT] * 3
-    assert "nowhere1' does not exist" in outcomes[1].warnings[0]
-
-
 # --- many configurations -----------------------------------------------------------------------
 
 
@@ -279,11 +267,6 @@ def test_ranking_puts_usable_ones_first_and_one_bad_axis_does_not_hide_the_other
 
 
 # --- options -----------------------------------------------------------------------------------
-
-
-def test_topics_are_absolute() -> None:
-    given = parser().parse_args(["bag", "--topic", "imu/data:=/a", "--topic", "armed:=b"])
-    assert given.topic == [("rates", "/a"), ("armed", "/b")]
 
 
 def test_help_comes_at_once_without_what_the_work_needs() -> None:

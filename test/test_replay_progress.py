@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The progress bar of `replay`: on a terminal, where tqdm is there, and nowhere else."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The benchmarks are programs beside the package: their folder is put on the path."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

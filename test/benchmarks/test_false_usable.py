@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The judge of the verdict itself: what is wrong, and against which truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

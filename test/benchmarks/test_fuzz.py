@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A few of the mutated files of benchmarks/fuzz.py: read, or refused in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import fuzz

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mutation run finds the constants, changes nothing else, and its named tests exist."""
 
-from __future__ import annotations
-
 import mutations
 
 

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A linear aircraft for controllers to fly, and the messages of an identifier about it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from equations import matrix
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
 from uav_ident_ros.control import Law, RateController
@@ -27,9 +26,7 @@ VALUES = {
 
 def coefficients(effect: FloatArray | float = 1.0, t_ns: int = START) -> Coefficients:
     """Coefficients whose inputs (de, dr, da, dth) have so much of their effect."""
-    values = np.zeros(STRUCTURE.mask.shape)
-    for name, value in VALUES.items():
-        values[STRUCTURE.index(name)] = value
+    values = matrix(STRUCTURE, VALUES)
     values[:, INPUT_COLUMNS] *= effect
     return Coefficients(STRUCTURE, values, 0.02 * np.abs(values), t_ns=t_ns)
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whose control derivatives are flown on, axis by axis, and what the inputs are measured to do."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The laws on a linear aircraft: what the loop can stand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from equations import matrix
 from plants import DT_NS, START, STEP, coefficients, controller, flown
 
 from uav_ident_ros.client import Coefficients, CoefficientSource
@@ -79,11 +78,8 @@ def test_what_is_repaired_is_alive_again() -> None:
 def test_yawing_rolls_by_the_dihedral_and_by_the_rudder_that_holds_it() -> None:
     structure = STRUCTURES["flight_dynamics"]
     assert yaw_for_roll(coefficients()) == 0.0  # a structure without sideslip
-    values = np.zeros(structure.mask.shape)
-    for name, value in {
-        "pdot/beta": -14.0, "pdot/dr": 3.0, "rdot/beta": 4.0, "rdot/dr": -4.0
-    }.items():  # fmt: skip
-        values[structure.index(name)] = value
+    told = {"pdot/beta": -14.0, "pdot/dr": 3.0, "rdot/beta": 4.0, "rdot/dr": -4.0}
+    values = matrix(structure, told)
     aircraft = Coefficients(structure, values, np.zeros_like(values))
     assert yaw_for_roll(aircraft) == pytest.approx(SIDESLIP_RATE / 11.0)
     values[structure.index("rdot/beta")] = -4.0  # it would not stay in a sideslip

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured flights fed to the identifier, as tests need them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 

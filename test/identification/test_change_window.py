@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The change detector with ticks of any length, as after a stall or a flood."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From messages to coefficients: what must not matter does not, and nothing is lost."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -98,50 +96,36 @@ def test_late_duplicate_and_bad_samples_are_counted_and_change_nothing(
 
 
 @pytest.mark.parametrize(
-    ("lost", "gap"), [("rates", 0.5), ("actuators", 0.5), ("actuators", 3.0), ("both", 3.0)]
+    ("lost", "gap", "limit"),
+    [
+        # Lost rates are seen at once; lost inputs only after a while, in which they are held.
+        ("rates", 0.5, 2e-3),
+        ("actuators", 0.5, 4e-2),
+        ("actuators", 3.0, 4e-2),
+        ("both", 3.0, 4e-2),
+        ("a new time base", 0.0, 2e-3),
+    ],
 )
-def test_a_gap_leaves_no_jump(calm_flight: Flight, gap: float, lost: str) -> None:
+def test_a_gap_leaves_no_jump(calm_flight: Flight, gap: float, lost: str, limit: float) -> None:
     """No transient of the filters enters: without noise, the coefficients stay."""
     m = measure(calm_flight, Sensors())
     start = int(m.imu_t_ns[0]) + 12 * S
     end = start + round(gap * S)
+    back = 10_000 * S if "base" in lost else 0
     kept = [
-        message
+        message._replace(t_ns=message.t_ns - back * (message.t_ns > start))
         for message in messages(m)
         if not (start < message.t_ns < end and lost in (message.stream, "both"))
     ]
-    estimates = run(
-        OnlineIdentifier(settings(m, estimator="least_squares", model__inertia=INERTIA)), kept
-    )
-    t = np.array([estimate.t_ns for estimate in estimates])
-    structure = STRUCTURES["augmented"]
-    columns = [structure.index(name) for name in linear_names(calm_flight)]
+    own = settings(m, estimator="least_squares", model__inertia=INERTIA)
+    estimates = run(OnlineIdentifier(own), kept)
+    t = np.array([e.t_ns + back * (e.t_ns < start - 100 * S) for e in estimates])
+    columns = [STRUCTURES["augmented"].index(name) for name in linear_names(calm_flight)]
     values = np.array([[e.coefficients[i] for i in columns] for e in estimates])
     before = values[np.searchsorted(t, start, side="right") - 1]
     after = values[(t > end) & (t < end + 5 * S)]
     assert len(after) > 50
-    # Lost rates are seen at once; lost inputs only after a while, in which they are held.
-    limit = 2e-3 if lost == "rates" else 4e-2
     assert np.abs(after / before - 1.0).max() < limit
-
-
-def test_a_new_time_base_restarts_without_a_jump(calm_flight: Flight) -> None:
-    m = measure(calm_flight, Sensors())
-    break_ns = int(m.imu_t_ns[0]) + 14 * S
-    moved = [
-        message if message.t_ns < break_ns else message._replace(t_ns=message.t_ns - 10_000 * S)
-        for message in messages(m)
-    ]
-    estimates = run(
-        OnlineIdentifier(settings(m, estimator="least_squares", model__inertia=INERTIA)), moved
-    )
-    turn = next(k for k in range(1, len(estimates)) if estimates[k].t_ns < estimates[k - 1].t_ns)
-    structure = STRUCTURES["augmented"]
-    names = linear_names(calm_flight)
-    before = [estimates[turn - 1].coefficients[structure.index(n)] for n in names]
-    for estimate in estimates[turn : turn + 100]:
-        after = [estimate.coefficients[structure.index(n)] for n in names]
-        np.testing.assert_allclose(after, before, rtol=2e-3)
 
 
 # -- memory ------------------------------------------------------------------------------------
@@ -203,10 +187,3 @@ def test_how_it_is_measured_does_not_matter(
     """Noise-free, so that the pairing of rates and inputs is all that is tested."""
     _, coefficients = identify(measure(calm_flight, Sensors(**variant)), estimator="least_squares")
     assert worst(errors(coefficients, "augmented", calm_flight, linear_names(calm_flight))) < limit
-
-
-@pytest.mark.parametrize(("delay", "lag"), [(0.06, 0.0), (0.04, 0.05)])
-def test_delay_and_lag_are_undone(delay: float, lag: float) -> None:
-    flight = plant_flight(20.0, delay=delay, time_constant=lag)
-    _, a = identify(measure(flight), estimator="least_squares", structure="throttle_coupled")
-    assert worst(errors(a, "throttle_coupled", flight, linear_names(flight))) < 0.005

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a surface does, confirmed by the flight or contradicted by it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -72,7 +70,7 @@ def test_surfaces_that_do_as_believed_are_confirmed() -> None:
 def test_a_surface_that_fails_speaks_against_itself(row: int, effect: float) -> None:
     """Soon, however long it had worked; and the others stay what they are."""
     flight = Flown()
-    flight.fly(300.0)
+    flight.fly(2.0 * MAX_AGE)
     flight.fly(10.0, effect, row=row)
     surface = ("da", "de", "dr")[row]
     axis = ("pdot", "qdot", "rdot")[row]

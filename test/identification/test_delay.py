@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The delay is found where the flight shows it, and nowhere else."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run of excitation: its signals, its limits, its end."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Feedback: what answers a disturbance is found, and counts as little as it tells."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

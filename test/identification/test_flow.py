@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Attitude, sideslip and angle of attack from the Imu: against flights that know them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 
@@ -160,15 +158,6 @@ def test_the_flow_angles_of_a_light_jsbsim_aircraft_are_its_own() -> None:
     assert ((found - true).std(axis=0) < 0.2 * true.std(axis=0)).all()
 
 
-def test_the_flow_angles_of_the_light_aircraft_are_its_own() -> None:
-    """Its speed varies a little, and the lift with it."""
-    segment = Segment("multisine", amplitudes=dict.fromkeys(("de", "dr", "da"), 0.05), seed=1)
-    flight = light_aircraft.fly(LightFlight((segment,), 30.0))
-    values = true_values(flight)
-    found, true = flow_of(flight, values)
-    assert ((found - true).std(axis=0) < 0.2 * true.std(axis=0)).all()
-
-
 def test_without_motion_the_angles_are_those_of_the_force() -> None:
     """Lift is weight: alpha where az is -g, and the surfaces' own part taken off."""
     values = first_values(FLIGHT)
@@ -226,7 +215,7 @@ def without_accelerometer(stream: list[Message]) -> list[Message]:
 
 @pytest.mark.parametrize("estimator", ["least_squares", "instrumental_variable"])
 def test_without_an_accelerometer_the_moments_are_those_without_flow(estimator: str) -> None:
-    m = measure(plant_flight(20.0, gusts=ColouredNoise(0.3, 0.3)), Sensors(gyro_noise=0.02), seed=1)
+    m = measure(plant_flight(10.0, gusts=ColouredNoise(0.3, 0.3)), Sensors(gyro_noise=0.02), seed=1)
     stream = without_accelerometer(messages(m))
     flying = OnlineIdentifier(settings(m, structure="flight_dynamics", estimator=estimator))
     fixed = ("pdot/ay", "qdot/az", "rdot/ay")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was injected, on the grid beside the inputs: the same delay, the same lag, exact means."""
 
-from __future__ import annotations
-
 import random
 
 import numpy as np

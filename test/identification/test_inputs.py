@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Channels to inputs, cell means and the servo lag, against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from uav_ident_ros.identification.inputs import InputMap, ServoLag, cell_means
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.simulation.channels import CHANNEL_SETS
 
 MS = 1_000_000
 
@@ -40,13 +36,6 @@ def test_cell_means_of_irregular_samples(interpolation: str) -> None:
             assert means[i, c] == pytest.approx(expected, abs=2e-3)
 
 
-def test_the_last_value_is_held() -> None:
-    t_ns = np.array([0, 10]) * MS
-    u = np.array([[0.0] * 4, [2.0] * 4])
-    means = cell_means(t_ns, u, np.array([10, 500, 900]) * MS, "linear")
-    assert means[:, 1].tolist() == [2.0, 2.0]
-
-
 def test_servo_lag_is_exact_for_inputs_held_over_the_cells() -> None:
     tau, h = 0.08, 0.005
     u = np.repeat(np.random.default_rng(2).normal(size=(12, 4)), 6, axis=0)
@@ -59,40 +48,6 @@ def test_servo_lag_is_exact_for_inputs_held_over_the_cells() -> None:
         share = tau / h * -np.expm1(-h / tau)
         np.testing.assert_allclose(means[k], command + (state - command) * share, atol=1e-13)
         state = command + (state - command) * np.exp(-h / tau)
-
-
-def test_without_a_lag_the_input_passes_unchanged() -> None:
-    u = np.random.default_rng(3).normal(size=(7, 4))
-    lag = ServoLag(0.0, 0.005)
-    lag.restart(u[0])
-    assert np.array_equal(lag.apply(u), u)
-
-
-@pytest.mark.parametrize("name", sorted(CHANNEL_SETS))
-def test_channels_of_every_kind_give_the_inputs_back(name: str) -> None:
-    channel_set = CHANNEL_SETS[name]
-    trim = np.array([0.01, -0.02, 0.03, 0.5])
-    values = {
-        f"actuators.mixing.{key}": row
-        for key, row in zip(INPUTS, channel_set.mixing.tolist(), strict=True)
-    }
-    values["actuators.channels"] = list(range(len(channel_set.names)))
-    values["actuators.trim"] = channel_set.trim(trim).tolist()
-    mapping = InputMap(Settings.from_values(values).actuators)
-    u = np.random.default_rng(4).normal(size=(30, 4)) * 0.2
-    np.testing.assert_allclose(mapping.apply(channel_set.raw(u, trim)), u, atol=1e-13)
-
-
-def test_scale_multiplies_before_the_mixing() -> None:
-    settings = Settings.from_values(
-        {
-            "actuators.scale": [0.5, -1.0, 0.001, 2.0],
-            "actuators.trim": [1.0, 0.0, 1500.0, 0.25],
-            "actuators.mixing.de": [1.0, 1.0, 0.0, 0.0],
-        }
-    )
-    u = InputMap(settings.actuators).apply(np.array([3.0, 0.4, 1750.0, 0.75]))
-    np.testing.assert_allclose(u, [0.5 * 2.0 - 0.4, -0.4, 0.25, 1.0])
 
 
 def test_a_motors_thrust_goes_by_the_square_as_far_as_it_is_told() -> None:

@@ -1,45 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """The model with angle of attack and sideslip: against SciPy and its own linearisation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from equations import flight_equations, slope
+from equations import AIRCRAFT, flight_equations, matrix
 from scipy.integrate import solve_ivp
 
-from uav_ident_ros.identification.linearisation import Condition, linearise
 from uav_ident_ros.identification.model import (
     LARGEST_ANGLE,
     FlowSignals,
     IdentifiedModel,
-    flight_derivative,
     with_measured_force,
 )
 from uav_ident_ros.identification.prior import slope_bounds, start_from
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
-from uav_ident_ros.simulation.light_aircraft import SPEED, TRUTH
 
 FLIGHT, AUGMENTED = STRUCTURES["flight_dynamics"], STRUCTURES["augmented"]
 RNG = np.random.default_rng(2)
 
 
-def coefficients() -> FloatArray:
-    """The light aircraft, with rate products, throttle and biases."""
-    values = np.zeros(FLIGHT.mask.shape)
-    for name, value in {
-        **TRUTH, "pdot/qr": -0.7, "pdot/pq": 0.1, "qdot/pr": 0.85, "qdot/pp": -0.1, "qdot/rr": 0.1,
-        "rdot/pq": -0.25, "rdot/qr": 0.2, "pdot/dth": 0.5, "qdot/dth": -1.0, "rdot/dth": -0.5,
-        "pdot/1": 0.1, "qdot/1": 2.0, "rdot/1": -0.1, "betadot/1": 0.02, "alphadot/1": -0.03,
-        "betadot/p": 0.07, "ay/p": -0.25, "ay/r": 0.6,
-    }.items():  # fmt: skip
-        values[FLIGHT.index(name)] = value
-    return values
-
-
-A = coefficients()
+SPEED = 18.0
+A = matrix(FLIGHT, AIRCRAFT | {"pdot/dth": 0.5, "qdot/pp": -0.1, "qdot/rr": 0.1, "rdot/qr": 0.2})
 START = np.array([0.3, -0.2, 0.1, 0.05, 0.04, 0.4, -0.1])
 """p, q, r, beta, alpha, roll, pitch."""
 
@@ -49,42 +32,6 @@ def with_down(state: FloatArray) -> FloatArray:
     *first, roll, pitch = state
     level = np.cos(pitch)
     return np.array([*first, -np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level])
-
-
-def drive(u: FloatArray) -> list[float]:
-    rows = A[:, 8:12] @ u + A[:, 12]
-    return [*rows.tolist(), 1.0 / SPEED, 0.0, 0.0, 0.0]
-
-
-def test_the_right_hand_side_is_that_by_hand() -> None:
-    u = np.array([0.05, -0.02, 0.03, 0.2])
-    found = flight_derivative(A)(with_down(START).tolist(), drive(u))
-    expected = flight_equations(A, START, u, SPEED)
-    np.testing.assert_allclose(found[:5], expected[:5], atol=1e-12)
-    np.testing.assert_allclose(found, slope(with_down, START) @ expected, atol=1e-8)
-
-
-def test_the_linearisation_is_the_slope_of_the_right_hand_side() -> None:
-    u = np.array([0.05, -0.02, 0.03, 0.2])
-    p, q, r, *_, roll, pitch = START.tolist()
-    a, b = linearise(FLIGHT, A, Condition(SPEED, (p, q, r), roll, pitch))
-
-    at = np.concatenate([START, u])
-    expected = slope(lambda x: flight_equations(A, x[:7], x[7:], SPEED), at)[:6]
-    np.testing.assert_allclose(np.hstack([a, b]), np.delete(expected, 6, axis=1), atol=1e-6)
-
-
-def test_many_models_side_by_side_are_each_the_one() -> None:
-    many = A[..., None] * RNG.uniform(0.5, 1.5, (1, 1, 5))
-    states = with_down(START)[:, None] * RNG.uniform(0.9, 1.1, (8, 5))
-    u = np.array([0.05, -0.02, 0.03, 0.2])
-    rows = np.einsum("ijw,j->iw", many[:, 8:12], u) + many[:, 12]
-    shared = [*rows, 1.0 / SPEED, 0.0, 0.0, 0.0]
-    together = np.array(flight_derivative(many)(list(states), shared))
-    for k in range(5):
-        alone = [*rows[:, k].tolist(), 1.0 / SPEED, 0.0, 0.0, 0.0]
-        one = flight_derivative(many[..., k])(states[:, k].tolist(), alone)
-        np.testing.assert_allclose(together[:, k], one, rtol=1e-12)
 
 
 def block_of(u: FloatArray, h: float, *, restarted: bool = True) -> tuple[Block, FlowSignals]:
@@ -136,21 +83,6 @@ def test_a_model_that_diverges_is_set_back_to_what_was_measured(name: str) -> No
     np.testing.assert_array_equal(states, flow.at_edges(block.x))
     beyond = flow.at_edges(block.x)
     assert np.abs(beyond[:, 3:5]).max() < LARGEST_ANGLE
-
-
-def test_with_measured_forces_the_moments_are_the_same() -> None:
-    """The flow angles at which the force rows give the measured forces, put into the moments."""
-    with_force = with_measured_force(A, FLIGHT)
-    assert with_force.shape == (3, FLIGHT.size)
-    for _ in range(20):
-        x, u, angles = RNG.normal(size=3), RNG.normal(size=4), RNG.normal(size=2)
-        rows = A @ FLIGHT.regressor(x, u, angles)
-        measured = FLIGHT.regressor(x, u, rows[3:5])
-        np.testing.assert_allclose(with_force @ measured, rows[:3], atol=1e-9)
-    batch = np.stack([A, 2.0 * A])
-    np.testing.assert_allclose(with_measured_force(batch, FLIGHT)[0], with_force)
-    assert with_measured_force(A[:3], AUGMENTED) is not None
-    np.testing.assert_array_equal(with_measured_force(A[:3], AUGMENTED), A[:3])
 
 
 def test_a_force_row_of_nothing_leaves_no_moment_of_its_angle() -> None:

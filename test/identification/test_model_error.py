@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A surface that is late, or does less the more is asked of it, told from one that is not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

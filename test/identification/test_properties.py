@@ -4,8 +4,6 @@
 The sequences are drawn by hypothesis, by the profiles of test/conftest.py.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

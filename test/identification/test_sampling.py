@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rates and inputs on one grid: exact pairing, gaps, stale inputs, trim, bounded memory."""
 
-from __future__ import annotations
-
-import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -90,13 +87,6 @@ def test_delay_and_lag_leave_the_equation_as_it_was(delay: float, lag: float) ->
     assert wrong.max() > 0.1
 
 
-def test_half_a_sample_is_seen() -> None:
-    """Commands at 50 Hz, taken 10 ms too late, break the equation by percents."""
-    flight = plant_flight(6.0, actuator_rate=50.0)
-    assert misfit(measure(flight)).max() < 1e-3
-    assert misfit(measure(flight), actuators__delay=0.01).max() > 0.02
-
-
 def test_with_its_lever_arm_an_offset_accelerometer_reads_as_at_the_centre() -> None:
     flight = plant_flight(5.0, rate=1000.0, max_step=1e-3, force=ColouredNoise(0.3, 0.5))
     structure, forces = STRUCTURES["augmented"], []
@@ -108,26 +98,6 @@ def test_with_its_lever_arm_an_offset_accelerometer_reads_as_at_the_centre() -> 
     uncorrected = flight.force_at(arms[1])[:, 1:] - flight.force_at(arms[0])[:, 1:]
     # Half a cell is left: held inputs make the accelerations jump between two samples.
     assert np.abs(forces[1] - forces[0]).max() < 0.01 * np.abs(uncorrected).max()
-
-
-def test_an_integrator_driven_by_held_inputs_is_exact() -> None:
-    """Rates that are straight lines between samples: nothing is left but rounding."""
-    target = sampler(structure="throttle_coupled")
-    rng = np.random.default_rng(5)
-    u = np.repeat(rng.normal(size=(100, 4)), 4, axis=0)
-    a = np.zeros((3, 12))
-    a[:, 8:] = rng.normal(size=(3, 4)) * 5.0
-    x = np.vstack([np.zeros(3), np.cumsum(u @ a[:, 8:].T, axis=0) * 0.005])
-    add_rates(target, np.arange(401) * 5 * MS, x * [1.0, -1.0, -1.0])
-    for k in range(100):
-        target.raw_inputs.append(k * 20 * MS, tuple(u[4 * k]))
-    svf = StateVariableFilter(STRUCTURES["throttle_coupled"], 15.0, 0.005, np.zeros(3))
-    count = 0
-    for block in blocks(target, 2000 * MS):
-        data = svf.apply(block, block.x)
-        np.testing.assert_allclose(data.y, data.f @ a.T, atol=1e-11)
-        count += len(data.y)
-    assert count == 400
 
 
 # -- the grid ----------------------------------------------------------------------------------
@@ -149,25 +119,6 @@ def test_the_rate_is_found_and_every_sample_lies_on_the_grid(rate: int) -> None:
     on_grid = np.concatenate([block.x[:-1] for block in got])[:, 0]
     first = int(np.searchsorted(stamps, edges[0]))
     np.testing.assert_allclose(on_grid, rates[first : first + len(on_grid), 0], atol=1e-4)
-
-
-def test_dropped_samples_do_not_slow_the_grid_down() -> None:
-    rng = np.random.default_rng(7)
-    stamps = np.arange(0, 2000, 5)[rng.random(400) >= 0.2] * MS
-    target = sampler()
-    add_rates(target, stamps)
-    add_inputs(target, range(0, 2000 * MS, 20 * MS))
-    assert next(blocks(target, 2000 * MS)).h == pytest.approx(0.005)
-
-
-def test_consecutive_blocks_share_an_edge() -> None:
-    target = sampler()
-    add_rates(target, range(0, 3000 * MS, 5 * MS))
-    add_inputs(target, range(0, 3000 * MS, 20 * MS))
-    got = list(blocks(target, 3000 * MS))
-    for before, after in itertools.pairwise(got):
-        assert before.t_ns[-1] == after.t_ns[0]
-        assert np.array_equal(before.x[-1], after.x[0])
 
 
 # -- gaps and stale inputs ---------------------------------------------------------------------
@@ -222,13 +173,6 @@ def test_a_straight_input_line_waits_for_its_end() -> None:
         np.testing.assert_allclose(block.u[:, 0], middle, atol=1e-12)
 
 
-def test_without_inputs_it_says_so() -> None:
-    target = sampler()
-    add_rates(target, range(0, 1000 * MS, 5 * MS))
-    assert list(blocks(target, 1000 * MS)) == []
-    assert target.waiting_for == "actuators"
-
-
 # -- trim --------------------------------------------------------------------------------------
 
 
@@ -263,6 +207,3 @@ def test_no_trim_is_learned_from_stale_inputs() -> None:
     add_inputs(target, [0])
     assert list(blocks(target, 3000 * MS)) == []
     assert "trim" in target.waiting_for
-
-
-# -- memory ------------------------------------------------------------------------------------

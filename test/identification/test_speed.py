@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed scaling: one set of coefficients over a range of airspeeds."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import AIRSPEED
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import Segment, sample_inputs
@@ -103,29 +99,3 @@ def test_without_an_airspeed_the_scaling_is_off(
     identifier, estimate = identify(flown)
     np.testing.assert_array_equal(identifier.coefficient_set().values, estimate.coefficients)
     assert worst_linear(estimate.coefficients, PLANT.coefficients) > 0.05
-
-
-def test_it_waits_for_the_first_airspeed(
-    flown: tuple[FloatArray, FloatArray, FloatArray],
-) -> None:
-    identifier = OnlineIdentifier(
-        Settings.from_values({"structure": STRUCTURE.name, "airspeed.type": "std_msgs/msg/Float64"})
-    )
-    estimates: list[Estimate] = []
-    for t, x, u in list(zip(*flown, strict=True))[:600]:
-        t_ns = START_NS + round(t * 1e9)
-        identifier.add_actuators(t_ns, u.tolist())
-        identifier.add_rates(t_ns, x.tolist())
-        estimates += identifier.advance()
-    last = estimates[-1]
-    assert (last.state, last.reason) == ("waiting", "waiting for airspeed")
-    assert not last.coefficients.any()
-
-
-def test_bad_airspeeds_are_dropped_and_counted() -> None:
-    identifier = OnlineIdentifier(Settings.from_values({"airspeed.type": "std_msgs/msg/Float64"}))
-    identifier.add_rates(START_NS, (0.0, 0.0, 0.0))
-    assert identifier.add_airspeed(START_NS, float("nan")) is Drop.NOT_FINITE
-    assert identifier.add_airspeed(0, 20.0) is Drop.ZERO_STAMP
-    assert identifier.add_airspeed(START_NS + 10**10, 20.0) is Drop.CLOCK_MISMATCH
-    assert identifier.drops[AIRSPEED].total() == 3

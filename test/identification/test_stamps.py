@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One outlying stamp is dropped; five that agree are a new time base."""
 
-from __future__ import annotations
-
 import pytest
 
 from uav_ident_ros.identification.drops import LATEST_STAMP, Drop

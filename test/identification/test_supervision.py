@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The running fit, the states and the verdict, both ways."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -61,24 +59,6 @@ def test_wrong_signs_are_not_usable(excited: Measurements) -> None:
     np.testing.assert_array_equal(estimates[-1].coefficients, given)
 
 
-def test_a_late_input_is_not_usable() -> None:
-    late = measured(35.0, delay=0.25)
-    _, estimates = flown(late, actuators__delay=0.0)
-    assert not any(e.usable for e in estimates)
-    assert "t-ratio" in estimates[-1].reason or "prediction fit" in estimates[-1].reason
-
-
-def test_an_unexcited_axis_is_not_usable() -> None:
-    amplitudes = {k: v for k, v in AMPLITUDES.items() if k != "de" and k != "dth"}
-    quiet_pitch = measured(
-        25.0,
-        segments=(Segment("multisine", amplitudes=amplitudes, seed=1),),
-        gusts=ColouredNoise(0.3, 0.3),
-    )
-    _, estimates = flown(quiet_pitch)
-    assert not estimates[-1].usable
-
-
 def test_quiet_flight_teaches_next_to_nothing_and_grows_stale() -> None:
     quiet = measured(
         50.0,
@@ -108,22 +88,6 @@ def test_the_running_fit_tells_the_axis_whose_coefficient_is_wrong() -> None:
     fit, hold = estimates[-1].fit, identifier.running_fit.hold
     assert (fit[1] > 95.0, fit[0] < 80.0) == (True, True)
     assert (hold < fit).all()
-
-
-def test_adaptation_can_be_switched_off_and_on(excited: Measurements) -> None:
-    identifier = OnlineIdentifier(settings(excited, structure="throttle_coupled"))
-    stream = messages(excited)
-    third = len(stream) // 3
-    before = run(identifier, stream[:third])[-1]
-    identifier.adapt = False
-    paused = run(identifier, stream[third : 2 * third])
-    assert {e.reason for e in paused} == {"adaptation is switched off"}
-    np.testing.assert_array_equal(paused[-1].coefficients, before.coefficients)
-    assert not paused[-1].adapting
-    identifier.adapt = True
-    after = run(identifier, stream[2 * third :])[-1]
-    assert after.adapting
-    assert (after.coefficients != before.coefficients).any()
 
 
 @pytest.mark.parametrize(("travel", "misses"), [(0.03, True), (np.inf, False)])

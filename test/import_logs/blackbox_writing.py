@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blackbox logs of a quadrotor, encoded as Betaflight does: intra frames of variable bytes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 COUNT = 600

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Logs imported by the command, as a user does."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """ArduPilot logs for the tests, encoded by pymavlink: its formats, its own message writer."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Mapping
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What ArduPilot logs of different vehicles mean. All are encoded by pymavlink's own writer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -77,42 +75,28 @@ def test_a_plane_with_reversed_servos(importer: Importer) -> None:
     assert "AHRS_ORIENTATION 8, roll 180 deg" in said
 
 
-def demands(values: dict, aileron: float, elevator: float, rudder: float, tail: bool) -> np.ndarray:
-    """Inputs that the identifier sees when Plane's mixer is asked for these (-1 to 1)."""
-    one, two = (rudder, elevator) if tail else (aileron, elevator)
-    # channel_function_mixer: elevator minus and plus the other, halved (MIXING_GAIN).
-    minus, plus = 0.5 * (two - one), 0.5 * (two + one)
-    left, right = (plus, minus) if tail else (minus, plus)
-    pulses = 1500.0 + 400.0 * np.array([left, right])
-    scaled = np.array(values["actuators.scale"][:2]) * (pulses - 1500.0)
-    return mixing(values)[:, :2] @ scaled
+ELEVON, TAIL = [-0.5, -0.5], [-0.5, 0.5]
+"""Halves: Plane's mixer gives each of a pair half of what is asked of either (MIXING_GAIN)."""
+
+MIXERS = {
+    # functions of the pins, parameters, and rows of the mixing
+    "elevons": ((77, 78, 70), {}, [[*ELEVON, 0], [0] * 3, [-0.5, 0.5, 0], [0, 0, 1]]),
+    "V-tail": ((79, 80), {}, [ELEVON, TAIL, [0, 0], [0, 0]]),
+    "two of one function": ((4, 4, 19), {}, [[0, 0, -1], [0] * 3, [0.5, 0.5, 0], [0] * 3]),
+    "quadrotor": ((33, 34, 35, 36), {"FRAME_CLASS": 1, "FRAME_TYPE": 1}, QUADROTOR.mixing),
+}
 
 
-def test_elevons_give_back_half_of_what_was_asked_of_each(importer: Importer) -> None:
-    _, values, _ = imported(importer, imu() + rcou(), servos(77, 78, 70))
-    np.testing.assert_allclose(demands(values, 0.0, 0.5, 0.0, False), [-0.25, 0, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(demands(values, 0.5, 0.0, 0.0, False), [0, 0, 0.25, 0], atol=1e-12)
-
-
-def test_a_v_tail_pitches_up_and_yaws_right(importer: Importer) -> None:
-    _, values, _ = imported(importer, imu() + rcou(), servos(79, 80, 4))
-    np.testing.assert_allclose(demands(values, 0.0, 0.5, 0.0, True), [-0.25, 0, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(demands(values, 0.0, 0.0, 0.5, True), [0, -0.25, 0, 0], atol=1e-12)
-
-
-def test_two_servos_of_one_function_are_averaged(importer: Importer) -> None:
-    bag, values, _ = imported(importer, imu() + rcou(), servos(4, 4, 19, 70))
-    assert bag.names[:2] == ["aileron", "aileron_2"]
-    np.testing.assert_allclose(mixing(values)[2], [0.5, 0.5, 0.0, 0.0])
-
-
-def test_a_quadrotor_mixes_as_in_the_simulation(importer: Importer) -> None:
-    frame = {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000}
-    _, values, said = imported(importer, imu() + rcou(), servos(33, 34, 35, 36) | frame)
-    np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
-    np.testing.assert_allclose(values["actuators.scale"], 0.001)
-    np.testing.assert_allclose(values["actuators.trim"], np.median(PULSES, axis=0))
-    assert "quad x with ArduPilot's motor order" in said
+@pytest.mark.parametrize("name", MIXERS)
+def test_pairs_and_motors_are_mixed_as_ardupilot_does(importer: Importer, name: str) -> None:
+    functions, more, rows = MIXERS[name]
+    bag, values, said = imported(importer, imu() + rcou(), servos(*functions) | more)
+    np.testing.assert_allclose(mixing(values), rows, atol=1e-12)
+    if name == "quadrotor":
+        np.testing.assert_allclose(values["actuators.trim"], np.median(PULSES, axis=0))
+        assert "quad x with ArduPilot's motor order" in said
+    if name == "two of one function":
+        assert bag.names[:2] == ["aileron", "aileron_2"]
 
 
 @pytest.mark.parametrize(("frame", "count"), [((2, 1), 6), ((3, 1), 8), ((4, 1), 8), ((1, 0), 4)])

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blackbox logs of quadrotors, and those that cannot be used."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

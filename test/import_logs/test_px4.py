@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What PX4 logs of different ages and vehicles mean. All but the last are written by pyulog."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -181,28 +179,6 @@ def test_a_topic_that_covers_a_part_of_the_flight_is_passed_over(importer: Impor
     assert "actuator_motors covers 43 % of the flight only; actuator_controls_0 is at 10 Hz" in said
     assert "actuator_motors at 12.5 Hz over 43 %, actuator_controls_0 at 10 Hz over 100 %" in said
     assert "actuator_controls_0 has 10 Hz only: 20 Hz are needed" in said
-
-
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
-        ({"MAV_TYPE": 10}, "a rover (MAV_TYPE 10)"),
-        ({"MAV_TYPE": 11}, "a boat (MAV_TYPE 11)"),
-        ({"CA_AIRFRAME": 5}, "a rover (CA_AIRFRAME 5)"),
-        ({}, "a rover (vehicle_status.vehicle_type 3)"),
-    ],
-)
-def test_what_is_no_aircraft_is_refused_by_its_name(importer, values, said: str) -> None:
-    topics = combined() | {
-        ("actuator_controls_0", 0): commands(COMMAND_NS, noise(8), "control"),
-        ("vehicle_status", 0): {
-            "timestamp": stamps(COMMAND_NS[:3]),
-            "arming_state": np.full(3, 2, np.uint8),
-            "vehicle_type": np.full(3, 1 if values else 3, np.uint8),
-        },
-    }
-    line = importer.refused(write_ulog(importer.folder / "rover.ulg", topics, values))
-    assert f"rover.ulg' is of {said}: the model is that of an aircraft's attitude" in line
 
 
 # --- rates --------------------------------------------------------------------------------------

@@ -2,8 +2,6 @@
 """A simulated flight written into a log of each kind and imported back: the same samples, to what
 the format can hold, and the same coefficients."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which stamps of a stream no clock gave."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

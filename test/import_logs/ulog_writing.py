@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """PX4 logs for the tests, written by pyulog itself: any topics, any parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node under test: its own process, its own saved coefficients, and a player beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the node tests play, and what the offline replay makes of the same messages."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +26,9 @@ NODE = "/identifier"
 
 MakePlayer = Callable[..., Player]
 Fly = Callable[..., tuple[NodeProcess, Player]]
+
+Spoil = Callable[[Any], None]
+"""What is done to a message."""
 
 TickValues = dict[int, tuple[float, ...]]
 """Everything published for a tick, by its stamp in ns."""
@@ -62,6 +63,18 @@ def part(flight: Recording, begin: float, end: float) -> list[Message]:
     """Messages between two times after the start of a recording, s."""
     start_ns = flight.messages[0].log_ns
     return [m for m in flight.messages if begin <= (m.log_ns - start_ns) * 1e-9 < end]
+
+
+def put(name: str, value: Any) -> Spoil:
+    """Give a field of messages, however deep, a value."""
+
+    def change(message: Any) -> None:
+        *path, last = name.split(".")
+        for part in path:
+            message = getattr(message, part)
+        setattr(message, last, value)
+
+    return change
 
 
 def call(player: Player, kind: Any, service: str, **request: object) -> Any:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The demonstration, on a short flight and off a terminal."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The service ``~/excite`` and the topic ``~/excitation`` over DDS."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,25 +104,6 @@ def test_a_run_is_aborted_when_the_inputs_fail(flight: Recording, player: Player
     player.wait_until(lambda: shown(player)["excite: state"] == "idle", "the end of the run")
     assert "no ticks any more" in shown(player)["excite: last run"]
     assert not positions(heard[-1:]).any()
-
-
-def test_a_run_is_aborted_at_the_first_tick_beyond_a_limit(
-    flight: Recording, player: Player
-) -> None:
-    heard = listen(player)
-    change(player, {"excitation.max_rate": 0.2})
-    try:
-        player.play_in_step(part(flight, 0.0, 1.5))  # nothing moves before two seconds
-        assert call(player, SetBool, "excite", data=True).success
-        player.play_in_step(part(flight, 1.5, 4.0))
-    finally:
-        change(player, {"excitation.max_rate": 50.0})
-    assert "rad/s: the limit is 0.2" in shown(player)["excite: last run"]
-    asked = positions(heard)
-    moving = np.flatnonzero(asked.any(axis=1))
-    assert len(moving) > 0 and not asked[moving[-1] + 1 :].any()
-    end = stamp_ns(heard[moving[-1] + 1].header.stamp)
-    assert end == stamp_ns(heard[moving[-1]].header.stamp) + 50 * MS - 150 * MS  # the next tick
 
 
 def test_a_replay_of_the_flight_reads_what_the_node_asked_for(

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A controller adds excitation, and stops when nobody asks any more."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

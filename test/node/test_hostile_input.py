@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bad messages are dropped, counted and named; the estimate is as if they had never come."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,9 @@ from recordings import (
     RATES_TOPIC,
     Fly,
     Recording,
+    Spoil,
     published,
+    put,
     recording,
     replayed,
     wait_for_status,
@@ -32,63 +32,31 @@ OUTLYING_S = 10
 """Far outside of `time_jump`, s."""
 
 
-def set_rate(value: float) -> Callable[[Any], None]:
-    def change(imu: Any) -> None:
-        imu.angular_velocity.y = value
+def stamped(sec: int) -> Spoil:
+    """Move the stamp by so many seconds; by 0, there is none."""
+
+    def change(message: Any) -> None:
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = (stamp.sec + sec, stamp.nanosec) if sec else (0, 0)
 
     return change
-
-
-def no_rates(imu: Any) -> None:
-    imu.angular_velocity_covariance[0] = -1.0
-
-
-def bad_force(imu: Any) -> None:
-    imu.linear_acceleration.z = math.nan
-
-
-def zero_stamp(message: Any) -> None:
-    message.header.stamp.sec = message.header.stamp.nanosec = 0
-
-
-def future_stamp(message: Any) -> None:
-    message.header.stamp.sec += OUTLYING_S
-
-
-def past_stamp(message: Any) -> None:
-    message.header.stamp.sec -= OUTLYING_S
-
-
-def set_channel(value: float) -> Callable[[Any], None]:
-    def change(state: Any) -> None:
-        state.position[2] = value
-
-    return change
-
-
-def short_array(state: Any) -> None:
-    state.position = state.position[:2]
-
-
-def other_names(state: Any) -> None:
-    state.name = ["flaps", "gear", "brake", "light"]
 
 
 # Topic, change, and the reason under which it is counted.
-BAD: list[tuple[str, Callable[[Any], None], str]] = [
-    (RATES_TOPIC, set_rate(math.nan), "not finite"),
-    (RATES_TOPIC, set_rate(-math.inf), "not finite"),
-    (RATES_TOPIC, bad_force, "not finite"),
-    (RATES_TOPIC, no_rates, "no rates"),
-    (RATES_TOPIC, zero_stamp, "zero or negative stamp"),
-    (RATES_TOPIC, future_stamp, "outlying stamp"),
-    (RATES_TOPIC, past_stamp, "outlying stamp"),
-    (ACTUATORS_TOPIC, set_channel(math.nan), "not finite"),
-    (ACTUATORS_TOPIC, set_channel(math.inf), "not finite"),
-    (ACTUATORS_TOPIC, short_array, "wrong channels"),
-    (ACTUATORS_TOPIC, other_names, "wrong channels"),
-    (ACTUATORS_TOPIC, zero_stamp, "zero or negative stamp"),
-    (ACTUATORS_TOPIC, future_stamp, "stamp far from the Imu's"),
+BAD: list[tuple[str, Spoil, str]] = [
+    (RATES_TOPIC, put("angular_velocity.y", math.nan), "not finite"),
+    (RATES_TOPIC, put("angular_velocity.y", -math.inf), "not finite"),
+    (RATES_TOPIC, put("linear_acceleration.z", math.nan), "not finite"),
+    (RATES_TOPIC, put("angular_velocity_covariance", [-1.0] + [0.0] * 8), "no rates"),
+    (RATES_TOPIC, stamped(0), "zero or negative stamp"),
+    (RATES_TOPIC, stamped(OUTLYING_S), "outlying stamp"),
+    (RATES_TOPIC, stamped(-OUTLYING_S), "outlying stamp"),
+    (ACTUATORS_TOPIC, put("position", [0.0, 0.0, math.nan, 0.0]), "not finite"),
+    (ACTUATORS_TOPIC, put("position", [0.0, 0.0, math.inf, 0.0]), "not finite"),
+    (ACTUATORS_TOPIC, put("position", [0.0, 0.0]), "wrong channels"),
+    (ACTUATORS_TOPIC, put("name", ["flaps", "gear", "brake", "light"]), "wrong channels"),
+    (ACTUATORS_TOPIC, stamped(0), "zero or negative stamp"),
+    (ACTUATORS_TOPIC, stamped(OUTLYING_S), "stamp far from the Imu's"),
 ]
 
 PLAIN_REASONS = {"zero or negative stamp", "outlying stamp", "stamp far from the Imu's"}

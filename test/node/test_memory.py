@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The state file: what is started from, what is refused and why, and when it is written."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

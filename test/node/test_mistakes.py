@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes at the start: the log and /diagnostics name each, with what to do, within 3 s."""
-
-from __future__ import annotations
+"""Mistakes at the start: the log and /diagnostics name each within 10 s, with what to do."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -14,17 +12,16 @@ from geometry_msgs.msg import TwistStamped, Vector3
 from node_process import NodeProcess, wait_for
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from recordings import Spoil, put
 from sensor_msgs.msg import Imu, JointState, MagneticField
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 
 PERIOD = 0.01
 START_NS = 1_700_000_000_000_000_000
 
-LOOKS = 3
-"""Messages on /diagnostics, one a second, of which the last must name a mistake."""
-
-DISCOVERY = 2
-"""More of them until DDS has found, or lost, an endpoint on a busy machine."""
+LOOKS = 10
+"""Messages on /diagnostics, one a second, of which the last must name a mistake: DDS takes some
+until it has found, or lost, an endpoint on a busy machine."""
 
 SENT = 30
 """Messages on each topic since the last look, without which a look does not count: a busy machine
@@ -55,7 +52,7 @@ Change = Topic | str | Callable[[Any], object] | None
 SILENT, TWICE = "silent", "twice"
 
 
-def stamp(sec: int) -> Callable[[Any], None]:
+def stamp(sec: int) -> Spoil:
     """Stamp messages so."""
 
     def change(message: Any) -> None:
@@ -65,25 +62,13 @@ def stamp(sec: int) -> Callable[[Any], None]:
     return change
 
 
-def frozen() -> Callable[[Any], None]:
+def frozen() -> Spoil:
     """Stamp every message as the first."""
     first: list[Any] = []
 
     def change(message: Any) -> None:
         first.append(message.header.stamp)
         message.header.stamp = first[0]
-
-    return change
-
-
-def put(name: str, value: Any) -> Callable[[Any], None]:
-    """Give an entry of messages a value."""
-
-    def change(message: Any) -> None:
-        *path, last = name.split(".")
-        for part in path:
-            message = getattr(message, part)
-        setattr(message, last, value)
 
     return change
 
@@ -266,7 +251,7 @@ class Source:
 
         def ended() -> bool:
             self.send()
-            return self._looks >= LOOKS + DISCOVERY or any(words in h for h in self.heard)
+            return self._looks >= LOOKS or any(words in h for h in self.heard)
 
         return wait_for(ended) and any(words in h for h in self.heard)
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The monitor beside the real node, over DDS: on a pipe, on a terminal, once."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os
@@ -35,6 +33,9 @@ WITHOUT_RICH = (
 )
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM)
+
+SILENT = re.compile(r"/identifier  waiting  not usable  last tick [\d.]+ s, none since$")
+"""How the view begins when the flight is over."""
 
 StartMonitor = Callable[..., subprocess.Popen[str]]
 
@@ -74,18 +75,20 @@ def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
     _, player = fly(flight, sim_time=True, parameters={"supervision.min_fit": "99.5"})
     reached = flight.messages[0].log_ns
 
-    def play_while(process: subprocess.Popen[str]) -> None:
-        """Go on at real time, or as fast as the node follows, until a process ends."""
+    def play_while(
+        process: subprocess.Popen[str], enough: Callable[[], bool] = lambda: True
+    ) -> None:
+        """Go on slowly, for a busy machine takes long to start one, until a process has ended."""
 
         def look(t_ns: int) -> None:
             nonlocal reached
             reached = t_ns
-            if process.poll() is not None:
+            if process.poll() is not None and enough():
                 raise EndedError
 
         with contextlib.suppress(EndedError):
             rest = [m for m in flight.messages if m.log_ns >= reached]
-            player.play(rest, on_time=look, in_step=True)
+            player.play(rest, speed=0.3, on_time=look, in_step=True)
 
     def stretch(seconds: float) -> list[Message]:
         """What comes in the next seconds of the flight."""
@@ -119,36 +122,41 @@ def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
     assert float(row[1]) > 0.0
     assert re.search(r"rates +/imu/data +\d+\.\d Hz +age \d", shown)
 
+    during, after = ENDINGS  # one is ended in flight, the other has to see the flight's end
     monitors = {ending: start_monitor("--node", "identifier/") for ending in ENDINGS}
     ticks: dict[signal.Signals, list[float]] = {ending: [] for ending in ENDINGS}
 
     def read(ending: signal.Signals) -> None:
         for line in monitors[ending].stdout or ():
-            told = len(ticks[ending]) >= 3
-            ticks[ending].extend(float(t) for t in re.findall(r"  tick ([\d.]+) s$", line))
-            if len(ticks[ending]) >= 3 and not told:
+            ticks[ending] += [float(t) for t in re.findall(r"  tick ([\d.]+) s$", line)]
+            if SILENT.match(line) if ending is after else len(ticks[ending]) >= 3:
                 monitors[ending].send_signal(ending)
+                break
 
     readers = [threading.Thread(target=read, args=(ending,)) for ending in ENDINGS]
     for reader in readers:
         reader.start()
-    for monitor in monitors.values():
-        play_while(monitor)
-    for reader in readers:
+    play_while(monitors[during], lambda: len(ticks[after]) >= 3)
+    for reader in readers:  # silence: what was usable is so no more
         reader.join(PATIENCE)
     for ending, monitor in monitors.items():
-        assert len(ticks[ending]) >= 3
-        assert ticks[ending] == sorted(set(ticks[ending]))
         assert monitor.wait(PATIENCE) == 0
         assert monitor.stderr is not None
         assert "Traceback" not in monitor.stderr.read()
+        assert len(ticks[ending]) >= 3
+        assert ticks[ending] == sorted(ticks[ending])
 
-    player.spin_for(2.5)  # silence: what was usable is so no more
-    monitor = start_monitor("--once", "--timeout", "3")
-    shown, errors = monitor.communicate(timeout=PATIENCE)
-    assert monitor.returncode == 1, shown + errors
-    assert "waiting" in shown
-    assert "none since" in shown
+
+def shown_until(monitor: subprocess.Popen[str], words: str) -> str:
+    """What it has shown when it shows the words; one that never does is ended."""
+    assert monitor.stdout is not None
+    guard = threading.Timer(PATIENCE, monitor.kill)
+    guard.start()
+    shown = ""
+    while words not in shown and (line := monitor.stdout.readline()):
+        shown += line
+    guard.cancel()
+    return shown
 
 
 def test_once_says_when_there_is_nothing_to_hear(start_monitor: StartMonitor) -> None:
@@ -172,7 +180,7 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
             player.wait_until(player.node_is_there, "the node")
         finally:
             player.close()
-    monitor = start_monitor("--once")
+    monitor = start_monitor("--once", "--timeout", "60")
     shown, errors = monitor.communicate(timeout=PATIENCE)
     assert monitor.returncode == 2
     assert shown == ""
@@ -181,11 +189,10 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
         "  /one/identifier",
         "  /two/identifier",
     ]
-    monitor = start_monitor("--once", "--node", "/two/identifier", "--timeout", "30")
-    shown, errors = monitor.communicate(timeout=PATIENCE)
-    assert monitor.returncode == 1, errors
-    assert shown.startswith("/two/identifier  waiting  not usable  no tick yet")
-    assert "no message on '/two/imu/data' yet" in shown
+    shown = shown_until(
+        start_monitor("--node", "/two/identifier"), "no message on '/two/imu/data' yet"
+    )
+    assert "/two/identifier  waiting  not usable  no tick yet" in shown
 
 
 class Terminal:
@@ -247,7 +254,7 @@ def test_it_waits_for_a_node_draws_it_in_place_and_gives_the_terminal_back(
     terminal.process.send_signal(signal.SIGINT)
     assert terminal.read_until("\x1b[?1049l")
     assert terminal.process.wait(PATIENCE) == 0
-    terminal.read_until("never shown", timeout=0.5)
+    terminal.read_until("to the end of what was shown")
     assert "\x1b[?25h" in terminal.received
     assert "Traceback" not in terminal.received
     frame = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "\n", terminal.received)
@@ -255,8 +262,7 @@ def test_it_waits_for_a_node_draws_it_in_place_and_gives_the_terminal_back(
     assert max(len(line) for line in drawn.splitlines()) <= 80
 
     monitor = start_monitor("--plain", "--node", "/identifier")
-    assert monitor.stdout is not None
-    assert monitor.stdout.readline().startswith("/identifier")
+    assert shown_until(monitor, "identifier").startswith("/identifier")
     monitor.stdout.close()  # a reader that goes away is no error
     assert monitor.wait(PATIENCE) == 0
     assert monitor.stderr is not None

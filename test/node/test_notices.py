@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is said often enough to be seen, and never a flood."""
 
-from __future__ import annotations
-
 import pytest
 import rclpy
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Services, names and QoS, as the public contract has them: one node, set back for each test."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +14,11 @@ from recordings import (
     Recording,
     call,
     part,
-    published,
     recording,
     shown,
     wait_for_status,
     wait_for_words,
 )
-from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros.files.coefficients_file import load_coefficients
@@ -45,15 +41,6 @@ def player(shared: Player) -> Player:
     assert call(shared, Trigger, "reset").success
     shared.outputs.clear()
     return shared
-
-
-def test_reset_starts_cold(flight: Recording, player: Player) -> None:
-    player.play_in_step(flight.messages)
-    first = published(player.outputs)
-    assert call(player, Trigger, "reset").success
-    player.play_in_step(flight.messages)
-    assert len(first) > 80
-    assert published(player.outputs) == first
 
 
 def test_save_writes_what_is_published_and_diagnostics_compare_with_it(
@@ -114,16 +101,3 @@ def test_quality_of_service_is_the_contracts(flight: Recording, player: Player) 
     for topic in flight.types:
         (used,) = player.node.get_subscriptions_info_by_topic(topic)
         assert used.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-
-
-def test_late_subscriber_gets_the_last_coefficients(flight: Recording, player: Player) -> None:
-    player.play_in_step(flight.messages[:1000])
-    late: list[JointState] = []
-    latched = QoSProfile(
-        depth=1,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    )
-    player.node.create_subscription(JointState, f"{NODE}/coefficients_named", late.append, latched)
-    player.wait_until(lambda: bool(late), "the last coefficients")
-    assert late[0] == player.outputs.named[-1]

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The optional topics, airspeed and armed: on the Imu's clock, or on whichever."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

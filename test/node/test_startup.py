@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starting and stopping: wrong parameters are refused in one line, signals end it cleanly."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`ros2 param set` in flight: every setting that may change does, and the fit recovers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the graph says about an input that is silent, and what to do."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The report in a real browser: telephone, desk and paper, light and dark."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Iterator

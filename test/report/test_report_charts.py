@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the charts of the report are made from."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import re
@@ -14,14 +12,12 @@ import numpy as np
 import pytest
 from bokeh.models import CrosshairTool, HoverTool, VArea
 from excerpts import excerpt, parameters, replayed_run
-from numpy.typing import NDArray
-from scipy import signal
 
 from uav_ident_ros.files.truth_file import Truth, read_truth
 from uav_ident_ros.identification.identifier import State
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.report.analysis import SAMPLE_RATE, autocorrelation, spectra, welch
+from uav_ident_ros.report.analysis import autocorrelation, spectra
 from uav_ident_ros.report.charts import (
     GRAVEST,
     coefficient_charts,
@@ -29,13 +25,11 @@ from uav_ident_ros.report.charts import (
     signal_charts,
     state_chart,
 )
-from uav_ident_ros.report.flight import Clock, Flight, collect
+from uav_ident_ros.report.flight import Flight, collect
 from uav_ident_ros.report.page import _embed
 from uav_ident_ros.report.predictions import Predictions, predict
 from uav_ident_ros.report.style import COLORS, SERIES
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
@@ -69,41 +63,12 @@ def test_a_thinned_line_keeps_every_peak() -> None:
         assert coarse.max() >= fine.max()
 
 
-def test_a_slope_stays_a_slope_and_a_short_line_stays_as_it_is() -> None:
-    t = np.linspace(0.0, 10.0, 5001)
-    for y in (t**2, -(t**2)):
-        steps = np.diff(thin(t, {"y": y}, 100)["y"])
-        assert (steps >= 0.0).all() or (steps <= 0.0).all()
-    np.testing.assert_array_equal(thin(t[:50], {"y": y[:50]}, 100)["y"], y[:50])
-    assert len(thin(t[:0], {"y": t[:0]}, 100)["t"]) == 0
-
-
 def test_a_gap_breaks_the_line() -> None:
     t = np.concatenate([np.arange(0.0, 5.0, 0.01), np.arange(8.0, 20.0, 0.01)])
     thinned = thin(t, {"y": np.ones_like(t)}, 50)
     (gap,) = np.flatnonzero(np.isnan(thinned["y"]))
     assert thinned["t"][gap - 1] == pytest.approx(4.99)
     assert thinned["t"][gap + 1] == pytest.approx(8.0)
-
-
-# --- time ------------------------------------------------------------------------------------
-
-
-def test_time_bases_follow_one_another() -> None:
-    clock = Clock({0: (5_000_000_000, 9_000_000_000), 1: (10**18, 10**18 + 2_000_000_000)})
-    assert clock.restarts == [5.0]
-    np.testing.assert_allclose(clock.seconds(0, np.array([5_000_000_000])), [0.0])
-    np.testing.assert_allclose(clock.seconds(1, np.array([10**18 + 500_000_000])), [5.5])
-
-
-def test_the_flight_is_all_there(flight: Flight, run: OfflineRun) -> None:
-    t_ns, rates, force = run.measured()
-    np.testing.assert_array_equal(flight.rates, rates)
-    np.testing.assert_array_equal(flight.force, force)
-    np.testing.assert_allclose(flight.t, (t_ns - t_ns[0]) * 1e-9)
-    assert len(flight.tick_t) == len(run.estimates)
-    expected = [(e.t_ns - t_ns[0]) * 1e-9 for e in run.estimates]
-    np.testing.assert_allclose(flight.tick_t, expected)
 
 
 # --- predictions -----------------------------------------------------------------------------
@@ -149,14 +114,6 @@ def test_the_band_of_a_multisine_is_found(flight: Flight) -> None:
         assert 0.1 <= low <= 0.5
         assert 1.5 <= high <= 2.1
     assert np.isnan(found.band(np.zeros(len(found.frequency)))).all()
-
-
-def test_a_density_is_that_of_scipy() -> None:
-    values = np.random.default_rng(3).standard_normal(5000).cumsum()
-    _, expected = signal.welch(
-        values, SAMPLE_RATE, window=np.hanning(1000), noverlap=500, detrend="linear"
-    )
-    np.testing.assert_allclose(welch(values, 1000), expected, rtol=1e-6)
 
 
 def test_residuals_that_are_white_and_that_are_not() -> None:

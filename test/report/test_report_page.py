@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`report.html`: everything is there, with the replay's numbers, and it needs nothing else."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Aircraft as data: what the files say, and what is wrong with them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

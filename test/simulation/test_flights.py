@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -8,12 +6,10 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.simulation.definition import (
-    build_flight,
     build_sensors,
     definition_key,
     flight_spec,
 )
-from uav_ident_ros.simulation.errors import SimulationError
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 if not (BENCHMARKS / "flights.yaml").exists():
@@ -47,34 +43,8 @@ def test_a_loaded_flight_is_kept_and_the_same(
     assert np.any(other.rates != first.rates)
 
 
-def test_sensor_changes_apply() -> None:
-    measured = flights.load("exact_convergence", rate=50.0, channels="elevon", convention="frd")
-    assert measured.channel_set.name == "elevon"
-    assert np.diff(measured.imu_t_ns)[0] == 20_000_000
-    assert measured.frame_id == "base_link_frd"
-
-
 def test_the_key_follows_what_is_flown_and_not_what_measures_it() -> None:
     own = flights.definition("exact_gusts_10")
     assert definition_key(own) == definition_key({**own, "sensors": {}, "description": "x"})
     assert definition_key(own) != definition_key({**own, "delay": 0.01})
     assert definition_key(own) != definition_key(own, 7)
-
-
-@pytest.mark.parametrize(
-    ("values", "named"),
-    [
-        ({}, "either 'plant' or 'aircraft'"),
-        ({"plant": "small_uav", "duration": 1.0, "inptus": []}, "inptus"),
-        ({"plant": "small_uav", "duration": 1.0, "inputs": [{"kind": "quiet", "amp": 1}]}, "amp"),
-        ({"plant": "small_uav"}, "duration"),
-    ],
-)
-def test_wrong_definitions_name_the_flight_and_the_field(values: dict, named: str) -> None:
-    with pytest.raises(SimulationError, match=f"(?s)flight 'odd'.*{named}"):
-        build_flight("odd", values)
-
-
-def test_an_unknown_name_lists_the_known() -> None:
-    with pytest.raises(SimulationError, match="exact_calm"):
-        flights.load("no_such_flight")

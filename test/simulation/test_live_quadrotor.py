@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The quadrotor that others fly: lags, mixing, faults, and that the example's law flies it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +15,6 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.live import LiveQuadrotor
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
@@ -101,14 +98,6 @@ def test_its_channels_are_the_motors_and_they_act_after_the_delay() -> None:
         craft.advance()
         rolls.append(float(craft.sample().rates[0]))
     assert rolls[1] == pytest.approx(0.0, abs=1e-12) and rolls[2] > 1e-3
-
-
-def test_a_fault_of_something_else_is_refused() -> None:
-    for text in ("5: elevator jams", "5: turbulence 4"):
-        with pytest.raises(SimulationError, match="MOTOR effect FACTOR"):
-            LiveQuadrotor(SENSORS, faults=[parse_fault(text)])
-    with pytest.raises(SimulationError, match="is none of"):
-        parse_fault("motor_middle effect 0.5")
 
 
 def test_the_files_of_its_loop_fit_each_other() -> None:

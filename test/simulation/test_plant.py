@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-from __future__ import annotations
-
 import dataclasses
 import itertools
 
@@ -10,11 +8,10 @@ from scipy.integrate import solve_ivp
 
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, fly
-from uav_ident_ros.simulation.vehicles import Vehicle, vehicle
+from uav_ident_ros.simulation.vehicles import vehicle
 
 SMALL_UAV = vehicle("small_uav")
 BIG = {"de": 0.25, "dr": 0.35, "da": 0.35, "dth": 0.3}
@@ -55,14 +52,12 @@ def reference(flight: Flight, gust: np.ndarray, edges: np.ndarray) -> np.ndarray
 @pytest.mark.parametrize(
     "changes",
     [
-        {},
-        {"delay": 0.03},
         {"time_constant": 0.05, "delay": 0.01},
         {"changes": (CoefficientChange(0.2, {"pdot/da": 0.5, "qdot/de": 0.5}),)},
         {"rate": 200.0, "max_step": 2.5e-3},
         {"initial_rates": (1.0, -0.5, 0.4), "moment": (1.0, -2.0, 0.5)},
     ],
-    ids=["plain", "delay", "servo", "change", "coarse", "moment"],
+    ids=["servo", "change", "coarse", "moment"],
 )
 def test_the_plant_agrees_with_scipy(changes: dict) -> None:
     spec = PlantFlight(SMALL_UAV, EXCITED, 0.4, actuator_rate=50.0, **changes)
@@ -81,21 +76,6 @@ def test_gusts_enter_as_angular_acceleration() -> None:
     # A gust is piecewise linear between samples: scipy has to start anew at each.
     wanted = reference(flight, flight.extra["gust"], flight.time)
     np.testing.assert_allclose(flight.rates, wanted, rtol=0.0, atol=1e-9)
-
-
-def test_angular_acceleration_is_the_models_and_the_rates_derivative() -> None:
-    flight = fly(PlantFlight(SMALL_UAV, EXCITED, 3.0, actuator_rate=1000.0))
-    f = STRUCTURES[flight.structure].regressor(flight.rates, flight.inputs)
-    wanted = f @ flight.coefficients.T
-    np.testing.assert_allclose(flight.angular_acceleration[:-1], wanted[:-1], atol=1e-12)
-    middle = 0.5 * (flight.angular_acceleration[1:] + flight.angular_acceleration[:-1])
-    np.testing.assert_allclose(np.diff(flight.rates, axis=0) * 1000.0, middle, atol=0.2)
-
-
-def test_the_same_seed_flies_the_same_and_another_does_not() -> None:
-    spec = PlantFlight(SMALL_UAV, EXCITED, 1.0, gusts=ColouredNoise(1.0), seed=4)
-    np.testing.assert_array_equal(fly(spec).rates, fly(spec).rates)
-    assert np.any(fly(spec).rates != fly(dataclasses.replace(spec, seed=5)).rates)
 
 
 def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
@@ -126,44 +106,6 @@ def test_the_autopilot_feeds_back_and_its_commands_are_recorded() -> None:
     np.testing.assert_allclose(held.rates[:201:10], replayed, rtol=0.0, atol=1e-9)
 
 
-def test_specific_force_regressors_drive_an_augmented_plant() -> None:
-    a = np.zeros((3, 15))
-    a[:, :12] = SMALL_UAV.coefficients
-    structure = STRUCTURES["augmented"]
-    for name, value in {"pdot/ay": 0.8, "qdot/az": -0.5, "rdot/ay": 0.6, "qdot/1": -4.0}.items():
-        a[structure.index(name)] = value
-    flight = fly(
-        PlantFlight(Vehicle("augmented", "augmented", a), EXCITED, 1.0, force=ColouredNoise(1.0))
-    )
-    command = np.searchsorted(flight.actuator_t_ns, flight.t_ns, side="right") - 1
-    f = structure.regressor(flight.rates, flight.inputs[command], flight.specific_force[:, 1:])
-    np.testing.assert_allclose(
-        flight.angular_acceleration[:-1], (f @ a.T)[:-1], rtol=0.0, atol=1e-10
-    )
-
-
-@pytest.mark.parametrize(
-    ("changes", "named"),
-    [
-        ({"delay": 0.0105123}, "delay"),
-        ({"duration": 0.0}, "duration"),
-        ({"rate": -1.0}, "rate"),
-        ({"autopilot": Autopilot({"de/alpha": 1.0})}, "de/alpha"),
-        ({"initial_rates": (1e5, 1e5, 1e5)}, "diverges"),
-    ],
-)
-def test_impossible_flights_are_refused(changes: dict, named: str) -> None:
-    with pytest.raises(SimulationError, match=named):
-        fly(PlantFlight(SMALL_UAV, EXCITED, **{"duration": 1.0, **changes}))
-
-
-def test_a_plant_outside_of_its_structure_is_refused() -> None:
-    a = SMALL_UAV.coefficients.copy()
-    a[0, STRUCTURES["baseline"].regressors.index("de")] = 1.0
-    with pytest.raises(SimulationError, match="row p of 'de'"):
-        fly(PlantFlight(Vehicle("odd", "throttle_coupled", a), (), 1.0))
-
-
 def test_the_plants_are_what_they_say() -> None:
     a, index = SMALL_UAV.coefficients, STRUCTURES["throttle_coupled"].index
     assert a[index("pdot/p")] == pytest.approx(-10.0, rel=0.01)
@@ -172,5 +114,3 @@ def test_the_plants_are_what_they_say() -> None:
     printed = vehicle("paper_printed").coefficients
     assert printed[index("pdot/p")] == -0.1361
     assert printed[index("pdot/pq")] == pytest.approx(0.0010 * 57.29578)
-    with pytest.raises(SimulationError, match="small_uav"):
-        vehicle("boomerang")

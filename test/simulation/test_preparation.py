@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a name to a flying loop: the small electric aeroplane, in one process."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

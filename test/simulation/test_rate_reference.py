@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rates that the reference asks for lead where it wants to go."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

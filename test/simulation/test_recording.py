@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -91,12 +89,6 @@ def test_the_truth_beside_the_bag(tmp_path: Path) -> None:
         measured.flight.coefficients[0, 10], rel=1e-8
     )
     assert truth["excitation"] == [[0.0, 2.0]]
-
-
-def test_a_bag_is_never_overwritten(tmp_path: Path) -> None:
-    path, measured = recorded(tmp_path / "bag")
-    with pytest.raises(BagWriteError, match="exists"):
-        write_bag(measured, path)
 
 
 def test_the_writer_names_the_topic_that_is_wrong(tmp_path: Path) -> None:

@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -8,7 +6,6 @@ import pytest
 
 from uav_ident_ros.simulation.channels import CHANNEL_SETS
 from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
@@ -23,14 +20,6 @@ def flight() -> Flight:
     segment = Segment("multisine", amplitudes={"de": 0.1, "dr": 0.1, "da": 0.1, "dth": 0.2})
     spec = PlantFlight(vehicle("small_uav"), (segment,), 20.0, force=ColouredNoise(0.5))
     return fly(spec)
-
-
-def test_perfect_sensors_tell_the_truth(flight: Flight) -> None:
-    measured = measure(flight, Sensors(convention="frd"))
-    np.testing.assert_array_equal(measured.rates, flight.rates[::5])
-    np.testing.assert_array_equal(measured.specific_force, flight.specific_force[::5])
-    np.testing.assert_array_equal(measured.imu_t_ns, flight.t_ns[::5])
-    np.testing.assert_array_equal(measured.imu_log_ns, flight.t_ns[::5])
 
 
 def test_noise_and_bias_are_as_asked(flight: Flight) -> None:
@@ -55,15 +44,6 @@ def test_flu_and_frd_are_the_same_flight(flight: Flight) -> None:
     assert (flu.frame_id, frd.frame_id) == ("base_link", "base_link_frd")
 
 
-def test_other_rates_and_drops_are_samples_of_the_same_measurement(flight: Flight) -> None:
-    full = measure(flight, NOISY)
-    slow = measure(flight, dataclasses.replace(NOISY, rate=50.0))
-    np.testing.assert_array_equal(slow.rates, full.rates[::20])
-    thin = measure(flight, dataclasses.replace(NOISY, drop=0.2))
-    assert len(thin.rates) == pytest.approx(0.8 * len(full.rates), rel=0.02)
-    np.testing.assert_array_equal(thin.rates, full.rates[np.isin(full.imu_t_ns, thin.imu_t_ns)])
-
-
 def test_jitter_moves_stamps_and_nothing_else(flight: Flight) -> None:
     plain = measure(flight, NOISY)
     shaky = measure(flight, dataclasses.replace(NOISY, stamp_jitter=0.005))
@@ -82,34 +62,6 @@ def test_latency_delays_the_log_in_order(flight: Flight) -> None:
     assert np.all(np.diff(measured.imu_log_ns) >= 0)
 
 
-def test_the_same_seed_measures_the_same(flight: Flight) -> None:
-    first, second, other = (measure(flight, NOISY, seed) for seed in (7, 7, 8))
-    np.testing.assert_array_equal(first.rates, second.rates)
-    assert np.any(first.rates != other.rates)
-
-
-def test_the_lever_arm_adds_the_rotations_own_acceleration(flight: Flight) -> None:
-    arm = (1.0, 0.2, -0.3)
-    measured = measure(flight, Sensors(rate=1000.0, convention="frd", lever_arm=arm))
-    k = 4321
-    w, wdot = flight.rates[k], flight.angular_acceleration[k]
-    tensor = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-    turn = np.array([[0, -wdot[2], wdot[1]], [wdot[2], 0, -wdot[0]], [-wdot[1], wdot[0], 0]])
-    wanted = flight.specific_force[k] + (turn + tensor @ tensor) @ arm
-    np.testing.assert_allclose(measured.specific_force[k], wanted, rtol=1e-12)
-    assert np.abs(measured.specific_force - flight.specific_force).max() > 0.5
-
-
-@pytest.mark.parametrize("name", CHANNEL_SETS)
-def test_every_channel_set_gives_the_same_inputs(flight: Flight, name: str) -> None:
-    measured = measure(flight, Sensors(channels=name))
-    channel_set = CHANNEL_SETS[name]
-    np.testing.assert_allclose(channel_set.mixing @ channel_set.allocation, np.eye(4), atol=1e-12)
-    recovered = (measured.actuators - measured.channel_trim) @ channel_set.mixing.T
-    np.testing.assert_allclose(recovered, flight.inputs, atol=1e-12)
-    assert measured.actuators.shape[1] == len(channel_set.names)
-
-
 def test_signs_of_the_channel_sets() -> None:
     trim = np.array([0.0, 0.0, 0.0, 0.5])
     roll_right = np.array([[0.0, 0.0, 0.1, 0.0]])
@@ -122,20 +74,3 @@ def test_signs_of_the_channel_sets() -> None:
     thrust = dict(zip(motors.names, nose_down, strict=True))
     assert thrust["motor_rear_left"] > 0.5 > thrust["motor_front_left"]
     assert CHANNEL_SETS["pwm"].raw(np.zeros((1, 4)), trim)[0].tolist() == [1500, 1500, 1500, 1500]
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"convention": "ned"},
-        {"channels": "vtail"},
-        {"gyro_noise": -0.1},
-        {"gyro_noise": float("nan")},
-        {"drop": 1.0},
-        {"rate": 300.0},
-        {"rate": 2000.0},
-    ],
-)
-def test_impossible_sensors_are_refused(flight: Flight, values: dict) -> None:
-    with pytest.raises(SimulationError):
-        measure(flight, Sensors(**values))

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flights, sensors and faults that cannot be: each is refused by the name of what is wrong."""
+
+import sys
+from collections.abc import Callable
+
+import pytest
+
+pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
+
+from uav_ident_ros.simulation import jsbsim_flight, light_aircraft, plant
+from uav_ident_ros.simulation.definition import build_flight
+from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.faults import parse_fault
+from uav_ident_ros.simulation.flight import CoefficientChange
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
+from uav_ident_ros.simulation.light_aircraft import LightFlight
+from uav_ident_ros.simulation.live import LiveQuadrotor
+from uav_ident_ros.simulation.noise import Sensors, measure
+from uav_ident_ros.simulation.plant import Autopilot, PlantFlight
+from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
+from uav_ident_ros.simulation.quadrotor_flight import fly as hover
+from uav_ident_ros.simulation.vehicles import Vehicle, vehicle
+
+SMALL_UAV = vehicle("small_uav")
+LONG_DOUBLET = Segment("doublet", amplitudes={"da": 1.5}, unit=2.0)
+WILD = Segment("multisine", amplitudes={"da": 0.9})
+
+
+def defined(**values: object) -> object:
+    return build_flight("odd", values)
+
+
+def flown(**changes: object) -> object:
+    return plant.fly(PlantFlight(SMALL_UAV, **{"segments": (), "duration": 1.0, **changes}))
+
+
+def outside() -> object:
+    """A plant with a coefficient that its structure does not have."""
+    a = SMALL_UAV.coefficients.copy()
+    a[0, 8] = 1.0
+    return plant.fly(PlantFlight(Vehicle("odd", "throttle_coupled", a), (), 1.0))
+
+
+def jsbsim(**values: object) -> object:
+    return jsbsim_flight.fly(
+        AircraftFlight(**{"aircraft": "c172p", "segments": (), "duration": 1.0, **values})
+    )
+
+
+def sensed(**values: object) -> object:
+    return measure(flown(duration=0.1), Sensors(**values))
+
+
+def faulty(text: str) -> object:
+    return LiveQuadrotor(Sensors(rate=100.0), faults=[parse_fault(text)])
+
+
+QUIET = {"plant": "small_uav", "duration": 1.0}
+CHANGE = (CoefficientChange(1.0, {"pdot/da": 0.5}),)
+REFUSED: list[tuple[str, Callable[[], object]]] = [
+    ("flight 'odd'.*either 'plant' or 'aircraft'", defined),
+    ("flight 'odd'.*inptus", lambda: defined(**QUIET, inptus=[])),
+    ("flight 'odd'.*amp", lambda: defined(**QUIET, inputs=[{"kind": "quiet", "amp": 1}])),
+    ("flight 'odd'.*duration", lambda: defined(plant="small_uav")),
+    ("small_uav", lambda: vehicle("boomerang")),
+    ("sweep", lambda: Segment("sweep")),
+    ("flap", lambda: Segment("multisine", amplitudes={"flap": 0.1})),
+    ("unit", lambda: Segment("3211", unit=0.0)),
+    ("duration", lambda: Segment("quiet", duration=-1.0)),
+    ("delay", lambda: flown(delay=0.0105123)),
+    ("duration", lambda: flown(duration=0.0)),
+    ("rate", lambda: flown(rate=-1.0)),
+    ("de/alpha", lambda: flown(autopilot=Autopilot({"de/alpha": 1.0}))),
+    ("diverges", lambda: flown(initial_rates=(1e5, 1e5, 1e5))),
+    ("row p of 'de'", outside),
+    ("no whole number", lambda: light_aircraft.fly(LightFlight((), 1.0, actuator_rate=60.0))),
+    ("lost", lambda: light_aircraft.fly(LightFlight((LONG_DOUBLET,), 10.0))),
+    ("c172p", lambda: jsbsim(aircraft="ufo")),
+    ("turbulence", lambda: jsbsim(turbulence=9)),
+    ("bank", lambda: jsbsim(bank=90.0)),
+    ("duration", lambda: jsbsim(duration=float("nan"))),
+    ("pdot/da", lambda: jsbsim(changes=CHANGE)),
+    ("delay", lambda: jsbsim(delay=0.00123456)),
+    ("lost at", lambda: hover(QuadrotorFlight((WILD,), 20.0, delay=0.2))),
+    (r"delay 0\.0005 s is no whole number", lambda: QuadrotorFlight((), 1.0, delay=0.0005)),
+    ("convention", lambda: sensed(convention="ned")),
+    ("vtail", lambda: sensed(channels="vtail")),
+    ("gyro_noise", lambda: sensed(gyro_noise=-0.1)),
+    ("gyro_noise", lambda: sensed(gyro_noise=float("nan"))),
+    ("drop", lambda: sensed(drop=1.0)),
+    ("rate", lambda: sensed(rate=300.0)),
+    ("surfaces are elevator, rudder, ail", lambda: parse_fault("flap effect 0.5")),
+    ("not within -2 to 2", lambda: parse_fault("aileron effect 3")),
+    ("not within", lambda: parse_fault("aileron effect nan")),
+    ("could not convert", lambda: parse_fault("soon: repaired")),
+    ("is none of", lambda: parse_fault("yaw inertia 1.3")),
+    ("is none of", lambda: parse_fault("")),
+    ("is none of", lambda: parse_fault("motor_middle effect 0.5")),
+    ("MOTOR effect FACTOR", lambda: faulty("5: elevator jams")),
+    ("MOTOR effect FACTOR", lambda: faulty("5: turbulence 4")),
+]
+
+
+@pytest.mark.parametrize(("named", "refused"), REFUSED)
+def test_what_cannot_be_is_named(named: str, refused: Callable[[], object]) -> None:
+    with pytest.raises(SimulationError, match=f"(?s){named}"):
+        refused()
+
+
+def test_without_jsbsim_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "jsbsim", None)
+    with pytest.raises(SimulationError, match="pip install jsbsim"):
+        jsbsim()
