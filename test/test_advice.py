@@ -364,3 +364,11 @@ def test_a_delay_too_long_and_a_missing_regressor_are_found() -> None:
     assert min(e.force_share.values()) > 0.5
     plant = evidence_of("multisine", {"structure": "baseline"}, seconds=15.0)
     assert max(plant.force_share.values()) < 0.05
+
+
+def test_channels_that_do_not_move_are_found() -> None:
+    mixing = {"actuators.mixing.dr": [0.0, 0.0, 0.0, 0.0]}
+    e = evidence_of("multisine", mixing, seconds=8.0)
+    assert e.input_spread[INPUTS.index("dr")] == 0.0
+    texts = [advice.text for advice in advise(e)]
+    assert "the rudder never moved: nothing is known of what it does" in texts

@@ -25,9 +25,13 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline import fleet_command, main
 from uav_ident_ros.offline.done import DONE_FILE
 from uav_ident_ros.offline.fleet import (
+    BASELINE,
+    FALSE_NAMES,
     changes,
     fleet_of,
+    limit_of,
     pool,
+    standard,
 )
 from uav_ident_ros.offline.flights_table import FlightRow, read_flights
 
@@ -121,6 +125,26 @@ def test_a_jump_is_a_change_from_its_first_flight_on() -> None:
     (found,) = changes("pdot/da", [f"f{k}" for k in range(40)], values, sigmas)
     assert (found.since, found.named, found.lasting) == ("f25", "f26", True)
     assert found.now == pytest.approx(13.0, abs=0.3)
+
+
+def test_the_limit_is_that_of_the_rate_of_false_alarms() -> None:
+    b = limit_of()
+    between = math.sqrt(2.0 * math.pi) * math.exp(b**2 / 2.0) / (0.735 * b)
+    assert between == pytest.approx(1.0 / FALSE_NAMES)
+    assert limit_of(1e-2) < limit_of(1e-4)
+    # no flight is judged by fewer than the baseline
+    jump = np.array([10.0, *[100.0] * (BASELINE - 1)])
+    assert changes("x", ["f"] * BASELINE, jump, np.ones(BASELINE)) == []
+
+
+def test_student_deviates_are_as_rare_as_normal_ones() -> None:
+    from scipy import stats
+
+    for freedom in (11, 30):
+        for deviation in (1.0, -3.0, 6.0):
+            expected = stats.norm.isf(stats.t.sf(abs(deviation), freedom))
+            assert abs(standard(deviation, freedom)) == pytest.approx(expected, rel=5e-3)
+    assert standard(-3.0, 11) == -standard(3.0, 11)
 
 
 def test_aircraft_and_structures_are_kept_apart() -> None:

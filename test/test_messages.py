@@ -39,6 +39,7 @@ from uav_ident_ros.messages.types import (
     ChannelError,
     MessageTypeError,
     RatesReading,
+    frame_fault,
     import_type,
 )
 
@@ -231,6 +232,15 @@ def test_wrong_field_and_names_without_names() -> None:
         reader(type="mavros_msgs/msg/RCOut", channels=["elevator"])
 
 
+def test_frames_that_contradict_the_convention_and_those_that_agree() -> None:
+    for frame_id in ("base_link_frd", "map_ned"):
+        assert frame_id in frame_fault("flu", frame_id, "sensor_msgs/msg/Imu")
+        assert not frame_fault("frd", frame_id, "sensor_msgs/msg/Imu")
+    assert not frame_fault("flu", "base_link", "sensor_msgs/msg/Imu")
+    assert not frame_fault("frd", "", "px4_msgs/msg/SensorCombined")
+    assert "'frd'" in frame_fault("flu", "", "px4_msgs/msg/SensorCombined")
+
+
 def real_imu(frame_id: str, rate_covariance: float = 0.0, force_covariance: float = 0.0) -> Any:
     types = STORE.types
     xyz = types["geometry_msgs/msg/Vector3"]
@@ -327,6 +337,9 @@ def test_named_entries_with_flow_angles() -> None:
     names, positions, efforts = named_entries(paused(values, flow), structure)
     assert names == entry_names(structure)
     entries = dict(zip(names, zip(positions, efforts, strict=True), strict=True))
+    assert (entries["fit/r"], entries["verdict/usable"]) == ((-5.0, 0.0), (0.0, 0.0))
+    rows = [entries[f"verdict/usable/{row}"] for row in ("pdot", "qdot", "rdot")]
+    assert rows == [(1.0, 0.0), (0.0, 0.0), (1.0, 0.0)]
     assert entries["ay/beta"] == (3 * 15 + 13, 5.8)
     assert entries["alphadot/1"] == (6 * 15 + 12, 10.2)
     assert entries["state/beta"] == (0.1, 0.01)

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME, entry_names
-from uav_ident_ros.monitor.heard import TREND_TIME, Heard
+from uav_ident_ros.monitor.heard import TREND_TIME, Coefficient, Heard
 from uav_ident_ros.monitor.picture import picture
 
 SECOND_NS = 1_000_000_000
@@ -186,6 +186,14 @@ def test_two_nodes_of_one_name_are_named() -> None:
     assert "2 nodes publish under this name" in text(result)
 
 
+def test_a_trend_is_more_than_a_standard_deviation() -> None:
+    for past, sigma, trend in (
+        ((1.0, 1.2, 1.6), 0.5, 1), ((1.0, 1.2, 1.4), 0.5, 0), ((1.0, 0.2), 0.5, -1),
+        ((1.0, 9.0), 0.0, 0), ((1.0, 9.0), math.inf, 0),
+    ):  # fmt: skip
+        assert Coefficient("pdot/p", past[-1], sigma, past).trend == trend
+
+
 def fed(*ticks: tuple[float, float]) -> Heard:
     """A node whose `pdot/p` took these values at these times, s."""
     result = Heard("/identifier")
@@ -201,6 +209,11 @@ def test_a_trend_looks_back_ten_seconds_and_no_further() -> None:
     assert coefficient.value - coefficient.past[0] == pytest.approx(TREND_TIME, abs=0.5)
     steady = [*rising, *((60.0 + 0.05 * k, rising[-1][1]) for k in range(300))]
     assert fed(*steady).coefficients()[0].trend == 0
+
+
+def test_a_trend_begins_anew_when_time_goes_back() -> None:
+    (coefficient,) = fed((50.0, 9.0), (51.0, 9.0), (1.0, 0.0)).coefficients()
+    assert coefficient.past == (0.0, 0.0)
 
 
 def test_past_values_are_drawn_where_there_is_room() -> None:

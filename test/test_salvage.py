@@ -143,6 +143,16 @@ def test_file_without_chunks(cut: bool, tmp_path: Path) -> None:
         assert "is cut off at its end" in line
 
 
+def test_file_that_is_not_of_ros_2_by_its_profile(tmp_path: Path) -> None:
+    path = rewritten(tmp_path / "flight.mcap", seconds=5.0)
+    path.write_bytes(
+        path.read_bytes().replace(b"\x04\x00\x00\x00ros2\x04", b"\x04\x00\x00\x00xxxx\x04")
+    )
+    found, damage = messages(path)
+    assert len(found) == 5 * 250 + 2
+    assert damage == ["'flight.mcap': Profile is not ros2, yet all of it was read"]
+
+
 def split(folder: Path, count: int, each: int, compress: bool = False) -> list[tuple]:
     """Write the start of a flight as some files in one folder; return its messages."""
     folder.mkdir()

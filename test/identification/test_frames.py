@@ -2,6 +2,7 @@
 """Axes of the Imu and the lever arm, against independent formulas."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from uav_ident_ros.identification.frames import (
@@ -23,3 +24,10 @@ def test_flu_differs_from_frd_by_half_a_turn_about_x() -> None:
     assert frame.to_body(np.array([1.0, 2.0, 3.0])).tolist() == [1.0, -2.0, -3.0]
     same = BodyFrame(ImuSettings(convention="frd"))
     assert same.to_body(np.array([1.0, 2.0, 3.0])).tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("convention", ["flu", "frd"])
+def test_there_and_back_is_the_identity(convention: str) -> None:
+    frame = BodyFrame(ImuSettings(convention=convention, rpy=(0.3, -0.7, 2.0)))
+    vectors = np.random.default_rng(2).normal(size=(20, 3))
+    np.testing.assert_allclose(frame.to_imu(frame.to_body(vectors)), vectors, atol=1e-15)

@@ -149,6 +149,13 @@ def test_a_stuck_gyro_is_named_and_not_learned_from(excited: Measurements) -> No
     assert abs(ungated.coefficients[1, 8] / healthy().coefficients[1, 8] - 1.0) > 0.1
 
 
+def test_a_rate_that_never_moved_is_not_stuck() -> None:
+    flight = plant_flight(12.0, segments=(Segment("multisine", amplitudes={"de": 0.1}, seed=1),))
+    exact = measure(flight, Sensors(gyro_noise=0.0), seed=2)
+    estimates = run(identifier(exact), messages(exact))
+    assert not any("stuck" in e.reason for e in estimates)
+
+
 def test_sticks_at_their_limit_pause(excited: Measurements) -> None:
     raw = np.array([m.values for m in messages(excited) if m.stream == "actuators"])
     high = raw.max(axis=0) + 1.0

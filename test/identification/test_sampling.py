@@ -176,6 +176,13 @@ def test_a_straight_input_line_waits_for_its_end() -> None:
 # -- trim --------------------------------------------------------------------------------------
 
 
+def test_without_inputs_it_says_so() -> None:
+    target = sampler()
+    add_rates(target, range(0, 1000 * MS, 5 * MS))
+    assert list(blocks(target, 1000 * MS)) == []
+    assert target.waiting_for == "actuators"
+
+
 def test_trim_is_learned_in_steady_flight_only() -> None:
     quiet, level = 3.0, np.array([0.02, -0.05, 0.1, 0.6])
     segment = Segment("multisine", amplitudes=AMPLITUDES, duration=quiet, seed=2)

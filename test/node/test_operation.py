@@ -14,6 +14,7 @@ from recordings import (
     Recording,
     call,
     part,
+    published,
     recording,
     shown,
     wait_for_status,
@@ -41,6 +42,15 @@ def player(shared: Player) -> Player:
     assert call(shared, Trigger, "reset").success
     shared.outputs.clear()
     return shared
+
+
+def test_reset_starts_cold(flight: Recording, player: Player) -> None:
+    player.play_in_step(flight.messages)
+    first = published(player.outputs)
+    assert call(player, Trigger, "reset").success
+    player.play_in_step(flight.messages)
+    assert len(first) > 80
+    assert published(player.outputs) == first
 
 
 def test_save_writes_what_is_published_and_diagnostics_compare_with_it(

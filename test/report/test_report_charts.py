@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from bokeh.models import CrosshairTool, HoverTool, VArea
 from excerpts import excerpt, parameters, replayed_run
+from scipy import signal
 
 from uav_ident_ros.files.truth_file import Truth, read_truth
 from uav_ident_ros.identification.identifier import State
 from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.offline.picture import with_sigma
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.report.analysis import autocorrelation, spectra
+from uav_ident_ros.report.analysis import SAMPLE_RATE, autocorrelation, spectra, welch
 from uav_ident_ros.report.charts import (
     GRAVEST,
     coefficient_charts,
@@ -28,7 +30,7 @@ from uav_ident_ros.report.charts import (
 from uav_ident_ros.report.flight import Flight, collect
 from uav_ident_ros.report.page import _embed
 from uav_ident_ros.report.predictions import Predictions, predict
-from uav_ident_ros.report.style import COLORS, SERIES
+from uav_ident_ros.report.style import COLORS, REGRESSORS, SERIES
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
 
 
@@ -116,6 +118,14 @@ def test_the_band_of_a_multisine_is_found(flight: Flight) -> None:
     assert np.isnan(found.band(np.zeros(len(found.frequency)))).all()
 
 
+def test_a_density_is_that_of_scipy() -> None:
+    values = np.random.default_rng(3).standard_normal(5000).cumsum()
+    _, expected = signal.welch(
+        values, SAMPLE_RATE, window=np.hanning(1000), noverlap=500, detrend="linear"
+    )
+    np.testing.assert_allclose(welch(values, 1000), expected, rtol=1e-6)
+
+
 def test_residuals_that_are_white_and_that_are_not() -> None:
     rng = np.random.default_rng(4)
     white = rng.standard_normal((20_000, 2))
@@ -187,6 +197,25 @@ def test_a_band_is_one_sigma_to_either_side(flight: Flight) -> None:
     sigma = flight.coefficient(index)[1][kept]
     np.testing.assert_allclose(data["high"] - data["value"], sigma, rtol=1e-3, atol=1e-5)
     np.testing.assert_allclose(data["value"] - data["low"], sigma, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "text"),
+    [
+        (-10.0219, 0.0254, "-10.022 ± 0.025"),
+        (59.94, 0.13, "59.94 ± 0.13"),
+        (31.2, 12.0, "31 ± 12"),
+        (0.5, 0.0, "0.5"),
+        (0.5, float("inf"), "0.5"),
+    ],
+)
+def test_a_value_has_the_figures_of_its_sigma(value: float, sigma: float, text: str) -> None:
+    assert with_sigma(value, sigma) == text
+
+
+def test_no_two_things_share_a_colour() -> None:
+    colours = [COLORS["measured"], COLORS["ahead"], *REGRESSORS.values()]
+    assert len(set(colours)) == len(colours)
 
 
 def test_every_state_has_a_colour_and_a_rank() -> None:
