@@ -9,7 +9,7 @@ from plants import DT_NS, START, STEP, coefficients, controller, flown
 from uav_ident_ros.client import Coefficients, CoefficientSource
 from uav_ident_ros.control import Effectiveness, Law
 from uav_ident_ros.control.pid import PidController, PidGains
-from uav_ident_ros.control.sideslip import SIDESLIP_RATE, yaw_for_roll
+from uav_ident_ros.control.sideslip import SIDESLIP_RATE, rolls_over, yaw_for_roll
 from uav_ident_ros.control.smoothing import Smoother
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
 
@@ -84,6 +84,16 @@ def test_yawing_rolls_by_the_dihedral_and_by_the_rudder_that_holds_it() -> None:
     assert yaw_for_roll(aircraft) == pytest.approx(SIDESLIP_RATE / 11.0)
     values[structure.index("rdot/beta")] = -4.0  # it would not stay in a sideslip
     assert yaw_for_roll(aircraft) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("bank", "p", "rolls"), [(0.5, 0.05, False), (0.5, -0.3, False), (0.2, 0.3, True)]
+)
+def test_only_an_aircraft_that_rolls_over_is_rolled_by_sideslip(
+    bank: float, p: float, rolls: bool
+) -> None:
+    assert rolls_over(bank, p) is rolls
+    assert rolls_over(-bank, -p) is rolls
 
 
 def test_after_a_gap_it_starts_afresh() -> None:

@@ -262,7 +262,7 @@ def test_a_long_storm_under_an_autopilot_moves_nothing() -> None:
             seed=seed,
         )
 
-    calm = flight(0.3, 50.0, 2)
+    calm = flight(0.3, 47.0, 2)
     flown = identifier(calm)
     before = run(flown, messages(calm))[-1]
     assert before.usable

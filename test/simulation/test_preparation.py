@@ -66,10 +66,22 @@ def test_a_reversed_aileron_is_survived_and_a_fixed_law_is_lost(small: Prepared)
     assert np.isnan(fixed.error(11.0, 12.0)).all()
 
 
-def test_a_jammed_aileron_is_survived_by_sideslip_and_a_fixed_law_is_lost() -> None:
-    light = prepare("c172p", time=40.0)
+@pytest.fixture(scope="module")
+def light() -> Prepared:
+    return prepare("c172p", time=40.0)
+
+
+def test_a_jammed_aileron_is_survived_by_sideslip_and_a_fixed_law_is_lost(light: Prepared) -> None:
     mission = Mission(14.0, ("5: aileron jams 0.06",), seed=1)
     adaptive = fly_loop(light, mission, make(light))
     fixed = fly_loop(light, mission, make(light, adaptive=False))
     assert adaptive.lost is None and adaptive.error(5.0, 14.0)[1] < 2.0
     assert fixed.lost is not None
+
+
+def test_a_lost_aileron_leaves_pitch_and_yaw_whole(light: Prepared) -> None:
+    healthy, lost = (
+        fly_loop(light, Mission(18.0, faults, seed=1), make(light), make_identifier(light))
+        for faults in ((), ("8: aileron effect 0",))
+    )
+    assert (lost.error(10.0, 18.0)[1:] < 1.3 * healthy.error(10.0, 18.0)[1:]).all()

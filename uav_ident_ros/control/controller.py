@@ -16,7 +16,7 @@ from uav_ident_ros.control.inversion import GAINS as INVERSION_GAINS
 from uav_ident_ros.control.inversion import InversionLaw
 from uav_ident_ros.control.lateness import DelayMeter
 from uav_ident_ros.control.reference import MAX_INTERVAL, Gains
-from uav_ident_ros.control.sideslip import yaw_for_roll
+from uav_ident_ros.control.sideslip import rolls_over, yaw_for_roll
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 
@@ -79,6 +79,7 @@ class RateController:
         self._adaptive, self._yaw_for_roll = adaptive, yaw_for_roll(nominal)
         self.delay = DelayMeter(delay)
         self._last_ns = 0
+        self._rolled_over = False
         self.effectiveness = Effectiveness()
         scale = self._choice.scale
         kind = IncrementalLaw if law is Law.INCREMENTAL else InversionLaw
@@ -105,8 +106,7 @@ class RateController:
         self._references.add(t_ns, reference)
         self.effect = self._choice.update(t_ns, self.effectiveness)
         if isinstance(self._law, IncrementalLaw):
-            dead = self.effectiveness.dead[0] and self.effect.sources[0] != IDENTIFIED
-            yaw = self._yaw_for_roll if dead and self._adaptive else 0.0
+            yaw = self._yaw_for_roll if self._must_sideslip(t_ns, x) else 0.0
             held = self._acting(before_ns, self.delay.delay)
             u = self._law.update(dt, self.effect.values, x, reference, held, yaw)
         else:
@@ -114,6 +114,17 @@ class RateController:
             u = self._law.update(dt, model, self.effect.values, x, reference, acting)
         self._commands.add(t_ns, u)
         return u
+
+    def _must_sideslip(self, t_ns: int, x: FloatArray) -> bool:
+        """Whether an aircraft without ailerons has to be kept from rolling over, once it would."""
+        dead = self.effectiveness.dead[0] and self.effect.sources[0] != IDENTIFIED
+        if not (dead and self._adaptive):
+            self._rolled_over = False
+        elif not self._rolled_over:
+            newest = self._source.newest(t_ns)
+            flow = None if newest is None else newest.flow
+            self._rolled_over = flow is None or rolls_over(flow.roll, float(x[0]))
+        return self._rolled_over
 
     def _measure(self, before_ns: int, dt: float, x: FloatArray) -> None:
         """Learn from the `dt` seconds since the last sample what the inputs do, and when."""

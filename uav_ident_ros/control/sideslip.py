@@ -9,9 +9,14 @@ rate ``r`` beyond the coordinated one,
 
 (the rudder that holds the sideslip counts, too), a roll acceleration that is missing asks for the
 yaw rate ``-k missing / L``. It is incremental: what jams the roll need not be known.
+
+The price is the yaw axis, so it is paid only where the aircraft would roll over: an aileron that is
+lost, or jammed near its trim, leaves the other axes whole.
 """
 
 from __future__ import annotations
+
+import math
 
 from uav_ident_ros.client import Coefficients
 
@@ -20,6 +25,19 @@ SIDESLIP_RATE = 2.0
 
 LARGEST_YAW_RATE = 0.3
 """Yaw rate that is asked for at most, rad/s."""
+
+LARGEST_BANK = math.pi / 4.0
+"""Bank beyond which an aeroplane counts as upset, rad (ICAO Doc 10011, 2014): nothing is done as
+long as it stays below."""
+
+FORESIGHT = 3.0
+"""Time ahead in which that bank must not be reached, s: what it takes to stop a roll by a sideslip.
+With one or two seconds a small aircraft whose aileron jams loses its attitude first."""
+
+
+def rolls_over(bank: float, p: float) -> bool:
+    """Say whether a bank, rad, and a roll rate, rad/s, lead beyond what an aircraft is to bank."""
+    return abs(bank + FORESIGHT * p) > LARGEST_BANK
 
 
 def yaw_for_roll(coefficients: Coefficients) -> float:

@@ -464,7 +464,7 @@ class SupervisionSettings:
     min_t_ratio: float = _setting(4.0, "", (0.0, 30.0), read_only=False, text=
         "Value over sigma that the main control derivative of every row needs. Raise it for a "
         "controller that needs sure values.")
-    max_age: float = _setting(10.0, "s", (0.0, 1e6), read_only=False, text=
+    max_age: float = _setting(5.0, "s", (0.0, 1e6), read_only=False, text=
         "Time after which a control derivative counts as unconfirmed unless what its input does "
         "confirms it; 0 for never. Raise it for long cruises in one condition.")
     min_excitation: float = _setting(0.25, "", (0.0, 1.0), read_only=False, text=
