@@ -17,7 +17,7 @@ With a time in front, ``90.0: aileron effect 0.5``, it happens then.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -114,7 +114,9 @@ class Schedule:
     def __init__(
         self,
         scheduled: Sequence[Fault],  # What comes, in any order
+        apply: Callable[[Fault], None],  # Lets one happen now
     ) -> None:
+        self.apply = apply
         self._scheduled = sorted(scheduled, key=lambda fault: fault.time)
 
     def due(self, time: float) -> list[Fault]:
@@ -125,22 +127,16 @@ class Schedule:
             self.apply(found[-1])
         return found
 
-    def apply(self, fault: Fault) -> None:
-        """Let it happen now: see the vehicle's own."""
-        raise NotImplementedError
 
-
-class Faults(Schedule):
+class Faults:
     """State of an aircraft's faults."""
 
     def __init__(
         self,
         aircraft: Aircraft,  # Whose mass and weather they change
         trim: FloatArray,  # (4,) Surfaces in trimmed flight: an effect is lost about them
-        seed: int = 0,  # Seed of the turbulence
-        scheduled: Sequence[Fault] = (),  # Those that come at a time of their own
+        seed: int,  # Seed of the turbulence
     ) -> None:
-        super().__init__(scheduled)
         self._aircraft, self._trim, self._seed = aircraft, trim, seed
         self._effect = np.ones(4)
         self._jammed = np.full(4, np.nan)

@@ -50,6 +50,13 @@ def whole_steps(time: float, rate: float, what: str) -> int:
     return round(steps)
 
 
+def check_positive(spec: object, *names: str) -> None:
+    """Refuse a flight of which some of the fields named are no positive numbers."""
+    for name in names:
+        if not 0.0 < getattr(spec, name) < math.inf:
+            raise SimulationError(f"{name} is {getattr(spec, name)}: it must be positive")
+
+
 def sample_count(duration: float, rate: float) -> int:
     """Return the number of samples of a flight (s) at a rate (Hz), first and last included."""
     return math.floor(duration * rate + STEP_TOLERANCE) + 1

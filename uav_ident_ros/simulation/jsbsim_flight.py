@@ -17,6 +17,7 @@ from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault
 from uav_ident_ros.simulation.flight import (
     CoefficientChange,
     Flight,
+    check_positive,
     effect_of,
 )
 from uav_ident_ros.simulation.inputs import Segment
@@ -53,9 +54,7 @@ class AircraftFlight:
 
     def __post_init__(self) -> None:
         airframe(self.aircraft, self.speed)
-        for name in ("duration", "rate", "actuator_rate"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise SimulationError(f"{name} is {getattr(self, name)}: it must be positive")
+        check_positive(self, "duration", "rate", "actuator_rate")
         if not 0.0 <= self.delay < math.inf:
             raise SimulationError(f"delay is {self.delay} s: it must be 0 or more")
         if not 0 <= self.turbulence <= MAX_TURBULENCE:

@@ -131,7 +131,7 @@ class _LiveLight(Live):
 
     def __init__(self, spec: LightFlight) -> None:
         super().__init__(Sensors(rate=spec.actuator_rate), spec.delay, spec.seed, spec.rate)
-        self.spec, self.faults = spec, Schedule(())
+        self.spec, self.faults = spec, Schedule((), lambda _: None)
         self.state: State = (0.0, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._acting = self._surface = np.zeros(len(INPUTS))
         self._wind = iter(_wind(spec, sample_count(spec.duration, spec.rate)))

@@ -228,7 +228,8 @@ class LiveAircraft(Live):
         self.autopilot, self.signals = settle(self.aircraft, sensors.rate)
         self.trim = self.outputs = self._acting = self.aircraft.surfaces
         self._airspeed = self.signals[COLUMN["airspeed"]]
-        self.faults: Faults = Faults(self.aircraft, self.trim, seed, faults)
+        self._state_of_faults = Faults(self.aircraft, self.trim, seed)
+        self.faults = Schedule(faults, self._state_of_faults.apply)
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
         slow = (self._airspeed - self.signals[COLUMN["airspeed"]]) * FOOT
@@ -237,7 +238,7 @@ class LiveAircraft(Live):
 
     def _fly(self, acting: FloatArray, moved: bool) -> None:
         if moved:
-            self.aircraft.set_surfaces(self.faults.surfaces(acting))
+            self.aircraft.set_surfaces(self._state_of_faults.surfaces(acting))
         self.signals = self.aircraft.step()
         if self.rows is not None:
             self.rows.append(self.signals)
@@ -280,7 +281,15 @@ class LiveQuadrotor(Live):
         self.trim = np.array([0.0, 0.0, 0.0, self.craft.body.hover])
         self._told: FloatArray = self.trim[:3]
         self.outputs = self._acting = QUADROTOR.trim(self.trim)
-        self.faults = MotorFaults(self.craft, faults)
+        for fault in faults:
+            _motor(fault)
+        self.faults = Schedule(faults, self._fail)
+
+    def _fail(self, fault: Fault) -> None:
+        if (motor := _motor(fault)) is None:
+            self.craft.effect = [1.0] * len(QUADROTOR.names)
+        else:
+            self.craft.effect[motor] = fault.value or 0.0
 
     def motors(self, inputs: FloatArray) -> FloatArray:
         """Motors' commands for de, dr, da, dth, within what they can do."""
@@ -305,34 +314,6 @@ class LiveQuadrotor(Live):
         craft.look(STILL)
         surfaces = QUADROTOR.inputs(np.array(craft.speeds), self.trim) + self.trim
         return np.array(craft.rates), np.array(craft.force), np.array(craft.angles), surfaces
-
-
-class MotorFaults(Schedule):
-    """State of a quadrotor's faults: what is left of each motor's thrust."""
-
-    def __init__(
-        self,
-        craft: Quadrotor,  # Whose motors they are
-        scheduled: Sequence[Fault],  # Those that come at a time of their own
-    ) -> None:
-        super().__init__(scheduled)
-        self._craft = craft
-        for fault in scheduled:
-            _motor(fault)
-
-    def apply(self, fault: Fault) -> None:
-        """Let it happen now.
-
-        Raises
-        ------
-        SimulationError
-            If it is none of a motor's.
-        """
-        motor = _motor(fault)
-        if motor is None:
-            self._craft.effect = [1.0] * len(QUADROTOR.names)
-        else:
-            self._craft.effect[motor] = fault.value or 0.0
 
 
 def _motor(fault: Fault) -> int | None:

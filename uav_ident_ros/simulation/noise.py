@@ -87,16 +87,6 @@ class Measurements:
         return FRAME_IDS[self.sensors.convention]
 
     @property
-    def rates_frd(self) -> FloatArray:
-        """Measured rates p, q, r in aircraft axes, rad/s."""
-        return self.rates * (FRD_TO_FLU if self.sensors.convention == "flu" else 1.0)
-
-    @property
-    def specific_force_frd(self) -> FloatArray:
-        """Measured specific force in aircraft axes, m/s^2."""
-        return self.specific_force * (FRD_TO_FLU if self.sensors.convention == "flu" else 1.0)
-
-    @property
     def channel_trim(self) -> FloatArray:
         """Raw channels in trimmed flight, shape (C,)."""
         return self.channel_set.trim(self.flight.trim)

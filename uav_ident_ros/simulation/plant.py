@@ -33,6 +33,7 @@ from uav_ident_ros.simulation.flight import (
     CoefficientChange,
     Flight,
     changed_coefficients,
+    check_positive,
     sample_count,
     stamps,
 )
@@ -104,9 +105,7 @@ class PlantFlight:
     max_step: float = 1e-3  # Largest integration step, s
 
     def __post_init__(self) -> None:
-        for name in ("duration", "rate", "actuator_rate", "max_step"):
-            if not (0.0 < getattr(self, name) < math.inf):
-                raise SimulationError(f"{name} is {getattr(self, name)}: it must be positive")
+        check_positive(self, "duration", "rate", "actuator_rate", "max_step")
         for name in ("delay", "time_constant"):
             if not (0.0 <= getattr(self, name) < math.inf):
                 raise SimulationError(f"{name} is {getattr(self, name)} s: it must be 0 or more")

@@ -12,13 +12,12 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rclpy
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion, Vector3, Vector3Stamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -42,11 +41,11 @@ from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import run
 from uav_ident_ros.node.startup import UsageError
 from uav_ident_ros.node.usage import node_usage
+from uav_ident_ros.ros import to_stamp
 from uav_ident_ros.simulation.definition import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
-from uav_ident_ros.simulation.flight_record import FlightRecord
 from uav_ident_ros.simulation.live import Live, LiveAircraft, LiveQuadrotor, Sample
 from uav_ident_ros.simulation.noise import FRAME_IDS, FRD_TO_FLU, Sensors
 
@@ -132,7 +131,8 @@ class PlantNode(Node):
         self._period_ns = round(NS_PER_S / rate)
         self._start_ns = EPOCH_NS
         self._now_ns, self._clock_ns = self._start_ns, 0
-        self._record = FlightRecord()
+        self._samples: list[dict[str, Any]] = []
+        self._estimates: list[tuple[float, Coefficients]] = []
         self._commands: dict[int, FloatArray] = {}
         self._reference: tuple[int, FloatArray] | None = None
         self._coefficients_ns = 0
@@ -184,7 +184,7 @@ class PlantNode(Node):
             self.get_logger().info("the identifier is back")
             self._identifier_silent = False
         self._coefficients_ns = coefficients.t_ns
-        self._record.add_estimate((coefficients.t_ns - self._start_ns) / NS_PER_S, coefficients)
+        self._estimates.append(((coefficients.t_ns - self._start_ns) / NS_PER_S, coefficients))
 
     def _on_fault(self, message: String) -> None:
         try:
@@ -218,15 +218,16 @@ class PlantNode(Node):
             self._start_ns = time.time_ns()
         began = time.monotonic()
         duration = self._value("duration") or math.inf
+        lost = math.nan
         try:
             while self._going() and self._aircraft.time < duration:
                 self._one_interval(began)
         except SimulationError:
-            self._record.lost = self._aircraft.time
+            lost = self._aircraft.time
             raise
         finally:
             if path := self._value("record_file"):
-                self._record.save(Path(path))
+                save_record(Path(path), self._samples, self._estimates, lost)
         speed = self._aircraft.time / (time.monotonic() - began)
         self.get_logger().info(
             f"flew {self._aircraft.time:.1f} s at {speed:.1f} times real time; "
@@ -258,13 +259,23 @@ class PlantNode(Node):
         outputs = self._aircraft.outputs
         self._actuators.publish(
             JointState(
-                header=Header(stamp=_stamp(self._now_ns)),
+                header=Header(stamp=to_stamp(self._now_ns)),
                 name=list(self._aircraft.names),
                 position=outputs.tolist(),
             )
         )
-        reference = self._reference[1] if self._reference else None
-        self._record.add(sample, outputs, reference, self._asked.at(self._now_ns))
+        self._samples.append(
+            {
+                "time": sample.time,
+                "rates": sample.rates,
+                "measured": sample.measured_rates,
+                "attitude": sample.attitude,
+                "surfaces": sample.surfaces,
+                "outputs": outputs,
+                "reference": self._reference[1] if self._reference else np.full(3, np.nan),
+                "excitation": self._asked.at(self._now_ns),
+            }
+        )
 
     def _excite_if_due(self) -> None:
         """Ask the identifier for excitation, once; in step, at the same tick in every flight."""
@@ -287,7 +298,7 @@ class PlantNode(Node):
         """Publish a time on /clock, unless it is there already."""
         if self._clock is not None and t_ns > self._clock_ns:
             self._clock_ns = t_ns
-            self._clock.publish(Clock(clock=_stamp(t_ns)))
+            self._clock.publish(Clock(clock=to_stamp(t_ns)))
 
     def _spin_until(self, end: float) -> None:
         """Listen until a monotonic time."""
@@ -367,18 +378,44 @@ class PlantNode(Node):
                 self._advance_clock(min(next_ns, self._now_ns + furthest_ns))
 
 
+def save_record(
+    path: Path,
+    samples: Sequence[Mapping[str, Any]],
+    estimates: Sequence[tuple[float, Coefficients]],
+    lost: float,
+) -> None:
+    """Write what the plant saw as a NumPy archive.
+
+    It has, one row for each Imu sample, ``time`` (s), ``rates`` (true), ``measured`` (gyro),
+    ``reference`` (all p, q, r in rad/s, FRD; NaN before the first reference), ``attitude`` (roll,
+    pitch, yaw, rad), ``outputs`` and ``surfaces`` (elevator, rudder, aileron in rad, throttle),
+    ``excitation`` (de, dr, da, dth that were asked for); one row for each estimate that arrived,
+    ``tick`` (s), ``values`` and ``sigma`` (by ``names``), ``fit`` and ``usable``; and when the
+    aircraft was ``lost`` (s).
+    """
+    columns: dict[str, list[Any]] = {
+        name: [row[name] for row in samples] for name in (samples[0] if samples else ())
+    }
+    columns |= {
+        "lost": [lost],
+        "tick": [time for time, _ in estimates],
+        "usable": [c.usable for _, c in estimates],
+        "fit": [c.fit for _, c in estimates],
+        "names": list(estimates[0][1].names) if estimates else [],
+        "values": [c.values[c.structure.mask] for _, c in estimates],
+        "sigma": [c.sigma[c.structure.mask] for _, c in estimates],
+    }
+    np.savez_compressed(path, **{name: np.array(rows) for name, rows in columns.items()})
+
+
 def _imu_message(t_ns: int, sample: Sample) -> Imu:
     """Imu message in REP-103 axes; its orientation is true, as an AHRS would have it."""
-    message = Imu(header=Header(stamp=_stamp(t_ns), frame_id=FRAME_IDS["flu"]))
+    message = Imu(header=Header(stamp=to_stamp(t_ns), frame_id=FRAME_IDS["flu"]))
     message.angular_velocity = _vector(sample.measured_rates * FRD_TO_FLU)
     message.linear_acceleration = _vector(sample.measured_force * FRD_TO_FLU)
     roll, pitch, yaw = sample.attitude.tolist()
     message.orientation = quaternion(roll, -pitch, 0.5 * math.pi - yaw)
     return message
-
-
-def _stamp(t_ns: int) -> Time:
-    return Time(sec=t_ns // NS_PER_S, nanosec=t_ns % NS_PER_S)
 
 
 def _vector(values: FloatArray) -> Vector3:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,8 +11,7 @@ import numpy as np
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
-from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import Flight, sample_count, whole_steps
+from uav_ident_ros.simulation.flight import Flight, check_positive, sample_count, whole_steps
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.live import LiveQuadrotor
 from uav_ident_ros.simulation.noise import Sensors
@@ -35,9 +33,7 @@ class QuadrotorFlight:
     seed: int = 0  # Seed of the gusts
 
     def __post_init__(self) -> None:
-        for name in ("duration", "rate", "actuator_rate", "time_constant"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise SimulationError(f"{name} is {getattr(self, name)}: it must be positive")
+        check_positive(self, "duration", "rate", "actuator_rate", "time_constant")
         named = f"actuator rate {self.actuator_rate:g} Hz"
         whole_steps(1.0 / self.actuator_rate, self.rate, named)
         whole_steps(self.delay, self.rate, f"delay {self.delay:g} s")
