@@ -21,11 +21,10 @@ class Guest:
     def __init__(
         self,
         name: str,  # Its name
-        domain_id: int | None = None,  # ROS domain; the environment's if left out
         **options: Any,  # Further arguments of `rclpy.node.Node`
     ) -> None:
         context = Context()
-        context.init(args=[], domain_id=domain_id)
+        context.init(args=[])
         self.node = Node(
             name, context=context, use_global_arguments=False, enable_rosout=False, **options
         )

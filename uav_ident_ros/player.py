@@ -90,10 +90,9 @@ class Player(Guest):
         self,
         topics: dict[str, type],  # Topics to publish and their message classes
         node_name: str = "/identifier",  # Full name of the node that listens
-        domain_id: int | None = None,  # ROS domain; the environment's if left out
         clock: bool = True,  # Whether to publish /clock
     ) -> None:
-        super().__init__("player", domain_id)
+        super().__init__("player")
         self.outputs = Outputs()
         self._node_name = node_name
         self._clock_ns = 0
@@ -138,33 +137,32 @@ class Player(Guest):
             publisher.get_subscription_count() > 0 for publisher in publishers
         )
 
-    def wait_for_node(self, timeout: float = PATIENCE) -> None:
+    def wait_for_node(self) -> None:
         """Listen until the node hears this player and this player hears the node."""
         self.wait_until(
             self.node_is_there,
             f"node '{self._node_name}' to subscribe to {', '.join(self._publishers)}"
             + (" and /clock" if self._clock else ""),
-            timeout,
         )
-        self._wait_for_answer_to_a_call(timeout)
+        self._wait_for_answer_to_a_call()
         self.spin_for(SETTLE)
 
-    def _wait_for_answer_to_a_call(self, timeout: float) -> None:
+    def _wait_for_answer_to_a_call(self) -> None:
         """Listen until the node answers a service.
 
         That the player knows the node does not mean that the node knows the player yet, and
         until then it hears nothing.
         """
         client = self.node.create_client(ListParameters, f"{self._node_name}/list_parameters")
-        end = time.monotonic() + timeout
+        end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
-            self.wait_until(client.service_is_ready, f"node '{self._node_name}'", timeout)
+            self.wait_until(client.service_is_ready, f"node '{self._node_name}'")
             answer = client.call_async(ListParameters.Request())
             if self.spin_for(CALL_AGAIN_AFTER, answer.done):
                 self.node.destroy_client(client)
                 return
             client.remove_pending_request(answer)
-        raise PlayerError(f"waited {timeout:g} s in vain for node '{self._node_name}' to answer")
+        raise PlayerError(f"waited {PATIENCE:g} s in vain for node '{self._node_name}' to answer")
 
     def send(self, topic: str, data: Any) -> None:
         """Publish one message, or its CDR bytes."""

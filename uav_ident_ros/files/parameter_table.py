@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from uav_ident_ros.identification.settings import Setting, Value, declarations
 from uav_ident_ros.messages.types import ACTUATORS, RATES
@@ -43,11 +44,11 @@ _BLOCK = re.compile(
 )
 
 
-def write_value(value: Value) -> str:
+def write_value(value: Value | list[Any]) -> str:
     """Write a value as in a parameter file."""
     if isinstance(value, bool):
         return "true" if value else "false"
-    if isinstance(value, tuple):
+    if isinstance(value, tuple | list):
         return "[" + ", ".join(write_value(entry) for entry in value) + "]"
     return f'"{value}"' if value == "" else str(value)
 

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from collections.abc import Mapping
 from typing import Any
 
+from uav_ident_ros.files.parameter_template import written
 from uav_ident_ros.identification.settings import Setting, declarations
 
 ROS_ARGUMENTS = "[--ros-args [--params-file FILE] [-p NAME:=VALUE] [-r FROM:=TO] ...]"
@@ -38,16 +38,11 @@ def node_usage(
 ) -> str:
     """Return the text of another node of this package."""
     head = f"usage: {name} {ROS_ARGUMENTS}\n\n{text.strip()}\n\nparameters, with their defaults:"
-    return "\n".join((head, *(f"  {key} = {_written(value)}" for key, value in parameters.items())))
+    return "\n".join((head, *(f"  {key} = {written(value)}" for key, value in parameters.items())))
 
 
 def _entry(setting: Setting) -> str:
     unit = f" {setting.unit}" if setting.unit else ""
     lines = textwrap.wrap(setting.description, 76)
     meaning = textwrap.indent("\n".join(lines), " " * 6)
-    return f"  {setting.name} = {_written(setting.default)}{unit}\n{meaning}"
-
-
-def _written(value: Any) -> str:
-    """Return a value as a parameter file would have it."""
-    return json.dumps(list(value) if isinstance(value, tuple) else value)
+    return f"  {setting.name} = {written(setting.default)}{unit}\n{meaning}"

@@ -138,7 +138,9 @@ def write_results(
         (folder / "table.txt").write_text(f"{table}\n", encoding="utf-8")
     except OSError as error:
         raise BagWriteError(f"cannot write to '{folder}': {error.strerror}") from None
-    write_estimates(folder / "estimates", run.estimates, run.structure, node, run.frame_id or "")
+    write_estimates(
+        folder / "estimates", run.estimates, run.structure, node, run.intake.frame_id or ""
+    )
     save_coefficients(run.result(), folder / "coefficients.yaml")
     return table
 

@@ -7,7 +7,7 @@ There is no estimation logic here: messages go in by log time, due ticks are ask
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -48,36 +48,16 @@ PIECE = 4096
 
 
 @dataclass(frozen=True)
-class Stretch:
+class Stretch(Flown):
     """What was measured and published on one time base, with one delay of the inputs."""
 
+    force: FloatArray
+    _: KW_ONLY
     era: int  # Restarts of the time base before it
-    flown: Flown  # What was measured on the time base; its inputs have the delay
     ticks: Ticks  # The estimates made with that delay
 
-    @property
-    def t_ns(self) -> TimeArray:
-        """Stamps of all rates on the time base, ns, shape (N,)."""
-        return self.flown.t_ns
-
-    @property
-    def rates(self) -> FloatArray:
-        """Measured p, q, r, rad/s, FRD, shape (N, 3)."""
-        return self.flown.rates
-
-    @property
-    def force(self) -> FloatArray:
-        """Measured ay, az, m/s^2, FRD, shape (N, 2)."""
-        assert self.flown.force is not None
-        return self.flown.force
-
-    @property
-    def inputs(self) -> InputSignal:
-        """Inputs on the time base, with the delay."""
-        return self.flown.inputs
-
-    def pieces(self, horizon: float) -> Iterator[tuple[Flown, Ticks]]:
-        """Yield the ticks, some at a time, with what is needed to predict them `horizon` s ahead.
+    def pieces(self, horizon: float) -> Iterator[Stretch]:
+        """Yield it in parts of some ticks, with what is needed to predict them `horizon` s ahead.
 
         On a grid of its own each piece takes some MB; that of an hour would take hundreds.
         """
@@ -88,16 +68,8 @@ class Stretch:
             begin = np.searchsorted(self.t_ns, stamps[0], side="right") - 1
             end = np.searchsorted(self.t_ns, stamps[-1] + ahead_ns) + 1
             measured = slice(max(int(begin), 0), int(end))
-            force = self.force[measured]
-            yield (
-                replace(
-                    self.flown,
-                    t_ns=self.t_ns[measured],
-                    rates=self.rates[measured],
-                    force=force,
-                ),
-                ticks,
-            )
+            parts = {name: getattr(self, name)[measured] for name in ("t_ns", "rates", "force")}
+            yield replace(self, **parts, ticks=ticks)
 
 
 Wrap = Callable[[Iterable[Message], int], Iterable[Message]]
@@ -142,11 +114,6 @@ class OfflineRun:
     def fault(self) -> str:
         """How the messages contradict the settings; empty if they do not."""
         return self.intake.fault or self.identifier.fault
-
-    @property
-    def frame_id(self) -> str | None:
-        """Frame of the rates; None before the first."""
-        return self.intake.frame_id
 
     def refusals(self, stream: str) -> Refusals:
         """Count what became of the messages of a stream, ``rates`` or ``actuators`` for two."""
@@ -208,8 +175,8 @@ class OfflineRun:
         errors, ends = [], []
         for part in self.stretches():
             ends += [int(part.t_ns[0]), int(part.t_ns[-1])]
-            for flown, ticks in part.pieces(HORIZONS[-1]):
-                errors.append(window_errors(flown, Published.of(ticks, self.structure)))
+            for piece in part.pieces(HORIZONS[-1]):
+                errors.append(window_errors(piece, Published.of(piece.ticks, self.structure)))
         return score_windows(WindowErrors.join(errors), min(ends), max(ends))
 
     def stretches(self) -> Iterator[Stretch]:
@@ -221,8 +188,10 @@ class OfflineRun:
             era, delay = context
             t_ns, rates, force = measured[era]
             which = [k for k, other in enumerate(self._contexts) if other == context]
-            flown = Flown(t_ns, rates, self.input_signal(era, delay), force, arm)
-            yield Stretch(era, flown, self.estimates.chosen(np.array(which, dtype=np.int64)))
+            yield Stretch(
+                t_ns, rates, self.input_signal(era, delay), force, arm,
+                era=era, ticks=self.estimates.chosen(np.array(which, dtype=np.int64)),
+            )  # fmt: skip
 
     def blocks(self, part: Stretch) -> Iterator[Block]:
         """Yield the signals of a stretch on a uniform grid, in blocks of `BLOCK` samples at most.

@@ -69,7 +69,7 @@ class Replayed:
                 "ticks": len(run.estimates),
                 "first_tick_ns": run.estimates[0].t_ns,
                 "last_tick_ns": last.t_ns,
-                "frame_id": run.frame_id,
+                "frame_id": run.intake.frame_id,
                 "inputs": {
                     stream.name: {
                         "topic": run.inputs.streams[stream.name],

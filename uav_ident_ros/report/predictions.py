@@ -58,8 +58,9 @@ def predict(
     """Run the model of every tick for `horizon` s."""
     parts = []
     for part in flight.stretches:
-        for flown, ticks in part.pieces(horizon):
-            t_ns, predicted = predict_ahead(flown, Published.of(ticks, flight.structure), horizon)
+        for piece in part.pieces(horizon):
+            published = Published.of(piece.ticks, flight.structure)
+            t_ns, predicted = predict_ahead(piece, published, horizon)
             t = flight.clock.seconds(part.era, t_ns)
             parts.append((t, predicted, *(flight.rates_at(s) for s in (t, t - horizon))))
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
+from uav_ident_ros.files.parameter_table import write_value
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.offline.tables import NONE, Cell, Number, Row, Table, Words
@@ -111,7 +112,7 @@ def settings_tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     for setting in declarations():
         value = summary["settings"][setting.name]
         default = list(setting.default) if isinstance(setting.default, tuple) else setting.default
-        cells = [Words(_shown(value)), Words(setting.unit), Words(_shown(default))]
+        cells = [Words(write_value(value)), Words(setting.unit), Words(write_value(default))]
         if value == default:
             others.append(Row(setting.name, cells[:2]))
         else:
@@ -121,14 +122,6 @@ def settings_tables(summary: Mapping[str, Any]) -> Iterator[Table]:
         yield Table("Settings that differ from the defaults", (*head, Words("default")), changed)
     folded = f"{len(others)} settings at their defaults"
     yield Table("Settings at their defaults", head, others, folded)
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list):
-        return f"[{', '.join(map(_shown, value))}]"
-    return str(value) if value != "" else "''"
 
 
 def origin_tables(
