@@ -12,6 +12,7 @@ from one seed.
 
 from __future__ import annotations
 
+import itertools
 import os
 import random
 import subprocess
@@ -38,6 +39,7 @@ from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, declarati
 from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.offline.run import OfflineRun, run_over
 from uav_ident_ros.offline.ticks import Ticks
+from uav_ident_ros.player import Outputs, Player, PlayerError
 
 BAG = bench.ROOT / "bags" / "multisine"
 
@@ -72,8 +74,13 @@ other, and counts for more than an hour of flight."""
 LARGEST_LOSS = 2.0
 """Points by which the fit may be worse afterwards."""
 
-WORST_FIT, BEST_FIT, LARGEST_RATE = -1000.0, 100.0, 200.0
-"""Bounds of what is published: fits, percent; rates, rad/s."""
+BOUNDS = {
+    "fit/": (-1000.0, 100.0),
+    "verdict/": (0.0, 1.0),
+    "": (-LARGEST_COEFFICIENT, LARGEST_COEFFICIENT),
+}
+LARGEST_RATE = 200.0
+"""Bounds of what is published: entries by the beginning of their names; rates, rad/s."""
 
 
 @dataclass
@@ -94,50 +101,22 @@ class Outcome:
     problems: list[str] = field(default_factory=list)  # What should not have been
 
 
-class Watch:
-    """Looks at everything that the node publishes."""
-
-    def __init__(self, node: Any, outcome: Outcome) -> None:
-        from diagnostic_msgs.msg import DiagnosticArray
-        from geometry_msgs.msg import Vector3Stamped
-        from sensor_msgs.msg import JointState
-        from std_msgs.msg import Float64MultiArray
-
-        self._outcome = outcome
-        self.coefficients: np.ndarray | None = None
-        subscribe = node.create_subscription
-        subscribe(JointState, "/identifier/coefficients_named", self._on_named, 1000)
-        subscribe(Float64MultiArray, "/identifier/coefficients", self._on_dense, 1000)
-        for name in ("predicted_rates", "prediction_error"):
-            subscribe(Vector3Stamped, f"/identifier/{name}", partial(self._on_rates, name), 1000)
-        subscribe(DiagnosticArray, "/diagnostics", self._on_status, 10)
-
-    def _demand(self, holds: bool, what: str) -> None:
-        if not holds and len(self._outcome.problems) < 20:
-            self._outcome.problems.append(what)
-
-    def _on_named(self, message: Any) -> None:
-        self._outcome.ticks += 1
-        position, effort = np.array(message.position), np.array(message.effort)
-        values, fits, usable = position[:-4], position[-4:-1], position[-1]
-        within = (np.abs(values) <= LARGEST_COEFFICIENT).all() and np.isfinite(effort).all()
-        within = within and (fits >= WORST_FIT).all() and (fits <= BEST_FIT).all()
-        self._demand(bool(within and usable in (0.0, 1.0)), f"published {message}")
-
-    def _on_dense(self, message: Any) -> None:
-        self.coefficients = np.array(message.data)
-        within = bool((np.abs(self.coefficients) <= LARGEST_COEFFICIENT).all())
-        self._demand(within, f"published {message}")
-
-    def _on_rates(self, name: str, message: Any) -> None:
-        v = message.vector
-        within = bool((np.abs([v.x, v.y, v.z]) <= LARGEST_RATE).all())
-        self._demand(within, f"published {name} {v}")
-
-    def _on_status(self, message: Any) -> None:
-        for status in message.status:
-            self._outcome.status = {entry.key: entry.value for entry in status.values}
-            self._outcome.status["state"] = status.message
+def out_of_bounds(outputs: Outputs) -> Iterator[str]:
+    """Yield what was published and should not have been."""
+    for named in outputs.named:
+        good = np.isfinite(named.effort).all()
+        for name, value in zip(named.name, named.position, strict=True):
+            low, high = next(b for begin, b in BOUNDS.items() if name.startswith(begin))
+            good = good and low <= value <= high
+        if not good:
+            yield f"published {named}"
+    for dense in outputs.coefficients:
+        if not (np.abs(dense.data) <= LARGEST_COEFFICIENT).all():
+            yield f"published {dense}"
+    for vector in (*outputs.predicted_rates, *outputs.prediction_error):
+        v = vector.vector
+        if not (np.abs([v.x, v.y, v.z]) <= LARGEST_RATE).all():
+            yield f"published {v}"
 
 
 class Campaign:
@@ -151,9 +130,6 @@ class Campaign:
         folder: Path,  # Folder for its log and its state file
     ) -> None:
         from rcl_interfaces.srv import GetParameters
-        from rosgraph_msgs.msg import Clock
-
-        from uav_ident_ros.guest import Guest
 
         self.outcome = Outcome()
         self.chance = random.Random(seed)
@@ -161,13 +137,11 @@ class Campaign:
         self._sim_time = sim_time
         self._log = folder / "node.log"
         self._process = self._start(folder)
-        self._guest = Guest("storm")
-        self._node, self.listen = self._guest.node, self._guest.spin_for
         # Without a stamp of its own, it holds from its arrival: by /clock, with the others.
         self.topics = [topic for topic in TYPES if sim_time or topic != ARMED]
-        self._publishers = {topic: self._publisher(topic) for topic in self.topics}
-        self._clock = self._node.create_publisher(Clock, "/clock", 10) if sim_time else None
-        self._watch = Watch(self._node, self.outcome)
+        self._types = {topic: import_type(TYPES[topic]) for topic in self.topics}
+        self.player = Player(self._types, clock=sim_time)
+        self._node, self._learned = self.player.node, np.zeros(0)
         self._barrier = self._node.create_client(GetParameters, "/identifier/get_parameters")
         self._question = GetParameters.Request(names=["update_rate"])
         self._may_reset = True
@@ -175,9 +149,7 @@ class Campaign:
         self._shift_ns = 0
         self.now_ns = 0
         self._flight = self._load_flight()
-        self._hostile = {
-            topic: Hostile(import_type(TYPES[topic]), self.chance) for topic in self.topics
-        }
+        self._hostile = {t: Hostile(kind, self.chance) for t, kind in self._types.items()}
 
     def _start(self, folder: Path) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
@@ -194,9 +166,6 @@ class Campaign:
             command += ["-p", f"{name}:={value}"]
         with self._log.open("wb") as file:
             return subprocess.Popen(command, cwd=bench.ROOT, stdout=file, stderr=file)
-
-    def _publisher(self, topic: str) -> Any:
-        return self._node.create_publisher(import_type(TYPES[topic]), topic, 1000)
 
     def _load_flight(self) -> list[tuple[int, str, bytes]]:
         """Good messages: those of the bag, an airspeed ten times a second, armed twice."""
@@ -226,7 +195,7 @@ class Campaign:
 
     def _publish(self, topic: str, data: bytes, hostile: bool) -> None:
         try:
-            self._publishers[topic].publish(data)
+            self.player.send(topic, data)
         except RuntimeError:  # more bytes than this type can ever have
             return
         self.outcome.sent[topic] += 1
@@ -243,30 +212,22 @@ class Campaign:
     def _answer(self, client: Any, request: Any, timeout: float = 5.0) -> Any:
         """Call a service and return the answer; None if there is none."""
         future = client.call_async(request)
-        if not self.listen(timeout, future.done):
+        if not self.player.spin_for(timeout, future.done):
             client.remove_pending_request(future)
             return None
         return future.result()
 
-    def wait_for_node(self) -> None:
-        """Wait until the node hears every topic."""
-        end = time.monotonic() + 30.0
-        while time.monotonic() < end:
-            heard = all(p.get_subscription_count() for p in self._publishers.values())
-            if heard and self._answer(self._barrier, self._question, 1.0) is not None:
-                self.listen(0.5)
-                return
-            self.listen(0.1)
-        raise RuntimeError(f"the node did not start:\n{self._log.read_text()}")
-
-    def send_clock(self, t_ns: int) -> None:
-        """Publish a time on /clock, if the node runs on it."""
-        from rosgraph_msgs.msg import Clock
-
-        if self._clock is not None:
-            message = Clock()
-            message.clock.sec, message.clock.nanosec = t_ns // SECOND_NS, t_ns % SECOND_NS
-            self._clock.publish(message)
+    def listen(self, seconds: float) -> None:
+        """Hear what the node says for a while, and hold it against its bounds."""
+        self.player.spin_for(seconds)
+        outcome, outputs = self.outcome, self.player.outputs
+        outcome.problems += itertools.islice(out_of_bounds(outputs), 20)
+        outcome.ticks += len(outputs.named)
+        if outputs.coefficients:
+            self._learned = np.array(outputs.coefficients[-1].data)
+        for status in outputs.status:
+            outcome.status = {entry.key: entry.value for entry in status.values}
+        outputs.clear()
 
     # -- the flight ------------------------------------------------------------------------
 
@@ -285,13 +246,13 @@ class Campaign:
             self.now_ns = t_ns + self._shift_ns
             if self.now_ns - clock_ns >= SECOND_NS // 100:
                 clock_ns = self.now_ns
-                self.send_clock(clock_ns)
+                self.player.send_clock(clock_ns)
             self.send(topic, data if topic == ARMED else stamped(data, self.now_ns))
             if between is not None and topic == RATES:
                 between()
         for _ in range(10):
             self.now_ns += SECOND_NS // 100
-            self.send_clock(self.now_ns)
+            self.player.send_clock(self.now_ns)
             self.listen(0.02)
         self.wait()
 
@@ -304,8 +265,7 @@ class Campaign:
         """Fit of the coefficients that the node published last, on the end of the flight."""
         self.listen(0.5)
         run = self._replayed
-        assert self._watch.coefficients is not None
-        learned = self._watch.coefficients.reshape(run.structure.mask.shape)
+        learned = self._learned.reshape(run.structure.mask.shape)
         run.estimates = Ticks(
             run.structure, [replace(e, coefficients=learned) for e in run.estimates]
         )
@@ -366,10 +326,11 @@ class Campaign:
             self.fly(2.0)
             self.listen(SILENCE)
             self.call_something()
-            self._node.destroy_publisher(self._publishers[topic])
+            publishers = self.player._publishers
+            self._node.destroy_publisher(publishers.pop(topic))
             self.fly_without(topic)
-            self._publishers[topic] = self._publisher(topic)
-            self.wait_for_node()
+            publishers[topic] = self._node.create_publisher(self._types[topic], topic, 1000)
+            self.player.wait_for_node()
         self.fly(2.0)
 
     def fly_without(self, topic: str) -> None:
@@ -387,7 +348,7 @@ class Campaign:
             self.fly(2.0)
             self.call_something()
         for clock_ns in (0, 1, 2**31 * SECOND_NS - 1, self.now_ns, self.now_ns - SECOND_NS):
-            self.send_clock(clock_ns)
+            self.player.send_clock(clock_ns)
             self.listen(0.1)
         self.now_ns = max(self.now_ns, start)
         self.fly(2.0)
@@ -397,34 +358,30 @@ class Campaign:
         from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
         from std_srvs.srv import SetBool, Trigger
 
-        kinds = ["save", "adapt", "set", "set", "atomic", "describe"]
-        kind = self.chance.choice(kinds + ["reset"] * self._may_reset)
-        self.outcome.calls[kind] += 1
-        if kind in ("reset", "save"):
-            answer = self._once(Trigger, f"/identifier/{kind}", Trigger.Request())
-        elif kind == "adapt":
-            request: Any = SetBool.Request(data=self.chance.random() < 0.5)
-            answer = self._once(SetBool, "/identifier/adapt", request)
-        elif kind == "describe":
-            names = [s.name for s in declarations()] + ["", "no/such", "x" * 300]
-            request = DescribeParameters.Request(names=self.chance.sample(names, 5))
-            answer = self._once(DescribeParameters, "/identifier/describe_parameters", request)
-        else:
-            chosen = [hostile.parameter(self.chance) for _ in range(self.chance.randrange(1, 6))]
-            if kind == "set":
-                request = SetParameters.Request(parameters=chosen)
-                answer = self._once(SetParameters, "/identifier/set_parameters", request)
-            else:
-                request = SetParametersAtomically.Request(parameters=chosen)
-                service = "/identifier/set_parameters_atomically"
-                answer = self._once(SetParametersAtomically, service, request)
-        if answer is None:
-            self.outcome.problems.append(f"no answer to '{kind}'")
+        def parameters() -> dict[str, Any]:
+            count = self.chance.randrange(1, 6)
+            return {"parameters": [hostile.parameter(self.chance) for _ in range(count)]}
 
-    def _once(self, kind: Any, service: str, request: Any) -> Any:
-        client = self._node.create_client(kind, service)
+        names = [s.name for s in declarations()] + ["", "no/such", "x" * 300]
+        calls: list[tuple[str, Any, Callable[[], dict[str, Any]]]] = [
+            ("save", Trigger, dict),
+            ("adapt", SetBool, lambda: {"data": self.chance.random() < 0.5}),
+            ("set_parameters", SetParameters, parameters),
+            ("set_parameters", SetParameters, parameters),
+            ("set_parameters_atomically", SetParametersAtomically, parameters),
+            ("describe_parameters", DescribeParameters,
+             lambda: {"names": self.chance.sample(names, 5)}),
+            ("reset", Trigger, dict),
+        ]  # fmt: skip
+        service, kind, fields = self.chance.choice(calls if self._may_reset else calls[:-1])
+        self.outcome.calls[service] += 1
+        if self._once(kind, service, **fields()) is None:
+            self.outcome.problems.append(f"no answer to '{service}'")
+
+    def _once(self, kind: Any, service: str, **fields: Any) -> Any:
+        client = self._node.create_client(kind, f"/identifier/{service}")
         client.wait_for_service(timeout_sec=2.0)
-        answer = self._answer(client, request)
+        answer = self._answer(client, kind.Request(**fields))
         self._node.destroy_client(client)
         return answer
 
@@ -442,35 +399,34 @@ class Campaign:
         from uav_ident_ros.node.parameters import PARAMETER_TYPES
 
         own = load_parameters(BAG / "identifier.yaml", "identifier")
-        changeable = [s for s in declarations() if not s.read_only]
-        request = SetParametersAtomically.Request(
-            parameters=[
-                # the type as well: an empty array does not tell it
-                Parameter(
-                    s.name, PARAMETER_TYPES[s.type], own.get(s.name, s.default)
-                ).to_parameter_msg()
-                for s in changeable
-            ]
+        # the type as well: an empty array does not tell it
+        parameters = [
+            Parameter(s.name, PARAMETER_TYPES[s.type], own.get(s.name, s.default))
+            for s in declarations()
+            if not s.read_only
+        ]
+        answer = self._once(
+            SetParametersAtomically,
+            "set_parameters_atomically",
+            parameters=[parameter.to_parameter_msg() for parameter in parameters],
         )
-        service = "/identifier/set_parameters_atomically"
-        answer = self._once(SetParametersAtomically, service, request)
         if answer is None or not answer.result.successful:
             self.outcome.problems.append(f"the parameters could not be set back: {answer}")
-        self._once(SetBool, "/identifier/adapt", SetBool.Request(data=True))
+        self._once(SetBool, "adapt", data=True)
 
     # -- all of it -------------------------------------------------------------------------
 
     def run(self) -> Outcome:
         """Run the campaign."""
         try:
-            self.wait_for_node()
+            self.player.wait_for_node()
             begin = self.resident_mb()
             for phase in self._phases():
                 phase()
             self.listen(2.5)
             self.outcome.memory = (begin, self.resident_mb())
             self._judge()
-        except RuntimeError as error:
+        except (RuntimeError, PlayerError) as error:
             self.outcome.problems.append(str(error))
         finally:
             self.end()
@@ -525,7 +481,7 @@ class Campaign:
         if status != 0 or "Traceback" in log:
             tail = "\n".join(log.splitlines()[-30:])
             self.outcome.problems.append(f"it ended with status {status}:\n{tail}")
-        self._guest.close()
+        self.player.close()
 
 
 def report(outcome: Outcome) -> Iterator[str]:

@@ -200,7 +200,7 @@ def memory_over_an_hour(folder: Path) -> Iterator[tuple[int, float]]:
 
     flight = Campaign(seed=1, count=0, sim_time=False, folder=folder)
     try:
-        flight.wait_for_node()
+        flight.player.wait_for_node()
         yield 0, flight.resident_mb()
         for minute in range(1, 61):
             flight.fly()

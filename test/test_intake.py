@@ -14,8 +14,8 @@ from uav_ident_ros.bags import messages
 from uav_ident_ros.bags.messages import NOT_MEASURED, UNKNOWN
 from uav_ident_ros.bags.writing import jazzy_types
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.messages.imu import decode_imu_block
 from uav_ident_ros.offline import run as offline
-from uav_ident_ros.offline.imu_block import decode_imu_block
 
 SECONDS = 16.0
 

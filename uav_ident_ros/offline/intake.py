@@ -23,10 +23,9 @@ from uav_ident_ros.identification.intake import ACTUATORS, EXCITATION, RATES
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.messages.arrival import Arrivals
-from uav_ident_ros.messages.imu import IMU_TYPE, decode_imu_cdr
+from uav_ident_ros.messages.imu import IMU_TYPE, ImuBlock, decode_imu_block, decode_imu_cdr
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import ChannelError, RatesReader
-from uav_ident_ros.offline.imu_block import ImuBlock, decode_imu_block
 from uav_ident_ros.offline.inputs import Inputs
 
 UNREADABLE = "unreadable"
