@@ -7,8 +7,7 @@ import numpy as np
 import padasip
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Regression, RowSamples
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, FloatArray
 
 RLS_FORGETTING = 0.998
@@ -48,7 +47,7 @@ class RegressionRecorder:
         return samples.residual(self.coefficients)
 
     def update(
-        self, samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
+        self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
         """Keep the samples."""
         self.y.extend(samples.y)

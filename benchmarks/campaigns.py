@@ -22,8 +22,7 @@ import output_error
 import padasip
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Regression, RowSamples
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 from uav_ident_ros.simulation.flight import Flight
 
@@ -367,11 +366,9 @@ def _update_times(case: cases.Case, estimator: str) -> tuple[FloatArray, FloatAr
     identifier = OnlineIdentifier(case.settings({"estimator": estimator}))
     update, times, own = identifier._estimator.update, [], []
 
-    def timed(
-        samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
-    ) -> None:
+    def timed(samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray) -> None:
         began = time.thread_time()
-        update(samples, residual, white, weight)
+        update(samples, rows, white, weight)
         own.append(time.thread_time() - began)
 
     setattr(identifier._estimator, "update", timed)  # noqa: B010  (a method, to the type checker)

@@ -14,8 +14,7 @@ import numpy as np
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.prior import Start
-from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Regression, RowSamples
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.offline.run import run_over
@@ -31,11 +30,11 @@ class Gentle(RecursiveRegression):
         super().__init__(start, settings, instrumental=True)
 
     def update(
-        self, samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
+        self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
         """Learn as the instrumental variable does, and go there step by step."""
         before = self.coefficients
-        super().update(samples, residual, white, weight)
+        super().update(samples, rows, white, weight)
         largest = LARGEST_STEP * self.sigma
         self.coefficients = before + np.clip(self.coefficients - before, -largest, largest)
 

@@ -19,6 +19,11 @@ ELEVATOR = NOTHING.copy()
 ELEVATOR[1, 8] = -20.0
 
 
+def update(detector: ChangeDetector, data: Regression, *known: np.ndarray) -> list[tuple[int, int]]:
+    """What has changed, once it is time to look."""
+    return detector.look(*known) if detector.add(data) else []
+
+
 def noise_means(chance: np.random.Generator, dt: float, restarted: bool = False) -> Regression:
     """The means of a tick of ten samples of noise, `dt` s each."""
     f = chance.normal(size=(10, STRUCTURE.size))
@@ -32,7 +37,7 @@ def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> N
     chance, detector = np.random.default_rng(1), ChangeDetector(STRUCTURE.mask, 15.0)
     for length in lengths:
         data = noise_means(chance, length / 10)
-        assert detector.update(data, NOTHING, STILL, EVERY_INPUT, EVERY_ROW) == []
+        assert update(detector, data, NOTHING, STILL, EVERY_INPUT, EVERY_ROW) == []
         assert np.isfinite(detector.found.slope).all()
 
 
@@ -40,7 +45,7 @@ def test_a_window_does_not_reach_over_a_gap() -> None:
     chance, detector = np.random.default_rng(1), ChangeDetector(STRUCTURE.mask, 15.0)
     for k in range(130):
         data = noise_means(chance, 0.005, restarted=k == 120)
-        detector.update(data, NOTHING, STILL, EVERY_INPUT, EVERY_ROW)
+        update(detector, data, NOTHING, STILL, EVERY_INPUT, EVERY_ROW)
     assert len(detector.recent) == 10
 
 
@@ -73,7 +78,7 @@ def test_a_change_stands_out_from_noise_and_from_learning(
     for k in range(first + 200):
         u = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal()
         data = elevator_means(chance, u, 12.0 * u if k >= first else 0.0, noise)
-        changed = detector.update(data, ELEVATOR, np.full((3, 4), sigma), EVERY_INPUT, NO_ROW)
+        changed = update(detector, data, ELEVATOR, np.full((3, 4), sigma), EVERY_INPUT, NO_ROW)
         found += [(k, *change) for change in changed]
     assert [(i, j) for _, i, j in found[:1]] == ([(1, 0)] if noticed else [])
     assert all(first < k < first + 120 for k, _, _ in found[:1])
@@ -87,7 +92,7 @@ def test_what_a_still_input_seems_to_do_is_not_remembered() -> None:
         size = 1.0 if k % 400 < 100 or k >= 800 else 0.001
         u = size * (0.03 * np.sin(0.1 * k) + 0.01 * chance.normal())
         data = elevator_means(chance, u, 12.0 * u if k >= 1000 else 0.0)
-        found += detector.update(data, ELEVATOR, STILL, np.full(4, size == 1.0), NO_ROW)
+        found += update(detector, data, ELEVATOR, STILL, np.full(4, size == 1.0), NO_ROW)
     assert found[:1] == [(1, 0)]
 
 
@@ -104,5 +109,5 @@ def test_a_moment_that_steps_is_the_constant_though_the_controller_answers() -> 
             slow += 0.005 * 8.0 * (smooth[0] - slow)
         u = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal() + slow / 20.0
         data = elevator_means(chance, u, smooth[0])
-        found += detector.update(data, ELEVATOR, STILL, EVERY_INPUT, EVERY_ROW)
+        found += update(detector, data, ELEVATOR, STILL, EVERY_INPUT, EVERY_ROW)
     assert found[:1] == [(1, CONSTANT)]

@@ -6,10 +6,10 @@ import pytest
 
 from uav_ident_ros.identification.confirmation import Confirmation
 from uav_ident_ros.identification.noise import NoiseModel
-from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.row_samples import RowSamples
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS
+from uav_ident_ros.identification.regression import Regression, RowSamples, layout
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, STRUCTURES
 
+LAYOUT = layout(STRUCTURES["augmented"])
 DT = 0.05
 MAX_AGE = 60.0
 BELIEVED = np.zeros((3, 4))
@@ -42,10 +42,12 @@ class Flown:
             residual = self._gust + (actual - BELIEVED) @ self._u
             f = np.zeros((1, 15))
             f[0, INPUT_COLUMNS] = self._u
-            sample = RowSamples.of(Regression(np.zeros((1, 3)), f, f, DT), residual[None])
+            samples = Regression(np.zeros((1, 3)), f, f, DT)
+            sample = RowSamples.of(samples, residual[None], LAYOUT)
             white = self._noise.whiten(sample, restarted=self.restarted)
             self.restarted = False
-            self.confirmed.add(white, self._noise.variance, BELIEVED, self.max_age)
+            effect = LAYOUT.main_effect(BELIEVED, white)
+            self.confirmed.add(white, effect, self._noise.variance, self.max_age)
 
     def doubts(self) -> list[str]:
         return [self.confirmed.doubt(row) for row in range(3)]
@@ -131,7 +133,8 @@ def test_a_flight_without_noise_is_judged_too() -> None:
     for k in range(200):
         f = np.zeros((1, 15))
         f[0, INPUT_COLUMNS] = 0.05 * np.sin(0.3 * k * np.arange(1.0, 5.0))
-        sample = RowSamples.of(Regression(np.zeros((1, 3)), f, f, DT), np.zeros((1, 3)))
+        samples = Regression(np.zeros((1, 3)), f, f, DT)
+        sample = RowSamples.of(samples, np.zeros((1, 3)), LAYOUT)
         white = noise.whiten(sample, restarted=k == 0)
-        confirmed.add(white, noise.variance, BELIEVED, MAX_AGE)
+        confirmed.add(white, LAYOUT.main_effect(BELIEVED, white), noise.variance, MAX_AGE)
     assert [confirmed.doubt(row) for row in range(3)] == ["", "", ""]

@@ -9,8 +9,7 @@ import pytest
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.feedback import Feedback
 from uav_ident_ros.identification.prior import start_from
-from uav_ident_ros.identification.regression import Regression, layout
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FORCE_ROWS, STRUCTURES
 
@@ -41,7 +40,7 @@ def fly(
 
 def shares(samples: Regression, residual: np.ndarray) -> np.ndarray:
     """Shares found with a sample at a time."""
-    looked = Feedback()
+    looked = Feedback(LAYOUT)
     for k in range(len(samples.y)):
         part = slice(k, k + 1)
         one = replace(samples, y=samples.y[part], f=samples.f[part], z=samples.z[part])
@@ -79,15 +78,12 @@ def learned(
         values[PDOT_DA], sigma[PDOT_DA] = initial, 0.2 * initial
     information = Information(STRUCTURE, LAYOUT, replace(start, values=values, sigma=sigma), 0.1)
     ratios = np.where(LAYOUT.index == AILERON, ratio, 0.0)
-    rows = RowSamples.of(samples, residual).pick(LAYOUT)
-    for k in range(0, rows.y.shape[1], 20):
-        part = slice(k, k + 20)
-        block = replace(
-            rows, y=rows.y[:, part], residual=rows.residual[:, part], f=rows.f[:, part],
-            z=rows.z[:, part],
-        )  # fmt: skip
-        information.add(block, np.ones(LAYOUT.rows), ratios)
-    solution = information.solve(start.values)
+    rows, root = RowSamples.of(samples, residual, LAYOUT), np.sqrt(ratios)
+    answering = root[:, :, None] * root[:, None, :] if ratio else None
+    for k in range(0, rows.count, 20):
+        block = replace(rows, signals=rows.signals[:, k : k + 20])
+        information.add([block], np.ones(LAYOUT.rows), answering)
+    solution = information.solve_with_sigma(start.values)[0]
     return float(solution.values[PDOT_DA]), float(solution.sigma[PDOT_DA])
 
 
@@ -137,5 +133,5 @@ def test_a_whole_derivative_that_was_known_is_not_doubted_for_a_force() -> None:
         values[STRUCTURE.index(name)] = value
         sigma[STRUCTURE.index(name)] = 0.2 * abs(value)
     start = replace(start, values=values, sigma=sigma)
-    solution = Information(STRUCTURE, LAYOUT, start, 0.1).solve(values)
+    solution = Information(STRUCTURE, LAYOUT, start, 0.1).solve_with_sigma(values)[0]
     assert solution.sigma[STRUCTURE.index("rdot/dr")] == pytest.approx(0.8)

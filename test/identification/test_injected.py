@@ -12,8 +12,7 @@ from uav_ident_ros.identification.estimators.recursive import RecursiveRegressio
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.intake import EXCITATION
 from uav_ident_ros.identification.prior import start_from
-from uav_ident_ros.identification.regression import Regression, layout
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.sampling import Sampler, join
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
 from uav_ident_ros.identification.structure import (
@@ -157,8 +156,8 @@ def test_a_second_of_a_poor_model_does_not_outweigh_a_minute() -> None:
             z[:, RATE_COLUMNS] *= response
             samples = Regression(y, f, z, dt, injected=True)
             residual = estimator.residual(samples)
-            white = RowSamples.of(samples, residual)
-            estimator.update(samples, residual, white, np.ones(3))
+            rows = RowSamples.of(samples, residual, problem)
+            estimator.update(samples, rows, rows, np.ones(3))
 
     fly(12.0, 1.0, 0.0)
     fly(1.0, 30.0, 2.0)

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.identification.estimators.model_error import ModelError
-from uav_ident_ros.identification.regression import Regression, layout
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.structure import STRUCTURES
 
 STRUCTURE = STRUCTURES["augmented"]
@@ -32,17 +31,14 @@ def rolled(
         y[k, 0] = DAMPING * p + EFFECT * reached + gusts[k]
         f[k, [5, AILERON]] = p, command
         p += DT * y[k, 0]
-    return RowSamples.of(Regression(y, f, f, DT), y).pick(LAYOUT)
+    return RowSamples.of(Regression(y, f, f, DT), y, LAYOUT)
 
 
 def shares(samples: RowSamples, looked: ModelError, ratio: np.ndarray = OPEN_LOOP) -> np.ndarray:
     """What is found after each two samples, (m / 2, 3)."""
     found = []
-    for k in range(0, samples.y.shape[1], 2):
-        y, residual, f, z = (
-            getattr(samples, name)[:, k : k + 2] for name in ("y", "residual", "f", "z")
-        )
-        part = RowSamples(y, residual, f, z, samples.dt)
+    for k in range(0, samples.count, 2):
+        part = RowSamples(samples.signals[:, k : k + 2], samples.dt)
         looked.add(part, EVERYWHERE, ratio, restarted=k == 0)
         found.append(looked.share)
     return np.array(found)
@@ -97,7 +93,7 @@ def test_an_aileron_that_answers_gusts_is_not_called_late(seed: int) -> None:
     f[:, AILERON] = u
     y[:, 0] = EFFECT * u + gusts
     residual = np.outer(gusts, [1.0, 0.0, 0.0])
-    samples = RowSamples.of(Regression(y, f, f, DT), residual).pick(LAYOUT)
+    samples = RowSamples.of(Regression(y, f, f, DT), residual, LAYOUT)
     assert share(samples)[0] > 0.1
     answers = np.where(LAYOUT.index == AILERON, 0.5, 0.0)
     assert share(samples, answers).tolist() == [0.0, 0.0, 0.0]

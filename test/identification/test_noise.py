@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.identification.noise import MEMORY, ORDER, NoiseModel
-from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import RowSamples
 
 DT = 0.05
 WEIGHTS = np.array([[1.2, -0.5, 0.1], [0.0, 0.0, 0.0], [-0.4, 0.2, 0.3]])
@@ -26,9 +25,9 @@ def residuals(ticks: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 def whiten(model: NoiseModel, residual: np.ndarray, restarted: bool = False) -> RowSamples:
     """Whiten residuals (m, rows), with regressors that are their multiples."""
-    f = np.stack([residual[:, 0], -3.0 * residual[:, 0]], axis=1)
-    samples = RowSamples.of(Regression(2.0 * residual, f, f, DT), residual)
-    return model.whiten(samples, restarted=restarted)
+    f = residual[:, :1] * [1.0, -3.0]
+    rows = [np.column_stack((e, 2.0 * e, f, f)) for e in residual.T]
+    return model.whiten(RowSamples(np.array(rows), DT), restarted=restarted)
 
 
 def test_the_autoregression_of_each_row_is_found() -> None:
@@ -52,19 +51,20 @@ def test_with_the_true_weights_the_innovations_come_back(m: int) -> None:
         model.weights = WEIGHTS
         model._since_fit = -1e9  # no fit: the weights are to stay
         out.append(whiten(model, part))
-    residual = np.concatenate([white.residual for white in out], axis=1)
-    np.testing.assert_allclose(residual, expected[ORDER:].T, atol=1e-12)
-    y = np.concatenate([white.y for white in out], axis=1)
-    np.testing.assert_allclose(y, 2.0 * residual, atol=1e-12)
-    for part in ("f", "z"):
-        signals = np.concatenate([getattr(white, part) for white in out], axis=1)
-        np.testing.assert_allclose(signals[0, :, 1], -3.0 * residual[0], atol=1e-12)
+    white = RowSamples.join(out, len(coloured))
+    np.testing.assert_array_equal(white.signals[:, :ORDER], 0.0)
+    np.testing.assert_allclose(white.residual[:, ORDER:], expected[ORDER:].T, atol=1e-12)
+    np.testing.assert_allclose(white.y, 2.0 * white.residual, atol=1e-12)
+    for part in (white.f, white.z):
+        np.testing.assert_allclose(part[0, :, 1], -3.0 * white.residual[0], atol=1e-12)
 
 
 def test_a_new_stretch_does_not_continue_the_old_one() -> None:
     model = NoiseModel(3)
     whiten(model, residuals(100)[0])
     weights = model.weights.copy()
-    assert whiten(model, np.ones((2, 3)), restarted=True).residual.shape == (3, 0)
+    assert not whiten(model, np.ones((2, 3)), restarted=True).signals.any()
     np.testing.assert_array_equal(model.weights, weights)  # what was learned stays
-    assert whiten(model, np.ones((2, 3))).residual.shape == (3, 1)
+    white = whiten(model, np.ones((2, 3)))
+    assert not white.signals[:, 0].any()
+    assert white.signals[:, 1].all()

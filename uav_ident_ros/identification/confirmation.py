@@ -11,10 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import RowSamples
 from uav_ident_ros.identification.structure import (
-    INPUT_COLUMNS,
-    MAIN_COLUMNS,
     MAIN_INPUTS,
     ROWS,
     FloatArray,
@@ -42,7 +40,7 @@ class Confirmation:
         self._odds[row] = 0.0
 
     def add(
-        self, white: RowSamples, variance: FloatArray, derivatives: FloatArray, max_age: float
+        self, white: RowSamples, effect: FloatArray, variance: FloatArray, max_age: float
     ) -> None:
         """Weigh whitened samples.
 
@@ -50,16 +48,13 @@ class Confirmation:
         ----------
         white : RowSamples
             The samples.
+        effect : (3, m) array
+            What the main input of each row makes in them, by the derivatives believed.
         variance : (rows,) array
             Variance of their residuals, the innovations.
-        derivatives : (3, 4) array
-            Control derivatives that go with their residuals.
         max_age : float
             Time in which what was confirmed fades while the input does not move, s; 0 for never.
         """
-        rows = np.arange(len(ROWS))
-        derivative = derivatives[rows, MAIN_COLUMNS - INPUT_COLUMNS.start]
-        effect = derivative[:, None] * white.f[rows, :, MAIN_COLUMNS]
         # Squared residual if the input did nothing, less the squared residual as it is.
         gain = effect * (2.0 * white.residual[: len(ROWS)] + effect)
         variance = np.maximum(variance[: len(ROWS)], LEAST_VARIANCE)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.regression import Layout, Regression
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
@@ -50,27 +50,40 @@ LARGEST_SHARE = 0.99
 class Feedback:
     """Follows how much of the inputs past residuals explain.
 
+    Parameters
+    ----------
+    layout : Layout
+        The regression problem.
+
     Attributes
     ----------
     share : (4,) array
         Share R^2 of each input that is an answer to disturbances, 0 ... 1.
+    ratio : (rows, k) array
+        ``q = R^2 / (1 - R^2)`` of the input that each instrument follows.
+    answering : (rows, k, k) array or None
+        Root of the product of q of each pair of instruments; None where nothing answers.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, layout: Layout) -> None:
+        self._driven_by = layout.driven_by
         self._past: FloatArray = np.zeros((len(ANSWER_TIMES), len(ROWS)))
         self._answers = self._past.size + 1  # and the constant
         size = self._answers + len(INPUTS)
         self._products: FloatArray = np.zeros((size, size))
+        self._gathered: list[tuple[Regression, FloatArray, float]] = []
         self._since_look = 0.0
-        self.share: FloatArray = np.zeros(len(INPUTS))
+        self._heed(np.zeros(len(INPUTS)))
 
-    @property
-    def ratio(self) -> FloatArray:
-        """``R^2 / (1 - R^2)`` of each input, (4,)."""
-        return self.share / (1.0 - self.share)
+    def _heed(self, share: FloatArray) -> None:
+        self.share = share
+        self.ratio: FloatArray = (share / (1.0 - share))[self._driven_by]
+        root = np.sqrt(self.ratio)
+        answering = root[:, :, None] * root[:, None, :]
+        self.answering: FloatArray | None = answering if share.any() else None
 
     def add(self, samples: Regression, residual: FloatArray, weight: FloatArray) -> None:
-        """Take samples.
+        """Take samples; they are looked at every `LOOK_TIME`.
 
         Parameters
         ----------
@@ -81,22 +94,34 @@ class Feedback:
         weight : (3,) array
             How much the rows learn from them, 0 ... 1.
         """
-        if samples.restarted:
-            self._past = np.zeros_like(self._past)
-        dt, m = samples.dt, len(residual)
-        keep = np.exp(-dt / ANSWER_TIMES)[:, None]
-        signals = np.ones((m, len(self._products)))
-        signals[:, self._answers :] = samples.f[:, INPUT_COLUMNS]
-        for k in range(m):
-            signals[k, : self._past.size] = self._past.ravel()
-            self._past = keep * self._past + residual[k]
-        counted = dt * float(weight.max())
-        fade = np.exp(-m * counted / MEMORY)
-        self._products = fade * self._products + counted * (signals.T @ signals)
-        self._since_look += m * dt
-        if self._since_look >= LOOK_TIME and self._products[-1 - len(INPUTS), -1 - len(INPUTS)]:
+        self._gathered.append((samples, residual, samples.dt * max(weight.tolist())))
+        self._since_look += samples.time
+        if self._since_look >= LOOK_TIME:
             self._since_look = 0.0
-            self._look()
+            self._count()
+            if self._products[self._answers - 1, self._answers - 1]:
+                self._look()
+
+    def _count(self) -> None:
+        """Add up the products of the samples that were gathered."""
+        gathered, self._gathered = self._gathered, []
+        signals = np.ones((sum(len(residual) for _, residual, _ in gathered), len(self._products)))
+        weight, first = np.empty((len(signals), 1)), 0
+        for samples, residual, counted in gathered:
+            if samples.restarted:
+                self._past = np.zeros_like(self._past)
+            keep = np.exp(-samples.dt / ANSWER_TIMES)[:, None]
+            last = first + len(residual)
+            signals[first:last, self._answers :] = samples.f[:, INPUT_COLUMNS]
+            for k in range(first, last):
+                signals[k, : self._past.size] = self._past.ravel()
+                self._past = keep * self._past + residual[k - first]
+            fade = np.exp(-counted * len(residual) / MEMORY)
+            self._products *= fade
+            weight[:first] *= fade
+            weight[first:last] = counted
+            first = last
+        self._products += (weight * signals).T @ signals
 
     def _look(self) -> None:
         n = self._answers
@@ -114,4 +139,4 @@ class Feedback:
         # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
         chance = (n - 1) * CORRELATION_TIME / time
         sure = share > chance * (1.0 + LEAST_T * np.sqrt(2.0 / (n - 1)))
-        self.share = np.where(sure, np.clip(share - chance, 0.0, LARGEST_SHARE), 0.0)
+        self._heed(np.where(sure, np.clip(share - chance, 0.0, LARGEST_SHARE), 0.0))

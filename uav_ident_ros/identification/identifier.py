@@ -41,8 +41,12 @@ from uav_ident_ros.identification.noise import NoiseModel
 from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.plausibility import Finding, Plausibility
 from uav_ident_ros.identification.prior import Start, resumed, start_from, without_flow
-from uav_ident_ros.identification.regression import Regression, StateVariableFilter, layout
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import (
+    Regression,
+    RowSamples,
+    StateVariableFilter,
+    layout,
+)
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
@@ -104,6 +108,7 @@ class OnlineIdentifier:
         self._make_estimator = estimator
         self.settings = settings
         self.structure = STRUCTURES[settings.structure]
+        self._layout = layout(self.structure)
         self._initial = initial
         self._frame = BodyFrame(settings.imu)
         self._arm = np.array(settings.imu.lever_arm)
@@ -196,7 +201,7 @@ class OnlineIdentifier:
             }
         )
         self._intake.fault = ""
-        self._noise = NoiseModel(layout(self.structure).rows)
+        self._noise = NoiseModel(self._layout.rows)
         self._learned_time = 0.0
         self.restart()
 
@@ -607,10 +612,11 @@ class OnlineIdentifier:
         estimator, supervisor = self._estimator, self._supervisor
         self._learned_time += samples.time
         residual = estimator.residual(samples)
-        white = self._noise.whiten(RowSamples.of(samples, residual), restarted=samples.restarted)
+        rows = RowSamples.of(samples, residual, self._layout)
+        white = self._noise.whiten(rows, restarted=samples.restarted)
         weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
-        supervisor.confirm(white, self._noise.variance, estimator.inputs)
-        estimator.update(samples, residual, white, weight)
+        supervisor.confirm(white, self._layout, self._noise.variance, estimator.inputs)
+        estimator.update(samples, rows, white, weight)
         supervisor.follow(t, estimator, ticks, learned=True)
 
     def _injected(self, block: Block) -> bool:
@@ -651,12 +657,13 @@ class OnlineIdentifier:
         state, reason = self._waiting(fed) or self._supervisor.state(self._verdict)
         sound = state is not State.FAULT and not self._plausibility.doubted
         usable = self._verdict.rows if sound else (False, False, False)
+        rates = self._frame.to_imu(np.array((predicted, newest - predicted)))
         return Estimate(
             t_ns=t_ns,
             coefficients=coefficients,
             sigma=sigma,
-            predicted_rates=self._frame.to_imu(predicted),
-            prediction_error=self._frame.to_imu(newest - predicted),
+            predicted_rates=rates[0],
+            prediction_error=rates[1],
             flow=None if self._flow is None else self._flow.state(coefficients, sigma),
             fit=self.running_fit.fit.copy(),
             adapting=fed and bool(self._supervisor.learning.any()),

@@ -8,9 +8,12 @@ instruments, inputs (prewhitening; Box, Jenkins and Reinsel, Time Series Analysi
 
 from __future__ import annotations
 
-import numpy as np
+from functools import lru_cache
 
-from uav_ident_ros.identification.row_samples import RowSamples
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_ident_ros.identification.regression import RowSamples
 from uav_ident_ros.identification.structure import FloatArray
 
 ORDER = 3
@@ -59,27 +62,28 @@ class NoiseModel:
         Parameters
         ----------
         samples : RowSamples
-            m samples, with all columns of the problem.
+            m samples.
         restarted : bool
             Whether the first does not continue those before.
 
         Returns
         -------
         RowSamples
-            All samples but the first `ORDER` after a restart; their residuals are innovations.
+            The same, their residuals are innovations; zeros in the place of the first `ORDER` after
+            a restart.
         """
-        rows, m, c = samples.f.shape
-        own = np.stack((samples.residual, samples.y), axis=2)
-        new = np.concatenate((own, samples.f, samples.z), axis=2)
+        new = samples.signals
         if restarted or self._past is None:
-            self._past, self._known = np.zeros((rows, ORDER, new.shape[2])), 0
+            self._past, self._known = np.zeros((len(new), ORDER, new.shape[2])), 0
         signals = np.concatenate((self._past, new), axis=1)
         self._past = signals[:, -ORDER:]
+        m = new.shape[1]
         self._learn(signals[:, :, 0], samples.dt)
-        white = (self._whitening(m) @ signals)[:, max(ORDER - self._known, 0) :]
-        self._known = min(self._known + m, ORDER)
-        f, z = white[:, :, 2 : 2 + c], white[:, :, 2 + c :]
-        return RowSamples(white[:, :, 1], white[:, :, 0], f, z, samples.dt)
+        white = self._whitening(m) @ signals
+        if self._known < ORDER:
+            white[:, : ORDER - self._known] = 0.0
+            self._known += m
+        return RowSamples(white, samples.dt)
 
     def _learn(self, residual: FloatArray, dt: float) -> None:
         """Take residuals (rows, ORDER + m), the first `ORDER` of which are known already."""
@@ -87,9 +91,9 @@ class NoiseModel:
         m = new.shape[1]
         self._time += m * dt
         share = min(m * dt / min(self._time, MEMORY), 1.0)
-        lagged = residual[:, np.add.outer(np.arange(ORDER, -1, -1), np.arange(m))]
-        products = (lagged @ new[:, :, None])[:, :, 0] / m
-        self._covariances += share * (products - self._covariances)
+        lagged = residual[:, _lags(m)]
+        products = (lagged @ new[:, :, None])[:, :, 0]
+        self._covariances += share * (products / m - self._covariances)
         self._since_fit += m * dt
         if self._since_fit >= FIT_TIME:
             self._since_fit = 0.0
@@ -114,3 +118,9 @@ class NoiseModel:
         self._matrices.clear()
         left = c[:, 0] - (self.weights * c[:, 1:]).sum(axis=1)
         self.variance = np.maximum(left, LOADING * c[:, 0])
+
+
+@lru_cache(maxsize=64)
+def _lags(m: int) -> NDArray[np.intp]:
+    """Places of the m newest of `ORDER` + m samples and of those before them, a lag a row."""
+    return np.add.outer(np.arange(ORDER, -1, -1), np.arange(m))

@@ -15,8 +15,10 @@ angle::
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +32,9 @@ from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
     LAST_COLUMNS,
+    MAIN_COLUMNS,
     RATE_COLUMNS,
+    ROWS,
     STATE_COLUMNS,
     BoolArray,
     FloatArray,
@@ -43,6 +47,9 @@ SAMPLE_TIME = 0.05
 NEGLIGIBLE = 1e-30
 """Magnitude below which a signal counts as zero, SI: no sensor resolves it, and the square of
 its square must be a number still."""
+
+
+_MOMENTS = np.arange(len(ROWS))
 
 
 @dataclass(frozen=True)
@@ -71,10 +78,38 @@ class Layout:
     place: NDArray[np.intp]
     used: BoolArray
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Number k of columns of the row with the most."""
         return self.index.shape[1]
+
+    @cached_property
+    def driven_by(self) -> NDArray[np.intp]:
+        """Input that each instrument follows, (rows, k): itself, or else the row's main one."""
+        main = MAIN_COLUMNS - INPUT_COLUMNS.start
+        rows = np.array([*main, main[2], main[1]])[: self.rows]  # side force by rudder, lift by de
+        own = self.index - INPUT_COLUMNS.start
+        return np.where((own >= 0) & (own < len(INPUTS)), own, rows[:, None])
+
+    @cached_property
+    def main(self) -> NDArray[np.intp]:
+        """Entry of the main input in each moment row, (3,)."""
+        return np.array([self.index[i].tolist().index(j) for i, j in enumerate(MAIN_COLUMNS)])
+
+    def main_effect(self, inputs: FloatArray, samples: RowSamples) -> FloatArray:
+        """Return what main inputs with the derivatives `inputs` (3, 4) make in samples, (3, m)."""
+        derivatives = inputs[_MOMENTS, MAIN_COLUMNS - INPUT_COLUMNS.start]
+        return np.asarray(derivatives[:, None] * samples.f[_MOMENTS, :, self.main])
+
+    @cached_property
+    def _entries(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        return np.nonzero(self.used)[0], self.index[self.used]
+
+    def matrix(self, linear: FloatArray) -> FloatArray:
+        """Return coefficients (rows, k) in the place of their columns, shape (rows, c)."""
+        matrix = np.zeros((self.rows, self.size))
+        matrix[self._entries] = linear[self.used]
+        return matrix
 
 
 def differentiated_columns(structure: Structure) -> list[int]:
@@ -152,6 +187,86 @@ class Regression:
     def residual(self, coefficients: FloatArray) -> FloatArray:
         """Return ``e = y - A f`` of coefficients of shape (rows, c); shape (m, rows)."""
         return np.asarray(self.y - self.f @ coefficients.T)
+
+
+@dataclass(frozen=True)
+class RowSamples:
+    """Samples of the regression problem with what belongs to each row, side by side.
+
+    Parameters
+    ----------
+    signals : (..., rows, m, 2 + 2 k) array
+        Residual, y, the k regressors and the k instruments of each row; 0 where unused.
+    dt : float
+        Time that each sample stands for, s.
+    """
+
+    signals: FloatArray
+    dt: float
+
+    @classmethod
+    def of(cls, samples: Regression, residual: FloatArray, layout: Layout) -> Self:
+        """Return samples with residuals (m, rows), picked by the layout of their problem."""
+        k, used = layout.width, layout.used[:, None, :]
+        signals = np.empty((layout.rows, len(residual), 2 + 2 * k))
+        signals[:, :, 0], signals[:, :, 1] = residual.T, samples.y.T
+        f, z = signals[:, :, 2 : 2 + k], signals[:, :, 2 + k :]
+        np.multiply(samples.f.T[layout.index].transpose(0, 2, 1), used, out=f)
+        np.multiply(samples.z.T[layout.index].transpose(0, 2, 1), used, out=z)
+        return cls(signals, samples.dt)
+
+    @property
+    def width(self) -> int:
+        """Number k of regressors, and of instruments."""
+        return self.signals.shape[-1] // 2 - 1
+
+    @property
+    def residual(self) -> FloatArray:
+        """What the coefficients before left of y, (..., rows, m)."""
+        return self.signals[..., 0]
+
+    @property
+    def y(self) -> FloatArray:
+        """What is explained, (..., rows, m)."""
+        return self.signals[..., 1]
+
+    @property
+    def f(self) -> FloatArray:
+        """Regressors, (..., rows, m, k)."""
+        return self.signals[..., 2 : 2 + self.width]
+
+    @property
+    def z(self) -> FloatArray:
+        """Instruments, (..., rows, m, k)."""
+        return self.signals[..., 2 + self.width :]
+
+    @property
+    def count(self) -> int:
+        """Number m of samples."""
+        return self.signals.shape[-2]
+
+    @property
+    def time(self) -> float:
+        """Time that all samples together stand for, s."""
+        return self.dt * self.signals.shape[-2]
+
+    @classmethod
+    def join(cls, parts: Sequence[RowSamples], newest: int) -> Self:
+        """Return the newest of samples that follow one another."""
+        signals = np.concatenate([part.signals for part in parts], axis=-2)
+        return cls(signals[..., max(signals.shape[-2] - newest, 0) :, :], parts[-1].dt)
+
+    def times(self, share: float) -> Self:
+        """Return the samples with their instruments times `share`."""
+        signals = self.signals.copy()
+        signals[..., 2 + self.width :] *= share
+        return replace(self, signals=signals)
+
+    def uninstrumented(self) -> Self:
+        """Return the samples with the regressors as their own instruments."""
+        signals = self.signals.copy()
+        signals[..., 2 + self.width :] = self.f
+        return replace(self, signals=signals)
 
 
 @lru_cache(maxsize=64)

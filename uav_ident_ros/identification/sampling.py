@@ -228,11 +228,10 @@ class Sampler:
     def _runs(self) -> Iterator[tuple[int, int]]:
         """Yield first and last stamp of the stretches of rates without a gap, in order."""
         t = self.rates.t
-        gaps = t[1:] - t[:-1] > self._max_gap_ns
-        if not gaps.any():
+        if t[-1] - t[0] <= self._max_gap_ns:
             yield int(t[0]), int(t[-1])
             return
-        breaks = np.flatnonzero(gaps)
+        breaks = np.flatnonzero(t[1:] - t[:-1] > self._max_gap_ns)
         starts = [0, *(int(i) + 1 for i in breaks)]
         ends = [*(int(i) for i in breaks), len(t) - 1]
         for start, end in zip(starts, ends, strict=True):
@@ -267,8 +266,7 @@ class Sampler:
 
     def _inputs_known(self, edges: TimeArray, delay_ns: int) -> BoolArray:
         """Whether a fresh enough input acts at each of the edges."""
-        at = edges - delay_ns
-        t = self.raw_inputs.t
+        at, t = edges - delay_ns, self.raw_inputs.t
         last = t.searchsorted(at, side="right") - 1
         begin = t[np.maximum(last, 0)]
         if not self._linear:

@@ -126,17 +126,17 @@ class Structure:
     regressors: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number n of regressors."""
         return len(self.regressors)
 
-    @property
+    @cached_property
     def has_flow(self) -> bool:
         """Whether sideslip and angle of attack are states, with rows for their forces."""
         return FLOW_ANGLES[0] in self.regressors
 
-    @property
+    @cached_property
     def has_forces(self) -> bool:
         """Whether the specific forces ay and az are regressors."""
         return SPECIFIC_FORCES[0] in self.regressors
@@ -195,6 +195,10 @@ class Structure:
         """Names of the coefficients, ``pdot/pq`` and so on, row-major."""
         return tuple(f"{self.row_labels[i]}/{self.regressors[j]}" for i, j in self.free)
 
+    @cached_property
+    def _index(self) -> dict[str, tuple[int, int]]:
+        return dict(zip(self.names, self.free, strict=True))
+
     def index(self, name: str) -> tuple[int, int]:
         """Return (row, column) of the coefficient called `name`.
 
@@ -204,8 +208,8 @@ class Structure:
             If the structure has no such coefficient.
         """
         try:
-            return self.free[self.names.index(name)]
-        except ValueError:
+            return self._index[name]
+        except KeyError:
             raise ValueError(
                 f"structure '{self.name}' has no coefficient '{name}'; "
                 f"it has {', '.join(self.names)}"

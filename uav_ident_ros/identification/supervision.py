@@ -20,7 +20,7 @@ from uav_ident_ros.identification.gates import (
     ResidualGate,
     grounded,
 )
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Layout, RowSamples
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
@@ -210,9 +210,10 @@ class Supervisor:
         if not learned:
             return
         self._learned = estimator.learning
-        held = ~self._within
-        self.gates.charge("residual", ticks * float(held.mean()))
-        self.gates.charge("excitation", ticks * float((~self._learned & ~held).mean()))
+        within, learned_rows = self._within.tolist(), self._learned.tolist()
+        quiet = sum(w and not row for w, row in zip(within, learned_rows, strict=True))
+        self.gates.charge("residual", ticks * within.count(False) / len(ROWS))
+        self.gates.charge("excitation", ticks * quiet / len(ROWS))
         for i, j in estimator.changes:
             before = float("inf") if self._sigma is None else float(self._sigma[i, j])
             change = Change(f"{ROWS[i]}/{self._structure.regressors[j]}", t, before)
@@ -221,19 +222,24 @@ class Supervisor:
             self._residuals.release(i)
             self._confirmed.forget(i)
 
-    def confirm(self, white: RowSamples, variance: FloatArray, inputs: FloatArray) -> None:
+    def confirm(
+        self, white: RowSamples, layout: Layout, variance: FloatArray, inputs: FloatArray
+    ) -> None:
         """Let what the inputs did confirm the control derivatives, or contradict them.
 
         Parameters
         ----------
         white : RowSamples
             Whitened samples.
+        layout : Layout
+            What their columns are.
         variance : (rows,) array
             Variance of their residuals, the innovations.
         inputs : (3, 4) array
             Control derivatives that go with their residuals.
         """
-        self._confirmed.add(white, variance, inputs, self.settings.supervision.max_age)
+        effect = layout.main_effect(inputs, white)
+        self._confirmed.add(white, effect, variance, self.settings.supervision.max_age)
 
     def pauses(self) -> dict[str, str]:
         """Return why each row that does not learn pauses: row to reason."""

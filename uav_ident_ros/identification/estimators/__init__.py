@@ -13,8 +13,7 @@ from uav_ident_ros.identification.estimators.gradient import GradientEstimator
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.prior import Start
-from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Regression, RowSamples
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
@@ -69,7 +68,7 @@ class Estimator(Protocol):
         """Return ``y - A f`` of m samples, shape (m, rows)."""
 
     def update(
-        self, samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
+        self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
         """Learn from samples.
 
@@ -77,10 +76,11 @@ class Estimator(Protocol):
         ----------
         samples : Regression
             m samples.
-        residual : (m, rows) array
-            Their residuals from the coefficients as they are, rad/s^2.
+        rows : RowSamples
+            The same samples, with what each row is regressed on, and their residuals from the
+            coefficients as they are.
         white : RowSamples
-            The same samples, whitened.
+            Those, whitened.
         weight : (3,) array
             How much they count in each moment row, 0 ... 1.
         """

@@ -155,13 +155,23 @@ class ChangeDetector:
         self._recent_time = self._since_look = 0.0
         self._agreeing.fill(0)
 
-    def update(
-        self,
-        samples: Regression,
-        coefficients: FloatArray,
-        sigma: FloatArray,
-        lively: BoolArray,
-        clear: BoolArray,
+    def add(self, samples: Regression) -> bool:
+        """Take new samples; say whether it is time to look at them."""
+        if samples.restarted:
+            self.restart()
+        self.recent.append(samples)
+        self._recent_time += samples.time
+        while self._recent_time > WINDOW_TIME:
+            self._recent_time -= self.recent.popleft().time
+        self._since_look += samples.time
+        if self._since_look < CHECK_TIME - 0.5 * samples.dt:
+            return False
+        if self._recent_time < WINDOW_TIME - 1.5 * samples.time:
+            return False
+        return sum(len(part.y) for part in self.recent) >= FEWEST_SAMPLES
+
+    def look(
+        self, coefficients: FloatArray, sigma: FloatArray, lively: BoolArray, clear: BoolArray
     ) -> list[tuple[int, int]]:
         """Return (row, input) of each control derivative that has changed.
 
@@ -171,8 +181,6 @@ class ChangeDetector:
 
         Parameters
         ----------
-        samples : Regression
-            New samples.
         coefficients : (3, n) array
             The estimate: whitened, as the residuals are.
         sigma : (3, 4) array
@@ -182,31 +190,8 @@ class ChangeDetector:
         clear : (3,) bool array
             Rows in which the inputs stand out from all else that moves the aircraft.
         """
-        if samples.restarted:
-            self.restart()
-        self.recent.append(samples)
-        self._recent_time += samples.time
-        while self._recent_time > WINDOW_TIME:
-            self._recent_time -= self.recent.popleft().time
-        self._since_look += samples.time
-        if self._since_look < CHECK_TIME - 0.5 * samples.dt:
-            return []
-        if self._recent_time < WINDOW_TIME - 1.5 * samples.time:
-            return []
-        if sum(len(part.y) for part in self.recent) < FEWEST_SAMPLES:
-            return []
         elapsed, self._since_look = self._since_look, 0.0
         self._hold_off = np.maximum(self._hold_off - elapsed, 0.0)
-        return self._look(coefficients, sigma, lively, clear, elapsed)
-
-    def _look(
-        self,
-        coefficients: FloatArray,
-        sigma: FloatArray,
-        lively: BoolArray,
-        clear: BoolArray,
-        elapsed: float,
-    ) -> list[tuple[int, int]]:
         self.found = found = self._slopes(coefficients)
         size = np.abs(found.slope)
         usual = np.sqrt(_ratio(self._usual, self._usual_power))

@@ -6,10 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information
-from uav_ident_ros.identification.estimators.recursive import InstrumentalVariable
 from uav_ident_ros.identification.prior import Start
-from uav_ident_ros.identification.regression import Regression, layout
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.settings import (
     LARGEST_COEFFICIENT,
     Settings,
@@ -131,6 +129,8 @@ class GradientEstimator:
     coefficients, sigma : (3, n) array
         Estimate and standard deviations. The law has none: they are those of the instrumental
         variable that runs beside it, widened by the distance from it.
+    information : Information
+        What the flight has told that instrumental variable.
     """
 
     def __init__(self, settings: Settings, start: Start) -> None:
@@ -145,8 +145,9 @@ class GradientEstimator:
         self.answers: FloatArray = np.zeros(len(INPUTS))  # nor at this
         self.clear: BoolArray = np.ones(3, dtype=bool)  # it does not look
         self.changes: list[tuple[int, int]] = []
-        information = Information(structure, layout(structure), start, 2.0 / settings.filter.cutoff)
-        self._reference = InstrumentalVariable(information)
+        self.information = Information(
+            structure, layout(structure), start, 2.0 / settings.filter.cutoff, instrumental=(True,)
+        )
         self.coefficients: FloatArray = start.values.copy()
         self.sigma: FloatArray = np.where(start.free, start.sigma, 0.0)
         self.problem = ""
@@ -158,28 +159,22 @@ class GradientEstimator:
         """Control derivatives that go with the residuals, shape (3, 4)."""
         return self.coefficients[:, INPUT_COLUMNS]
 
-    @property
-    def information(self) -> Information:
-        """Information of the instrumental variable that runs beside the law."""
-        return self._reference.information
-
     def residual(self, samples: Regression) -> FloatArray:
         """Return ``y - A f`` of samples, shape (m, 3)."""
         return samples.residual(self.coefficients)
 
     def update(
-        self, samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
+        self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
         """Take a step of the law with each of the samples.
 
         The law knows no weights: a row that counts at all takes the whole step.
         """
         self.learning = weight > 0.0
-        gathered = RowSamples.of(samples, residual).pick(self.information.layout)
-        self._reference.add(gathered, weight)
+        self.information.add([rows], weight)
         for y, f in zip(samples.y, samples.f, strict=True):
             self._step(y, f, samples.dt)
-        reference = self._reference.solve(self.coefficients)
+        reference = self.information.solve_with_sigma(self.coefficients)[0]
         distance = self.coefficients - reference.values
         distance = np.hypot(distance, MODEL_ERROR * self.coefficients)
         self.sigma = np.where(self.start.free, np.hypot(reference.sigma, distance), 0.0)
@@ -215,7 +210,7 @@ class GradientEstimator:
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight`; the law itself keeps no memory."""
-        self._reference.discount(weight)
+        self.information.discount(weight)
 
     def _gain_now(self, f: FloatArray, dt: float) -> FloatArray:
         """K in SI units at a sample."""

@@ -13,14 +13,14 @@ which is R^-1 r where the instruments are strong, and goes to the prior where th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
 from uav_ident_ros.identification.prior import Start
-from uav_ident_ros.identification.regression import Layout
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Layout, RowSamples
 from uav_ident_ros.identification.structure import (
     BoolArray,
     FloatArray,
@@ -31,6 +31,16 @@ from uav_ident_ros.identification.structure import (
 BLOCK_TIME = 1.0
 """Length of the blocks whose scores are taken as independent, s: longer than the correlation
 of gusts and filter."""
+
+WARM_UP_TIME = 10.0
+"""Time for which least squares builds the first model, s."""
+
+FADE_TIME = 8.0
+"""Time constant with which the information of the least-squares start then fades, s. It is
+biased, so it must go; at once, too little would be left where a flight has told little yet."""
+
+FADED = 1e-6
+"""Weight at which that start is dropped: no coefficient shows it any more."""
 
 RESIDUAL_TIME = 10.0
 """Memory of the running residual variance, s; it weighs the prior alone."""
@@ -61,100 +71,88 @@ COLLINEAR_SHARE = 0.4
 """Component of the eigenvector from which a regressor belongs to the group."""
 
 
-@dataclass
 class Sums:
-    """What was accumulated, a row of the regression problem an entry.
+    """What was accumulated; estimates beside one another are parts.
 
     Parameters
     ----------
-    zf, zz : (rows, k, k) array
-        ``R = sum z f^T``, ``S = sum z z^T``, both times dt.
-    zy : (rows, k) array
-        ``r = sum z y``, times dt.
-    scores : (rows, k, k) array
+    products : (parts, rows, k, 1 + 3 k) array
+        Side by side, each times dt: ``r = sum z y``, ``R = sum z f^T``, ``S = sum z z^T``, and
+        ``sum q z z^T`` with q as `Feedback` has it: what answers disturbances.
+    scores : (parts, rows, k, k) array
         Sum of ``g g^T`` over blocks, ``g`` the sum of ``z e`` over a block, times dt.
-    blocks : (rows,) array
-        Number of blocks.
-    answers : (rows, k, k) array
-        Sum of ``q z z^T`` times dt, q as `Feedback` has it: what answers disturbances.
-    answer_time : (rows,) array
-        Time with answers, s.
+    counts : (2, parts, rows) array
+        Number of blocks, and time with answers, s.
     """
 
-    zf: FloatArray
-    zz: FloatArray
-    zy: FloatArray
-    scores: FloatArray
-    blocks: FloatArray
-    answers: FloatArray
-    answer_time: FloatArray
+    def __init__(self, products: FloatArray, scores: FloatArray, counts: FloatArray) -> None:
+        self.products, self.scores, self.counts = products, scores, counts
+        k = products.shape[2]
+        self.zy, self.zf = products[..., :1], products[..., 1 : 1 + k]
+        self.zz, self.answers = products[..., 1 + k : 1 + 2 * k], products[..., 1 + 2 * k :]
 
     @classmethod
-    def nothing(cls, rows: int, k: int) -> Self:
+    def nothing(cls, parts: int, rows: int, k: int) -> Self:
         """Return sums of nothing."""
-        square = (rows, k, k)
-        zf, zz, scores, answers = (np.zeros(square) for _ in range(4))
-        return cls(zf, zz, np.zeros((rows, k)), scores, np.zeros(rows), answers, np.zeros(rows))
+        products, scores = np.zeros((parts, rows, k, 1 + 3 * k)), np.zeros((parts, rows, k, k))
+        return cls(products, scores, np.zeros((2, parts, rows)))
 
-    def nothing_alike(self) -> Sums:
-        """Return sums of nothing, of the same shape."""
-        return self.nothing(*self.zy.shape)
+    def __getitem__(self, parts: slice) -> Sums:
+        """Return some of the parts: views, not copies."""
+        return Sums(self.products[parts], self.scores[parts], self.counts[:, parts])
 
     def copy(self) -> Sums:
         """Return an independent copy."""
-        return Sums(*(getattr(self, field.name).copy() for field in fields(self)))
+        return Sums(self.products.copy(), self.scores.copy(), self.counts.copy())
 
     def plus(self, other: Sums) -> Sums:
         """Return the sums of both."""
         return Sums(
-            *(getattr(self, field.name) + getattr(other, field.name) for field in fields(self))
+            self.products + other.products, self.scores + other.scores, self.counts + other.counts
         )
 
-    def add(self, samples: RowSamples, weight: FloatArray, ratio: FloatArray | None = None) -> None:
-        """Add samples, which count for `weight` (rows,) in each row.
+    def add(
+        self, samples: RowSamples, weight: FloatArray, answering: FloatArray | None = None
+    ) -> FloatArray:
+        """Add samples of all parts; return the sum of ``z e`` times dt, (parts, rows, k).
 
         Parameters
         ----------
         samples : RowSamples
             The samples.
         weight : (rows,) array
-            Their weight.
-        ratio : (rows, k) array, optional
-            q of each instrument as `Feedback` has it; nothing answers a disturbance without it.
+            How much they count.
+        answering : (rows, k, k) array, optional
+            q of each pair of instruments; nothing answers a disturbance without it.
         """
-        weighted = (samples.z * (samples.dt * weight)[:, None, None]).transpose(0, 2, 1)
-        zz = weighted @ samples.z
-        self.zf += weighted @ samples.f
-        self.zz += zz
-        self.zy += (weighted @ samples.y[:, :, None])[:, :, 0]
-        if ratio is not None and ratio.any():
-            root = np.sqrt(ratio)
-            self.answers += zz * root[:, :, None] * root[:, None, :]
-            self.answer_time += samples.time * weight * (ratio > 0.0).any(axis=1)
+        k = samples.width
+        weighted = samples.z * (samples.dt * weight)[:, None, None]
+        products = weighted.swapaxes(-1, -2) @ samples.signals
+        self.products[..., : 1 + 2 * k] += products[..., 1:]
+        if answering is not None:
+            self.answers += products[..., 2 + k :] * answering
+            self.counts[1] += samples.time * weight * answering.any(axis=(1, 2))
+        return np.asarray(products[..., 0])
 
     def weigh(self, keep: FloatArray) -> None:
-        """Let all samples so far count for `keep` (rows,) of what they did."""
-        row = keep[:, None, None]
-        self.zf *= row
-        self.zz *= row
-        self.zy *= keep[:, None]
-        self.scores *= row * row
-        self.blocks *= keep
-        self.answers *= row
-        self.answer_time *= keep
+        """Let all samples so far count for `keep` of what they did, (rows,) or (parts, 1)."""
+        square = keep[..., None, None]
+        self.products *= square
+        self.scores *= square * square
+        self.counts *= keep
 
-    def discount(self, keep: FloatArray) -> None:
-        """Let what they tell be worth `keep` (rows,) of what it was: sigma grows."""
-        self.weigh(keep)
-        self.scores /= np.maximum(keep, np.finfo(float).tiny)[:, None, None]
+    def discount(self, keep: float) -> None:
+        """Let what they tell be worth `keep` of what it was: sigma grows."""
+        for part in (self.products, self.scores, self.counts):
+            part *= keep
 
     def set_row(self, row: int, other: Sums) -> None:
         """Take one row from other sums."""
-        for field in fields(self):
-            getattr(self, field.name)[row] = getattr(other, field.name)[row]
+        self.products[:, row], self.scores[:, row] = other.products[:, row], other.scores[:, row]
+        self.counts[:, :, row] = other.counts[:, :, row]
 
     def set_known(
-        self, row: int, mean: FloatArray, covariance: FloatArray, free: BoolArray, unit: float
+        self, row: int, mean: FloatArray, covariance: FloatArray, free: BoolArray, unit: FloatArray
     ) -> None:
         """Let one row hold just this: a covariance reset.
 
@@ -168,41 +166,76 @@ class Sums:
             Their covariance.
         free : (k,) bool array
             Those that it is about.
-        unit : float
+        unit : (parts,) array
             Residual variance times its correlation time, by which information counts.
         """
         pairs = np.ix_(free, free)
         precision = np.zeros_like(covariance)
         precision[pairs] = np.linalg.inv(covariance[pairs])
-        self.zf[row] = self.zz[row] = unit * precision
-        self.zy[row] = self.zf[row] @ mean
-        self.scores[row] = unit**2 * precision
-        self.blocks[row] = KNOWN_BLOCKS
-        self.answers[row] = self.answer_time[row] = 0.0
+        known = unit[:, None, None] * precision
+        self.zf[:, row] = self.zz[:, row] = known
+        self.zy[:, row] = (known @ mean)[..., None]
+        self.answers[:, row] = 0.0
+        self.scores[:, row] = unit[:, None, None] * known
+        self.counts[:, :, row] = np.array([[KNOWN_BLOCKS], [0.0]])
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Coefficients, and how well they are known.
+    """Coefficients.
 
     Parameters
     ----------
     linear : (rows, k) array
         Coefficients of the regression problem.
-    covariance : (rows, k, k) array
-        Their covariance, row by row.
-    values, sigma : (R, n) array
-        Coefficients of the structure, and their standard deviations.
+    values : (R, n) array
+        Coefficients of the structure.
     """
 
     linear: FloatArray
-    covariance: FloatArray
     values: FloatArray
+
+
+@dataclass(frozen=True)
+class Spread(Solution):
+    """Coefficients, and how well they are known.
+
+    Parameters
+    ----------
+    covariance : (rows, k, k) array
+        Covariance of the linear coefficients, row by row.
+    sigma : (R, n) array
+        Standard deviations of the coefficients of the structure.
+    """
+
+    covariance: FloatArray
     sigma: FloatArray
+
+
+@dataclass(frozen=True)
+class System:
+    """The equations ``(B^T S^-1 B + P) a = B^T S^-1 r`` of some parts, with B = R T, and a.
+
+    Instruments are scaled to a unit diagonal of S. All are (parts, rows, k, k) arrays but
+    `transform` (rows, k, k), `prior` and `scale` (parts, rows, k), and the solutions
+    (parts, rows, k, 1).
+    """
+
+    sums: Sums
+    transform: FloatArray  # T, from the structure's coefficients to the linear ones
+    scale: FloatArray  # Of the instruments
+    projected: FloatArray  # B^T S^-1
+    matrix: FloatArray  # Its product with B, and P
+    prior: FloatArray  # Diagonal of P
+    physical: FloatArray  # Coefficients of the structure
+    linear: FloatArray  # Those of the regression problem
 
 
 class Information:
     """What the samples so far tell, with prior and forgetting.
+
+    Estimates from the same samples, plain or whitened, are parts that run side by side. Those with
+    instruments begin as least squares, since a model must be there first; that start fades.
 
     Parameters
     ----------
@@ -216,14 +249,18 @@ class Information:
         Time over which residuals are correlated, s: that of the regression's filter.
     forgetting_time : float
         Time constant of forgetting, s; 0 for never.
+    instrumental : sequence of bool
+        For each part whether it has instruments, or is least squares.
 
     Attributes
     ----------
     forgetting_time : float
         The parameter; it may change at any time.
     sums : Sums
-        What was accumulated.
-    variance : (rows,) array
+        What was accumulated, without the start that fades.
+    warming_up : bool
+        Whether the regressors are still their own instruments.
+    variance : (parts, rows) array
         Running residual variance.
     time : (rows,) array
         How long each row has learned, s.
@@ -236,20 +273,25 @@ class Information:
         start: Start,
         correlation_time: float,
         forgetting_time: float = 0.0,
+        instrumental: Sequence[bool] = (False,),
     ) -> None:
         self.layout = layout
         self.forgetting_time = forgetting_time
         self._structure = structure
         self._unit_time = correlation_time
-        rows, k = layout.rows, layout.width
+        self._instrumental = np.array(instrumental)
+        parts, rows, k = len(instrumental), layout.rows, layout.width
         self._i, self._j = layout.place[..., 0], layout.place[..., 1]
         self._flow = _flow_entries(structure, layout)
-        self._kinematic = _kinematic_entries(structure, layout)
+        self._transform = Transform(structure, layout)
         self.start = start
-        self.sums = Sums.nothing(rows, k)
-        self.variance: FloatArray = np.full(rows, FIRST_RESIDUAL_VARIANCE)
+        self.sums = Sums.nothing(parts, rows, k)
+        self.warming_up = any(instrumental)
+        self._fading: Sums | None = None
+        self._faded: FloatArray = np.ones(rows)
+        self.variance: FloatArray = np.full((parts, rows), FIRST_RESIDUAL_VARIANCE)
         self.time: FloatArray = np.zeros(rows)
-        self._score: FloatArray = np.zeros((rows, k))
+        self._score: FloatArray = np.zeros((parts, rows, k))
         self._score_time: FloatArray = np.zeros(rows)
 
     @property
@@ -261,148 +303,198 @@ class Information:
     def start(self, start: Start) -> None:
         self._start = start
         used = self.layout.used
-        self._initial = np.where(used, start.values[self._i, self._j], 0.0)
+        self._initial = np.where(used, start.values[self._i, self._j], 0.0)[..., None]
         self.free: BoolArray = used & start.free[self._i, self._j]
         self._precision = np.where(self.free, start.precision[self._i, self._j], 0.0)
+        self._prior_variance = np.where(self.free, start.sigma[self._i, self._j] ** 2, 0.0)
         self._told = used & start.told(self._structure)[self._i, self._j]
-        self._pairs = self.free[:, :, None] & self.free[:, None, :]
+        self._pairs = (self.free[:, :, None] & self.free[:, None, :]) * 1.0
         self._rest = np.where(self.free, 0.0, 1.0)
+        self._lost = self.free.sum(axis=1)
 
     @property
     def unit(self) -> FloatArray:
-        """Residual variance times its correlation time: the unit of information, (rows,)."""
+        """Residual variance times its correlation time: the unit of information, (parts, rows)."""
         return self.variance * self._unit_time
 
-    def add(self, samples: RowSamples, weight: FloatArray, ratio: FloatArray | None = None) -> None:
-        """Add samples as `Sums.add` does; in a row of weight 0 all stays as it is."""
-        m = samples.y.shape[1]
-        if not m:
-            return
-        self.sums.add(samples, weight, ratio)
-        known, dt = self.time > 0.0, weight * samples.time
+    @property
+    def known(self) -> Sums:
+        """All that was accumulated."""
+        return self.sums if self._fading is None else self.sums.plus(self._fading)
+
+    def add(
+        self,
+        samples: Sequence[RowSamples],
+        weight: FloatArray,
+        answering: FloatArray | None = None,
+    ) -> None:
+        """Add samples, those of each part; in a row of weight 0 all stays as it is.
+
+        Parameters are those of `Sums.add`.
+        """
+        stack = self._stack(samples)
+        time, known = weight * stack.time, self.time > 0.0
+        if self._fading is not None:
+            self._fade(np.exp(-time / FADE_TIME))
+        score = self.sums.add(stack, weight, answering)
+        residual = stack.residual
         # What coefficients that know nothing leave is no residual.
-        residual = np.where(known[:, None], samples.residual, 0.0)
-        square = np.minimum(residual * residual, LARGEST_OUTLIER * self.variance[:, None])
-        share = np.minimum(dt / np.minimum(RESIDUAL_TIME, self.time + BLOCK_TIME), 1.0)
-        self.variance += known * share * (np.add.reduce(square, axis=1) / m - self.variance)
-        self.time += dt
-        self._score += (weight * samples.dt)[:, None] * (residual[:, None] @ samples.z)[:, 0]
-        self._score_time += dt
-        if max(self._score_time.tolist()) >= BLOCK_TIME:
+        square = np.minimum(residual * residual, LARGEST_OUTLIER * self.variance[..., None])
+        share = known * np.minimum(time / np.minimum(RESIDUAL_TIME, self.time + BLOCK_TIME), 1.0)
+        mean = np.add.reduce(square, axis=-1) / residual.shape[-1]
+        self.variance += share * (mean - self.variance)
+        self.time += time
+        self._score += known[:, None] * score
+        self._score_time += time
+        if self._score_time.max() >= BLOCK_TIME:
             self._close_blocks(self._score_time >= BLOCK_TIME)
+
+    def _stack(self, samples: Sequence[RowSamples]) -> RowSamples:
+        """Put samples of all parts together; least squares has its regressors as instruments."""
+        if self.warming_up and self.time.max() >= WARM_UP_TIME:
+            self.warming_up = False
+            self._fading = self.sums.copy()
+            self._fading.weigh(self._instrumental[:, None] * 1.0)
+            self.sums.weigh(~self._instrumental[:, None] * 1.0)
+        signals, k = np.array([part.signals for part in samples]), self.layout.width
+        if self.warming_up:
+            signals[..., 2 + k :] = signals[..., 2 : 2 + k]
+        elif not self._instrumental[0]:
+            signals[0, ..., 2 + k :] = signals[0, ..., 2 : 2 + k]
+        return RowSamples(signals, samples[0].dt)
+
+    def instrumented(self, samples: RowSamples) -> RowSamples:
+        """Return samples with the instruments that the first part has now."""
+        plain = self.warming_up or not self._instrumental[0]
+        return samples.uninstrumented() if plain else samples
+
+    def _fade(self, keep: FloatArray) -> None:
+        """Let the start count for `keep` (rows,) of what it did."""
+        assert self._fading is not None
+        self._fading.weigh(keep)
+        self._faded *= keep
+        if self._faded.max() < FADED:
+            self._fading = None
 
     def _close_blocks(self, full: BoolArray) -> None:
         """Count the scores of the rows whose block is full, and forget."""
-        score = np.where(full[:, None], self._score, 0.0)
-        self.sums.scores += score[:, :, None] * score[:, None, :]
-        self.sums.blocks += full
+        score = full[:, None] * self._score
+        self.sums.scores += score[..., :, None] * score[..., None, :]
+        self.sums.counts[0] += full
         if self.forgetting_time > 0.0:
-            spent = np.where(full, self._score_time, 0.0)
-            self.sums.weigh(np.exp(-spent / self.forgetting_time))
-        self._score[full] = 0.0
+            self.sums.weigh(np.exp(full * self._score_time / -self.forgetting_time))
+        self._score[:, full] = 0.0
         self._score_time[full] = 0.0
 
     def discount(self, keep: float) -> None:
         """Let all that was accumulated be worth `keep` of what it was."""
-        self.sums.discount(np.full(self.layout.rows, keep))
+        self.sums.discount(keep)
+        if self._fading is not None:
+            self._fading.discount(keep)
+
+    def set_row(self, row: int, sums: Sums) -> None:
+        """Replace all that is known in one row."""
+        self.sums.set_row(row, sums)
+        if self._fading is not None:
+            parts, rows = self.variance.shape
+            self._fading.set_row(row, Sums.nothing(parts, rows, self.layout.width))
 
     # -- solution --------------------------------------------------------------------------
 
-    def solve(self, values: FloatArray, extra: Sums | None = None) -> Solution:
-        """Return the coefficients and their standard deviations.
+    def solve(self, values: FloatArray, parts: slice = slice(None)) -> list[Solution]:
+        """Return the coefficients of each of some parts, without their standard deviations.
 
         Parameters
         ----------
         values : (R, n) array
             The coefficients before: their force rows turn forces into flow angles.
-        extra : Sums, optional
-            More that is known.
+        parts : slice
+            Which parts; all if left out.
         """
-        sums = self.sums if extra is None else self.sums.plus(extra)
-        transform = self._transform(values)
-        prior = self._prior(sums)
-        projected, system = self._system(sums, transform, prior)
-        target = sums.zy[:, :, None] - sums.zf @ (transform @ self._initial[:, :, None])
-        try:
-            inverse = np.linalg.inv(system)
-        except np.linalg.LinAlgError:
-            inverse = np.full_like(system, np.nan)
-        gain = np.where(self._pairs, inverse @ projected, 0.0)
-        physical = self._initial + (gain @ target)[:, :, 0]
-        covariance = self._covariance(sums, inverse, gain, prior)
-        linear = (transform @ physical[:, :, None])[:, :, 0]
-        return Solution(
-            linear,
-            transform @ covariance @ transform.transpose(0, 2, 1),
-            self._place(physical, self._start.values),
-            self._sigma(covariance, linear, 1.0 - np.einsum("ijj->ij", inverse) * prior),
-        )
+        system = self._system(values, parts)
+        return [
+            Solution(linear[..., 0], self._place(physical[..., 0], self._start.values))
+            for linear, physical in zip(system.linear, system.physical, strict=True)
+        ]
 
-    def _system(
-        self, sums: Sums, transform: FloatArray, prior: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return ``B^T S^-1`` and ``B^T S^-1 B + P``, with B = R T; both (rows, k, k)."""
-        instruments = np.where(self._pairs, sums.zz, 0.0)
-        power = np.einsum("ijj->ij", instruments)
-        scale = 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0))
-        scaled = instruments * scale[:, :, None] * scale[:, None, :]
-        np.einsum("ijj->ij", scaled)[...] += RIDGE + (power <= 0.0)
-        slope = np.where(self._pairs, sums.zf @ transform, 0.0) * scale[:, :, None]
-        projected = np.linalg.solve(scaled, slope).transpose(0, 2, 1)
-        system = projected @ slope
-        diagonal = np.einsum("ijj->ij", system)
+    def solve_with_sigma(self, values: FloatArray) -> list[Spread]:
+        """Return the coefficients of all parts and how well they are known; as in `solve`."""
+        system = self._system(values, slice(None))
+        inverse, covariance = self._covariance(system)
+        resolution = 1.0 - np.einsum("pijj->pij", inverse) * system.prior
+        linear = system.transform @ covariance @ system.transform.swapaxes(-1, -2)
+        return [
+            Spread(
+                system.linear[p, ..., 0],
+                self._place(system.physical[p, ..., 0], self._start.values),
+                linear[p],
+                self._sigma(covariance[p], system.linear[p, ..., 0], resolution[p]),
+            )
+            for p in range(len(linear))
+        ]
+
+    def _system(self, values: FloatArray, parts: slice) -> System:
+        """Solve for what differs from the start."""
+        sums, transform = self.known[parts], self._transform(values)
+        instruments = sums.zz * self._pairs
+        power = np.einsum("pijj->pij", instruments)
+        dead = power <= 0.0
+        power = power + dead
+        scale = 1.0 / np.sqrt(power)
+        prior = self._prior(sums, power, self.variance[parts])
+        instruments *= scale[..., :, None] * scale[..., None, :]
+        np.einsum("pijj->pij", instruments)[...] += RIDGE + dead
+        slope = sums.zf @ transform
+        target = scale[..., None] * (sums.zy - slope @ self._initial)
+        slope *= self._pairs * scale[..., None]
+        projected = np.linalg.solve(instruments, slope).swapaxes(-1, -2)
+        matrix = projected @ slope
+        diagonal = np.einsum("pijj->pij", matrix)
         diagonal += prior + self._rest
         # Columns without power have neither data nor, where fixed, a prior.
         diagonal[diagonal <= 0.0] = 1.0
-        return projected * scale[:, None, :], system
+        try:
+            change = np.linalg.solve(matrix, projected @ target)
+        except np.linalg.LinAlgError:
+            change = np.full_like(target, np.nan)
+        physical = self._initial + np.where(self.free[..., None], change, 0.0)
+        linear: FloatArray = transform @ physical
+        return System(sums, transform, scale, projected, matrix, prior, physical, linear)
 
-    def _prior(self, sums: Sums) -> FloatArray:
-        """Return how much the prior counts, (rows, k), where samples count as their time.
+    def _prior(self, sums: Sums, power: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return how much the prior counts, (parts, rows, k), where samples count as their time.
 
         What answers disturbances is as good as a few samples, however long it lasts: beside it
         what was learned before counts for more. What only keeps noise out does not.
         """
-        power, answers = (np.einsum("ijj->ij", part) for part in (sums.zz, sums.answers))
-        share = np.divide(answers, power, out=np.zeros_like(power), where=power > 0.0)
-        longer = 1.0 + self._told * share * (sums.answer_time / self._unit_time)[:, None]
-        return np.asarray(self._precision * self.unit[:, None] * longer)
+        prior = self._precision * (variance * self._unit_time)[..., None]
+        if sums.counts[1].any():
+            share = np.einsum("pijj->pij", sums.answers) / power
+            prior *= 1.0 + self._told * share * (sums.counts[1] / self._unit_time)[..., None]
+        return np.asarray(prior)
 
-    def _covariance(
-        self, sums: Sums, inverse: FloatArray, gain: FloatArray, prior: FloatArray
-    ) -> FloatArray:
-        """Return the covariance of the coefficients, shape (rows, k, k).
+    def _covariance(self, system: System) -> tuple[FloatArray, FloatArray]:
+        """Return the inverse of the matrix, and the covariance of the coefficients.
 
         ``G Omega G^T`` with Omega the sum of the outer products of the scores of one-second
         blocks: it holds for residuals coloured within a block, where ``s^2 R^-1`` is several
         times too small (block-mean form of Morelli and Klein 1997), and what answers disturbances
         in full (`Feedback`). The prior adds its own part.
         """
+        sums, scale = system.sums, system.scale
+        blocks, answer_time = sums.counts
+        try:
+            inverse = np.linalg.inv(system.matrix)
+        except np.linalg.LinAlgError:
+            inverse = np.full_like(system.matrix, np.nan)
+        gain = self._pairs * (inverse @ system.projected) * scale[..., None, :]
         # Few blocks: their scatter underestimates; p coefficients cost p degrees of freedom.
-        lost = self.free.sum(axis=1)
-        correction = 1.0 + lost / np.maximum(sums.blocks - lost, 1.0)
-        middle = sums.scores * correction[:, None, None]
-        middle += (self.variance * sums.answer_time)[:, None, None] * sums.answers
-        held = np.divide(
-            prior**2, self._precision,
-            out=np.zeros_like(self._precision), where=self.free,
-        )  # fmt: skip
-        return np.asarray(
-            gain @ middle @ gain.transpose(0, 2, 1)
-            + (inverse * held[:, None, :]) @ inverse.transpose(0, 2, 1)
-        )
-
-    def _transform(self, values: FloatArray) -> FloatArray:
-        """Matrices T from the structure's coefficients to the linear ones, (rows, k, k)."""
-        rows, k = self.layout.rows, self.layout.width
-        transform = np.broadcast_to(np.eye(k), (rows, k, k)).copy()
-        for at in self._flow:
-            force = values[at.rows.force]
-            transform[at.row, at.angle, at.angle] = 1.0 / force[at.rows.angle]
-            for entry, column in at.others:
-                transform[at.row, entry, at.angle] = -force[column] / force[at.rows.angle]
-        for at_rows, entry in self._kinematic:
-            transform[at_rows.force, entry, entry] = values[at_rows.force, at_rows.angle]
-        return transform
+        correction = 1.0 + self._lost / np.maximum(blocks - self._lost, 1.0)
+        middle = sums.scores * correction[..., None, None]
+        middle += (self.variance * answer_time)[..., None, None] * sums.answers
+        held = inverse * (system.prior**2 * self._prior_variance)[..., None, :]
+        covariance = gain @ middle @ gain.swapaxes(-1, -2) + held @ inverse.swapaxes(-1, -2)
+        return inverse, covariance
 
     def _sigma(
         self, covariance: FloatArray, linear: FloatArray, resolution: FloatArray
@@ -428,14 +520,14 @@ class Information:
         out[self._i[used], self._j[used]] = entries[used]
         return out
 
-    # -- what the flight has told ----------------------------------------------------------
+    # -- what the flight has told, by the first part -----------------------------------------
 
     def _correlation(self) -> FloatArray:
         """Information of the moment rows, scaled to a unit diagonal, symmetric, (3, k, k)."""
-        matrix = np.where(self._pairs, self.sums.zf, 0.0)[:3]
+        matrix = (self._pairs * self.sums.zf[0])[:3]
         matrix = 0.5 * (matrix + matrix.transpose(0, 2, 1))
         diagonal = np.einsum("ijj->ij", matrix)
-        diagonal += (self._precision * self.unit[:, None] + self._rest)[:3]
+        diagonal += (self._precision * self.unit[0, :, None] + self._rest)[:3]
         scale = 1.0 / np.sqrt(np.abs(diagonal))
         return np.asarray(matrix * scale[:, :, None] * scale[:, None, :])
 
@@ -498,6 +590,52 @@ class FlowEntries:
     angle: int
     others: tuple[tuple[int, int], ...]
     rows: FlowRows
+
+
+class Transform:
+    """Matrices T from the structure's coefficients to the linear ones, (rows, k, k).
+
+    An angle is a force over its slope, less what else makes that force.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the coefficients.
+    layout : Layout
+        Its regression problem.
+    """
+
+    def __init__(self, structure: Structure, layout: Layout) -> None:
+        rows, k = layout.rows, layout.width
+        self._one: FloatArray = np.broadcast_to(np.eye(k), (rows, k, k)).copy()
+        # Places in T, and what stands there: a sign times one coefficient over another, by their
+        # places in the raveled coefficients, behind which there is a one.
+        one, entries = structure.mask.size, []
+
+        def place(row: int, column: int) -> int:
+            return row * structure.size + column
+
+        for at in _flow_entries(structure, layout):
+            slope = place(at.rows.force, at.rows.angle)
+            entries.append((at.row, at.angle, at.angle, 1, one, slope))
+            entries += [
+                (at.row, entry, at.angle, -1, place(at.rows.force, column), slope)
+                for entry, column in at.others
+            ]
+        entries += [
+            (rows.force, entry, entry, 1, place(rows.force, rows.angle), one)
+            for rows, entry in _kinematic_entries(structure, layout)
+        ]
+        columns = np.array(entries, dtype=np.intp).reshape(-1, 6).T
+        self._at, self._sign = tuple(columns[:3]), columns[3]
+        self._over, self._under = columns[4:]
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Return the matrices for coefficients of the structure (R, n)."""
+        matrices = self._one.copy()
+        known = np.append(values, 1.0)
+        matrices[self._at] = self._sign * known[self._over] / known[self._under]
+        return matrices
 
 
 def _flow_entries(structure: Structure, layout: Layout) -> list[FlowEntries]:

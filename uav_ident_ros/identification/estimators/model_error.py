@@ -17,9 +17,8 @@ from collections import deque
 
 import numpy as np
 
-from uav_ident_ros.identification.regression import Layout
-from uav_ident_ros.identification.row_samples import RowSamples
-from uav_ident_ros.identification.structure import MAIN_COLUMNS, ROWS, BoolArray, FloatArray
+from uav_ident_ros.identification.regression import Layout, RowSamples
+from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
 BLOCK_TIME = 1.0
 """Length of the blocks whose scores are taken as independent, s; a look after each."""
@@ -56,29 +55,30 @@ class ModelError:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self._entries = [layout.index[i].tolist().index(j) for i, j in enumerate(MAIN_COLUMNS)]
-        rows, k = len(ROWS), layout.width + EXTRA
+        self._entries = layout.main
+        rows = len(ROWS)
+        # samples, their weights (3,) times dt, and whether they do not continue those before
+        self._gathered: list[tuple[RowSamples, FloatArray, bool]] = []
         # sum of z f^T, z z^T and z y side by side, (rows, k, 2 k + 1), a block each
-        self._sums: FloatArray = np.zeros((rows, k, 2 * k + 1))
         self._blocks: deque[FloatArray] = deque(maxlen=BLOCKS)
         self._squares: deque[FloatArray] = deque(maxlen=BLOCKS)  # of the residuals, (rows,)
-        self._square: FloatArray = np.zeros(rows)
         self._ratio: FloatArray = np.zeros(rows)
         self._time = 0.0
-        self._before: list[FloatArray] = []
+        self._before: FloatArray | None = None
         self._sure: BoolArray = np.zeros((rows, EXTRA), dtype=bool)
         self.share: FloatArray = np.zeros(rows)
 
     def forget(self, row: int) -> None:
         """Forget what a row has shown: it is learned anew."""
-        for part in (*self._blocks, *self._squares, self._sums, self._square, self.share):
+        gathered = [weight for _, weight, _ in self._gathered]
+        for part in (*self._blocks, *self._squares, *gathered, self.share):
             part[row] = 0.0
         self._sure[row] = False
 
     def add(
         self, samples: RowSamples, weight: FloatArray, ratio: FloatArray, *, restarted: bool
     ) -> None:
-        """Take samples.
+        """Take samples; they are looked at in blocks of `BLOCK_TIME`.
 
         Parameters
         ----------
@@ -91,37 +91,40 @@ class ModelError:
         restarted : bool
             Whether the first does not continue those before.
         """
-        parts = [samples.f[: len(ROWS)], samples.z[: len(ROWS)]]
-        inputs = [part[range(len(ROWS)), :, self._entries] for part in parts]
-        before = [u[:, :1] for u in inputs] if restarted or not self._before else self._before
-        f, z = (
-            self._with_extra(part, u, first, samples.dt)
-            for part, u, first in zip(parts, inputs, before, strict=True)
-        )
-        self._before = [u[:, -1:] for u in inputs]
-        y = samples.y[: len(ROWS), :, None]
-        weighted = (z * (samples.dt * weight)[:, None, None]).transpose(0, 2, 1)
-        self._sums += weighted @ np.concatenate((f, z, y), axis=2)
-        square = np.add.reduce(samples.residual[: len(ROWS)] ** 2, axis=1)
-        self._square = self._square + samples.dt * weight * square
-        self._ratio = ratio[range(len(ROWS)), self._entries]
+        self._gathered.append((samples, samples.dt * weight, restarted))
         self._time += samples.time
         if self._time >= BLOCK_TIME - 0.5 * samples.dt:
-            self._blocks.append(self._sums)
-            self._squares.append(self._square)
-            self._sums, self._square = np.zeros_like(self._sums), np.zeros_like(self._square)
             self._time = 0.0
+            self._ratio = ratio[range(len(ROWS)), self._entries]
+            self._close_block()
             self._look()
 
-    @staticmethod
-    def _with_extra(part: FloatArray, u: FloatArray, before: FloatArray, dt: float) -> FloatArray:
-        """Regressors (3, m, k) with those behind them that are made of the inputs u (3, m)."""
-        slope = np.diff(np.concatenate((before, u), axis=1), axis=1) / dt
-        return np.concatenate((part, (u * np.abs(u))[:, :, None], slope[:, :, None]), axis=2)
+    def _close_block(self) -> None:
+        """Add up what was gathered."""
+        gathered, self._gathered = self._gathered, []
+        signals = np.concatenate([part.signals[: len(ROWS)] for part, _, _ in gathered], axis=1)
+        counts = [part.count for part, _, _ in gathered]
+        weight = np.repeat([weight for _, weight, _ in gathered], counts, axis=0).T
+        step = np.repeat([part.dt for part, _, _ in gathered], counts)
+        k = gathered[0][0].width
+        # Both inputs, as regressor and as instrument; a restart's first has no slope.
+        places = np.array([[2 + entry, 2 + k + entry] for entry in self._entries])
+        u = np.take_along_axis(signals, places[:, None], axis=2)
+        first = u[:, :1] if self._before is None else self._before
+        slope = np.diff(np.concatenate((first, u), axis=1), axis=1) / step[:, None]
+        restarted = [begins for _, _, begins in gathered]
+        slope[:, np.cumsum([0, *counts[:-1]])[restarted]] = 0.0
+        self._before = u[:, -1:]
+        extra = np.stack((u * np.abs(u), slope), axis=-1)  # (3, m, of f or z, EXTRA)
+        y, f, z = signals[:, :, 1:2], signals[:, :, 2 : 2 + k], signals[:, :, 2 + k :]
+        f, z = (np.concatenate((part, extra[:, :, i]), axis=2) for i, part in enumerate((f, z)))
+        weighted = (z * weight[:, :, None]).transpose(0, 2, 1)
+        self._blocks.append(weighted @ np.concatenate((f, z, y), axis=2))
+        self._squares.append(np.add.reduce(weight * signals[:, :, 0] ** 2, axis=1))
 
     def _look(self) -> None:
         """Solve in units of each regressor's rms, and compare the extra ones with their sigma."""
-        k = self._sums.shape[1]
+        k = self._blocks[0].shape[1]
         if len(self._blocks) <= k:
             return  # as many coefficients leave no scatter to judge by
         blocks = np.array(self._blocks)

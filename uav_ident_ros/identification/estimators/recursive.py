@@ -10,10 +10,10 @@ while its coefficients are still poor).
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uav_ident_ros.identification.estimators.change import (
     CONSTANT,
@@ -26,18 +26,17 @@ from uav_ident_ros.identification.estimators.information import (
     MODEL_ERROR,
     Information,
     Solution,
+    Spread,
     Sums,
 )
 from uav_ident_ros.identification.estimators.model_error import ModelError
 from uav_ident_ros.identification.feedback import Feedback
 from uav_ident_ros.identification.prior import Start, slope_bounds, weak_sigma
-from uav_ident_ros.identification.regression import Layout, Regression, layout
-from uav_ident_ros.identification.row_samples import RowSamples
+from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
-    INPUTS,
     MAIN_COLUMNS,
     RATE_COLUMNS,
     ROWS,
@@ -46,18 +45,11 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
 )
 
-WARM_UP_TIME = 10.0
-"""Time for which least squares builds the first model, s."""
-
-FADE_TIME = 8.0
-"""Time constant with which the information of the least-squares start then fades, s. It is
-biased, so it must go; at once, too little would be left where a flight has told little yet."""
-
 SNAPSHOT_TIME = 0.5
 """Time between the copies of the information that a change goes back to, s."""
 
-WHITENED_TIME = 0.25
-"""Time between two solutions of the whitened estimate, s: sigma needs no more."""
+SIGMA_TIME = 0.25
+"""Time between two looks at how well the coefficients are known, s: sigma changes no faster."""
 
 POWER_TIME = 10.0
 """Memory of the mean square of the rates, s."""
@@ -87,73 +79,16 @@ class Trial:
     Parameters
     ----------
     before : Sums
-        The information as it would be without the reset.
+        The information before the reset, of the estimate in use as it would be without it.
     old : (k,) array
         The row's coefficients before the reset.
-    beside : list of Sums
-        The information of the estimates that run beside, before the reset.
     """
 
     before: Sums
     old: FloatArray
-    beside: list[Sums]
     old_error: float = 0.0
     new_error: float = 0.0
     time: float = 0.0
-
-
-class InstrumentalVariable:
-    """Information with instruments, after a least-squares start that fades.
-
-    Parameters
-    ----------
-    information : Information
-        Where to accumulate.
-
-    Attributes
-    ----------
-    information : Information
-        The parameter.
-    warming_up : bool
-        Whether the regressors are still their own instruments.
-    """
-
-    def __init__(self, information: Information) -> None:
-        self.information = information
-        self.warming_up = True
-        self._start: Sums | None = None
-
-    def add(self, samples: RowSamples, weight: FloatArray, ratio: FloatArray | None = None) -> None:
-        """Add samples; parameters as in `Sums.add`."""
-        information = self.information
-        if self.warming_up and information.time.max() >= WARM_UP_TIME:
-            self.warming_up = False
-            self._start, information.sums = information.sums, information.sums.nothing_alike()
-        if self._start is not None:
-            self._start.weigh(np.exp(-weight * samples.time / FADE_TIME))
-        information.add(samples.uninstrumented() if self.warming_up else samples, weight, ratio)
-
-    @property
-    def sums(self) -> Sums:
-        """All that is known."""
-        sums = self.information.sums
-        return sums if self._start is None else sums.plus(self._start)
-
-    def solve(self, values: FloatArray) -> Solution:
-        """Return the solution; `values` (R, n) are the coefficients before."""
-        return self.information.solve(values, self._start)
-
-    def discount(self, keep: float) -> None:
-        """Let all that was accumulated be worth `keep` of what it was."""
-        self.information.discount(keep)
-        if self._start is not None:
-            self._start.discount(np.full(len(self._start.blocks), keep))
-
-    def set_row(self, row: int, sums: Sums) -> None:
-        """Replace what is known in one row."""
-        self.information.sums.set_row(row, sums)
-        if self._start is not None:
-            self._start.set_row(row, self._start.nothing_alike())
 
 
 class RecursiveRegression:
@@ -162,7 +97,8 @@ class RecursiveRegression:
     Rows pause in quiet flight, and a control derivative that changes is released alone. Beside it
     runs the same estimate with the residuals whitened: where an autopilot answers gusts, and
     nothing else moves its surfaces, the plain estimate is the autopilot's, the whitened one less
-    so; with excitation they agree. Sigma covers their distance.
+    so; with excitation they agree. Beside least squares runs the instrumental variable, too: the
+    bias in gusts is many times what its own residuals tell. Sigma covers the distances.
 
     Parameters
     ----------
@@ -177,15 +113,14 @@ class RecursiveRegression:
     Attributes
     ----------
     coefficients, sigma : (R, n) array
-        Estimate and standard deviations; 0 where a coefficient is not free. Those of least squares
-        are widened by its distance from the instrumental variable: its bias in gusts is many
-        times what its own residuals tell.
+        Estimate and standard deviations; 0 where a coefficient is not free.
     learning : (3,) bool array
         Moment rows that learned at the last update.
     changes : list of (row, column)
         Coefficients released at the last update.
     information : Information
-        What the flight has told, least squares or instrumental variable.
+        What the flight has told: the estimate in use, the whitened one, and the reference of least
+        squares.
     """
 
     def __init__(self, start: Start, settings: Settings, *, instrumental: bool) -> None:
@@ -195,38 +130,37 @@ class RecursiveRegression:
         self._error = ModelError(self._layout)
         inputs_told = start.told(self._structure)[: len(ROWS), INPUT_COLUMNS]
         self._told = inputs_told.any(axis=1, keepdims=True)
-        self._feedback = Feedback()
+        self._feedback, self._no_feedback = Feedback(self._layout), Feedback(self._layout)
         self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
         self._injected = False
-        self._driven_by = _driven_by(self._layout)
-        self._used_rows = np.nonzero(self._layout.used)[0]
-        self._used_columns = self._layout.index[self._layout.used]
         self._start = start
         self.problem = ""
         self.learning = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
-
-        def information() -> Information:
-            correlation_time = 2.0 / settings.filter.cutoff
-            return Information(
-                self._structure, self._layout, start, correlation_time, settings.forgetting_time
-            )
-
-        self._reference = InstrumentalVariable(information())
-        self._least_squares = None if instrumental else information()
-        self._whitened = InstrumentalVariable(information())
-        self.information = self._least_squares or self._reference.information
+        self.information = Information(
+            self._structure,
+            self._layout,
+            start,
+            2.0 / settings.filter.cutoff,
+            settings.forgetting_time,
+            (True, True) if instrumental else (False, True, True),
+        )
         self.coefficients: FloatArray = start.values.copy()
         self.sigma: FloatArray = start.sigma.copy()
-        self._white = self._whitened.solve(self.coefficients)
-        self._solution = self._solve()
-        self._gate = ExcitationGate(start.free[:3], settings.supervision)
         self._cutoff = settings.filter.cutoff
-        self._detector = ChangeDetector(start.free[:3], self._cutoff)
+        self._gate = ExcitationGate(start.free[:3], settings.supervision)
+        self._begin_changes()
+        self._solve()
+
+    def _begin_changes(self) -> None:
+        """Look for changes from now on."""
+        self._detector = ChangeDetector(self._start.free[:3], self._cutoff)
         self._recent: deque[RowSamples] = deque()
-        self._snapshots: deque[Solution] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
+        self._recent_time = 0.0
+        self._snapshots: deque[Spread] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
+        self._since_snapshot = 0.0
+        self._since_sigma = np.inf
         self._trials: dict[int, Trial] = {}
-        self._since_snapshot = self._since_white = 0.0
 
     @property
     def start(self) -> Start:
@@ -235,13 +169,7 @@ class RecursiveRegression:
 
     @start.setter
     def start(self, start: Start) -> None:
-        self._start = start
-        for information in (
-            self._reference.information,
-            self._whitened.information,
-            self.information,
-        ):
-            information.start = start
+        self._start = self.information.start = start
         self.coefficients = np.where(start.free, self.coefficients, start.values)
         self.sigma = np.where(start.free, self.sigma, start.sigma)
 
@@ -263,55 +191,42 @@ class RecursiveRegression:
     @property
     def inputs(self) -> FloatArray:
         """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
-        return self._linear(self._solution)[: len(ROWS), INPUT_COLUMNS]
-
-    def _linear(self, solution: Solution) -> FloatArray:
-        """Coefficients of the linear problem in the place of their columns, shape (rows, c)."""
-        linear = np.zeros((self._layout.rows, self._layout.size))
-        linear[self._used_rows, self._used_columns] = solution.linear[self._layout.used]
-        return linear
+        return self._linear[: len(ROWS), INPUT_COLUMNS]
 
     def residual(self, samples: Regression) -> FloatArray:
         """Return ``y - A f`` of samples, shape (m, rows)."""
-        return samples.residual(self._linear(self._solution))
+        return samples.residual(self._linear)
 
     def update(
-        self, samples: Regression, residual: FloatArray, white: RowSamples, weight: FloatArray
+        self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
         """Add samples and solve."""
-        moments = residual[:, : len(ROWS)]
+        moments = rows.residual[: len(ROWS)].T
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.learning = self._gate.learning & (weight > 0.0)
         weight = weight * seen
         square = np.add.reduce(np.square(samples.f[:, RATE_COLUMNS])) / len(samples.f)
         self._power += min(samples.time / POWER_TIME, 1.0) * (square - self._power)
-        ratio = np.zeros(self._driven_by.shape)
         if samples.injected and not self._injected:
             # Samples from before it have other instruments, which answer disturbances.
             self._error = ModelError(self._layout)
         self._injected = samples.injected
         if samples.injected:
             share = self._influence(samples)
-            samples = replace(samples, z=share * samples.z)
-            white = replace(white, z=share * white.z)
+            rows, white = rows.times(share), white.times(share)
+            feedback = self._no_feedback
         else:
-            self._feedback.add(samples, moments, weight)
-            ratio = self._feedback.ratio[self._driven_by]
-        gathered = RowSamples.of(samples, residual).pick(self._layout)
+            feedback = self._feedback
+            feedback.add(samples, moments, weight)
         # Late or answering gusts: where nothing was known before, either is a reason to deny.
-        told = self._told * ratio[: len(ROWS)]
-        self._error.add(gathered, weight, told, restarted=samples.restarted)
+        told = self._told * feedback.ratio[: len(ROWS)]
+        self._error.add(rows, weight, told, restarted=samples.restarted)
         weight = self._row_weights(weight)
-        self._reference.add(gathered, weight, ratio)
-        self._whitened.add(white.pick(self._layout), weight, ratio)
-        if self._least_squares is not None:
-            self._least_squares.add(gathered.uninstrumented(), weight, ratio)
-        self._follow_changes(samples, gathered, weight)
-        self._since_white += samples.time
-        if self._since_white >= WHITENED_TIME - 0.5 * samples.dt:
-            self._white = self._whitened.solve(self.coefficients)
-            self._since_white = 0.0
-        self._accept(self._solve())
+        parts = (rows, white, rows)[: len(self.information.variance)]
+        self.information.add(parts, weight, feedback.answering)
+        self._follow_changes(samples, rows, weight)
+        self._since_sigma += samples.time
+        self._solve(0.5 * samples.dt)
 
     def _influence(self, samples: Regression) -> float:
         """Factor of the instruments of injected samples, 0 ... 1.
@@ -328,129 +243,116 @@ class RecursiveRegression:
         """Weights of all rows (rows,): forces count as the moments that are learned with them."""
         if self._layout.rows == len(weight):
             return weight
-        return np.array([*weight, max(weight[0], weight[2]), weight[1]])
+        p, q, r = weight.tolist()
+        return np.array([p, q, r, max(p, r), q])
 
-    def _solve(self) -> Solution:
-        """Return the solution that is published, with the standard deviations that it has."""
-        solution = reference = self._reference.solve(self.coefficients)
-        sigma = solution.sigma
-        if self._least_squares is not None:
-            solution = self._least_squares.solve(self.coefficients)
-            sigma = np.hypot(solution.sigma, solution.values - reference.values)
-        sigma = np.maximum(sigma, self._white.sigma)
-        sigma = np.hypot(sigma, solution.values - self._white.values)
-        main = np.arange(len(ROWS)), MAIN_COLUMNS
-        sigma[main] = np.hypot(sigma[main], self.model_error * solution.values[main])
-        sigma = np.hypot(sigma, MODEL_ERROR * solution.values)
-        return replace(solution, sigma=np.where(self._start.free, sigma, self._start.sigma))
+    def _solve(self, early: float = 0.0) -> None:
+        """Solve, unless a row makes no sense: then all starts anew where it stood.
 
-    def _accept(self, solution: Solution) -> None:
-        """Take a solution, unless a row makes no sense: then all starts anew where it stood."""
-        sane = (np.abs(solution.values) < LARGEST_COEFFICIENT) & np.isfinite(solution.sigma)
-        if not sane.all():  # NaN fails too
+        How well the coefficients are known is looked at every `SIGMA_TIME`, or `early` s sooner.
+        """
+        due = self._since_sigma >= SIGMA_TIME - early
+        if due:
+            parts = self.information.solve_with_sigma(self.coefficients)
+            own: Solution = parts[0]
+            sigma = self._sigma_of(parts)
+        else:
+            own, sigma = self.information.solve(self.coefficients, slice(1))[0], self.sigma
+        largest = np.abs(own.values).max()
+        if not (largest < LARGEST_COEFFICIENT and np.isfinite(sigma).all()):  # NaN fails too
             self.forget(0.0)
             return
-        values = np.minimum(solution.values, self._bounds)
-        self._solution, self.coefficients, self.sigma = solution, values, solution.sigma
+        if due:
+            self._white, self._since_sigma = parts[1], 0.0
+        self._solution, self.sigma = own.linear, sigma
+        self._linear = self._layout.matrix(own.linear)
+        self.coefficients = np.minimum(own.values, self._bounds)
+
+    def _sigma_of(self, parts: Sequence[Spread]) -> FloatArray:
+        """Return the standard deviations that are published."""
+        own, white, *reference = parts
+        values, sigma = own.values, own.sigma
+        for other in reference:
+            sigma = np.hypot(sigma, values - other.values)
+        sigma = np.hypot(np.maximum(sigma, white.sigma), values - white.values)
+        main = np.arange(len(ROWS)), MAIN_COLUMNS
+        sigma[main] = np.hypot(sigma[main], self.model_error * values[main])
+        sigma = np.hypot(sigma, MODEL_ERROR * values)
+        return np.where(self._start.free, sigma, self._start.sigma)
 
     def reconfigure(self, settings: Settings) -> None:
         """Take over the settings that may change in flight."""
-        self._reference.information.forgetting_time = settings.forgetting_time
-        self._whitened.information.forgetting_time = settings.forgetting_time
         self.information.forgetting_time = settings.forgetting_time
         self._gate.settings = settings.supervision
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""
-        self._reference.discount(weight)
-        self._whitened.discount(weight)
-        if self._least_squares is not None:
-            self._least_squares.discount(weight)
-        self._detector = ChangeDetector(self._start.free[:3], self._cutoff)
-        self._recent.clear()
-        self._snapshots.clear()
-        self._trials.clear()
+        self.information.discount(weight)
+        self._begin_changes()
 
     # -- changes in flight -----------------------------------------------------------------
 
-    def _follow_changes(
-        self, samples: Regression, gathered: RowSamples, weight: FloatArray
-    ) -> None:
+    def _follow_changes(self, samples: Regression, rows: RowSamples, weight: FloatArray) -> None:
         """Release what has changed, and take back a release that does not prove itself."""
-        self._recent.append(gathered)
-        while sum(part.time for part in self._recent) > READD_TIME + 0.5 * gathered.dt:
-            self._recent.popleft()
+        self._recent.append(rows)
+        self._recent_time += rows.time
+        while self._recent_time > READD_TIME + 0.5 * rows.dt:
+            self._recent_time -= self._recent.popleft().time
         for row in list(self._trials):
-            self._continue_trial(row, gathered, weight)
-        lively = self._gate.share >= LIVELY_SHARE
-        sigma = self._white.sigma[: len(ROWS), INPUT_COLUMNS]
-        linear = self._linear(self._white)[: len(ROWS)]
-        changed = self._detector.update(samples, linear, sigma, lively, self.clear)
+            self._continue_trial(row, rows, weight)
         self.changes = []
-        for i, j in changed:
-            self.changes.append((i, CONSTANT_COLUMN if j == CONSTANT else INPUT_COLUMNS.start + j))
-            self._release(i, j)
+        if self._detector.add(samples):
+            lively = self._gate.share >= LIVELY_SHARE
+            linear = self._layout.matrix(self._white.linear)[: len(ROWS)]
+            sigma = self._white.sigma[: len(ROWS), INPUT_COLUMNS]
+            for i, j in self._detector.look(linear, sigma, lively, self.clear):
+                column = CONSTANT_COLUMN if j == CONSTANT else INPUT_COLUMNS.start + j
+                self.changes.append((i, column))
+                self._release(i, column)
         self._since_snapshot += samples.time
         if self._since_snapshot >= SNAPSHOT_TIME - 0.5 * samples.dt:
             self._snapshots.append(self._white)
             self._since_snapshot = 0.0
 
-    def _sums(self) -> Sums:
-        return self._reference.sums if self._least_squares is None else self._least_squares.sums
-
-    def _set_row(self, row: int, sums: Sums) -> None:
-        if self._least_squares is None:
-            self._reference.set_row(row, sums)
-        else:
-            self._least_squares.sums.set_row(row, sums)
-
-    def _beside(self) -> list[InstrumentalVariable]:
-        """Estimates whose distance sigma covers: they must follow a change too."""
-        if self._least_squares is None:
-            return [self._whitened]
-        return [self._whitened, self._reference]
-
-    def _release(self, row: int, j: int) -> None:
-        """Forget what input `j` did in one row, back to before the change, and learn it anew.
+    def _release(self, row: int, column: int) -> None:
+        """Forget what an input did in one row, back to before the change, and learn it anew.
 
         A covariance reset: of all that was known before, the covariance of this coefficient and of
         the constant, which takes up part of any change about a trim, are set to what a change
         by so much allows. Where the constant alone has changed, by a step, what came before the
         step tells nothing of it.
         """
-        found, information, white = self._detector.found, self.information, self._white
-        sums = self._sums().copy()
-        beside = [other.sums.copy() for other in self._beside()]
-        self._trials[row] = Trial(sums.copy(), white.linear[row].copy(), beside)
-        known = self._snapshots[0] if self._snapshots else white
+        found, information = self._detector.found, self.information
+        before = information.known.copy()
+        self._trials[row] = Trial(before, self._white.linear[row].copy())
+        known = self._snapshots[0] if self._snapshots else self._white
         mean, covariance = known.linear[row].copy(), known.covariance[row].copy()
         columns = self._layout.index[row].tolist()
-        newest = sum(part.y.shape[1] for part in self._recent)
-        if j == CONSTANT:
+        newest = sum(part.count for part in self._recent)
+        entry = columns.index(column)
+        if column == CONSTANT_COLUMN:
             step = self._detector.step(row)
-            mean[columns.index(CONSTANT_COLUMN)] += step.size
+            mean[entry] += step.size
             newest = step.samples
         else:
-            entry, shift = columns.index(INPUT_COLUMNS.start + j), float(found.slope[row, j])
+            j = column - INPUT_COLUMNS.start
+            shift = float(found.slope[row, j])
             mean[entry] += shift
             spread = max(float(found.deviation[row, j]), SLOPE_ERROR * abs(shift))
             covariance[entry, entry] += spread**2
-            self._forget_prior(row, INPUT_COLUMNS.start + j)
+            self._forget_prior(row, column)
         if CONSTANT_COLUMN in columns:
             constant = columns.index(CONSTANT_COLUMN)
             covariance[constant, constant] += self._start.sigma[row, CONSTANT_COLUMN] ** 2
-        free = information.free[row]
-        sums.set_known(row, mean, covariance, free, float(information.unit[row]))
-        for other in self._beside():
-            known_there = other.sums.copy()
-            unit = float(other.information.unit[row])
-            known_there.set_known(row, mean, covariance, free, unit)
-            other.set_row(row, known_there)
+        sums = before.copy()
+        sums.set_known(row, mean, covariance, information.free[row], information.unit[:, row])
         alone = np.zeros(self._layout.rows)
         alone[row] = 1.0
-        sums.add(self._instrumented(RowSamples.join(self._recent, newest)), alone)
-        self._set_row(row, sums)
+        # The others follow by themselves.
+        sums[:1].add(information.instrumented(RowSamples.join(self._recent, newest)), alone)
+        information.set_row(row, sums)
         self._error.forget(row)
+        self._since_sigma = np.inf
 
     def _forget_prior(self, row: int, column: int) -> None:
         """Let nothing from before the flight hold a coefficient where it was."""
@@ -458,31 +360,16 @@ class RecursiveRegression:
         sigma[row, column] = weak_sigma(self._structure)[row, column]
         self.start = replace(self._start, sigma=sigma)
 
-    def _instrumented(self, samples: RowSamples) -> RowSamples:
-        """Return samples with the instruments that the estimate in use has."""
-        plain = self._least_squares is not None or self._reference.warming_up
-        return samples.uninstrumented() if plain else samples
-
     def _continue_trial(self, row: int, samples: RowSamples, weight: FloatArray) -> None:
         """Compare the old with the new coefficients on samples that neither has seen."""
         trial = self._trials[row]
-        trial.before.add(self._instrumented(samples), weight)
+        trial.before[:1].add(self.information.instrumented(samples), weight)
         y, f = samples.y[row], samples.f[row]
         trial.old_error += float(((y - f @ trial.old) ** 2).sum())
-        trial.new_error += float(((y - f @ self._solution.linear[row]) ** 2).sum())
+        trial.new_error += float(((y - f @ self._solution[row]) ** 2).sum())
         trial.time += samples.time
         if trial.time >= TRIAL_TIME:
             del self._trials[row]
             if trial.new_error > TRIAL_RATIO * trial.old_error:
-                self._set_row(row, trial.before)
-                for other, sums in zip(self._beside(), trial.beside, strict=True):
-                    other.set_row(row, sums)
-
-
-def _driven_by(layout: Layout) -> NDArray[np.intp]:
-    """Input that each instrument follows, (rows, k): itself, or else the main one of the row."""
-    main = MAIN_COLUMNS - INPUT_COLUMNS.start
-    rows = np.array([*main, main[2], main[1]])[: layout.rows]  # side force by rudder, lift by de
-    own = layout.index - INPUT_COLUMNS.start
-    is_input = (own >= 0) & (own < len(INPUTS))
-    return np.where(is_input, own, rows[:, None])
+                self.information.set_row(row, trial.before)
+                self._since_sigma = np.inf
