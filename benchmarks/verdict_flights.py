@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import cases
@@ -30,6 +31,9 @@ LONG, SHORT = 1.0, 0.8
 
 PEAKS = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
 """Peak excitation of the light aircraft, rad and throttle; the others' stand in their files."""
+
+AIRFRAMES = Path(__file__).parent / "airframes"
+"""Folder of aircraft that serve here alone."""
 
 DELAY = 0.02
 """Delay of the actuators, told, s."""
@@ -144,7 +148,7 @@ def _trial(
 ) -> Trial:
     """Return a trial of an aircraft; `told` are fields of `Trial`, the others those of `_fly`."""
     fly = partial(_fly, aircraft, seed, **flight)
-    return Trial(kind, f"{aircraft}, {words}", seed, fly, **told)
+    return Trial(kind, f"{Path(aircraft).stem}, {words}", seed, fly, **told)
 
 
 ALWAYS = {"excitation": ((2.0, 1e3),)}
@@ -236,6 +240,15 @@ def _clean(seed: int, length: float) -> Iterator[Trial]:
         ("ultra_stick_25e", 0.0, 0), ("ultra_stick_25e", 20.0, 2),
     )  # fmt: skip
     return _excited("clean", seed, length, flights)
+
+
+def _unseen(seed: int, length: float) -> Iterator[Trial]:
+    """Aircraft on which nothing was ever chosen: excited, and under an autopilot alone."""
+    for file in sorted(AIRFRAMES.glob("*.yaml")):
+        yield from _excited("unseen", seed, length, ((str(file), 0.0, 0), (str(file), 20.0, 4)))
+        told = {"feedback": True}
+        flight = {"bank": 30.0, "wind": 4, "duration": length * 150.0}
+        yield _trial("unseen", seed, str(file), "not excited", told, **flight)
 
 
 def _glitch(seed: int, length: float) -> Iterator[Trial]:
@@ -340,6 +353,7 @@ CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
     "weak": _weak,
     "glitch": _glitch,
     "clean": _clean,
+    "unseen": _unseen,
     "closed_loop": _closed_loop,
     "mistakes": _mistakes,
     "recorded": _recorded,
