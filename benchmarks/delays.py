@@ -23,9 +23,8 @@ import verdict_flights
 
 from uav_ident_ros.identification.delay import DelayBank, DelayEstimate
 from uav_ident_ros.identification.flow import FlowObserver
-from uav_ident_ros.identification.model import FlowSignals
 from uav_ident_ros.identification.prior import first_values
-from uav_ident_ros.identification.sampling import Block, Sampler
+from uav_ident_ros.identification.sampling import Block, FlowSignals, Sampler
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation import light_aircraft
 from uav_ident_ros.simulation.disturbance import ColouredNoise
@@ -138,23 +137,24 @@ def judged(trial: tuple[str, bool, Any]) -> Result:
     bank, observer = DelayBank(0.3), FlowObserver(structure, 15.0, speed)
     worst = 0.0
     for block in sampler.blocks():
-        flow = observer.follow(block, first_values(structure), None)
+        block.flow = observer.follow(block, first_values(structure), None)
         for k in range(0, len(block.u), PIECE):
-            if bank.add(*cut(block, flow, k, name), 0.0) and bank.estimate.total_sure:
+            if bank.add(cut(block, k, name), 0.0) and bank.estimate.total_sure:
                 off = abs(bank.estimate.total - true) / bank.estimate.total_sigma
                 worst = max(worst, off)
     return Result(name, excited, true, bank.estimate, worst)
 
 
-def cut(block: Block, flow: FlowSignals, k: int, name: str) -> tuple[Block, FlowSignals | None]:
+def cut(block: Block, k: int, name: str) -> Block:
     """Cut a piece of `PIECE` cells; others than aircraft have no flow."""
     cells, edges = slice(k, k + PIECE), slice(k, k + PIECE + 1)
-    piece = replace(
-        block, t_ns=block.t_ns[edges], x=block.x[edges], u=block.u[cells],
+    whole, flow = block.flow, None
+    if whole is not None and not name.startswith(("plant", "quadrotor")):
+        flow = FlowSignals(whole.angles[edges], whole.down[edges], whole.airspeed)
+    return replace(
+        block, t_ns=block.t_ns[edges], x=block.x[edges], u=block.u[cells], flow=flow,
         specific_force=block.specific_force[edges], restarted=block.restarted and k == 0,
     )  # fmt: skip
-    signals = FlowSignals(flow.angles[edges], flow.down[edges], flow.airspeed)
-    return piece, None if name.startswith(("plant", "quadrotor")) else signals
 
 
 def line(r: Result) -> str:

@@ -180,7 +180,7 @@ def test_how_the_signals_are_cut_and_delayed_before_changes_nothing() -> None:
         for k in range(0, cells, length):
             own, edges = slice(k, k + length), slice(k, k + length + 1)
             inputs = u[10 - before :][own]
-            bank.add(Block(t[edges], h, x[edges], inputs, force[edges], k == 0), None, before * h)
+            bank.add(Block(t[edges], h, x[edges], inputs, force[edges], k == 0), before * h)
         while bank._block is not None:
             bank._work()
         return bank.estimate

@@ -8,12 +8,11 @@ from scipy.integrate import solve_ivp
 
 from uav_ident_ros.identification.model import (
     LARGEST_ANGLE,
-    FlowSignals,
     IdentifiedModel,
     with_measured_force,
 )
 from uav_ident_ros.identification.prior import slope_bounds, start_from
-from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 
@@ -34,21 +33,21 @@ def with_down(state: FloatArray) -> FloatArray:
     return np.array([*first, -np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level])
 
 
-def block_of(u: FloatArray, h: float, *, restarted: bool = True) -> tuple[Block, FlowSignals]:
+def block_of(u: FloatArray, h: float, *, restarted: bool = True) -> Block:
     m = len(u)
     t_ns = np.rint(np.arange(m + 1) * h * 1e9).astype(np.int64)
     x = np.tile(START[:3], (m + 1, 1))
-    block = Block(t_ns, h, x, u, np.zeros((m + 1, 3)), restarted)
     whole = np.tile(with_down(START), (m + 1, 1))
-    return block, FlowSignals(whole[:, 3:5], whole[:, 5:], SPEED)
+    flow = FlowSignals(whole[:, 3:5], whole[:, 5:], SPEED)
+    return Block(t_ns, h, x, u, np.zeros((m + 1, 3)), restarted, flow=flow)
 
 
 @pytest.mark.parametrize("h", [0.001, 0.005, 0.0125, 0.025])
 def test_a_run_over_a_block_is_the_solution_of_the_equations(h: float) -> None:
     """Whatever the width of the cells; inputs change every 50 ms, where no step crosses."""
     u = np.repeat(RNG.uniform(-0.1, 0.1, (20, 4)), round(0.05 / h), axis=0)
-    block, flow = block_of(u, h)
-    states = IdentifiedModel(FLIGHT, np.zeros(3)).run(A, block, flow)
+    block = block_of(u, h)
+    states = IdentifiedModel(FLIGHT, np.zeros(3)).run(A, block)
     state = START
     for k in range(20):
         held = u[k * round(0.05 / h)]
@@ -64,10 +63,10 @@ def test_a_run_over_a_block_is_the_solution_of_the_equations(h: float) -> None:
 
 
 def test_a_strong_leak_stays_with_what_was_measured() -> None:
-    block, flow = block_of(np.zeros((200, 4)), 0.005)
+    block = block_of(np.zeros((200, 4)), 0.005)
     model = IdentifiedModel(FLIGHT, np.zeros(3))
-    free = model.run(A, block, flow)[-1]
-    leaky = model.run(A, block, flow, leak_time=1e-2)[-1]
+    free = model.run(A, block)[-1]
+    leaky = model.run(A, block, leak_time=1e-2)[-1]
     measured = with_down(START)
     assert np.abs(leaky - measured).max() < 0.3 * np.abs(free - measured).max()
 
@@ -76,12 +75,12 @@ def test_a_strong_leak_stays_with_what_was_measured() -> None:
 def test_a_model_that_diverges_is_set_back_to_what_was_measured(name: str) -> None:
     wild = A.copy()
     wild[FLIGHT.index(name)] *= -300.0
-    block, flow = block_of(np.zeros((200, 4)), 0.005)
+    block = block_of(np.zeros((200, 4)), 0.005)
     model = IdentifiedModel(FLIGHT, np.zeros(3))
-    states = model.run(wild, block, flow)
+    states = model.run(wild, block)
     assert model.resets == 1
-    np.testing.assert_array_equal(states, flow.at_edges(block.x))
-    beyond = flow.at_edges(block.x)
+    np.testing.assert_array_equal(states, block.state)
+    beyond = block.state
     assert np.abs(beyond[:, 3:5]).max() < LARGEST_ANGLE
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.identification.model import GRAVITY, FlowSignals
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.prior import (
     CONSTANT_SIGMA,
     FORCE_SIGMA,
@@ -26,8 +26,8 @@ from uav_ident_ros.identification.prior import (
     RATE_SIGMA,
     SIDE_FORCE_SLOPE,
 )
-from uav_ident_ros.identification.samples import NS, TimeArray
-from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.samples import NS
+from uav_ident_ros.identification.sampling import Block, join
 from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
 
 STEP = 0.025
@@ -190,7 +190,7 @@ class DelayBank:
 
     def restart(self) -> None:
         """Begin a new stretch of signals; what was learned stays."""
-        self._parts: list[tuple[TimeArray, FloatArray, FloatArray]] = []
+        self._parts: list[Block] = []
         self._first: int | None = None
 
     @property
@@ -201,24 +201,19 @@ class DelayBank:
 
     def add(
         self,
-        block: Block,
-        flow: FlowSignals | None,  # Attitude and airspeed; without, forces are left out
+        block: Block,  # Without its flow forces are left out
         delay: float,  # Delay that the block's inputs have, s
     ) -> bool:
         """Take a block; say whether there is a new estimate."""
         delay_ns = round(delay / NS)
         edges = block.t_ns
-        if self._parts and (self._parts[-1][0][-1] != edges[0] or delay_ns != self._delay_ns):
+        if self._parts and (self._parts[-1].t_ns[-1] != edges[0] or delay_ns != self._delay_ns):
             self.restart()
-        self._has_flow = flow is not None
-        self._delay_ns, self._airspeed = delay_ns, 1.0 if flow is None else flow.airspeed
-        others = np.zeros((len(edges), 4))
-        if flow is not None:
-            others = np.hstack((block.force, flow.down[:, 1:]))
+        self._delay_ns = delay_ns
         start = round(self.delays[-1] / NS) + round((LAG_MEMORY + 1) * STEP / NS) - delay_ns
         if self._first is None:
             self._first = int(edges[0]) + max(start, 0)
-        self._parts.append((edges, np.hstack((block.x, others)), block.u))
+        self._parts.append(block)
         renewed = self._work()
         length = round((WINDOW * WINDOWS + EARLY + 1) * STEP / NS)
         while edges[-1] - max(delay_ns, 0) >= self._first + length:
@@ -227,15 +222,19 @@ class DelayBank:
             self._block = self._judge_models(self._signals(self._first))
             self._first += WINDOW * WINDOWS * round(STEP / NS)
             keep = self._first - max(start, 0)
-            self._parts = [part for part in self._parts if part[0][-1] >= keep]
+            self._parts = [part for part in self._parts if part.t_ns[-1] >= keep]
         return renewed
 
     def _signals(self, first: int) -> _Signals:
         """Resample what was gathered from `first`, ns, on."""
-        edges = np.concatenate([self._parts[0][0][:1], *(part[0][1:] for part in self._parts)])
-        values = np.concatenate([self._parts[0][1][:1], *(part[1][1:] for part in self._parts)])
-        u = np.concatenate([part[2] for part in self._parts])
-        t = (edges - first) * NS
+        block = join(self._parts)
+        self._has_flow, airspeed = block.flow is not None, 1.0
+        values = np.zeros((len(block.x), 7))
+        values[:, :3] = block.x
+        if block.flow is not None:
+            airspeed = block.flow.airspeed
+            values[:, 3:5], values[:, 5:] = block.force, block.flow.down[:, 1:]
+        t, u = (block.t_ns - first) * NS, block.u
         grid = STEP * np.arange(WINDOW * WINDOWS + 1)
         signals = _interpolate(grid, t, values)
         added = np.vstack((np.zeros(len(INPUTS)), np.cumsum(u * np.diff(t)[:, None], axis=0)))
@@ -244,7 +243,7 @@ class DelayBank:
         means = np.diff(_interpolate(grid, t - self._delay_ns * NS, added), axis=0) / STEP
         places = WINDOW * np.arange(WINDOWS)[:, None] + np.arange(WINDOW + 1)
         x, force, down = np.split(signals[places], [3, 5], axis=2)
-        return _Signals(x, force, down, self._airspeed, means)
+        return _Signals(x, force, down, airspeed, means)
 
     def _work(self) -> bool:
         """Do one part of what is to be done for a block; say whether it was the last."""

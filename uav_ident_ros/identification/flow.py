@@ -17,10 +17,9 @@ import numpy as np
 from uav_ident_ros.identification.model import (
     GRAVITY,
     LARGEST_ANGLE,
-    FlowSignals,
     plan_steps,
 )
-from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     RATE_COLUMNS,

@@ -36,7 +36,7 @@ from uav_ident_ros.identification.intake import (
     RATES,
     Intake,
 )
-from uav_ident_ros.identification.model import FlowSignals, IdentifiedModel
+from uav_ident_ros.identification.model import IdentifiedModel
 from uav_ident_ros.identification.noise import NoiseModel
 from uav_ident_ros.identification.paper import BackwardDifference
 from uav_ident_ros.identification.plausibility import Finding, Plausibility
@@ -49,12 +49,16 @@ from uav_ident_ros.identification.regression import (
 )
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
-from uav_ident_ros.identification.sampling import Block, Sampler
+from uav_ident_ros.identification.sampling import Block, Sampler, Stretch, edges, join
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
-from uav_ident_ros.identification.stretch import STRETCH_TIME, Stretch, join_stretches
 from uav_ident_ros.identification.structure import ROWS, STRUCTURES, BoolArray, FloatArray
 from uav_ident_ros.identification.supervision import Change, State, Supervisor
+
+STRETCH_TIME = 0.1
+"""Time that is learned from at once, s: the cost of an update hardly depends on how many samples it
+takes. With a quarter second, what the last moments tell of the trim comes late: a point of the fit
+of recorded flights."""
 
 START_TIME = 20.0
 """Time of learning for which the coefficients of a cold start count as poor, s: the model leaks,
@@ -113,6 +117,7 @@ class OnlineIdentifier:
         self._frame = BodyFrame(settings.imu)
         self._arm = np.array(settings.imu.lever_arm)
         self._sampler = Sampler(settings)
+        self._as_paper = settings.filter.method == "backward_difference"
         self._armed = SampleBuffer(1)
         self._intake = Intake(settings, self.restart)
         self._supervisor = Supervisor(settings, self.structure, gates)
@@ -225,6 +230,7 @@ class OnlineIdentifier:
         self._intake.restart()
         self._filter: StateVariableFilter | None = None
         self._stretch: list[Stretch] = []
+        self._stretch_time = 0.0
         self._news = True
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
@@ -456,47 +462,43 @@ class OnlineIdentifier:
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
-        self.drops[RATES][Drop.DUPLICATE] += self._sampler.rates.merge(t_ns)
-        self.drops[ACTUATORS][Drop.DUPLICATE] += self._sampler.raw_inputs.merge(t_ns)
-        self.drops[AIRSPEED][Drop.DUPLICATE] += self._speed.update(t_ns)
+        drops, rates = self._intake.drops, self._sampler.rates
+        drops[RATES][Drop.DUPLICATE] += rates.merge(t_ns)
+        drops[ACTUATORS][Drop.DUPLICATE] += self._sampler.raw_inputs.merge(t_ns)
+        drops[AIRSPEED][Drop.DUPLICATE] += self._speed.update(t_ns)
+        drops[ARMED][Drop.DUPLICATE] += self._armed.merge(t_ns)
         self._sampler.injected.merge(t_ns)
-        self._leave_out_glitches()
-        if len(self._sampler.rates.t):
-            self._newest_rates = self._frame.to_body(self._sampler.rates.v[-1, :3])
-        self._look(t_ns)
-        if self.settings.filter.method == "backward_difference":
+        if self._as_paper:
+            self._look(t_ns, rates.v[:0], self._sampler.raw_inputs.v[:0])  # it knows no gates
             fed = self._paper_tick(t_ns)
         else:
+            self._look(t_ns, self._new_rates(), self._sampler.raw_inputs.v)
             fed = self._filtered_tick()
         return self._estimate(t_ns, fed)
 
-    def _leave_out_glitches(self) -> None:
-        """Drop new rates that no aircraft turns at; the paper knows no such thing."""
+    def _new_rates(self) -> FloatArray:
+        """Rates and specific forces that came with this tick, without glitches, (k, 6)."""
         rates = self._sampler.rates
-        new = rates.after(self._looked_ns)
-        if self.settings.filter.method == "backward_difference" or new == len(rates.t):
-            return
-        before = rates.v[new - 1, :3] if new else None
-        limit = self.settings.supervision.max_rate
-        which = self._glitches.find(rates.v[new:, :3], before, limit)
-        if which.any():
-            rates.leave_out(which)
-            self.drops[RATES][Drop.GLITCH] += int(which.sum())
+        new, limit = rates.after(self._looked_ns), self.settings.supervision.max_rate
+        if new < len(rates.t):
+            before = rates.v[new - 1, :3] if new else None
+            which = self._glitches.find(rates.v[new:, :3], before, limit)
+            if which.any():
+                rates.leave_out(which)
+                self._intake.drops[RATES][Drop.GLITCH] += int(which.sum())
+        return rates.v[new:]
 
-    def _look(self, t_ns: int) -> None:
+    def _look(self, t_ns: int, samples: FloatArray, channels: FloatArray) -> None:
         """Show the supervisor what came with this tick."""
-        self.drops[ARMED][Drop.DUPLICATE] += self._armed.merge(t_ns)
         if len(self._armed.t):
             self._supervisor.armed = bool(self._armed.v[-1, 0])
             self._armed.trim(t_ns)
-        rates, raw = self._sampler.rates, self._sampler.raw_inputs
-        samples, channels = rates.v[rates.after(self._looked_ns) :], raw.v
-        if self.settings.filter.method == "backward_difference":
-            samples, channels = samples[:0], channels[:0]  # the paper knows no gates on the signals
-        fresh = channels[raw.after(self._looked_ns) :]
-        self._looked_ns = t_ns
+        if len(self._sampler.rates.t):
+            self._newest_rates = self._frame.to_body(self._sampler.rates.v[-1, :3])
         if self.settings.supervision.plausibility:
+            fresh = channels[self._sampler.raw_inputs.after(self._looked_ns) :]
             self._plausibility.look(t_ns * NS, samples, fresh)
+        self._looked_ns = t_ns
         fault = self._plausibility.signal_fault
         self._supervisor.look(t_ns * NS, samples, channels, self._speed.newest, fault)
 
@@ -509,8 +511,9 @@ class OnlineIdentifier:
             if self._stretch and not self._stretch[-1].continued_by(part):
                 self._end_stretch()
             self._stretch.append(part)
-            length = sum(p.block.time for p in self._stretch)
-            if length >= STRETCH_TIME - 0.5 * block.h or self._learned_time < START_TIME:
+            self._stretch_time += block.time
+            due = STRETCH_TIME if self._learned_time >= START_TIME else 0.0
+            if self._stretch_time >= due - 0.5 * block.h:
                 self._end_stretch()
             fed = True
         return fed
@@ -518,50 +521,61 @@ class OnlineIdentifier:
     def _follow(self, block: Block) -> Stretch:
         """Run the model over a block."""
         coefficients = self._coefficients()
-        flow = self._follow_flow(block, coefficients)
+        if self._flow is not None:
+            speed = self._speed.newest if self._speed.enabled else None
+            block.flow = self._flow.follow(block, coefficients, speed)
         leak = self.settings.model.leak_time
         if leak > 0.0 and self._learned_time < START_TIME:
             leak = min(leak, START_LEAK_TIME)
-        states = self._model.run(coefficients, block, flow, leak)
+        states = self._model.run(coefficients, block, leak)
         if injected := self._injected(block):
-            states = self._response.respond(coefficients, block, flow, leak)
+            states = self._response.respond(coefficients, block, leak)
         learns = self._speed.known and not self._supervisor.closed
-        readable = not self._supervisor.gates.unreadable
-        return Stretch(block, flow, states, learns, readable, injected)
+        return Stretch(block, states, learns, not self._supervisor.gates.unreadable, injected)
 
     def _end_stretch(self) -> None:
         """Score the coefficients on the stretch that ends, then learn from it."""
-        stretch, ticks = join_stretches(self._stretch), len(self._stretch)
-        self._stretch.clear()
+        parts, self._stretch, self._stretch_time = self._stretch, [], 0.0
         self._news = True
-        if stretch.readable:
+        block, alike, coefficients = join([p.block for p in parts]), parts[0], self._coefficients()
+        if alike.readable:
             saved = None if self._saved is None else self._saved * self._speed.scale
-            self.running_fit.add(stretch.block, stretch.flow, self._coefficients(), saved)
+            self.running_fit.add(block, coefficients, saved)
         else:
             self.running_fit.restart()
-        self._learn(stretch, ticks)
-        if stretch.learns and self._delay.add(stretch.block, stretch.flow, self.delay):
+        if self._filter is None:
+            self._filter = StateVariableFilter(
+                self.structure, self.settings.filter.cutoff, block.h, self._arm
+            )
+        regression = self._filter.apply(
+            block,
+            edges([p.states for p in parts]),
+            self._speed.scale[0] if self._speed.enabled else None,
+            coefficients,
+            block.excitation if alike.injected else None,
+        )
+        if not alike.learns:
+            return
+        self._update(regression.means(), int(block.t_ns[-1]) * NS, len(parts))
+        if self._estimator.changes:
+            self.running_fit.forget()
+        if self._delay.add(block, self._sampler.delay):
             self._heed_delay()
 
     def _look_for_accelerometer(self, block: Block) -> None:
         """Leave out the flow angles while nothing tells of them."""
         if self._flow is None or self._has_accelerometer:
             return
-        before, self._has_accelerometer = self._has_accelerometer, _changes(block.specific_force)
+        force, before = block.specific_force, self._has_accelerometer
+        # A real one changes from sample to sample.
+        self._has_accelerometer = bool((force[1:] != force[:-1]).any())
         if before is None and not self._has_accelerometer:
             self._estimator.start = without_flow(self._start, self.structure)
         elif before is False and self._has_accelerometer:
             # What was learned without flow angles took their moments for something else.
-            self._stretch.clear()
+            self._stretch, self._stretch_time = [], 0.0
             self._estimator = self._make_estimator(self.settings, self._start)
             self._learned_time = 0.0
-
-    def _follow_flow(self, block: Block, coefficients: FloatArray) -> FlowSignals | None:
-        """Follow attitude and flow angles; None for a structure without them."""
-        if self._flow is None:
-            return None
-        speed = self._speed.newest if self._speed.enabled else None
-        return self._flow.follow(block, coefficients, speed)
 
     def _coefficients(self) -> FloatArray:
         """Coefficients at the airspeed flown, shape (R, n)."""
@@ -587,26 +601,6 @@ class OnlineIdentifier:
         self._saved = saved.values
         self.running_fit.save()
 
-    def _learn(self, stretch: Stretch, ticks: int) -> None:
-        """Learn from a stretch of some ticks."""
-        block = stretch.block
-        if self._filter is None:
-            self._filter = StateVariableFilter(
-                self.structure, self.settings.filter.cutoff, block.h, self._arm
-            )
-        scale = self._speed.scale[0] if self._speed.enabled else None
-        driven_by = block.excitation if stretch.injected else None
-        regression = self._filter.apply(
-            block, stretch.states, scale, stretch.flow, self._coefficients(), driven_by
-        )
-        t = int(block.t_ns[-1]) * NS
-        if not stretch.learns:
-            self._supervisor.follow(t, self._estimator, ticks, learned=False)
-            return
-        self._update(regression.means(), t, ticks)
-        if self._estimator.changes:
-            self.running_fit.forget()
-
     def _update(self, samples: Regression, t: float, ticks: int) -> None:
         """Update the coefficients with samples that end at `t` s."""
         estimator, supervisor = self._estimator, self._supervisor
@@ -617,7 +611,7 @@ class OnlineIdentifier:
         weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
         supervisor.confirm(white, self._layout, self._noise.variance, estimator.inputs)
         estimator.update(samples, rows, white, weight)
-        supervisor.follow(t, estimator, ticks, learned=True)
+        supervisor.follow(t, estimator, ticks)
 
     def _injected(self, block: Block) -> bool:
         """Whether the aircraft still answers inputs that were injected on purpose."""
@@ -642,9 +636,7 @@ class OnlineIdentifier:
             self._estimator.coefficients, x, u, force, dt, self.settings.model.leak_time
         )
         self._news = True
-        if self._supervisor.closed:
-            self._supervisor.follow(t_ns * NS, self._estimator, 1, learned=False)
-        else:
+        if not self._supervisor.closed:
             self._update(regression, t_ns * NS, 1)
         return True
 
@@ -678,11 +670,14 @@ class OnlineIdentifier:
         if not self._news:
             return
         self._news = False
-        denied = "" if self._warm else self._too_early()
+        denied = ""
+        if not self._warm and self._learned_time < JUDGED_FROM:
+            learned = int(self._learned_time)
+            denied = f"learned from {learned} s, {JUDGED_FROM:g} s are needed to judge"
         # What was known beforehand stands against a delay that inputs seem to have which answer
         # gusts; and without flow angles every gust looks like a late input.
         if self._flow is not None and not (self._warm and self._estimator.answers.any()):
-            denied = self.delay_estimate.contradiction(self.delay) or denied
+            denied = self._delay.estimate.contradiction(self._sampler.delay) or denied
         self._verdict = self._supervisor.judge(
             t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error,
             denied,
@@ -690,25 +685,14 @@ class OnlineIdentifier:
         if self.settings.supervision.plausibility:
             self._plausibility.judge(coefficients, sigma)
 
-    def _too_early(self) -> str:
-        """Return why a cold start cannot be judged yet; empty if it can."""
-        if self._learned_time >= JUDGED_FROM:
-            return ""
-        return f"learned from {int(self._learned_time)} s, {JUDGED_FROM:g} s are needed to judge"
-
     def _waiting(self, fed: bool) -> tuple[State, str] | None:
         """Return state word and reason while something is wrong or missing; None if not."""
-        fault = self.fault or self._estimator.problem or self._plausibility.fault
+        fault = self._intake.fault or self._estimator.problem or self._plausibility.fault
         if fault:
             return State.FAULT, fault
         if not fed:
             return State.WAITING, f"waiting for {self._sampler.waiting_for or 'samples'}"
         return None if self._speed.known else (State.WAITING, "waiting for airspeed")
-
-
-def _changes(force: FloatArray) -> bool:
-    """Whether a specific force changes from sample to sample, as every real one does."""
-    return bool((force[1:] != force[:-1]).any())
 
 
 _NO_FORCE = (0.0, 0.0, 0.0)

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.frames import lever_arm_matrix
-from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     EXOGENOUS_COLUMNS,
@@ -219,29 +219,6 @@ def off_centre(coefficients: FloatArray, lever: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(np.eye(3) + forces @ lever, coefficients))
 
 
-@dataclass(frozen=True)
-class FlowSignals:
-    """What the model with flow angles is run beside, at the edges of a block.
-
-    Parameters
-    ----------
-    angles : (m + 1, 2) array
-        Sideslip and angle of attack, rad.
-    down : (m + 1, 3) array
-        Unit vector that points down, body axes FRD.
-    airspeed : float
-        True airspeed, m/s.
-    """
-
-    angles: FloatArray
-    down: FloatArray
-    airspeed: float
-
-    def at_edges(self, x: FloatArray) -> FloatArray:
-        """Return the whole state at the edges, shape (m + 1, 8), with rates `x` (m + 1, 3)."""
-        return np.concatenate((x, self.angles, self.down), axis=1)
-
-
 class IdentifiedModel:
     """State of the identified model, run beside the aircraft (eq. (3)).
 
@@ -267,21 +244,7 @@ class IdentifiedModel:
         self.state: FloatArray = np.zeros(8 if structure.has_flow else 3)
         self.resets = 0
 
-    def effective(self, coefficients: FloatArray) -> FloatArray:
-        """Coefficients for specific forces as measured by the accelerometer where it is."""
-        return off_centre(coefficients, self._lever) if self._offset else coefficients
-
-    def measured(self, block: Block, flow: FlowSignals | None) -> FloatArray:
-        """Return the measured state at the edges of a block, shape (m + 1, 3 or 8)."""
-        return block.x if flow is None else flow.at_edges(block.x)
-
-    def run(
-        self,
-        coefficients: FloatArray,
-        block: Block,
-        flow: FlowSignals | None = None,
-        leak_time: float = 0.0,
-    ) -> FloatArray:
+    def run(self, coefficients: FloatArray, block: Block, leak_time: float = 0.0) -> FloatArray:
         """Advance the state over a block.
 
         Parameters
@@ -290,8 +253,6 @@ class IdentifiedModel:
             A_m.
         block : Block
             Measured signals over m cells.
-        flow : FlowSignals, optional
-            Flow angles and attitude; for a structure that has them.
         leak_time : float
             Time constant of the pull towards the measured state, s; 0 for none.
 
@@ -301,17 +262,15 @@ class IdentifiedModel:
             The state at the edges.
         """
         if block.restarted:
-            self.state = self.measured(block, flow)[0].copy()
-        states: FloatArray = self.propagate(coefficients, block, self.state, flow, leak_time)
+            self.state = block.state[0]
+        states = self.propagate(coefficients, block, self.state, leak_time)
         if diverged(states[-1].tolist()):
             self.resets += 1
-            states = self.measured(block, flow).copy()
+            states = block.state
         self.state = states[-1]
         return states
 
-    def respond(
-        self, coefficients: FloatArray, block: Block, flow: FlowSignals | None, leak_time: float
-    ) -> FloatArray:
+    def respond(self, coefficients: FloatArray, block: Block, leak_time: float) -> FloatArray:
         """Advance the response to the injected part of the inputs alone; parameters as in `run`.
 
         It starts at rest, without gravity and constants: what feedback and gusts do is not in it.
@@ -319,31 +278,27 @@ class IdentifiedModel:
         assert block.excitation is not None
         coefficients = coefficients.copy()
         coefficients[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1] = 0.0
+        still, flow = np.zeros_like, block.flow
+        if flow is not None:
+            flow = FlowSignals(still(flow.angles), still(flow.down), flow.airspeed)
         alone = replace(
             block,
-            x=np.zeros_like(block.x),
+            x=still(block.x),
             u=block.excitation,
-            specific_force=np.zeros_like(block.specific_force),
+            specific_force=still(block.specific_force),
+            flow=flow,
         )
-        if flow is not None:
-            still = np.zeros_like
-            flow = FlowSignals(still(flow.angles), still(flow.down), flow.airspeed)
-        return self.run(coefficients, alone, flow, leak_time)
+        return self.run(coefficients, alone, leak_time)
 
     def propagate(
-        self,
-        coefficients: FloatArray,
-        block: Block,
-        start: FloatArray,
-        flow: FlowSignals | None = None,
-        leak_time: float = 0.0,
+        self, coefficients: FloatArray, block: Block, start: FloatArray, leak_time: float = 0.0
     ) -> FloatArray:
         """Predict the state over a block from `start`; parameters as in `run`."""
-        a = self.effective(coefficients)
+        a = off_centre(coefficients, self._lever) if self._offset else coefficients
         leak = 1.0 / leak_time if leak_time > 0.0 else 0.0
-        drive = self._drive(a, block, flow)
+        drive = self._drive(a, block)
         if leak:
-            measured = self.measured(block, flow)
+            measured = block.state
             pull = leak * 0.5 * (measured[:-1] + measured[1:])
             drive[:, :3] += pull[:, :3]
             drive[:, 5:7] += pull[:, 3:5]
@@ -365,7 +320,8 @@ class IdentifiedModel:
         Parameters are those of `run`, with the inputs at the tick.
         """
         f = self._structure.regressor(self.state, u, force)
-        state = self.state + dt * (self.effective(coefficients) @ f)
+        a = off_centre(coefficients, self._lever) if self._offset else coefficients
+        state = self.state + dt * (a @ f)
         if leak_time > 0.0:
             state = state + min(dt / leak_time, 1.0) * (x - self.state)
         if diverged(state.tolist()):
@@ -377,12 +333,12 @@ class IdentifiedModel:
         """Set the state to the rates `x`."""
         self.state = np.array(x, dtype=np.float64)
 
-    def _drive(self, a: FloatArray, block: Block, flow: FlowSignals | None) -> FloatArray:
+    def _drive(self, a: FloatArray, block: Block) -> FloatArray:
         """Part of the model that does not depend on the state, a row for each cell."""
-        if flow is not None:
+        if block.flow is not None:
             drive = np.zeros((len(block.u), 11))
             drive[:, :7] = block.u @ a[:, INPUT_COLUMNS].T + a[:, CONSTANT_COLUMN]
-            drive[:, 7] = 1.0 / flow.airspeed
+            drive[:, 7] = 1.0 / block.flow.airspeed
             return drive
         exogenous = a[:, EXOGENOUS_COLUMNS]
         rates_drive: FloatArray = block.u @ exogenous[:, :4].T

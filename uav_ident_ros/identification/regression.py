@@ -16,7 +16,7 @@ angle::
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Self
 
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.filters import BlockFilter, low_pass
 from uav_ident_ros.identification.frames import lever_arm_matrix
-from uav_ident_ros.identification.model import GRAVITY, FlowSignals
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
@@ -144,7 +144,7 @@ def layout(structure: Structure) -> Layout:
     return Layout(len(rows), size, index, place, used)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Regression:
     """Samples of the regression problem.
 
@@ -189,7 +189,6 @@ class Regression:
         return np.asarray(self.y - self.f @ coefficients.T)
 
 
-@dataclass(frozen=True)
 class RowSamples:
     """Samples of the regression problem with what belongs to each row, side by side.
 
@@ -199,56 +198,34 @@ class RowSamples:
         Residual, y, the k regressors and the k instruments of each row; 0 where unused.
     dt : float
         Time that each sample stands for, s.
+
+    Attributes
+    ----------
+    residual, y : (..., rows, m) array
+        What the coefficients before left of y, and y: what is explained.
+    f, z : (..., rows, m, k) array
+        Regressors and instruments.
+    width, count : int
+        Numbers k and m.
+    time : float
+        Time that all samples together stand for, s.
     """
 
-    signals: FloatArray
-    dt: float
+    def __init__(self, signals: FloatArray, dt: float) -> None:
+        self.signals, self.dt = signals, dt
+        self.count, self.width = signals.shape[-2], signals.shape[-1] // 2 - 1
+        self.time = dt * self.count
+        self.residual, self.y = signals[..., 0], signals[..., 1]
+        self.f, self.z = signals[..., 2 : 2 + self.width], signals[..., 2 + self.width :]
 
     @classmethod
     def of(cls, samples: Regression, residual: FloatArray, layout: Layout) -> Self:
         """Return samples with residuals (m, rows), picked by the layout of their problem."""
-        k, used = layout.width, layout.used[:, None, :]
-        signals = np.empty((layout.rows, len(residual), 2 + 2 * k))
-        signals[:, :, 0], signals[:, :, 1] = residual.T, samples.y.T
-        f, z = signals[:, :, 2 : 2 + k], signals[:, :, 2 + k :]
-        np.multiply(samples.f.T[layout.index].transpose(0, 2, 1), used, out=f)
-        np.multiply(samples.z.T[layout.index].transpose(0, 2, 1), used, out=z)
-        return cls(signals, samples.dt)
-
-    @property
-    def width(self) -> int:
-        """Number k of regressors, and of instruments."""
-        return self.signals.shape[-1] // 2 - 1
-
-    @property
-    def residual(self) -> FloatArray:
-        """What the coefficients before left of y, (..., rows, m)."""
-        return self.signals[..., 0]
-
-    @property
-    def y(self) -> FloatArray:
-        """What is explained, (..., rows, m)."""
-        return self.signals[..., 1]
-
-    @property
-    def f(self) -> FloatArray:
-        """Regressors, (..., rows, m, k)."""
-        return self.signals[..., 2 : 2 + self.width]
-
-    @property
-    def z(self) -> FloatArray:
-        """Instruments, (..., rows, m, k)."""
-        return self.signals[..., 2 + self.width :]
-
-    @property
-    def count(self) -> int:
-        """Number m of samples."""
-        return self.signals.shape[-2]
-
-    @property
-    def time(self) -> float:
-        """Time that all samples together stand for, s."""
-        return self.dt * self.signals.shape[-2]
+        rows = cls(np.empty((layout.rows, len(residual), 2 + 2 * layout.width)), samples.dt)
+        rows.residual[:], rows.y[:] = residual.T, samples.y.T
+        for into, part in ((rows.f, samples.f), (rows.z, samples.z)):
+            np.multiply(part.T[layout.index].swapaxes(1, 2), layout.used[:, None], out=into)
+        return rows
 
     @classmethod
     def join(cls, parts: Sequence[RowSamples], newest: int) -> Self:
@@ -256,17 +233,17 @@ class RowSamples:
         signals = np.concatenate([part.signals for part in parts], axis=-2)
         return cls(signals[..., max(signals.shape[-2] - newest, 0) :, :], parts[-1].dt)
 
-    def times(self, share: float) -> Self:
+    def times(self, share: float) -> RowSamples:
         """Return the samples with their instruments times `share`."""
-        signals = self.signals.copy()
-        signals[..., 2 + self.width :] *= share
-        return replace(self, signals=signals)
+        rows = RowSamples(self.signals.copy(), self.dt)
+        rows.z[:] *= share
+        return rows
 
-    def uninstrumented(self) -> Self:
+    def uninstrumented(self) -> RowSamples:
         """Return the samples with the regressors as their own instruments."""
-        signals = self.signals.copy()
-        signals[..., 2 + self.width :] = self.f
-        return replace(self, signals=signals)
+        rows = RowSamples(self.signals.copy(), self.dt)
+        rows.z[:] = rows.f
+        return rows
 
 
 @lru_cache(maxsize=64)
@@ -319,7 +296,6 @@ class StateVariableFilter:
         block: Block,
         model_states: FloatArray,
         scale: FloatArray | None = None,
-        flow: FlowSignals | None = None,
         coefficients: FloatArray | None = None,
         driven_by: FloatArray | None = None,
     ) -> Regression:
@@ -334,8 +310,6 @@ class StateVariableFilter:
         scale : (n,) array, optional
             Factor of each of the structure's regressors in the moment rows at the airspeed flown;
             one if left out.
-        flow : FlowSignals, optional
-            Flow angles and attitude; for a structure that has them.
         coefficients : (R, n) array, optional
             Those that the model ran with: they say what forces it makes.
         driven_by : (m, 4) array, optional
@@ -343,7 +317,7 @@ class StateVariableFilter:
             instruments are to be free of feedback; all of them if left out.
         """
         inputs = block.u if driven_by is None else driven_by
-        left, right = self._edges(block, model_states, inputs, flow, coefficients)
+        left, right = self._edges(block, model_states, inputs, coefficients)
         if scale is not None:
             self._scale(left, scale)
             self._scale(right, scale)
@@ -352,16 +326,15 @@ class StateVariableFilter:
             self._filter.state[0, : self._y] = left[0, : self._y]
         states = without_negligible(self._filter.apply(left, right))
         injected = driven_by is not None
-        if flow is None:
+        if block.flow is None:
             return self._moments(states, block, injected=injected)
-        return self._with_forces(states, block, flow, scale, injected=injected)
+        return self._with_forces(states, block, block.flow.airspeed, scale, injected=injected)
 
     def _edges(
         self,
         block: Block,
         model_states: FloatArray,
         driven_by: FloatArray,
-        flow: FlowSignals | None,
         coefficients: FloatArray | None,
     ) -> tuple[FloatArray, FloatArray]:
         """Signals at the left and the right edges of the cells."""
@@ -377,6 +350,7 @@ class StateVariableFilter:
         if n > CONSTANT_COLUMN:
             f[:, LAST_COLUMNS] = block.force
         z[:, STATE_COLUMNS] = both[points:, STATE_COLUMNS]
+        flow = block.flow
         if flow is None:
             left, right = edges[:-1].copy(), edges[1:]
         else:
@@ -426,7 +400,7 @@ class StateVariableFilter:
         self,
         states: FloatArray,
         block: Block,
-        flow: FlowSignals,
+        airspeed: float,
         scale: FloatArray | None,
         *,
         injected: bool,
@@ -453,7 +427,7 @@ class StateVariableFilter:
             y = y.copy()
             offset = y[:, :3] @ self._lever.T
             f[:, LAST_COLUMNS] -= offset
-            f[:, kinematics] -= offset / flow.airspeed
+            f[:, kinematics] -= offset / airspeed
             y[:, 3:] -= self._jerk(low, slope, block) @ self._lever.T
         return Regression(y, f, z, block.h, block.restarted, injected)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from uav_ident_ros.identification.model import FlowSignals, IdentifiedModel, bounded
+from uav_ident_ros.identification.model import IdentifiedModel, bounded
 from uav_ident_ros.identification.sampling import Block, join
 from uav_ident_ros.identification.structure import FloatArray, Structure
 
@@ -89,7 +89,6 @@ class RunningFit:
     def add(
         self,
         block: Block,
-        flow: FlowSignals | None,
         coefficients: FloatArray,
         saved: FloatArray | None,
     ) -> None:
@@ -99,8 +98,6 @@ class RunningFit:
         ----------
         block : Block
             Signals.
-        flow : FlowSignals or None
-            Flow angles and attitude; for a structure that has them.
         coefficients : (R, n) array
             Coefficients in use when the block began.
         saved : (R, n) array or None
@@ -109,8 +106,7 @@ class RunningFit:
         if block.restarted:
             self.restart()
         if not self._parts:
-            self._coefficients, self._saved, self._flow = coefficients, saved, flow
-            self._start = self._model.measured(block, flow)[0]
+            self._coefficients, self._saved = coefficients, saved
         self._parts.append(block)
         self._time += block.time
         if self._time >= PREDICTION_TIME - 0.5 * block.h:
@@ -148,7 +144,7 @@ class RunningFit:
 
     def _error(self, second: Block, coefficients: FloatArray) -> FloatArray:
         """Sum of the squared errors of a prediction, shape (3,)."""
-        states = self._model.propagate(coefficients, second, self._start, self._flow)
+        states = self._model.propagate(coefficients, second, second.state[0])
         return np.asarray(((second.x - bounded(states)[:, :3])[1:] ** 2).sum(axis=0))
 
 

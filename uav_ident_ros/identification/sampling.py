@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -40,11 +41,32 @@ STEADY_SPREAD = 1.5
 STALE_LOOK = 10
 """Ticks between two looks at how often the inputs come: their rate does not change in flight."""
 
+Edges = TypeVar("Edges", TimeArray, FloatArray)
+
 STEADY_RATE = 0.1
 """Mean and standard deviation of the rates below which flight is steady, rad/s."""
 
 
-@dataclass(frozen=True)
+@dataclass
+class FlowSignals:
+    """What the model with flow angles is run beside, at the edges of a block.
+
+    Parameters
+    ----------
+    angles : (m + 1, 2) array
+        Sideslip and angle of attack, rad.
+    down : (m + 1, 3) array
+        Unit vector that points down, body axes FRD.
+    airspeed : float
+        True airspeed, m/s.
+    """
+
+    angles: FloatArray
+    down: FloatArray
+    airspeed: float
+
+
+@dataclass
 class Block:
     """Signals over m consecutive cells of the grid, body axes FRD."""
 
@@ -57,11 +79,19 @@ class Block:
     restarted: bool  # Whether the first edge does not continue the block before
     # (m, 4) The part of `u` that was injected on purpose; None before there was any
     excitation: FloatArray | None = None
+    flow: FlowSignals | None = None  # For a structure with flow angles, once they are observed
 
     @property
     def force(self) -> FloatArray:
         """Specific forces ay, az at the edges, m/s^2, shape (m + 1, 2)."""
         return self.specific_force[:, 1:]
+
+    @property
+    def state(self) -> FloatArray:
+        """Measured state of the model at the edges, shape (m + 1, 3), or (m + 1, 8) with flow."""
+        if self.flow is None:
+            return self.x
+        return np.concatenate((self.x, self.flow.angles, self.flow.down), axis=1)
 
     @property
     def time(self) -> float:
@@ -71,24 +101,60 @@ class Block:
 
 def join(blocks: Sequence[Block]) -> Block:
     """Make one block of blocks that continue one another."""
-    first, rest = blocks[0], blocks[1:]
+    if len(blocks) == 1:
+        return blocks[0]
+    first, excitation, flow = blocks[0], None, None
+    if any(block.excitation is not None for block in blocks):
+        parts = [np.zeros_like(b.u) if b.excitation is None else b.excitation for b in blocks]
+        excitation = np.concatenate(parts)
+    if flows := [block.flow for block in blocks if block.flow is not None]:
+        angles, down = edges([f.angles for f in flows]), edges([f.down for f in flows])
+        flow = FlowSignals(angles, down, flows[0].airspeed)
     return Block(
-        np.concatenate([first.t_ns, *(block.t_ns[1:] for block in rest)]),
+        edges([block.t_ns for block in blocks]),
         first.h,
-        np.concatenate([first.x, *(block.x[1:] for block in rest)]),
+        edges([block.x for block in blocks]),
         np.concatenate([block.u for block in blocks]),
-        np.concatenate([first.specific_force, *(block.specific_force[1:] for block in rest)]),
+        edges([block.specific_force for block in blocks]),
         first.restarted,
-        _join_excitation(blocks),
+        excitation,
+        flow,
     )
 
 
-def _join_excitation(blocks: Sequence[Block]) -> FloatArray | None:
-    if all(block.excitation is None for block in blocks):
-        return None
-    return np.concatenate(
-        [np.zeros_like(b.u) if b.excitation is None else b.excitation for b in blocks]
-    )
+def edges(parts: Sequence[Edges]) -> Edges:
+    """Return the values at the edges of all cells, from those of blocks that share an edge."""
+    return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
+
+
+@dataclass
+class Stretch:
+    """A block, and what the identifier made of it; those alike are learned from at once.
+
+    Parameters
+    ----------
+    block : Block
+        Measured signals over m cells.
+    states : (m + 1, 3 or 8) array
+        State of the identified model at the edges.
+    learns : bool
+        Whether the gates let it be learned from.
+    readable : bool
+        Whether it may be scored.
+    injected : bool
+        Whether the states are the response to what was injected on purpose alone.
+    """
+
+    block: Block
+    states: FloatArray
+    learns: bool
+    readable: bool
+    injected: bool
+
+    def continued_by(self, other: Stretch) -> bool:
+        """Whether another one may be joined to it."""
+        alike = (self.learns, self.readable, self.injected)
+        return not other.block.restarted and alike == (other.learns, other.readable, other.injected)
 
 
 class Sampler:

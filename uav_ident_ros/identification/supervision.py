@@ -205,10 +205,8 @@ class Supervisor:
         """Rows that learn, shape (3,)."""
         return self._learned & (not self.closed)
 
-    def follow(self, t: float, estimator: Estimator, ticks: int, *, learned: bool) -> None:
+    def follow(self, t: float, estimator: Estimator, ticks: int) -> None:
         """Take note of what the estimator made of a stretch of some ticks that ends at `t` s."""
-        if not learned:
-            return
         self._learned = estimator.learning
         within, learned_rows = self._within.tolist(), self._learned.tolist()
         quiet = sum(w and not row for w, row in zip(within, learned_rows, strict=True))
