@@ -21,7 +21,7 @@ from repository import ROOT, console_scripts, setup_arguments
 
 from uav_ident_ros.commandline import USAGE_ERROR
 from uav_ident_ros.domain import own_domain
-from uav_ident_ros.node.saving import FINISH_WITHIN
+from uav_ident_ros.node.memory import FINISH_WITHIN
 
 PACKAGE = "uav_ident_ros"
 SPDX = "SPDX-License-Identifier: Apache-2.0"

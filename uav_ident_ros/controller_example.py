@@ -35,8 +35,7 @@ from uav_ident_ros.control import Effect, Gains, Law, RateController
 from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.node.ending import Ending
-from uav_ident_ros.node.program import run, spin
-from uav_ident_ros.node.usage import node_usage
+from uav_ident_ros.node.program import node_usage, run, spin
 from uav_ident_ros.ros import stamp_ns
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])

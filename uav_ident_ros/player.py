@@ -175,7 +175,6 @@ class Player(Guest):
             self._clock.publish(Clock(clock=to_stamp(t_ns)))
 
     def _advance_clock(self, t_ns: int) -> None:
-        """Publish a time on /clock unless it is there already."""
         if t_ns > self._clock_ns:
             self.send_clock(t_ns)
 

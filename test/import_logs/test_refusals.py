@@ -418,7 +418,7 @@ def test_it_is_refused_in_one_line(number: int, tmp_path: Path, capsys, out) -> 
 
 
 def test_the_example_of_the_help_is_a_good_map(tmp_path: Path) -> None:
-    from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
+    from uav_ident_ros.import_logs.csv_table import EXAMPLE, load_column_map
 
     (tmp_path / "columns.yaml").write_text(EXAMPLE, encoding="utf-8")
     assert load_column_map(tmp_path / "columns.yaml").airspeed.columns == ("tas",)

@@ -23,9 +23,8 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.node import saving
-from uav_ident_ros.node.memory import Memory, in_words, state_path
-from uav_ident_ros.node.saving import Saver
+from uav_ident_ros.node import memory
+from uav_ident_ros.node.memory import Memory, Saver, in_words, state_path
 
 STRUCTURE = STRUCTURES["augmented"]
 NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
@@ -39,7 +38,7 @@ def coefficients(value: float, structure: str = "augmented") -> CoefficientSet:
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for the disk: on a busy machine a file takes longer than the node would."""
-    monkeypatch.setattr(saving, "ANSWER_WITHIN", 30.0)
+    monkeypatch.setattr(memory, "ANSWER_WITHIN", 30.0)
 
 
 class Vehicle:

@@ -27,9 +27,8 @@ from uav_ident_ros.report.charts import (
     signal_charts,
     state_chart,
 )
-from uav_ident_ros.report.flight import Flight, collect
+from uav_ident_ros.report.flight import Flight, Predictions, collect, predict
 from uav_ident_ros.report.page import _embed
-from uav_ident_ros.report.predictions import Predictions, predict
 from uav_ident_ros.report.style import COLORS, REGRESSORS, SERIES
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
 

@@ -134,7 +134,6 @@ class SalvageReader:
         return True
 
     def _take(self, records: Iterable[McapRecord]) -> None:
-        """Take definitions, topics and messages."""
         from mcap.records import Channel, Message, Schema
 
         for record in records:

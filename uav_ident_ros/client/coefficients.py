@@ -179,7 +179,6 @@ class Coefficients:
 
 
 def _structure_of(names: set[str]) -> Structure:
-    """Return the structure that has just these coefficients."""
     for structure in STRUCTURES.values():
         if set(structure.names) == names:
             return structure

@@ -151,7 +151,6 @@ class CoefficientSource:
         return model
 
     def _spare(self) -> tuple[Coefficients | None, BoolArray]:
-        """Coefficients of the fallback, and which of them may be acted on."""
         match self.fallback:
             case Fallback.LAST_GOOD if self._good is not None:
                 return self._good, self._good_known

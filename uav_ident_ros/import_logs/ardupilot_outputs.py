@@ -73,7 +73,6 @@ def pin_fields(messages: Messages, first: int = 1) -> dict[int, str]:
 
 
 def _explained(log: Log) -> bool:
-    """Whether the parameters say what some pin moves."""
     functions = {
         v for name, v in log.parameters.items() if re.fullmatch(r"SERVO\d+_FUNCTION", name)
     }
@@ -107,7 +106,6 @@ def _pins(it: Import, first: Messages) -> Actuators:
 
 
 def _channels(log: Log, functions: dict[int, int]) -> tuple[Channel, ...]:
-    """Meaning of each pin."""
     every = list(functions.values())
     rotors = _rotors(log, every)
     throttles = sum(function in THROTTLES for function in every)

@@ -334,7 +334,6 @@ class Import:
         return np.where(np.isfinite(ratio), ratio, 1.0)
 
     def _lever_arm(self) -> tuple[float, float, float]:
-        """Read the accelerometer's place, m, FRD."""
         prefix = self.table["parameters"]["lever_arm"].format(self.choice.rates_instance + 1)
         x, y, z = (self.log.parameter(f"{prefix}{axis}") for axis in "XYZ")
         if any((x, y, z)):

@@ -15,8 +15,7 @@ import numpy as np
 from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser
 from uav_ident_ros.import_logs import blackbox, dataflash, px4_log
 from uav_ident_ros.import_logs.ardupilot import read_ardupilot
-from uav_ident_ros.import_logs.column_map import EXAMPLE, load_column_map
-from uav_ident_ros.import_logs.csv_table import read_csv
+from uav_ident_ros.import_logs.csv_table import EXAMPLE, load_column_map, read_csv
 from uav_ident_ros.import_logs.flight_log import (
     LONGEST_TITLE,
     TRIMS,

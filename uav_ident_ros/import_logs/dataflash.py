@@ -62,8 +62,6 @@ class _Format:
 
 
 class _Walker:
-    """Finds the messages of a file."""
-
     def __init__(self, data: mmap.mmap) -> None:
         self._data, self._size = data, len(data)
         self.formats: dict[int, _Format] = {}  # Types, by their number

@@ -88,7 +88,6 @@ def _trim(log: FlightLog, trim: str) -> list[float]:
 
 
 def _airspeed(log: FlightLog, use: bool | None) -> dict[str, Any]:
-    """Return which airspeed counts, and say so."""
     if use and "airspeed" not in log.streams:
         raise ImportLogError(f"log '{log.path}' has no airspeed: leave --airspeed out")
     values: dict[str, Any] = {}
@@ -149,7 +148,6 @@ def findings_by_title(log: FlightLog, parameters: dict[str, Any]) -> dict[str, l
 
 
 def _inputs_in_words(log: FlightLog, parameters: dict[str, Any]) -> list[str]:
-    """Say what each used channel is and how the inputs come about from them."""
     channels = [channel for _, channel in log.used]
     lines = []
     for channel, trim in zip(channels, parameters["actuators.trim"], strict=True):

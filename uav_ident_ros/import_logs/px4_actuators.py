@@ -147,7 +147,6 @@ def _allocated(it: Import, _: Messages) -> Actuators:
 
 
 def _motors(log: Log, count: int) -> list[Channel]:
-    """Meaning of the entries of actuator_motors."""
     rotors = min(int(log.parameter("CA_ROTOR_COUNT")), count)
     airframe = log.parameters.get("CA_AIRFRAME")
     effects = [NO_EFFECT] * count
@@ -275,7 +274,6 @@ def _outputs(it: Import, topic: Messages) -> Actuators:
 
 
 def _by_function(log: Log, functions: list[int], prefix: str) -> list[Channel]:
-    """Meaning of pins whose functions are parameters."""
     motors = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
     servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
     channels = []

@@ -153,7 +153,6 @@ class _Walker:
     # -- what a message is -------------------------------------------------------------------
 
     def _header(self, at: int) -> tuple[int, str]:
-        """Return the size of a message's content and its type."""
         size, kind = struct.unpack("<HB", self._data[at : at + MESSAGE_HEADER])
         return size, chr(kind)
 
@@ -294,7 +293,6 @@ class _Walker:
 
 
 def _entry(content: bytes) -> tuple[str, str, bytes]:
-    """Return type, name and value of a fact or parameter."""
     end = 1 + content[0]
     kind, _, name = _text(content[1:end]).partition(" ")
     return kind, name, content[end:]

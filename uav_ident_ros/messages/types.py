@@ -169,7 +169,6 @@ PX4_ARMING_STATE_ARMED = 2
 
 
 def _plain(stamp: Stamp | None, value: Callable[[Any], Any]) -> Callable[[Any], Reading]:
-    """Return a reader of one value."""
     return lambda message: (stamp(message) if stamp else None, value(message))
 
 

@@ -153,7 +153,6 @@ def _row(heard: Heard, row: str, glyphs: Glyphs, sparks: bool) -> RenderableType
 
 
 def _grid(widths: Sequence[int]) -> Table:
-    """Return an empty table: a name, and numbers right of it."""
     table = Table.grid(padding=(0, GAP, 0, 0))
     for cell, width in enumerate(widths):
         table.add_column(justify="right" if cell else "left", width=width, no_wrap=True)
@@ -161,7 +160,6 @@ def _grid(widths: Sequence[int]) -> Table:
 
 
 def _kinematics(heard: Heard) -> Table:
-    """Return what the kinematics miss, by its full name, without trend."""
     table = _grid((LONGEST_NAME, *CELL_WIDTHS[1:3]))
     table.add_row(Text("kinematics", "bold"))
     for coefficient in heard.coefficients():
@@ -251,7 +249,6 @@ def _inputs(heard: Heard) -> Iterator[RenderableType]:
 
 
 def _state(name: str, value: float) -> str:
-    """Return a state with its unit: a speed, or an angle."""
     if name == AIRSPEED:
         return f"{name} {value:.1f} m/s"
     return f"{name} {math.degrees(value):+.1f}°"

@@ -12,8 +12,7 @@ def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status: 2 if it was started wrongly."""
     ending = Ending()  # before the imports, which take a second
     from uav_ident_ros.node.identifier_node import IdentifierNode, work
-    from uav_ident_ros.node.program import run
-    from uav_ident_ros.node.usage import identifier_usage
+    from uav_ident_ros.node.program import identifier_usage, run
 
     argv = sys.argv if args is None else args
     return run(

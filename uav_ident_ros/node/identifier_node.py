@@ -24,7 +24,6 @@ from uav_ident_ros.identification.intake import EXCITATION
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.node import diagnostics
-from uav_ident_ros.node.clock import ClockWatch
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.excite import Excite
 from uav_ident_ros.node.inputs import Inputs
@@ -33,7 +32,7 @@ from uav_ident_ros.node.notices import Guard, OnChange, Throttle
 from uav_ident_ros.node.outputs import Outputs
 from uav_ident_ros.node.parameters import Changes, declare, settings_of
 from uav_ident_ros.node.program import spin
-from uav_ident_ros.node.waiting import Waiting
+from uav_ident_ros.node.waiting import ClockWatch, Waiting
 from uav_ident_ros.ros import RELIABLE
 
 DIAGNOSTICS_PERIOD = 1.0
@@ -193,7 +192,6 @@ class IdentifierNode(Node):
         return self._excite.on_request(request, response)
 
     def _failed(self, _: object, response: Response) -> Response:
-        """Answer a call that ended in an error."""
         response.success = False
         response.message = self._guard.problem
         return response
@@ -264,7 +262,6 @@ class IdentifierNode(Node):
         )
 
     def _groups(self) -> dict[str, list[tuple[str, str]]]:
-        """Return everything worth showing, by group."""
         settings = self.identifier.settings
         groups = {
             "": [

@@ -152,6 +152,5 @@ class Inputs:
         return lambda stamp_ns, values, arrival_ns: arrivals.add(stamp_ns, arrival_ns, values)
 
     def _warn(self, monitor: InputMonitor, reason: str, detail: str) -> None:
-        """Say why a message was dropped, unless that was said just now."""
         topic = monitor.topic
         self._warnings.notice((topic, reason), lambda: f"'{topic}': message dropped: {detail}")

@@ -3,18 +3,146 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 import sys
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import rclpy
+import rclpy.logging
+from rclpy.exceptions import (
+    InvalidParameterException,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    NameValidationException,
+)
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
+from rclpy.qos_overriding_options import InvalidQosOverridesError
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
 
 from uav_ident_ros.commandline import USAGE_ERROR
+from uav_ident_ros.files.coefficients_file import CoefficientsFileError
+from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError
+from uav_ident_ros.files.parameter_template import written
+from uav_ident_ros.identification.settings import Setting, SettingsError, declarations
+from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.node.ending import Ending
-from uav_ident_ros.node.startup import REFUSALS, explain, parameter_sources, start
+from uav_ident_ros.node.notices import without_sources
+
+
+class UsageError(Exception):
+    """The command line holds something that is not for this program."""
+
+
+REFUSALS = (
+    UsageError,
+    SettingsError,
+    MessageTypeError,
+    CoefficientsFileError,
+    ParameterFileError,
+    InvalidParameterException,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    InvalidQosOverridesError,
+    NameValidationException,
+    rclpy_implementation.RCLError,
+    rclpy_implementation.UnknownROSArgsError,
+)
+"""What a wrong command line, parameter or file raises before the node runs."""
+
+
+def start(
+    argv: Sequence[str],  # Program name and arguments
+) -> None:
+    """Initialise ROS with the command line; signals stay with the program's `Ending`.
+
+    Raises
+    ------
+    UsageError
+        If there is an argument that is not for ROS.
+    RCLError
+        If ROS refuses its arguments or a parameter file.
+    """
+    stray = remove_ros_args(list(argv))[1:]
+    if stray:
+        raise UsageError(
+            f"unknown argument '{stray[0]}': parameters are given as "
+            "--ros-args --params-file FILE, or --ros-args -p NAME:=VALUE"
+        )
+    # rcl logs that it failed, without saying why: `explain` says it, once.
+    rclpy.logging.set_logger_level("rcl", LoggingSeverity.FATAL)
+    rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.logging.set_logger_level("rcl", LoggingSeverity.UNSET)
+
+
+def parameter_sources(
+    argv: Sequence[str],  # The command line
+    node: str,  # Full name of the node
+) -> Iterator[str]:
+    """Yield a line for each parameter file of the command line: which sections are for `node`.
+
+    Raises
+    ------
+    ParameterFileError
+        If a file has nothing for the node: it would run on its defaults without a word.
+    """
+    for option, path in itertools.pairwise(argv):
+        if option == "--params-file":
+            sections = ParameterFile.read(path).sections_for(node)
+            if sections:
+                yield f"parameters of '{path}', section {', '.join(sections)}"
+
+
+def explain(
+    error: Exception,  # One of `REFUSALS`
+    argv: Sequence[str],  # The command line: it names the parameter files
+) -> str:
+    """Say in one line what is wrong and what would be right."""
+    if isinstance(error, rclpy_implementation.UnknownROSArgsError):
+        return f"unknown ROS arguments {error}"
+    if isinstance(error, rclpy_implementation.RCLError):
+        return _explain_rcl(str(error), argv)
+    if isinstance(error, InvalidParameterTypeException):
+        return _explain_type(str(error))
+    return " ".join(str(error).split())
+
+
+def _explain_type(message: str) -> str:
+    """Turn what rclpy says about a parameter that it declares itself into a fix."""
+    parts = re.search(r"'(.*?)' to '(.*)' of type '\w+', expecting type '(\w+)'", message)
+    if parts is None:
+        return message
+    name, value, wanted = parts.groups()
+    return f"'{name}' is {value}: {_FIXES.get(wanted, f'a {wanted} is needed')}"
+
+
+_FIXES = {"BOOL": "write true or false, without quotes", "INTEGER": "write a whole number"}
+
+
+def _explain_rcl(message: str, argv: Sequence[str]) -> str:
+    """Turn what rcl says into what the user can mend."""
+    quoted = re.search(r"'(-p|--param|--params-file) (.*?)'\. Error: (.*)", message)
+    if quoted is None:
+        return without_sources(message)
+    option, text, reason = quoted.groups()
+    if option == "--params-file":
+        try:
+            ParameterFile.read(text)
+        except ParameterFileError as found:  # says what is wrong better than rcl does
+            return str(found)
+    reason = without_sources(reason)
+    if "same type" in reason:
+        reason += ": write every number of a list with a decimal point, like [1.0, 0.5]"
+    what = "parameter file" if option == "--params-file" else "parameter"
+    return f"{what} '{text}': {reason}"
+
 
 SPIN_TIME = 0.1
 """Seconds that the executor may go on before the program looks whether it was asked to end."""
@@ -81,3 +209,41 @@ def make_executor(simulated_time: bool) -> Executor:
         else:
             return EventsExecutor()
     return SingleThreadedExecutor()
+
+
+ROS_ARGUMENTS = "[--ros-args [--params-file FILE] [-p NAME:=VALUE] [-r FROM:=TO] ...]"
+
+HEAD = f"""\
+usage: identifier {ROS_ARGUMENTS}
+
+Identify the attitude dynamics of an unmanned aircraft while it flies.
+
+topics in:   imu/data, actuators, excitation; airspeed and armed if their type is set
+topics out:  ~/coefficients_named, ~/coefficients, ~/predicted_rates, ~/prediction_error,
+             ~/excitation, /diagnostics
+services:    ~/reset, ~/save, ~/adapt, ~/excite
+exit status: 0, it was asked to end; 2, it was started wrongly, and one line says how
+
+parameters, with their defaults:"""
+
+
+def identifier_usage() -> str:
+    """Return the text of the identifier: how it is started, what it speaks, every parameter."""
+    return "\n".join((HEAD, *map(_entry, declarations())))
+
+
+def node_usage(
+    name: str,  # Of the program
+    text: str,  # What it does; the docstring of its module
+    parameters: Mapping[str, Any],  # Names and defaults
+) -> str:
+    """Return the text of another node of this package."""
+    head = f"usage: {name} {ROS_ARGUMENTS}\n\n{text.strip()}\n\nparameters, with their defaults:"
+    return "\n".join((head, *(f"  {key} = {written(value)}" for key, value in parameters.items())))
+
+
+def _entry(setting: Setting) -> str:
+    unit = f" {setting.unit}" if setting.unit else ""
+    lines = textwrap.wrap(setting.description, 76)
+    meaning = textwrap.indent("\n".join(lines), " " * 6)
+    return f"  {setting.name} = {written(setting.default)}{unit}\n{meaning}"

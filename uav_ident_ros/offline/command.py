@@ -65,7 +65,6 @@ def _job(options: argparse.Namespace, bag: Path, name: str, folder: Path) -> Job
 
 
 def _one(options: argparse.Namespace) -> int:
-    """Replay one bag and print its results."""
     (bag,) = options.bags
     name = bag.resolve().stem
     folder = options.output or Path(DEFAULT_FOLDER.format(name))
@@ -78,7 +77,6 @@ def _one(options: argparse.Namespace) -> int:
 
 
 def _many(options: argparse.Namespace) -> int:
-    """Replay several bags and print one line for each."""
     bags = [bag for path in options.bags for bag in _bags_of(path, len(options.bags) > 1)]
     jobs = []
     for bag, name in zip(bags, names_of(bags), strict=True):
@@ -106,7 +104,6 @@ def _bags_of(path: Path, one_of_several: bool) -> list[Path]:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    """Replay one bag with several configurations and rank them."""
     (bag,) = options.bags
     name = bag.resolve().stem
     folder = options.output or Path(DEFAULT_FOLDER.format(name))

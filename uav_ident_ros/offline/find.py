@@ -53,7 +53,6 @@ def _found_in(folder: Path) -> list[Path]:
 
 
 def _below(folder: Path) -> list[Path]:
-    """Return the bags in the folders of a folder."""
     return [
         bag
         for entry in sorted(folder.iterdir())

@@ -150,7 +150,6 @@ def read_flights(path: Path) -> list[FlightRow]:
 
 
 def _row(entry: dict[str, str]) -> FlightRow:
-    """Return a row of a CSV file."""
     kinds: dict[str, Any] = {"str": str, "int": int, "float": float}
     values: dict[str, Any] = {}
     for column in fields(FlightRow):

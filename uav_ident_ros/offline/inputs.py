@@ -113,7 +113,6 @@ def candidates(bag: Bag, types: tuple[str, ...]) -> list[str]:
 
 
 def _described(bag: Bag, topic: str) -> str:
-    """Return a topic with what helps to choose it."""
     count = bag.counts[topic]
     seconds = (bag.end_ns - bag.start_ns) * NS
     rate = f", {count / seconds:.0f} Hz" if seconds > 0.0 else ""

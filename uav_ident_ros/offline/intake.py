@@ -217,7 +217,6 @@ class Intake:
             begin = stop
 
     def _take_one(self, message: Message) -> None:
-        """Take one message of any stream."""
         stream = self._stream_of[message.topic]
         self._received[stream] += 1
         try:

@@ -28,7 +28,7 @@ from uav_ident_ros.offline.progress import Progress
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.status import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 from uav_ident_ros.offline.summary import Replayed
-from uav_ident_ros.offline.table import write_table
+from uav_ident_ros.offline.tables import write_table
 from uav_ident_ros.report.page import write_report
 
 REFUSALS = (
@@ -165,7 +165,6 @@ def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun,
 
 
 def _why_nothing(run: OfflineRun) -> str:
-    """Say what became of the rates of a bag that gave no estimate."""
     rates = run.refusals("rates")
     topic = run.inputs.streams["rates"]
     if not rates.dropped:

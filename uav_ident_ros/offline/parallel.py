@@ -105,7 +105,6 @@ def _pool(workers: int) -> Iterator[Executor]:
 
 @contextmanager
 def _cluster(scheduler: str) -> Iterator[Executor]:
-    """Connect to a Dask scheduler."""
     try:
         from distributed import Client
     except ImportError:

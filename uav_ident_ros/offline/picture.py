@@ -14,8 +14,7 @@ from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import AXES
-from uav_ident_ros.report.flight import Flight, collect
-from uav_ident_ros.report.predictions import Predictions, predict
+from uav_ident_ros.report.flight import Flight, Predictions, collect, predict
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 
 SIZE = (13.0, 8.0)

@@ -141,7 +141,6 @@ class OfflineRun:
             self.intake.take(batch, self._tick)
 
     def _tick(self) -> None:
-        """Compute the ticks that are due."""
         identifier = self.identifier
         for estimate in identifier.advance():
             self.estimates.append(estimate)

@@ -14,8 +14,7 @@ from uav_ident_ros.identification.prediction import LAST_PART
 from uav_ident_ros.identification.structure import INPUTS, SPECIFIC_FORCES
 from uav_ident_ros.offline.evidence import reason_of
 from uav_ident_ros.offline.tables import AXES
-from uav_ident_ros.report.flight import Flight
-from uav_ident_ros.report.predictions import Predictions
+from uav_ident_ros.report.flight import Flight, Predictions
 from uav_ident_ros.report.style import COLORS
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, hover, thin, value_range
 

@@ -25,8 +25,7 @@ from uav_ident_ros.report.analysis import (
     signals,
     thirds,
 )
-from uav_ident_ros.report.flight import Flight
-from uav_ident_ros.report.predictions import Predictions
+from uav_ident_ros.report.flight import Flight, Predictions
 from uav_ident_ros.report.style import COLORS, DASHES, SERIES
 from uav_ident_ros.report.timeline import Chart, columns, hover, plain_figure, value_range
 

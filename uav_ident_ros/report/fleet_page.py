@@ -52,7 +52,6 @@ def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
 
 
 def _section(section: Any, k: int, aircraft: Aircraft) -> Any:
-    """Return tables and charts of an aircraft."""
     tables = [aircraft.table] if aircraft.pooled else []
     others = [Row(flight, [Words(why)]) for flight, why in aircraft.unusable]
     if others:

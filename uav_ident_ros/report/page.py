@@ -113,14 +113,12 @@ def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
 
 
 def _library() -> str:
-    """Return Bokeh's own script, so that no network is needed."""
     from bokeh.resources import Resources
 
     return "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
 
 
 def _facts(summary: Mapping[str, Any]) -> list[str]:
-    """Return when the flight was, how long, and how it was identified."""
     first_ns, settings = summary["first_tick_ns"], summary["settings"]
     facts = [
         f"{(summary['last_tick_ns'] - first_ns) * NS:.0f} s of flight",

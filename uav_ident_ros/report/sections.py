@@ -30,8 +30,7 @@ from uav_ident_ros.report.charts import (
     signal_charts,
     state_chart,
 )
-from uav_ident_ros.report.flight import Flight
-from uav_ident_ros.report.predictions import predict
+from uav_ident_ros.report.flight import Flight, predict
 from uav_ident_ros.report.timeline import Chart, Timeline
 
 HORIZON = 1.0

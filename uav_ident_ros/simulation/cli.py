@@ -161,7 +161,6 @@ def definition_from(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _vehicle_part(options: argparse.Namespace) -> tuple[dict[str, Any], Mapping[str, float], str]:
-    """Return what is the vehicle's own: definition, usual peaks, channel set."""
     if options.jsbsim:
         part = {"aircraft": options.jsbsim, "speed": options.speed}
         part |= {"turbulence": options.turbulence, "bank": options.bank}
@@ -177,7 +176,6 @@ def _vehicle_part(options: argparse.Namespace) -> tuple[dict[str, Any], Mapping[
 
 
 def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Refuse what one option alone can tell."""
     if options.plant and options.jsbsim:
         parser.error("--plant and --jsbsim exclude each other")
     others, owner = (

@@ -88,7 +88,7 @@ class Flight:
     name: str  # Name of the flight or vehicle
     t_ns: IntArray  # (N,) Times of the samples below, ns
     rates: FloatArray  # (N, 3) p, q, r, rad/s
-    # (N, 3) Their derivatives, rad/s^2; where an input switches, just after (the last, just before)
+    # (N, 3) Their derivatives, rad/s^2; where an input switches, just after
     angular_acceleration: FloatArray
     specific_force: FloatArray  # (N, 3) Specific force at the centre of gravity, m/s^2
     # (M,) Times at which the actuator values below were commanded, ns. Each is held until the next

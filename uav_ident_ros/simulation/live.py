@@ -124,7 +124,6 @@ class Live:
         self._underway.append((self._step + self._delay, outputs))
 
     def _advance_step(self, moved: bool = False) -> list[Fault]:
-        """Fly one step of the simulation."""
         faults = self.faults.due(self.time)
         moved |= bool(faults)
         while self._underway and self._underway[0][0] <= self._step:

@@ -38,9 +38,7 @@ from uav_ident_ros.client import (
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
-from uav_ident_ros.node.program import run
-from uav_ident_ros.node.startup import UsageError
-from uav_ident_ros.node.usage import node_usage
+from uav_ident_ros.node.program import UsageError, node_usage, run
 from uav_ident_ros.ros import to_stamp
 from uav_ident_ros.simulation.definition import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
@@ -148,7 +146,6 @@ class PlantNode(Node):
         return self.get_parameter(name).value
 
     def _going(self) -> bool:
-        """Whether nobody has asked for the end."""
         return rclpy.ok() and not self._ending.asked
 
     def _connect(self) -> None:
@@ -295,18 +292,15 @@ class PlantNode(Node):
     # -- waiting ---------------------------------------------------------------------------
 
     def _advance_clock(self, t_ns: int) -> None:
-        """Publish a time on /clock, unless it is there already."""
         if self._clock is not None and t_ns > self._clock_ns:
             self._clock_ns = t_ns
             self._clock.publish(Clock(clock=to_stamp(t_ns)))
 
     def _spin_until(self, end: float) -> None:
-        """Listen until a monotonic time."""
         while (left := end - time.monotonic()) > 0.0 and self._going():
             self._executor.spin_once(timeout_sec=left)
 
     def _wait(self, condition: Callable[[], bool], patience: float) -> bool:
-        """Listen until `condition` holds; return whether it does."""
         end = time.monotonic() + patience
         while not condition():
             if time.monotonic() > end or not self._going():

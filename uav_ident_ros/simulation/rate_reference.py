@@ -19,8 +19,7 @@ from std_msgs.msg import Header
 
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
-from uav_ident_ros.node.program import run, spin
-from uav_ident_ros.node.usage import node_usage
+from uav_ident_ros.node.program import node_usage, run, spin
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 
 PARAMETERS: dict[str, Any] = {
