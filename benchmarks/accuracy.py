@@ -9,8 +9,6 @@ of the dominant coefficients where the truth is known. The table goes to the ter
 figures to ``build/accuracy.json``.
 """
 
-from __future__ import annotations
-
 import fnmatch
 import sys
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Table of what `accuracy.py` measured."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The adaptive filters of `padasip`, fed with the identifier's own filtered regressors."""
 
-from __future__ import annotations
-
 import numpy as np
 import padasip
 from numpy.typing import NDArray

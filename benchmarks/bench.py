@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the benchmarks share: the repository, their options, jobs in parallel, figures on disk."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -6,8 +6,6 @@ the defaults, prints what came out with its spread, and keeps every figure in
 ``build/campaign_NAME.json``.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

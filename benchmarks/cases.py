@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flights as the identifier sees them, one pass over them, and the score of what came out."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

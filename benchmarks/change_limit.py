@@ -12,8 +12,6 @@ the new value, and how often an estimate that reaches it is within 15 %, which "
 can only lessen.
 """
 
-from __future__ import annotations
-
 import math
 
 import flights

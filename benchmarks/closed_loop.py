@@ -9,8 +9,6 @@ latency    from the stamp of an Imu sample to the command and to the coefficient
 Tables go to the terminal, figures to build/closed_loop/. Faults: ``fault_campaign.py``.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import sys

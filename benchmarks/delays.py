@@ -9,8 +9,6 @@ was sure. With ``--sweep`` recorded flights: the free fits over 1 s with fixed d
 delay estimated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial

@@ -13,8 +13,6 @@ alpha and beta: there, compare the aileron's alone. The last column counts the d
 sigmas that the identifier gave itself.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -12,8 +12,6 @@ signals    At a random moment, every other time while it starts and every other 
            learned must be in the state file.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -7,8 +7,6 @@ are the processor time of the ticks, the memory of the process and how good the 
 are: all of it must stay as it is.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 

@@ -20,8 +20,6 @@ of the thrust of one motor while nobody excites: when that is noticed, and the e
 derivatives before the fault and five seconds after it.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace

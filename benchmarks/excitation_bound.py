@@ -17,8 +17,6 @@ independent of its error after: so they can be drawn, from the last back to the 
 time until "for good" is that of a hundred such estimators on each flight.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass

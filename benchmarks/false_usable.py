@@ -7,8 +7,6 @@ the surface does at fixed rates and flow. One is wrong if it has the wrong sign 
 than half, with an error above three of its sigmas.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 import tempfile

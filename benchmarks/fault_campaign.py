@@ -22,8 +22,6 @@ everywhere (``--all``).
 Tables go to the terminal, every flight to build/fault_campaign.jsonl.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

@@ -10,8 +10,6 @@ learns the same flight again, without a reset, and must be as good as before. Al
 from one seed.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import random

@@ -5,8 +5,6 @@ Run as a program it lists them: ``python benchmarks/flights.py [NAME ...]`` flie
 named and says what came out.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle

@@ -8,8 +8,6 @@ of the flight, by `scipy.optimize.least_squares`, with the structure, the prior 
 of the online pass. Both are scored over the last 40 %, at 1, 3 and 5 s, p / q / r.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -6,8 +6,6 @@ rates; beside it holding the rate, the model with the forces measured inside the
 `augmented` with the forces measured. Recorded flights get their delay, and an airspeed of 17 m/s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import bench

@@ -6,8 +6,6 @@ an enemy would: bytes, blocks, lengths. The whole command runs on each, in this 
 nothing hides behind an exit status. The same seed gives the same files.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hostile messages and parameters: what no publisher should send, and some will."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

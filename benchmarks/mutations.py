@@ -6,8 +6,6 @@ in a copy of the repository, and the quick tests of that module are run. A const
 notices is one that nobody can defend: give it a test, or do without it.
 """
 
-from __future__ import annotations
-
 import ast
 import os
 import shutil

@@ -8,8 +8,6 @@ of the one core in use, so that other work on the machine disturbs them little; 
 rounds counts.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable

@@ -8,8 +8,6 @@ The initial states are eliminated in each step (Kaufman's variable projection), 
 `scipy.optimize.least_squares` a dense problem in the coefficients alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

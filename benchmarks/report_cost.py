@@ -7,8 +7,6 @@ that iterates over the raw messages with rosbags; then the size of the page and 
 Chromium takes from the request to what is in sight, and to all charts, wall time and CPU time.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -9,8 +9,6 @@ two are learned from at once. Functions count by their name in the source, compr
 lambdas as a part of the function they stand in.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from functools import partial

@@ -8,8 +8,6 @@ with an ordinary gyro and a noisy one. Nobody excites.
     python benchmarks/usable_in_loop.py --workers 2
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial

@@ -6,8 +6,6 @@ in the air, between 0.05 and 3 rad/s: the zero of a vane and its flutter tell no
 any coefficients could reach: the force alone, and with the surface's part fitted to the vane.
 """
 
-from __future__ import annotations
-
 import cases
 import numpy as np
 from free_prediction import RECORDED_SPEED

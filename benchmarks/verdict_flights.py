@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flights that try whether "usable" means usable, class by class, and the truth about each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

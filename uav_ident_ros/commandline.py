@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the commands have in common: complaints of one line, and an end by a signal."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 from typing import NoReturn

@@ -8,8 +8,6 @@ it flies on, identified, last good or nominal, is decided axis by axis. With the
 ``mode: fixed`` the same law keeps to the nominal coefficients for ever.
 """
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -6,8 +6,6 @@ over DDS with /clock, and what it publishes is shown as `monitor` shows it. `rep
 the same computation its score, its picture and its report.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ROS domain for a program and its children alone."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import socket

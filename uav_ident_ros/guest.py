@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node for a tool that listens to others: the monitor, and the player of recordings."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -6,8 +6,6 @@ can hold the recording back until the node has answered, so that nothing is ever
 speed is whatever the machine gives.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every ROS node here needs: stamps to nanoseconds and back, and latched topics."""
 
-from __future__ import annotations
-
 from builtin_interfaces.msg import Time
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 

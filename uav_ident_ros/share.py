@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where `config/` and `bags/` are: in the sources, or in share/ of an installation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 PACKAGE = "uav_ident_ros"

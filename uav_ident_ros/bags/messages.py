@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of the common interfaces from plain values, for bags to be written."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a controller adds to its inputs when it is asked to, and no longer."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from uav_ident_ros.client.history import History

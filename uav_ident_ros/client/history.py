@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamped values of the last seconds, to be asked for by time."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Generic, TypeVar
 

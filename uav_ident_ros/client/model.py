@@ -6,8 +6,6 @@ rad; inputs ``u = [de dr da dth]`` as the identifier has them: ``u = M (scale (r
 acting a transport delay later.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

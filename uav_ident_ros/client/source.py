@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which coefficients a controller acts on: the newest, the last good or the author's own."""
 
-from __future__ import annotations
-
 import dataclasses
 from enum import Enum
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lines of ROS that a controller needs: one for each topic of the identifier."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control allocation: bounded weighted least squares, solved exactly by an active set."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray

@@ -13,8 +13,6 @@ A row takes seconds to be learned anew after a fault. Until then its main deriva
 by what is measured: by the factor nearest to the present one that lies within one sigma.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rate controller on identified coefficients, without ROS: samples in, inputs out."""
 
-from __future__ import annotations
-
 from enum import Enum
 from functools import partial
 

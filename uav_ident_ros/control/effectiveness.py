@@ -24,8 +24,6 @@ Instrumental variables in a closed loop: T. Söderström, P. Stoica, "System Ide
 Prentice Hall, 1989, chapters 8 and 10.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from uav_ident_ros.control.smoothing import Smoother

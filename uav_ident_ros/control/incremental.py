@@ -15,8 +15,6 @@ G. C. H. E. de Croon, "Adaptive incremental nonlinear dynamic inversion for atti
 micro air vehicles", JGCD 39(3), 2016.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

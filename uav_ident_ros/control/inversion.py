@@ -11,8 +11,6 @@ finds it from the rates and the commands that act by now, without differentiatin
 So the loop has integral action and is slow, not lost, while the model is wrong.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -14,8 +14,6 @@ was told: gyro noise that the inputs answer looks like an effect without any del
 act sooner than believed make no loop ring.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -6,8 +6,6 @@
 one surface for each axis, the integrator held while its surface is at a limit.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -14,8 +14,6 @@ The price is the yaw axis, so it is paid only where the aircraft would roll over
 lost, or jammed near its trim, leaves the other axes whole.
 """
 
-from __future__ import annotations
-
 import math
 
 from uav_ident_ros.client import Coefficients

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filter that rates and inputs pass alike: low-pass of second order, with its derivative."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray

@@ -18,8 +18,6 @@ One format serves ``coefficients.yaml``, ``initial_coefficients_file`` and the s
 Numbers survive the way to disk and back to the last bit. Everything is checked on loading.
 """
 
-from __future__ import annotations
-
 import errno
 import glob
 import json

@@ -5,8 +5,6 @@ The names are those of flight mechanics (Etkin and Reid, Dynamics of Flight, 199
 rates carry the inertias that make them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 INPUT_WORDS: Mapping[str, str] = {

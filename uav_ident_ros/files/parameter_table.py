@@ -5,8 +5,6 @@
 the markers ``<!-- generated: NAME -->`` and ``<!-- end: NAME -->``. NAME is one of `TABLES`.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence

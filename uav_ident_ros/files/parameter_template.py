@@ -4,8 +4,6 @@
 ``python -m uav_ident_ros.files.parameter_template > config/identifier.yaml``
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import textwrap

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """YAML as it stands in a file, checked entry by entry: scalars are their text, no key is twice."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Collection, Mapping

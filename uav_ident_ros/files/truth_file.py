@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The true coefficients that lie beside the bag of a simulated flight."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

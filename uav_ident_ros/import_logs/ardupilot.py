@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """ArduPilot dataflash logs (`.bin`): rates, outputs, airspeed and what the log says of them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

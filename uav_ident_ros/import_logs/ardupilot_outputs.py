@@ -5,8 +5,6 @@
 ``SERVOn_FUNCTION``. Before the mixers are `AETR` (Plane) and `RATE` (Copter, QuadPlane).
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -5,8 +5,6 @@ Where each stream stands is in the autopilot's table (`px4.yaml`, `ardupilot.yam
 `streams`; how its rates and its commands are read is its module's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any

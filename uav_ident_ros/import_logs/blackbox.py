@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blackbox logs of Betaflight and its kin (`.bbl`, `.bfl`), read by orangebox: multirotors."""
 
-from __future__ import annotations
-
 import logging
 import math
 from pathlib import Path

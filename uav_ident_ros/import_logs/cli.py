@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`import_log`: a PX4 or ArduPilot log, or a table, as a bag with the standard topics."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import textwrap

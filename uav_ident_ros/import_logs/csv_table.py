@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables (`.csv`) with one row per instant, and the YAML file that says what their columns mean."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -6,8 +6,6 @@ and FMT messages say how long a type is and what it holds. Where that does not h
 looks for the next place where it does, and says how much lies between.
 """
 
-from __future__ import annotations
-
 import mmap
 import re
 import struct

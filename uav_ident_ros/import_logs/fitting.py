@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameters of the identifier that fit an imported log, and what there is to say of them."""
 
-from __future__ import annotations
-
 import textwrap
 from pathlib import Path
 from typing import Any

@@ -6,8 +6,6 @@ autopilots count pitch up and yaw right as positive. ``SENS_BOARD_ROT`` and ``AH
 numbers of one list (MAVLink, MAV_SENSOR_ORIENTATION): roll, pitch, yaw of the board, in order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources

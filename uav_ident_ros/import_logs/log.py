@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An autopilot's log in memory: messages as arrays, parameters, what is damaged."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

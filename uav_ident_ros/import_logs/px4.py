@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """PX4 logs (`.ulg`): rates, commands, airspeed and what the log says of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -7,8 +7,6 @@ meaning is in the parameters ``CA_*``, and before the allocation `vehicle_torque
 and `actuator_outputs`, behind it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A PX4 log as ulog2csv leaves it: a folder with a table for each topic and instance."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection
 from pathlib import Path

@@ -6,8 +6,6 @@ header of 16 bytes every message begins with its size and a letter for its type.
 format, A a topic of it, P a parameter, I a fact; D is a sample of a topic.
 """
 
-from __future__ import annotations
-
 import mmap
 import re
 import struct

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Walks through the messages of a binary log, over damaged places, and says how much they cost."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Collection, Sequence
 from typing import Protocol

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the stamps of a stream tell: its rate, its gaps, and how to join two streams."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

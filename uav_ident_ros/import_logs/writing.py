@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An imported log as a bag with the standard topics."""
 
-from __future__ import annotations
-
 import heapq
 import shutil
 from collections.abc import Callable, Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """When messages that carry no time count: from their arrival, on the Imu's clock."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Generic, TypeVar
 

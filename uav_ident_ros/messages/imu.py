@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """sensor_msgs/Imu from its bytes, one or many: at 1 kHz 2.5 % of a core less than by objects."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@
 Imports NumPy alone, as controllers do.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ The adapters use attribute access only, so they serve rclpy messages, rosbags me
 stand-ins alike. Nothing here imports ROS until `import_type` is called.
 """
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import math

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `monitor`: watch a running identifier from a terminal, over ssh too."""
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import math

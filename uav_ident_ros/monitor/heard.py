@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What has been heard of one identifier, as plain values: no ROS, no terminal."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finds identifiers in the ROS graph and listens to one of them."""
 
-from __future__ import annotations
-
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 

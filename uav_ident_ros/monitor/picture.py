@@ -5,8 +5,6 @@ The coefficients stand in columns, a row of the model each, side by side where t
 on 80 columns and 24 lines the moment equations are in sight.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the picture goes: a screen that is drawn in place, or blocks of plain text."""
 
-from __future__ import annotations
-
 import sys
 
 from rich.console import Console

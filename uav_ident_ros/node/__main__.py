@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The program `identifier`, and ``python -m uav_ident_ros.node``."""
 
-from __future__ import annotations
-
 import sys
 
 from uav_ident_ros.node.ending import Ending

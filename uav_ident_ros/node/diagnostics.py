@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the node tells about itself on ``/diagnostics``."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter, deque

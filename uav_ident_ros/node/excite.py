@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The service ``~/excite`` and the topic ``~/excitation``: a run of excitation behind ROS."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator

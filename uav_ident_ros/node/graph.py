@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the ROS graph says about an input: who publishes it, as what, and what is meant instead."""
 
-from __future__ import annotations
-
 import difflib
 import os
 from collections.abc import Collection

@@ -4,8 +4,6 @@
 There is no estimation logic here: messages go in, due ticks are asked for, estimates go out.
 """
 
-from __future__ import annotations
-
 import time
 from typing import TypeVar
 

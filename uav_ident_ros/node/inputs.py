@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node's subscriptions: messages to samples of the identifier, and what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the node remembers between flights: the state file, when it is written and believed."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

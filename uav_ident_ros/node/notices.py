@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the node says in its log: often enough to be seen, never a flood; unforeseen errors, too."""
 
-from __future__ import annotations
-
 import functools
 import re
 import time

@@ -5,8 +5,6 @@ What rcl and rclpy let pass in silence is caught here: misspelt names, integers 
 belongs, arrays of the wrong length, ranges of array entries.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Callable, Sequence

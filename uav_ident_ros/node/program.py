@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node as a program: started or refused in one line, run until it is asked to end."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import sys

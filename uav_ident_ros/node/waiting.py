@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Why there is no estimate: what does not arrive, and what arrives and cannot be used."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Mapping

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`replay`: the identifier over recorded flights, and how good its models were."""
 
-from __future__ import annotations
-
 import sys
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What to do about a model, in words: each piece of advice is one function of what was measured."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple

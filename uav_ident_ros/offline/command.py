@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`replay` from the command line to the exit status."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -5,8 +5,6 @@ Two replays are the same if the bag's bytes, the settings and the package's vers
 written last, so that a replay that was cut off has none, and one that has is not done again.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

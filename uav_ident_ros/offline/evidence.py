@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a replayed flight measures of itself: the numbers that advice is drawn from."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which bags are meant: files, rosbag2 folders, and folders with any number of them."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ the mean of the last flights, for every number of them, beside that of all befor
 Venkatraman 1995).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

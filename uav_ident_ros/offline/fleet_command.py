@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fleet`: what many replayed flights say of each aircraft."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which topics of a bag are the node's inputs: asked for, or found by name and type."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

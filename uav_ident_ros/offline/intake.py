@@ -5,8 +5,6 @@ Imu messages that are all alike, and that is nearly all of them, are read as arr
 all other messages, one by one. What the identifier is told is the same.
 """
 
-from __future__ import annotations
-
 from array import array
 from bisect import bisect_left
 from collections import Counter

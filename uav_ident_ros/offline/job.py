@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One bag replayed with one configuration: what is asked for, and what came of it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a bag is like: facts that explain a result, a line each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from uav_ident_ros.bags.reading import Bag

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line of `replay`."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several replays, a line each: of many bags, or of many configurations on one, best first."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 

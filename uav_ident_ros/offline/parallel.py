@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several replays at once: on this machine's processes, or on a Dask cluster."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 import traceback

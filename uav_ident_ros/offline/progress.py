@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far long work is: a bar on a terminal, a line now and then without one."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterable, Iterator

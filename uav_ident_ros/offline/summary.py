@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flight that was replayed, and summary.json: the same bytes for the same bag."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

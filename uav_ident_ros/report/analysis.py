@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the signals of a flight are like: spectra, correlations, whiteness, coverage."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

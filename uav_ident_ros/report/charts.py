@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The charts over time: rates, inputs, forces, states, coefficients, and what was learned when."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from itertools import groupby
 

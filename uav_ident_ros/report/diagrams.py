@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The charts over anything but time: whiteness, spectra, coverage, delay."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any

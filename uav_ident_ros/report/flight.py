@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The flight as the report shows it: everything measured, estimated and predicted, on one clock."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

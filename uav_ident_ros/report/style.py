@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Colours and what they mean, the same in every chart of the page and in the pictures."""
 
-from __future__ import annotations
-
 COLORS = {
     # Okabe and Ito's palette, told apart with any colour vision.
     "measured": "#75797d",

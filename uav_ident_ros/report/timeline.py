@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Charts over time with Bokeh: one range and one crosshair for all of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

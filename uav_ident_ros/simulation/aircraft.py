@@ -6,8 +6,6 @@ is made. One step of JSBSim moves the state first and evaluates controls, forces
 accelerations after, so that what is read after a step belongs to one instant.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import shutil

@@ -5,8 +5,6 @@ Signs of the inputs throughout the simulation: elevator trailing edge down is po
 (nose down), aileron positive rolls right, rudder trailing edge left is positive (yaws left).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`simulate`: fly a plant of the paper's structure, or a JSBSim aircraft, into a bag."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flights defined by plain values, as they stand in a YAML file or come from options."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gusts: coloured noise as angular acceleration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -14,8 +14,6 @@
 With a time in front, ``90.0: aileron effect 0.5``, it happens then.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Excitation of a simulated flight, stretch by stretch: multisines, 3-2-1-1, doublets, quiet."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

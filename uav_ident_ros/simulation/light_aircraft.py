@@ -7,8 +7,6 @@ Simulation"). The true derivatives are known, the forces follow from the flow, a
 feeds back: what an identified model has to find out on a real flight.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

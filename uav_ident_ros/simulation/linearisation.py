@@ -6,8 +6,6 @@ with the surfaces it has, and says what the accelerations are there. Engine spee
 stay; the throttle's derivatives are those at the speed that the engine has, not a second later.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass

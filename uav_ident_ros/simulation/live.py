@@ -5,8 +5,6 @@ Who flies it is up to others: a controller answers Imu samples one at a time (`L
 `Live.command`, `Live.advance`), or a whole flight is recorded (`Live.record`).
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Sequence

@@ -6,8 +6,6 @@ other; coefficients count from the sample that makes them due. Faster than over 
 same every time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol

@@ -4,8 +4,6 @@
 Nothing is added to excite anything.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

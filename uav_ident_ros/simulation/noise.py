@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the sensors make of a flight: noise, bias, jitter, drops, frames and stamps."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

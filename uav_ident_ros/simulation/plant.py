@@ -6,8 +6,6 @@ the held inputs, the delay and the servo lag are exact; the error per step is be
 of the rates for modes up to 20 rad/s at the default step.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

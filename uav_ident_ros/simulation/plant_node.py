@@ -7,8 +7,6 @@ answers it, so that a flight comes out the same on any machine, and as fast as t
 Otherwise it flies in real time, stamped with the wall clock, and waits for nobody.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import time

@@ -5,8 +5,6 @@ The identifier sees two minutes of multisines, as a first flight would give them
 coefficients become the nominal set of the controller and the start of the identifier in the loop.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

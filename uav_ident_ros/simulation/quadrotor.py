@@ -8,8 +8,6 @@ command, 0 ... 1, with a first-order lag. Rotors drag sideways in proportion to 
 the rotors' own inertia (it adds to the yaw moment while they speed up), ground and blockage.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

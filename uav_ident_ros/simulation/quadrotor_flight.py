@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flights of a quadrotor in hover, on an autopilot that holds attitude and height."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

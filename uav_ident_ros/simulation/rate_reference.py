@@ -5,8 +5,6 @@ It banks to one side and the other and pitches up and down, by random amounts at
 asks for the rates that lead there; nothing is added to excite anything.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from typing import Any

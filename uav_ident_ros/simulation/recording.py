@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured flights as bags: /imu/data and /actuators, and the parameters that fit them."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
