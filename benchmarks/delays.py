@@ -24,7 +24,6 @@ from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.prior import first_values
 from uav_ident_ros.identification.sampling import Block, FlowSignals, Sampler
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.simulation import light_aircraft
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
@@ -73,12 +72,11 @@ def plant(
 
 def light(seed: int, delay: float, lag: float, gusts: float, **more: Any) -> Measurements:
     """Fly the light aircraft on its autopilot, which turns."""
-    peaks = more.pop("peaks", verdict_flights.PEAKS)
-    segments = [Segment("multisine", 2.0, DURATION, peaks, seed=seed)] if peaks else []
-    flight = light_aircraft.LightFlight(
-        segments, DURATION, bank=20.0, gust=gusts, delay=delay, time_constant=lag, seed=seed, **more
-    )
-    return measure(light_aircraft.fly(flight), verdict_flights.SENSORS, seed)
+    excitation = more.pop("excitation", ((2.0, DURATION),))
+    return verdict_flights._fly(
+        "light_aircraft", seed, excitation=excitation, duration=DURATION, bank=20.0, wind=gusts,
+        delay=delay, time_constant=lag, **more,
+    )  # fmt: skip
 
 
 def quadrotor(seed: int, delay: float, gusts: float) -> Measurements:
@@ -114,9 +112,9 @@ def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
         yield (f"plant, feedback, gusts {gusts:g}", False,
                partial(plant, seed, 0.06, 0.0, gusts, True, False))  # fmt: skip
         yield (f"light, feedback, wind {gusts:g}", False,
-               partial(light, seed, 0.05, 0.0, gusts, peaks={}))  # fmt: skip
+               partial(light, seed, 0.05, 0.0, gusts, excitation=()))  # fmt: skip
         yield (f"light, stiff feedback, wind {gusts:g}", False,
-               partial(light, seed, 0.05, 0.0, gusts, peaks={}, roll_gust=0.5, roll_gain=0.8,
+               partial(light, seed, 0.05, 0.0, gusts, excitation=(), roll_gust=0.5, roll_gain=0.8,
                        yaw_damper=0.3))  # fmt: skip
 
 

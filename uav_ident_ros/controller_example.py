@@ -32,7 +32,6 @@ from uav_ident_ros.client import (
 from uav_ident_ros.control import Effect, Gains, Law, RateController
 from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import node_usage, run, spin
 from uav_ident_ros.ros import stamp_ns
 
@@ -200,10 +199,7 @@ def measured(controller: RateController) -> list[KeyValue]:
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status."""
     usage = node_usage("controller_example", __doc__ or "", PARAMETERS)
-    argv = sys.argv if args is None else args
-    return run(
-        "controller_example", ControllerExample, spin, argv=argv, ending=Ending(), usage=usage
-    )
+    return run("controller_example", ControllerExample, spin, args, usage)
 
 
 if __name__ == "__main__":

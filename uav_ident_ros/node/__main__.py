@@ -12,10 +12,7 @@ def main(args: list[str] | None = None) -> int:
     from uav_ident_ros.node.identifier_node import IdentifierNode, work
     from uav_ident_ros.node.program import identifier_usage, run
 
-    argv = sys.argv if args is None else args
-    return run(
-        "identifier", IdentifierNode, work, argv=argv, ending=ending, usage=identifier_usage()
-    )
+    return run("identifier", IdentifierNode, work, args, identifier_usage(), ending)
 
 
 if __name__ == "__main__":

@@ -153,12 +153,12 @@ def run(
     make: Callable[[], AnyNode],  # Makes the node, or raises one of `REFUSALS`
     # Lets the node work until the ending is asked for; returns the exit status
     work: Callable[[AnyNode, Ending], int],
-    *,
-    argv: Sequence[str],  # Command line, the program's name first
-    ending: Ending,  # Takes the signals; made before the imports, which take a second
+    args: Sequence[str] | None,  # Command line, the program's name first; None for the process's
     usage: str,  # What ``--help`` prints
+    ending: Ending | None = None,  # Takes the signals, if made before the imports
 ) -> int:
     """Run a node as a program; return its exit status: 2 if it was started wrongly."""
+    argv, ending = sys.argv if args is None else args, ending or Ending()
     if {"-h", "--help"} & set(argv[1:]):
         print(usage)
         return 0

@@ -54,7 +54,7 @@ class Segment:
         active = [(INPUTS.index(name), a) for name, a in self.amplitudes.items() if a]
         if active and np.any(inside):
             active.sort()
-            shapes = _SHAPES[self.kind](self, t[inside], len(active))
+            shapes = _SHAPES[self.kind](self, t[inside] - self.start, len(active))
             for (column, amplitude), shape in zip(active, shapes.T, strict=True):
                 u[inside, column] = amplitude * shape
         return u
@@ -62,24 +62,20 @@ class Segment:
 
 def _sample_multisine(segment: Segment, t: FloatArray, count: int) -> FloatArray:
     try:
-        return multisines(t - segment.start, count, segment.period, segment.band, segment.seed)
+        return multisines(t, count, segment.period, segment.band, segment.seed)
     except WaveformError as error:
         raise SimulationError(str(error)) from error
 
 
 def _sample_pulses(segment: Segment, t: FloatArray, count: int) -> FloatArray:
-    return pulses(t - segment.start, count, segment.kind, segment.unit, segment.pause)
-
-
-def _sample_quiet(segment: Segment, t: FloatArray, count: int) -> FloatArray:
-    return np.zeros((len(t), count))
+    return pulses(t, count, segment.kind, segment.unit, segment.pause)
 
 
 _SHAPES: dict[str, Callable[[Segment, FloatArray, int], FloatArray]] = {
     "multisine": _sample_multisine,
     "3211": _sample_pulses,
     "doublet": _sample_pulses,
-    "quiet": _sample_quiet,
+    "quiet": lambda _, t, count: np.zeros((len(t), count)),
 }
 
 INPUT_KINDS = tuple(_SHAPES)

@@ -26,6 +26,7 @@ from uav_ident_ros.simulation.flight import (
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.live import Live
 from uav_ident_ros.simulation.noise import Sensors
+from uav_ident_ros.simulation.plant import DEFAULT_TRIM
 
 SPEED = 20.0
 """True airspeed in trim, m/s."""
@@ -44,9 +45,6 @@ _QR, _PR, _PQ = -0.70, 0.85, -0.25
 
 _DRAG, _AX_ALPHA, _AX_THROTTLE = 1.5, 4.0, 3.0
 """Drag in trim, m/s^2, forward force per rad and per unit of throttle."""
-
-DEFAULT_TRIM = (0.0, 0.0, 0.0, 0.5)
-"""Surfaces centred (rad), half throttle."""
 
 TURN_TIME = 10.0
 """Time of each of the alternating turns, s."""

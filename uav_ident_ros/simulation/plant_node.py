@@ -430,11 +430,8 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status: 2 if it was started wrongly."""
     usage = node_usage("simulated_plant", __doc__ or "", PARAMETERS)
-    argv = sys.argv if args is None else args
     ending = Ending()
-    return run(
-        "simulated_plant", lambda: _make(ending), _fly, argv=argv, ending=ending, usage=usage
-    )
+    return run("simulated_plant", lambda: _make(ending), _fly, args, usage, ending)
 
 
 def _make(ending: Ending) -> PlantNode:

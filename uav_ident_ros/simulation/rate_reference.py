@@ -16,7 +16,6 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
-from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import node_usage, run, spin
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 
@@ -74,8 +73,7 @@ class RateReference(Node):
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status."""
     usage = node_usage("rate_reference", __doc__ or "", PARAMETERS)
-    argv = sys.argv if args is None else args
-    return run("rate_reference", RateReference, spin, argv=argv, ending=Ending(), usage=usage)
+    return run("rate_reference", RateReference, spin, args, usage)
 
 
 if __name__ == "__main__":
