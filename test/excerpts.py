@@ -25,7 +25,7 @@ def excerpt(
     target: Path,
     seconds: float,
     source: str = "multisine",
-    change: Callable[[str, int, Any], list[Entry] | None] = lambda *_: None,
+    change: Callable[[str, int, Any], list[Entry] | None] | None = None,
     begin: float = 0.0,
 ) -> Path:
     """Copy a part of a committed bag; `change` edits messages, or gives what is written instead."""
@@ -38,12 +38,15 @@ def excerpt(
                 continue
             if log_ns > first_ns + round(seconds * SECOND_NS):
                 break
-            message = decoders[topic](data)
-            changed = change(topic, log_ns, message)
-            for name, at, written in [(topic, log_ns, message)] if changed is None else changed:
+            entries: list[Entry] = [(topic, log_ns, data)]
+            if change is not None:
+                message = decoders[topic](data)
+                changed = change(topic, log_ns, message)
+                entries = [(topic, log_ns, message)] if changed is None else changed
+            for name, at, written in entries:
                 if name not in announced:
                     announced.add(name)
-                    writer.topic(name, written.__msgtype__)
+                    writer.topic(name, getattr(written, "__msgtype__", bag.types[topic]))
                 writer.write(name, at, written)
     return target
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from excerpts import PARAMETERS, ROOT, SECOND_NS, excerpt
-from programs import Capture, python, refusal
+from programs import Capture, refusal
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.files.coefficients_file import load_coefficients
@@ -281,29 +281,6 @@ def test_what_is_done_is_not_done_again(
     # and what it has written anew is not taken for the first one
     assert main(again) == 2
     assert "as replayed before" not in capsys.readouterr().out
-
-
-def test_killed_in_the_middle_it_does_nothing_twice(
-    logs: Path, replayed: Path, tmp_path: Path
-) -> None:
-    output = tmp_path / "out"
-
-    def done() -> dict[Path, int]:
-        return {file: file.stat().st_mtime_ns for file in output.glob(f"*/{DONE_FILE}")}
-
-    command = ["-m", "uav_ident_ros.offline", *arguments(logs, output)]
-    process = subprocess.Popen(
-        [sys.executable, *command, "--jobs", "2"], cwd=ROOT, start_new_session=True
-    )
-    while process.poll() is None and len(done()) < 2:
-        time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    before = done()
-    said = python(*command).stdout
-    assert f"; {len(before)} of them as replayed before" in said
-    assert before.items() <= done().items()
-    assert contents(output) == contents(replayed)
 
 
 def test_a_cluster_gives_the_same_table(logs: Path, replayed: Path, tmp_path: Path) -> None:

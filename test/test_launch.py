@@ -152,7 +152,7 @@ def launched(path: Path, *arguments: str) -> str:
     if shutil.which("ros2") is None or subprocess.run(known, capture_output=True).returncode:
         pytest.skip("there is no ros2 with this package here")
     command = ["ros2", "launch", PACKAGE, path.name, *arguments]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300.0)
     assert run.returncode == 1
     return run.stdout + run.stderr
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples are used in the order of their stamps, whatever the order they came in."""
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,6 +13,16 @@ def filled(*stamps: int) -> SampleBuffer:
     for t in stamps:
         buffer.append(t, (float(t),))
     return buffer
+
+
+def test_samples_wait_for_a_tick_at_or_after_their_stamp() -> None:
+    buffer = filled(10, 20, 30)
+    buffer.merge(20)
+    assert buffer.t.tolist() == [10, 20]
+    buffer.merge(29)
+    assert buffer.t.tolist() == [10, 20]
+    buffer.merge(30)
+    assert buffer.t.tolist() == [10, 20, 30]
 
 
 def test_of_samples_with_one_stamp_the_first_to_arrive_counts() -> None:
@@ -31,6 +42,24 @@ def test_order_of_arrival_does_not_matter(order: list[int], ticks: list[int]) ->
     buffer.merge(12)
     assert buffer.t.tolist() == list(range(12))
     assert buffer.v[:, 0].tolist() == [float(t) for t in range(12)]
+
+
+def test_trim_keeps_the_sample_that_still_applies() -> None:
+    buffer = filled(10, 20, 30)
+    buffer.merge(30)
+    buffer.trim(25)
+    assert buffer.t.tolist() == [20, 30]
+    buffer.trim(20)
+    assert buffer.t.tolist() == [20, 30]
+    buffer.trim(5)
+    assert buffer.t.tolist() == [20, 30]
+
+
+def test_interpolation_is_exact_at_the_samples_and_straight_between() -> None:
+    buffer = filled(10, 20, 40)
+    buffer.merge(40)
+    asked = np.array([10, 15, 20, 35, 40])
+    assert buffer.interpolate(asked)[:, 0].tolist() == [10.0, 15.0, 20.0, 35.0, 40.0]
 
 
 def test_what_nothing_asks_for_is_forgotten_but_not_what_is_young() -> None:

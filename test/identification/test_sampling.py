@@ -124,6 +124,15 @@ def test_the_rate_is_found_and_every_sample_lies_on_the_grid(rate: int) -> None:
 # -- gaps and stale inputs ---------------------------------------------------------------------
 
 
+def test_dropped_samples_do_not_slow_the_grid_down() -> None:
+    rng = np.random.default_rng(7)
+    stamps = np.arange(0, 2000, 5)[rng.random(400) >= 0.2] * MS
+    target = sampler()
+    add_rates(target, stamps)
+    add_inputs(target, range(0, 2000 * MS, 20 * MS))
+    assert next(blocks(target, 2000 * MS)).h == pytest.approx(0.005)
+
+
 @pytest.mark.parametrize(("gap_ms", "restarts"), [(150, 0), (250, 1)])
 def test_only_a_long_gap_in_the_rates_restarts(gap_ms: int, restarts: int) -> None:
     stamps = [*range(0, 1000, 5), *range(1000 + gap_ms, 2500, 5)]

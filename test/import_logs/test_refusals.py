@@ -2,6 +2,7 @@
 """Damaged, foreign and incomplete files: one line that names the file and what is there."""
 
 import io
+import os
 import re
 import struct
 from collections.abc import Callable
@@ -304,6 +305,11 @@ def file(name: str, content: bytes) -> Make:
     return lambda folder: [spoilt(folder / name, content)]
 
 
+def pipe(path: Path) -> str:
+    os.mkfifo(path)
+    return str(path)
+
+
 def px4(*left_out: str, more: Any = (), parameters: Any = (), options: str = "") -> Make:
     def make(folder: Path) -> list[str]:
         topics = {key: v for key, v in (GOOD | dict(more)).items() if key[0] not in left_out}
@@ -357,6 +363,7 @@ REFUSED: list[tuple[str, Make]] = [
     ("short.ulg' is no readable ULog file", file("short.ulg", MAGIC + b"\1" + bytes(2))),
     ("it has no messages at all", file("short.ulg", MAGIC + b"\1" + bytes(8))),
     ("'/dev/zero' is no regular file", lambda folder: ["/dev/zero"]),
+    ("pipe.bin' is no regular file", lambda folder: [pipe(folder / "pipe.bin")]),
     # logs
     ("has no rates .*it has vehicle_torque_setpoint", px4("sensor_combined")),
     ("has no actuators .*it has sensor_combined", px4(TORQUE)),
@@ -415,6 +422,10 @@ def test_it_is_refused_in_one_line(number: int, tmp_path: Path, capsys, out) -> 
     words, make = REFUSED[number]
     said = refusal([*make(tmp_path), *out], capsys)
     assert re.search(words, said), said
+
+
+def test_motors_without_geometry_are_passed_over(tmp_path: Path, capsys, out) -> None:
+    assert "actuators: vehicle_torque_setpoint" in run([*px4(more=MOTORS)(tmp_path), *out], capsys)
 
 
 def test_the_example_of_the_help_is_a_good_map(tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from recordings import (
     recording,
     replayed,
     wait_for_status,
-    wait_for_words,
 )
 
 from uav_ident_ros.bags.reading import Message
@@ -121,7 +120,7 @@ def test_bad_messages_leave_no_trace_in_the_estimate(
     assert f"'{ACTUATORS_TOPIC}': message dropped: 'position' has 2 values" in node.log
 
 
-def test_a_flood_of_bad_messages_is_named_once_and_a_frame_that_contradicts_is_a_fault(
+def test_a_flood_of_bad_messages_is_named_once_and_the_flight_goes_on(
     flight: Recording, fly: Fly
 ) -> None:
     node, player = fly(flight)
@@ -141,12 +140,3 @@ def test_a_flood_of_bad_messages_is_named_once_and_a_frame_that_contradicts_is_a
     assert node.log.count(f"'{RATES_TOPIC}': message dropped: it cannot be decoded") <= 3
     player.play_in_step(flight.messages[:1000])
     assert player.outputs.named
-    player.outputs.clear()
-    for message in flight.messages[:50]:
-        if message.topic == RATES_TOPIC:
-            imu = deserialize_message(message.data, flight.classes[RATES_TOPIC])
-            imu.header.frame_id = "base_link_frd"
-            player.send(RATES_TOPIC, imu)
-    wait_for_words(player, "fault: the Imu's frame_id 'base_link_frd' contradicts")
-    assert drops(player, "rates")["wrong frame"] > 0
-    assert player.outputs.named == []

@@ -75,6 +75,16 @@ def test_a_gap_breaks_the_line() -> None:
 # --- predictions -----------------------------------------------------------------------------
 
 
+def test_the_flight_is_all_there(flight: Flight, run: OfflineRun) -> None:
+    t_ns, rates, force = run.measured()
+    np.testing.assert_array_equal(flight.rates, rates)
+    np.testing.assert_array_equal(flight.force, force)
+    np.testing.assert_allclose(flight.t, (t_ns - t_ns[0]) * 1e-9)
+    assert len(flight.tick_t) == len(run.estimates)
+    expected = [(e.t_ns - t_ns[0]) * 1e-9 for e in run.estimates]
+    np.testing.assert_allclose(flight.tick_t, expected)
+
+
 def test_predictions_are_beside_what_was_measured(flight: Flight) -> None:
     for horizon in (1.0, 0.05):
         ahead = predict(flight, horizon)

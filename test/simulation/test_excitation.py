@@ -32,10 +32,3 @@ def test_3211_has_its_shape_and_the_inputs_take_turns() -> None:
     da = segment.sample(at + turn)[:, INPUTS.index("da")]
     np.testing.assert_allclose(da, 0.2 * np.array(signs))
     np.testing.assert_allclose(segment.sample(at + 2 * turn)[:, 0], de)
-
-
-def test_a_doublet_has_no_mean() -> None:
-    t = np.arange(0, 0.8, 1e-3)
-    u = Segment("doublet", unit=0.4, amplitudes={"dr": 0.1}).sample(t)[:, INPUTS.index("dr")]
-    assert abs(u.mean()) < 1e-12
-    assert u[0] == pytest.approx(0.1) and u[-1] == pytest.approx(-0.1)

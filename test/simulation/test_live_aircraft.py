@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The aircraft in the loop: commands act when they should, faults do what they say."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,11 @@ def flown(
         aircraft.command(command)
         aircraft.advance()
     return aircraft, samples
+
+
+@cache
+def undisturbed() -> list[Sample]:
+    return flown(size=0.0, seconds=0.15)[1]
 
 
 def rate_gained(samples: list[Sample], axis: int) -> float:
@@ -81,7 +88,7 @@ def test_half_the_effect_is_half_the_rate(surface: str) -> None:
         rate_gained(flown(*faults, surface=surface, seconds=0.15)[1], axis)
         for faults in ((), (f"0.0: {surface} effect 0.5",), (f"0.0: {surface} effect -1",))
     )
-    drift = rate_gained(flown(size=0.0, seconds=0.15)[1], axis)
+    drift = rate_gained(undisturbed(), axis)
     assert (half - drift) / (whole - drift) == pytest.approx(0.5, abs=0.03)
     assert (reverse - drift) / (whole - drift) == pytest.approx(-1.0, abs=0.06)
 
