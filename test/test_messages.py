@@ -77,40 +77,25 @@ ACTUATOR_MESSAGES: dict[str, tuple[Any, int | None]] = {
     "std_msgs/msg/Float64MultiArray": (M(data=CHANNELS), None),
     "std_msgs/msg/Float32MultiArray": (M(data=np.array(CHANNELS, dtype=np.float32)), None),
     "sensor_msgs/msg/JointState": (
-        M(header=header(), name=list("abcd"), position=CHANNELS, velocity=[], effort=[]),
-        STAMP_NS,
-    ),
+        M(header=header(), name=list("abcd"), position=CHANNELS, velocity=[], effort=[]), STAMP_NS),
     "actuator_msgs/msg/Actuators": (
-        M(header=header(), position=CHANNELS, velocity=[], normalized=[]),
-        STAMP_NS,
-    ),
+        M(header=header(), position=CHANNELS, velocity=[], normalized=[]), STAMP_NS),
     "mavros_msgs/msg/RCOut": (M(header=header(), channels=CHANNELS), STAMP_NS),
     "mavros_msgs/msg/ActuatorControl": (
-        M(header=header(), group_mix=0, controls=np.array([*CHANNELS, 0, 0, 0, 0])),
-        STAMP_NS,
-    ),
-    "px4_msgs/msg/ActuatorMotors": (
-        M(**PX4, control=np.array([*CHANNELS] + [math.nan] * 8)),
-        PX4_US * 1000,
-    ),
-    "px4_msgs/msg/ActuatorServos": (
-        M(**PX4, control=np.array([*CHANNELS] + [math.nan] * 4)),
-        PX4_US * 1000,
-    ),
+        M(header=header(), group_mix=0, controls=np.array([*CHANNELS, 0, 0, 0, 0])), STAMP_NS),
+    "px4_msgs/msg/ActuatorMotors": (M(**PX4, control=np.array([*CHANNELS] + [math.nan] * 8)),
+        PX4_US * 1000),
+    "px4_msgs/msg/ActuatorServos": (M(**PX4, control=np.array([*CHANNELS] + [math.nan] * 4)),
+        PX4_US * 1000),
     "px4_msgs/msg/ActuatorOutputs": (
-        M(timestamp=PX4_US, noutputs=4, output=np.array([*CHANNELS] + [0.0] * 12)),
-        PX4_US * 1000,
-    ),
-}
+        M(timestamp=PX4_US, noutputs=4, output=np.array([*CHANNELS] + [0.0] * 12)), PX4_US * 1000),
+}  # fmt: skip
 
 OPTIONAL = [
     ("std_msgs/msg/Float64", M(data=21.5), (None, 21.5)),
     ("std_msgs/msg/Float32", M(data=21.5), (None, 21.5)),
-    (
-        "geometry_msgs/msg/TwistStamped",
-        M(header=header(), twist=M(linear=vector(18.0, 6.0, 9.0))),
-        (STAMP_NS, 21.0),
-    ),
+    ("geometry_msgs/msg/TwistStamped", M(header=header(), twist=M(linear=vector(18.0, 6.0, 9.0))),
+        (STAMP_NS, 21.0)),
     ("mavros_msgs/msg/VfrHud", M(header=header(), airspeed=21.5), (STAMP_NS, 21.5)),
     ("px4_msgs/msg/AirspeedValidated", M(timestamp=7, true_airspeed_m_s=21.5), (7_000, 21.5)),
     ("std_msgs/msg/Bool", M(data=True), (None, True)),
@@ -118,7 +103,7 @@ OPTIONAL = [
     ("px4_msgs/msg/VehicleStatus", M(timestamp=7, arming_state=2), (7_000, True)),
     ("px4_msgs/msg/VehicleStatus", M(timestamp=7, arming_state=1), (7_000, False)),
     ("px4_msgs/msg/ActuatorArmed", M(timestamp=7, armed=True), (7_000, True)),
-]
+]  # fmt: skip
 
 
 def test_every_type_of_airspeed_and_armed() -> None:

@@ -17,34 +17,18 @@ from uav_ident_ros.monitor.picture import picture
 SECOND_NS = 1_000_000_000
 
 STATUS = {
-    "excitation pdot [0..1]": "0.280",
-    "hold p [%]": "-12.0",
-    "hold q [%]": "3.0",
-    "hold r [%]": "95.0",
-    "delay [s]": "0.0231",
-    "delay confidence": "sure",
+    "excitation pdot [0..1]": "0.280", "hold p [%]": "-12.0", "hold q [%]": "3.0",
+    "hold r [%]": "95.0", "delay [s]": "0.0231", "delay confidence": "sure",
     "not told apart": "qdot/1, qdot/az; rdot/p, rdot/r",
-    "ticks: count": "651",
-    "ticks: update time p99 [ms]": "0.300",
-    "rates: topic": "/mavros/imu/data_raw",
-    "rates: rate [Hz]": "200.0",
-    "rates: age [s]": "0.01",
-    "rates: dropped": "3",
-    "rates: dropped: late": "2",
-    "rates: dropped: not finite": "1",
-    "actuators: topic": "/mavros/rc/out",
-    "actuators: rate [Hz]": "0.0",
-    "actuators: age [s]": "no message yet",
-    "actuators: dropped": "0",
-    "airspeed: topic": "/airspeed",
-    "airspeed: rate [Hz]": "10.0",
-    "airspeed: age [s]": "0.11",
-    "airspeed: dropped": "0",
-    "armed: topic": "/armed",
-    "armed: rate [Hz]": "1.0",
-    "armed: age [s]": "0.51",
-    "armed: dropped": "0",
-}
+    "ticks: count": "651", "ticks: update time p99 [ms]": "0.300",
+    "rates: topic": "/mavros/imu/data_raw", "rates: rate [Hz]": "200.0", "rates: age [s]": "0.01",
+    "rates: dropped": "3", "rates: dropped: late": "2", "rates: dropped: not finite": "1",
+    "actuators: topic": "/mavros/rc/out", "actuators: rate [Hz]": "0.0",
+    "actuators: age [s]": "no message yet", "actuators: dropped": "0",
+    "airspeed: topic": "/airspeed", "airspeed: rate [Hz]": "10.0", "airspeed: age [s]": "0.11",
+    "airspeed: dropped": "0", "armed: topic": "/armed", "armed: rate [Hz]": "1.0",
+    "armed: age [s]": "0.51", "armed: dropped": "0",
+}  # fmt: skip
 
 
 class Watch:

@@ -27,32 +27,17 @@ PACKAGE = "uav_ident_ros"
 SPDX = "SPDX-License-Identifier: Apache-2.0"
 
 # import name -> rosdep key, where the two differ
-ROSDEP_KEYS = {
-    "hypothesis": "python3-hypothesis",
-    "jinja2": "python3-jinja2",
-    "markupsafe": "python3-markupsafe",
-    "matplotlib": "python3-matplotlib",
-    "numpy": "python3-numpy",
-    "pytest": "python3-pytest",
-    "rich": "python3-rich",
-    "scipy": "python3-scipy",
-    "tqdm": "python3-tqdm",
-    "yaml": "python3-yaml",
-}
+ROSDEP_KEYS = {"yaml": "python3-yaml"} | {
+    name: f"python3-{name}"
+    for name in ("hypothesis", "jinja2", "markupsafe", "matplotlib", "numpy", "pytest", "rich",
+                 "scipy", "tqdm")
+}  # fmt: skip
 # Development extras without a rosdep key: allowed only inside a function, so that the module
 # loads without them. lz4 and zstandard come with mcap.
 OPTIONAL = {
-    "PIL",
-    "distributed",
-    "jsbsim",
-    "lz4",
-    "orangebox",
-    "padasip",
-    "pyarrow",
-    "pymavlink",
-    "pyulog",
-    "zstandard",
-}
+    "PIL", "distributed", "jsbsim", "lz4", "orangebox", "padasip", "pyarrow", "pymavlink",
+    "pyulog", "zstandard",
+}  # fmt: skip
 # What the tools for the ground need and apt does not have: extras of setup.py, never package.xml.
 PIP_ONLY = {"bokeh", "mcap", "rosbags"}
 # What a companion computer need not have: the node must never import these. PyYAML is not

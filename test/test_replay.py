@@ -305,37 +305,27 @@ BAD_INPUT = {
     "missing bag": (["nowhere"], "bag 'nowhere' does not exist"),
     "no bag": (["text.txt"], "bag 'text.txt' is no bag"),
     "cut off": (["cut.mcap"], "'cut.mcap': .* there is no message to be saved"),
-    "unknown topic": (
-        ["BAG", "--topic", "imu/data:=gyro"],
-        "has no topic '/gyro'; it has /actuators",
-    ),
+    "unknown topic": (["BAG", "--topic", "imu/data:=gyro"],
+     "has no topic '/gyro'; it has /actuators"),
     "unknown actuators": (["BAG", "--topic", "actuators:=/x"], "has no topic '/x'"),
     "unknown airspeed": (["BAG", "--topic", "airspeed:=/x"], "has no topic '/x'"),
-    "no airspeed": (
-        ["BAG", "--params-file", "@airspeed.type: std_msgs/msg/Float64"],
-        "has neither a topic '/airspeed' nor one of type std_msgs/msg/Float64; it has /actuators",
-    ),
-    "not an airspeed": (
-        ["BAG", "--topic", f"airspeed:={IMU}"],
-        "topic '/imu/data' is of type sensor_msgs/msg/Imu, but known are std_msgs/msg/Float64,",
-    ),
+    "no airspeed": (["BAG", "--params-file", "@airspeed.type: std_msgs/msg/Float64"],
+     "has neither a topic '/airspeed' nor one of type std_msgs/msg/Float64; it has /actuators"),
+    "not an airspeed": (["BAG", "--topic", f"airspeed:={IMU}"],
+     "topic '/imu/data' is of type sensor_msgs/msg/Imu, but known are std_msgs/msg/Float64,"),
     "missing parameters": (["BAG", "--params-file", "p.yaml"], "'p.yaml': does not exist"),
     "malformed": (["BAG", "--params-file", "@a: [1"], "parameter file 'params.yaml', line"),
     "misspelt": (["BAG", "--params-file", "@update_rat: 20.0"], "did you mean 'update_rate'"),
     "integer": (["BAG", "--params-file", "@update_rate: 20"], "'update_rate' is 20: .*20.0"),
-    "initial file": (
-        ["BAG", "--params-file", "@initial_coefficients_file: none.yaml"],
-        "coefficients file 'none.yaml': there is no such file",
-    ),
+    "initial file": (["BAG", "--params-file", "@initial_coefficients_file: none.yaml"],
+     "coefficients file 'none.yaml': there is no such file"),
     "field": (["BAG", "--params-file", "@actuators.field: x"], "'actuators.field' is 'x'"),
-    "other node": (
-        ["BAG", "--params-file", "@update_rate: 20.0", "--node", "/a b"],
-        "nothing for node '/a b'",
-    ),
+    "other node": (["BAG", "--params-file", "@update_rate: 20.0", "--node", "/a b"],
+     "nothing for node '/a b'"),
     "output": (["BAG", "--output", "text.txt"], "cannot write to 'text.txt'"),
     "option": (["BAG", "--nonsense"], "unrecognized arguments: --nonsense"),
     "no bag named": ([], "required: BAG"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", BAD_INPUT)

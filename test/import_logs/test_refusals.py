@@ -394,10 +394,8 @@ REFUSED: list[tuple[str, Make]] = [
     ("line 102: the time is '1e300': a stamp holds", first("1.00,0.1", "1e300,0.1")),
     ("line 102: the time is 'inf'", first("1.00,0.1", "inf,0.1")),
     ("line 102: the time is 'nan', which is no number", first("1.00,0.1", "nan,0.1")),
-    (
-        "goes on in 0 rows and back",
-        of_table(TABLE[:11] + "".join(TABLE[11:].splitlines(True)[::-1])),
-    ),
+    ("goes on in 0 rows and back",
+     of_table(TABLE[:11] + "".join(TABLE[11:].splitlines(True)[::-1]))),
     ("goes on in 0 rows and back in 0: sort the", of_table(re.sub(r"(?m)^[0-9.]+", "3.0", TABLE))),
     ("no complete row", of_table("t,p,q,r,de\n")),
     ("has no rates: columns p, q, r are empty", of_table("t,p,q,r,de\n1.0,,,,0.5\n")),
@@ -414,7 +412,7 @@ REFUSED: list[tuple[str, Make]] = [
     ("no channel says what it moves", of_map(", de: 1.0", "")),
     ("channels.elevator has an unknown entry 'dq'", of_map("de: 1.0", "dq: 1.0")),
     ("columns.yaml'.*is no YAML", of_map("time: {column: t}", "time: {")),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("number", range(len(REFUSED)))

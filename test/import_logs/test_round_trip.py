@@ -23,17 +23,10 @@ PUBLICATION_DELAY = 300
 """us."""
 
 FIXED_WING = {
-    "CA_AIRFRAME": 1,
-    "CA_ROTOR_COUNT": 1,
-    "CA_SV_CS_COUNT": 3,
-    "CA_SV_CS0_TYPE": 3,
-    "CA_SV_CS0_TRQ_P": 1.0,
-    "CA_SV_CS1_TYPE": 4,
-    "CA_SV_CS1_TRQ_Y": 1.0,
-    "CA_SV_CS2_TYPE": 15,
-    "CA_SV_CS2_TRQ_R": 1.0,
-    "SENS_BOARD_ROT": 0,
-}
+    "CA_AIRFRAME": 1, "CA_ROTOR_COUNT": 1, "CA_SV_CS_COUNT": 3, "SENS_BOARD_ROT": 0,
+    "CA_SV_CS0_TYPE": 3, "CA_SV_CS0_TRQ_P": 1.0, "CA_SV_CS1_TYPE": 4, "CA_SV_CS1_TRQ_Y": 1.0,
+    "CA_SV_CS2_TYPE": 15, "CA_SV_CS2_TRQ_R": 1.0,
+}  # fmt: skip
 
 PLANE = {
     "SERVO1_FUNCTION": 19, "SERVO1_REVERSED": 0,

@@ -80,100 +80,66 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
     "armed is set, nobody tells it": ("no message on '/armed' yet: nobody", {"armed": None}),
     "no driver": (
         "nobody publishes '/imu/data': no other topic fits: does its source run, with ROS_DOMAIN",
-        {"imu": None},
-    ),
+        {"imu": None}),
     "another name": (
         "'/imu/data_raw' carries sensor_msgs/msg/Imu: start with -r imu/data:=/imu/data_raw",
-        {"imu": ("/imu/data_raw", Imu, False)},
-    ),
+        {"imu": ("/imu/data_raw", Imu, False)}),
     "another sensor on the topic": (
         "'/imu/data' of /source carries sensor_msgs/msg/MagneticField, but",
-        {"imu": ("/imu/data", MagneticField, False)},
-    ),
-    "a driver that sends nothing": (
-        "'/imu/data' has a publisher, /source, which sends nothing",
-        {"imu": SILENT},
-    ),
+        {"imu": ("/imu/data", MagneticField, False)}),
+    "a driver that sends nothing": ("'/imu/data' has a publisher, /source, which sends nothing",
+        {"imu": SILENT}),
     "another type elsewhere": (
         "-r actuators:=/servos -p actuators.type:=std_msgs/msg/Float64MultiArray",
-        {"actuators": ("/servos", Float64MultiArray, True)},
-    ),
-    "another type on the topic": (
-        "set 'actuators.type' to std_msgs/msg/Float64MultiArray",
-        {"actuators": ("/actuators", Float64MultiArray, True)},
-    ),
+        {"actuators": ("/servos", Float64MultiArray, True)}),
+    "another type on the topic": ("set 'actuators.type' to std_msgs/msg/Float64MultiArray",
+        {"actuators": ("/actuators", Float64MultiArray, True)}),
     "QoS that does not fit": (
         "'qos_overrides./actuators.subscription.reliability' asks for reliable: set it to best_",
-        {"actuators": ("/actuators", JointState, False)},
-    ),
+        {"actuators": ("/actuators", JointState, False)}),
     "actuators end": ("no message on '/actuators' for more than 2 s: nobody", {"actuators": None}),
     "airspeed is set, nobody measures it": (
-        "no message on '/airspeed' for more than 2 s: nobody publishes",
-        {"airspeed": None},
-    ),
-    "airspeed of another type": (
-        "set 'airspeed.type' to geometry_msgs/msg/TwistStamped",
-        {"airspeed": ("/airspeed", TwistStamped, False)},
-    ),
-    "two drivers": (
-        "'/imu/data' has 2 publishers, whose messages mix: /source, /source; end one",
-        {"imu": TWICE},
-    ),
-    "two nodes of one name": (
-        "2 nodes are called '/identifier': their outputs mix",
-        {"node": TWICE},
-    ),
-    "other names": (
-        DROPPED.format("/actuators", "there is no channel 'e' among elevator, rudder"),
-        {"actuators": put("name", ["elevator", "rudder", "aileron", "throttle"])},
-    ),
+        "no message on '/airspeed' for more than 2 s: nobody publishes", {"airspeed": None}),
+    "airspeed of another type": ("set 'airspeed.type' to geometry_msgs/msg/TwistStamped",
+        {"airspeed": ("/airspeed", TwistStamped, False)}),
+    "two drivers": ("'/imu/data' has 2 publishers, whose messages mix: /source, /source; end one",
+        {"imu": TWICE}),
+    "two nodes of one name": ("2 nodes are called '/identifier': their outputs mix",
+        {"node": TWICE}),
+    "other names": (DROPPED.format("/actuators", "there is no channel 'e' among elevator, rudder"),
+        {"actuators": put("name", ["elevator", "rudder", "aileron", "throttle"])}),
     "too few channels": (
         DROPPED.format("/actuators", "'position' has 2 values, too few for channels e, r, a, t"),
-        {"actuators": put("position", [0.1, 0.0])},
-    ),
+        {"actuators": put("position", [0.1, 0.0])}),
     "channels that are no numbers": (
         DROPPED.format("/actuators", "channels e, r, a, t are nan, nan, nan, nan: not all finite"),
-        {"actuators": put("position", [math.nan] * 4)},
-    ),
+        {"actuators": put("position", [math.nan] * 4)}),
     "channels of another kind": (
         DROPPED.format("/actuators", "their values are larger than any aircraft has"),
-        {"actuators": put("position", [1e6] * 4)},
-    ),
+        {"actuators": put("position", [1e6] * 4)}),
     "two clocks": ("they run on different clocks", {"actuators": stamp(START_NS // 10**9 + 999)}),
     "airspeed of another unit": (
         DROPPED.format("/airspeed", "their values are larger than any aircraft has: look at un"),
-        {"airspeed": put("data", 20_000.0)},
-    ),
+        {"airspeed": put("data", 20_000.0)}),
     "no stamps": (DROPPED.format("/imu/data", "their stamp is zero: let"), {"imu": stamp(0)}),
-    "stamps stand still": (
-        "the stamps on '/imu/data' stand still at 1700000",
-        {"imu": frozen()},
-    ),
+    "stamps stand still": ("the stamps on '/imu/data' stand still at 1700000", {"imu": frozen()}),
     "stamps of another century": (
         DROPPED.format("/imu/data", "their stamp is beyond 2038: look at the clock"),
-        {"imu": stamp(2**31 - 1)},
-    ),
+        {"imu": stamp(2**31 - 1)}),
     "rates that are no numbers": (
         DROPPED.format("/imu/data", "their values are not finite numbers: look at the source"),
-        {"imu": put("angular_velocity.x", math.nan)},
-    ),
+        {"imu": put("angular_velocity.x", math.nan)}),
     "rates in another unit": (
         DROPPED.format("/imu/data", "their values are larger than any aircraft has: look at un"),
-        {"imu": put("angular_velocity.x", 4000.0)},
-    ),
-    "no gyro": (
-        DROPPED.format("/imu/data", "angular_velocity_covariance[0] is -1: no rates"),
-        {"imu": put("angular_velocity_covariance", NO_RATES)},
-    ),
-    "no Imu at all": (
-        DROPPED.format("/imu/data", "it takes 3003"),
-        {"imu": put("header.frame_id", "x" * 300_000)},
-    ),
+        {"imu": put("angular_velocity.x", 4000.0)}),
+    "no gyro": (DROPPED.format("/imu/data", "angular_velocity_covariance[0] is -1: no rates"),
+        {"imu": put("angular_velocity_covariance", NO_RATES)}),
+    "no Imu at all": (DROPPED.format("/imu/data", "it takes 3003"),
+        {"imu": put("header.frame_id", "x" * 300_000)}),
     "axes against the convention": (
         "'imu_frd' contradicts imu.convention 'flu': set it to 'frd', or correct",
-        {"imu": put("header.frame_id", "imu_frd")},
-    ),
-}
+        {"imu": put("header.frame_id", "imu_frd")}),
+}  # fmt: skip
 
 
 class Source:

@@ -21,24 +21,20 @@ WRONG_PARAMETERS = [
     ("actuators.trim:=[1.0,2.0]", "'actuators.trim' has 2 values: 4 are needed"),
     ("actuators.trim:=[1,0.5]", "write every number of a list with a decimal point"),
     ("use_sim_time:=1", "'use_sim_time' is 1: write true or false"),
-    (
-        "qos_overrides./imu/dat.subscription.depth:=9",
-        "did you mean 'qos_overrides./imu/data.subscription.depth'?",
-    ),
+    ("qos_overrides./imu/dat.subscription.depth:=9",
+     "did you mean 'qos_overrides./imu/data.subscription.depth'?"),
     ("qos_overrides./imu/data.subscription.reliability:=best", "reliable, best_effort"),
     ("initial_coefficients_file:=none.yaml", "'none.yaml': there is no such file"),
-]
+]  # fmt: skip
 
 WRONG_FILES = [
     (FILE + "    actuators: {trim: [1, 0.5]}\n", "line 3: the values of a list"),
     (FILE + "    update_rate: 20\n", "that is an integer: write 20.0"),
     (FILE + "    imu: {typ: sensor_msgs/msg/Imu}\n", "did you mean 'imu.type'?"),
     ("{", "line 1"),
-    (
-        "/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n",
-        "has nothing for node '/identifier': its sections are /uav_ident; write '/identifier:'",
-    ),
-]
+    ("/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n",
+     "has nothing for node '/identifier': its sections are /uav_ident; write '/identifier:'"),
+]  # fmt: skip
 
 REFUSALS = """
 import contextlib, io, json, sys

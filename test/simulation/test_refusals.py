@@ -100,7 +100,7 @@ REFUSED: list[tuple[str, Callable[[], object]]] = [
     ("is none of", lambda: parse_fault("motor_middle effect 0.5")),
     ("MOTOR effect FACTOR", lambda: faulty("5: elevator jams")),
     ("MOTOR effect FACTOR", lambda: faulty("5: turbulence 4")),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("named", "refused"), REFUSED)
