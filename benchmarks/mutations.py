@@ -23,7 +23,7 @@ COPIED = ("uav_ident_ros", "test", "benchmarks", "config", "pyproject.toml")
 
 TESTS: dict[str, tuple[str, ...]] = {
     "gates": ("test_gates.py",),
-    "drops": ("test_stamps.py", "test_properties.py"),
+    "intake": ("test_stamps.py", "test_properties.py"),
     "running_fit": ("test_supervision.py",),
     "model": ("test_estimators.py", "test_conditioning.py"),
     "identifier": ("test_estimators.py", "test_resume.py"),

@@ -5,9 +5,8 @@ import math
 
 import pytest
 
-from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import AIRSPEED, ARMED
+from uav_ident_ros.identification.intake import AIRSPEED, ARMED, Drop
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.arrival import Arrivals
 

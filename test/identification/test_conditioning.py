@@ -17,10 +17,9 @@ from flying import (
     worst,
 )
 
-from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import ACTUATORS, RATES
+from uav_ident_ros.identification.intake import ACTUATORS, RATES, Drop
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.disturbance import ColouredNoise

@@ -81,10 +81,11 @@ def learned(
     rows, root = RowSamples.of(samples, residual, LAYOUT), np.sqrt(ratios)
     answering = root[:, :, None] * root[:, None, :] if ratio else None
     for k in range(0, rows.count, 20):
-        block = replace(rows, signals=rows.signals[:, k : k + 20])
+        block = RowSamples(rows.signals[:, k : k + 20], DT)
         information.add([block], np.ones(LAYOUT.rows), answering)
-    solution = information.solve_with_sigma(start.values)[0]
-    return float(solution.values[PDOT_DA]), float(solution.sigma[PDOT_DA])
+    solution = information.solve(start.values)
+    _, found = information.spread(solution)
+    return float(solution.values[0][PDOT_DA]), float(found[0][PDOT_DA])
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -133,5 +134,6 @@ def test_a_whole_derivative_that_was_known_is_not_doubted_for_a_force() -> None:
         values[STRUCTURE.index(name)] = value
         sigma[STRUCTURE.index(name)] = 0.2 * abs(value)
     start = replace(start, values=values, sigma=sigma)
-    solution = Information(STRUCTURE, LAYOUT, start, 0.1).solve_with_sigma(values)[0]
-    assert solution.sigma[STRUCTURE.index("rdot/dr")] == pytest.approx(0.8)
+    information = Information(STRUCTURE, LAYOUT, start, 0.1)
+    _, found = information.spread(information.solve(values))
+    assert found[0][STRUCTURE.index("rdot/dr")] == pytest.approx(0.8)

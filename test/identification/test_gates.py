@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
 
-from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.gates import ROW_GATES, Gates, GlitchFilter, RestGate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.intake import Drop
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment

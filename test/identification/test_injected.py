@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 
-from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import EXCITATION
+from uav_ident_ros.identification.intake import EXCITATION, Drop
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.sampling import Sampler, join

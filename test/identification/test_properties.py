@@ -21,9 +21,9 @@ from hypothesis import strategies as st
 from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.files.parameter_template import render
-from uav_ident_ros.identification.drops import LARGEST_GYRO_RATE, LATEST_STAMP
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier, State
+from uav_ident_ros.identification.intake import LARGEST_GYRO_RATE, LATEST_STAMP
 from uav_ident_ros.identification.running_fit import WORST_FIT
 from uav_ident_ros.identification.settings import (
     LARGEST_COEFFICIENT,

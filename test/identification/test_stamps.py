@@ -3,10 +3,15 @@
 
 import pytest
 
-from uav_ident_ros.identification.drops import LATEST_STAMP, Drop
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.intake import (
+    AGREEING_SAMPLES,
+    LATEST_STAMP,
+    Drop,
+    Stamp,
+    StampGuard,
+)
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
 
 S = 1_000_000_000
 

@@ -146,20 +146,19 @@ class FlowObserver:
             v = airspeed
         self._speed = v
         plan = plan_steps(len(block.u), block.h)
-        middle = [0.5 * (part[:-1] + part[1:]) for part in (block.x, block.specific_force)]
-        samples = plan.means(np.concatenate((middle[0], block.u, middle[1]), axis=1)).tolist()
+        x, force = plan.means @ block.x, plan.means @ block.specific_force
+        samples = np.concatenate((x, plan.cell_means @ block.u, force), axis=1).tolist()
         a = coefficients.tolist()
         missing = [(a[rows.kinematics][_ROLL], a[rows.kinematics][_BIAS]) for rows in self._rows]
         if block.restarted:
             self._restart(samples[0], a, v)
         edges = [(*self.angles, *self.down)]
-        for cells, sample in zip(plan.cells.tolist(), samples, strict=True):
-            dt, rates, force = cells * block.h, sample[:3], sample[-3:]
-            m, weight = _gravity(force, rates, v)
-            self._turn(dt, rates, m, ATTITUDE_GAIN * weight)
-            self._follow_angles(dt, rates, force, self._told(sample, a), v, missing)
+        for dt, sample in zip(plan.times, samples, strict=True):
+            m, weight = _gravity(sample[-3:], sample[:3], v)
+            self._turn(dt, sample[:3], m, ATTITUDE_GAIN * weight)
+            self._follow_angles(dt, sample, self._told(sample, a), v, missing)
             edges.append((*self.angles, *self.down))
-        found = plan.at_edges(np.array(edges))
+        found = plan.lines @ np.array(edges)
         return FlowSignals(found[:, :2], found[:, 2:], v)
 
     def _told(self, sample: list[float], a: list[list[float]]) -> list[float]:
@@ -201,14 +200,13 @@ class FlowObserver:
     def _follow_angles(
         self,
         dt: float,
-        rates: list[float],
-        force: list[float],
+        sample: list[float],
         told: list[float],
         v: float,
         missing: list[tuple[float, float]],
     ) -> None:
         """Move the flow angles on, exactly for signals that are constant over `dt`."""
-        keep = exp(-self._rate * dt)
+        keep, rates, force = exp(-self._rate * dt), sample[:3], sample[-3:]
         for k, turning in ((0, -rates[2]), (1, rates[1])):
             by_p, bias = missing[k]
             rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v

@@ -198,6 +198,11 @@ def _grounded(look: Look) -> str:
     return grounded(look.armed, told, look.airspeed, look.settings.supervision.min_airspeed)
 
 
+def largest(values: FloatArray) -> float:
+    """Return the largest magnitude."""
+    return float(np.maximum.reduce(np.abs(values), axis=None))
+
+
 class GlitchFilter:
     """Leaves out samples of the gyro that are at its range for an instant, which no aircraft is."""
 
@@ -217,16 +222,20 @@ class GlitchFilter:
             Range of the gyro, rad/s; 0 if it is not known, and nothing is a glitch.
         """
         out = np.zeros(len(rates), dtype=bool)
-        if max_rate <= 0.0 or not len(rates) or np.abs(rates).max() < max_rate:
+        if (
+            max_rate <= 0.0
+            or not len(rates)
+            or np.maximum.reduce(np.abs(rates), axis=None) < max_rate
+        ):
             self._run = 0
             return out
         for k, sample in enumerate(rates):
-            if np.abs(sample).max() < max_rate:
+            if largest(sample) < max_rate:
                 before, self._run = sample, 0
                 continue
             self._run += 1
             if before is not None and self._run <= LONGEST_GLITCH:
-                out[k] = np.abs(sample - before).max() > GLITCH * max_rate
+                out[k] = largest(sample - before) > GLITCH * max_rate
         return out
 
 
@@ -266,16 +275,16 @@ class SensorGate:
     def _saturated(self, samples: FloatArray, max_rate: float) -> str:
         if max_rate <= 0.0:
             return ""
-        largest = np.maximum.reduce(np.abs(samples[:, :3]))
-        if largest.max() < max_rate:
+        if largest(samples[:, :3]) < max_rate:
             return ""
-        return f"the gyro is saturated: {SIGNALS[int(largest.argmax())]} reaches {max_rate:g} rad/s"
+        signal = SIGNALS[int(np.abs(samples[:, :3]).max(axis=0).argmax())]
+        return f"the gyro is saturated: {signal} reaches {max_rate:g} rad/s"
 
     def _stuck(self, t: float, samples: FloatArray, stuck_time: float) -> str:
         before = samples[:1] if self._last is None else self._last
         changed = np.logical_or.reduce(samples != before)
         self._last = samples[-1:]
-        if changed.all():  # nearly always
+        if np.logical_and.reduce(changed):  # nearly always
             self._constant_since.fill(t)
             self._moved.fill(True)
             return ""

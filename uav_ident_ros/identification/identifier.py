@@ -19,7 +19,6 @@ from uav_ident_ros.identification.delay import (
     DelayBank,
     DelayEstimate,
 )
-from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
@@ -34,6 +33,7 @@ from uav_ident_ros.identification.intake import (
     EXCITATION,
     NO_TICK,
     RATES,
+    Drop,
     Intake,
 )
 from uav_ident_ros.identification.model import IdentifiedModel
@@ -49,7 +49,7 @@ from uav_ident_ros.identification.regression import (
 )
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
-from uav_ident_ros.identification.sampling import Block, Sampler, Stretch, edges, join
+from uav_ident_ros.identification.sampling import Block, Sampler, Stretch, edge_values, join
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.structure import ROWS, STRUCTURES, BoolArray, FloatArray
@@ -549,7 +549,7 @@ class OnlineIdentifier:
             )
         regression = self._filter.apply(
             block,
-            edges([p.states for p in parts]),
+            edge_values([p.states for p in parts]),
             self._speed.scale[0] if self._speed.enabled else None,
             coefficients,
             block.excitation if alike.injected else None,
@@ -658,7 +658,7 @@ class OnlineIdentifier:
             prediction_error=rates[1],
             flow=None if self._flow is None else self._flow.state(coefficients, sigma),
             fit=self.running_fit.fit.copy(),
-            adapting=fed and bool(self._supervisor.learning.any()),
+            adapting=fed and True in self._supervisor.learning.tolist(),
             usable=all(usable),
             usable_rows=usable,
             state=state.value,

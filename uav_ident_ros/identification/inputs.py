@@ -29,6 +29,7 @@ class InputMap:
         mixing = settings.mixing
         scale = np.array(settings.scale or (1.0,) * n)
         self._square: FloatArray = np.array(settings.thrust_curve or (0.0,) * n)
+        self._bent = bool(self._square.any())
         self._scale = scale
         self.matrix: FloatArray = np.array([mixing.de, mixing.dr, mixing.da, mixing.dth]) * scale
         self.trim: FloatArray = np.array(settings.trim or (0.0,) * n)
@@ -39,7 +40,7 @@ class InputMap:
 
     def curved(self, raw: FloatArray) -> FloatArray:
         """Return what channels of shape (..., N) do, in their own units."""
-        if not self._square.any():
+        if not self._bent:
             return raw
         return np.asarray(raw * (1.0 + self._square * (self._scale * raw - 1.0)))
 

@@ -7,27 +7,18 @@ passed it by `input_wait`, and uses every sample stamped at or before it.
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum, StrEnum
 from fractions import Fraction
 from functools import partial
 
 import numpy as np
 
-from uav_ident_ros.identification.drops import (
-    LARGEST_AIRSPEED,
-    LARGEST_CHANNEL,
-    LARGEST_FORCE,
-    LARGEST_GYRO_RATE,
-    LATEST_STAMP,
-    Drop,
-    time_problem,
-    value_problem,
-)
 from uav_ident_ros.identification.samples import SampleBuffer, TimeArray
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
-from uav_ident_ros.identification.stamps import AGREEING_SAMPLES, Stamp, StampGuard
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
@@ -38,6 +29,112 @@ SECOND_NS = 1_000_000_000
 
 NO_TICK = -(2**62)
 """Time of the last tick before the first, ns."""
+
+LARGEST_GYRO_RATE = 100.0
+"""Rate that no gyro of an aircraft measures, rad/s: 5700 deg/s."""
+
+LARGEST_FORCE = 1000.0
+"""Specific force that no aircraft survives, m/s^2: 100 g."""
+
+LARGEST_CHANNEL = 1e5
+"""Raw channel value of no known unit: radians, fractions, PWM microseconds and motor speeds
+all stay below."""
+
+LARGEST_AIRSPEED = 1000.0
+"""Airspeed beyond any of these aircraft, m/s."""
+
+
+LATEST_STAMP = (2**31 - 1) * 1_000_000_000
+"""Last time that a ROS stamp can hold, ns: there is no message with the ticks after it."""
+
+AGREEING_SAMPLES = 5
+"""So many consecutive samples on a new time base are believed: one outlier is not."""
+
+
+class Drop(StrEnum):
+    """Why a sample was dropped."""
+
+    NOT_FINITE = "not finite"
+    WRONG_LENGTH = "wrong number of values"
+    ZERO_STAMP = "zero or negative stamp"
+    BEYOND_STAMP = "stamp beyond 2038"
+    OUTLYING_STAMP = "outlying stamp"
+    IMPLAUSIBLE = "implausibly large"
+    GLITCH = "out of range for an instant"
+    LATE = "late"
+    DUPLICATE = "repeated stamp"
+    CLOCK_MISMATCH = "stamp far from the Imu's"
+
+
+def time_problem(t_ns: int) -> Drop | None:
+    """Return why no sample can have this stamp, ns; None if one can."""
+    if t_ns <= 0:
+        return Drop.ZERO_STAMP
+    return Drop.BEYOND_STAMP if t_ns > LATEST_STAMP else None
+
+
+def value_problem(values: Sequence[float], count: int, largest: float) -> Drop | None:
+    """Return why a sample's values cannot be used; None if they can.
+
+    Parameters
+    ----------
+    values : sequence of floats
+        The values, any unit.
+    count : int
+        How many there must be.
+    largest : float
+        Magnitude that none may exceed.
+    """
+    if len(values) != count:
+        return Drop.WRONG_LENGTH
+    if not math.isfinite(sum(values)):
+        return Drop.NOT_FINITE
+    if max(map(abs, values)) > largest:
+        return Drop.IMPLAUSIBLE
+    return None
+
+
+class Stamp(Enum):
+    """Verdict on one stamp."""
+
+    GOOD = "good"
+    OUTLYING = "outlying"
+    NEW_BASE = "new base"
+
+
+class StampGuard:
+    """Tells an outlying stamp from a new time base.
+
+    Parameters
+    ----------
+    jump_ns : int
+        Distance from the newest stamp beyond which a stamp is outlying, ns.
+    """
+
+    def __init__(self, jump_ns: int) -> None:
+        self._jump_ns = jump_ns
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the stream: the next stamp starts a new one."""
+        self.newest: int | None = None
+        self._candidate: int = 0
+        self._agreeing: int = 0
+
+    def check(self, t_ns: int) -> Stamp:
+        """Judge the stamp `t_ns`; on NEW_BASE the stream has moved to it."""
+        if self.newest is None or abs(t_ns - self.newest) <= self._jump_ns:
+            self.newest = t_ns if self.newest is None else max(self.newest, t_ns)
+            self._agreeing = 0
+            return Stamp.GOOD
+        agrees = self._agreeing and 0 < t_ns - self._candidate <= self._jump_ns
+        self._agreeing = self._agreeing + 1 if agrees else 1
+        self._candidate = t_ns
+        if self._agreeing < AGREEING_SAMPLES:
+            return Stamp.OUTLYING
+        self.newest = t_ns
+        self._agreeing = 0
+        return Stamp.NEW_BASE
 
 
 @dataclass(frozen=True)

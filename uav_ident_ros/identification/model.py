@@ -25,7 +25,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uav_ident_ros.identification.frames import lever_arm_matrix
 from uav_ident_ros.identification.sampling import Block, FlowSignals
@@ -105,7 +104,11 @@ def rates_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
     callable
         Its drive is the part of pdot, qdot, rdot that does not depend on the state.
     """
-    first, second, third = (list(row) for row in _entries(a)[:3])
+    return _rates_derivative(_entries(a), leak)
+
+
+def _rates_derivative(rows: list[Any], leak: float) -> Derivative:
+    first, second, third = rows[:3]
     a1, a2, a3, a4, a5, a6, a7, a8 = first[STATE_COLUMNS]
     b1, b2, b3, b4, b5, b6, b7, b8 = second[STATE_COLUMNS]
     c1, c2, c3, c4, c5, c6, c7, c8 = third[STATE_COLUMNS]
@@ -139,8 +142,8 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
         Its drive: the parts of the seven rows that do not depend on the state, 1/V (s/m), and
         what is added to the rate of change of d.
     """
-    moments = rates_derivative(a, leak)
     rows = _entries(a)
+    moments = _rates_derivative(rows, leak)
     beta_column, alpha_column = range(LAST_COLUMNS.start, LAST_COLUMNS.stop)
     l_beta, n_beta, y_beta = (rows[i][beta_column] for i in (0, 2, 3))
     m_alpha, z_alpha = (rows[i][alpha_column] for i in (1, 4))
@@ -170,7 +173,7 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
 
 def _entries(a: FloatArray) -> list[Any]:
     """Rows of coefficients: floats of one model, (W,) arrays of many."""
-    return a.tolist() if a.ndim == 2 else list(a)
+    return a.tolist() if a.ndim == 2 else [list(row) for row in a]
 
 
 def bounded(states: FloatArray) -> FloatArray:
@@ -180,8 +183,10 @@ def bounded(states: FloatArray) -> FloatArray:
 
 def diverged(state: Sequence[float]) -> bool:
     """Whether a state is beyond what an aircraft does; NaN is."""
-    limits = zip((LARGEST_RATE,) * 3 + (LARGEST_ANGLE,) * 2, state, strict=False)
-    return not all(abs(value) < limit for limit, value in limits)
+    for k, value in enumerate(state[:5]):
+        if not abs(value) < (LARGEST_RATE if k < 3 else LARGEST_ANGLE):
+            return True
+    return False
 
 
 def with_measured_force(coefficients: FloatArray, structure: Structure) -> FloatArray:
@@ -296,15 +301,15 @@ class IdentifiedModel:
         """Predict the state over a block from `start`; parameters as in `run`."""
         a = off_centre(coefficients, self._lever) if self._offset else coefficients
         leak = 1.0 / leak_time if leak_time > 0.0 else 0.0
-        drive = self._drive(a, block)
+        plan = plan_steps(len(block.u), block.h)
+        drive = self._drive(a, block, plan)
         if leak:
-            measured = block.state
-            pull = leak * 0.5 * (measured[:-1] + measured[1:])
+            pull = leak * (plan.means @ block.state)
             drive[:, :3] += pull[:, :3]
             drive[:, 5:7] += pull[:, 3:5]
             drive[:, 8:] += pull[:, 5:]
         form = flight_derivative if self._structure.has_flow else rates_derivative
-        return _over_cells(form(a, leak), start, drive, block.h)
+        return _over_steps(form(a, leak), start, drive, plan)
 
     def euler(
         self,
@@ -333,38 +338,34 @@ class IdentifiedModel:
         """Set the state to the rates `x`."""
         self.state = np.array(x, dtype=np.float64)
 
-    def _drive(self, a: FloatArray, block: Block) -> FloatArray:
-        """Part of the model that does not depend on the state, a row for each cell."""
+    def _drive(self, a: FloatArray, block: Block, plan: Steps) -> FloatArray:
+        """Part of the model that does not depend on the state, a row for each step."""
+        u = plan.cell_means @ block.u
         if block.flow is not None:
-            drive = np.zeros((len(block.u), 11))
-            drive[:, :7] = block.u @ a[:, INPUT_COLUMNS].T + a[:, CONSTANT_COLUMN]
+            drive = np.zeros((len(u), 11))
+            drive[:, :7] = u @ a[:, INPUT_COLUMNS].T + a[:, CONSTANT_COLUMN]
             drive[:, 7] = 1.0 / block.flow.airspeed
             return drive
         exogenous = a[:, EXOGENOUS_COLUMNS]
-        rates_drive: FloatArray = block.u @ exogenous[:, :4].T
+        rates_drive: FloatArray = u @ exogenous[:, :4].T
         if exogenous.shape[1] > 4:
-            force = 0.5 * (block.force[:-1] + block.force[1:])
-            rates_drive += exogenous[:, 4] + force @ exogenous[:, 5:].T
+            rates_drive += exogenous[:, 4] + plan.means @ block.force @ exogenous[:, 5:].T
         return rates_drive
 
 
-def _over_cells(
-    derivative: Derivative, start: FloatArray, drive: FloatArray, h: float
+def _over_steps(
+    derivative: Derivative, start: FloatArray, drive: FloatArray, plan: Steps
 ) -> FloatArray:
-    """Integrate over cells of `h` s, several a step; straight lines between the steps."""
-    plan = plan_steps(len(drive), h)
-    drive = plan.means(drive)
-    per_cell = max(1, round(h / STEP))
-    dts = (plan.cells * (h / per_cell)).tolist()
-    cells = zip(drive.tolist(), dts, strict=True)
-    steps = [(drive, drive, drive, dt) for drive, dt in cells for _ in range(per_cell)]
-    first = start.tolist()
+    """Integrate over the steps of a block; straight lines between them."""
+    cells = zip(drive.tolist(), plan.times, strict=True)
+    split, first = plan.split, start.tolist()
+    steps = [(drive, drive, drive, dt / split) for drive, dt in cells for _ in range(split)]
     states = list(integrate(derivative, first, steps))
-    coarse = np.array([first, *states[per_cell - 1 :: per_cell]])
+    coarse = np.array([first, *states[split - 1 :: split]])
     if diverged(states[-1]):
         # Diverged is diverged: what lies between infinite states would be no number.
         coarse = bounded(coarse)
-    return plan.at_edges(coarse)
+    return np.asarray(plan.lines @ coarse)
 
 
 @dataclass(frozen=True)
@@ -373,36 +374,23 @@ class Steps:
 
     Parameters
     ----------
-    stride : int
-        Cells joined in a step.
-    begin : (s,) int array
-        First cell of each step.
-    cells : (s,) array
-        Cells of each step.
-    left : (m + 1,) int array
-        Step in which each edge lies.
-    share : (m + 1, 1) array
-        How far through it, 0 ... 1.
+    times : list of s floats
+        Lengths of the steps, s.
+    split : int
+        Into how many a step is split where a cell is longer than `STEP`.
+    cell_means : (s, m) array
+        Takes values of the cells to their means over the steps.
+    means : (s, m + 1) array
+        The same for straight lines between values at the edges of the cells.
+    lines : (m + 1, s + 1) array
+        Straight lines through values at the edges of the steps, at the edges of the cells.
     """
 
-    stride: int
-    begin: NDArray[np.intp]
-    cells: FloatArray
-    left: NDArray[np.intp]
-    share: FloatArray
-
-    def means(self, values: FloatArray) -> FloatArray:
-        """Mean over each step of values of the cells, shape (s, ...)."""
-        if self.stride == 1:
-            return values
-        return np.asarray(np.add.reduceat(values, self.begin) / self.cells[:, None])
-
-    def at_edges(self, values: FloatArray) -> FloatArray:
-        """Values at the edges of the cells, from those at the edges of the steps."""
-        if self.stride == 1:
-            return values
-        low = values[self.left]
-        return np.asarray(low + self.share * (values[self.left + 1] - low))
+    times: list[float]
+    split: int
+    cell_means: FloatArray
+    means: FloatArray
+    lines: FloatArray
 
 
 @lru_cache(maxsize=64)
@@ -410,7 +398,15 @@ def plan_steps(m: int, h: float) -> Steps:
     """Return the steps over `m` cells of `h` s, none shorter than `STEP` where cells are."""
     stride = max(1, round(STEP / h))
     begin = np.arange(0, m, stride)
-    cells = np.minimum(stride, m - begin) * 1.0
-    edges = np.arange(m + 1)
-    left = np.minimum(edges // stride, len(begin) - 1)
-    return Steps(stride, begin, cells, left, ((edges - begin[left]) / cells[left])[:, None])
+    cells = np.minimum(stride, m - begin)
+    step, edges = np.repeat(np.arange(len(begin)), cells), np.arange(m + 1)
+    cell_means = np.zeros((len(begin), m))
+    cell_means[step, edges[:-1]] = 1.0 / cells[step]
+    means = np.zeros((len(begin), m + 1))
+    means[:, :-1] = 0.5 * cell_means
+    means[:, 1:] += 0.5 * cell_means
+    left = np.append(step, len(begin) - 1)
+    share = (edges - begin[left]) / cells[left]
+    lines = np.zeros((m + 1, len(begin) + 1))
+    lines[edges, left], lines[edges, left + 1] = 1.0 - share, share
+    return Steps((cells * h).tolist(), max(1, round(h / STEP)), cell_means, means, lines)

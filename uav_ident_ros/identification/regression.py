@@ -49,7 +49,7 @@ NEGLIGIBLE = 1e-30
 its square must be a number still."""
 
 
-_MOMENTS = np.arange(len(ROWS))
+_MOMENTS, _MAIN_INPUTS = np.arange(len(ROWS)), MAIN_COLUMNS - INPUT_COLUMNS.start
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Layout:
     @cached_property
     def driven_by(self) -> NDArray[np.intp]:
         """Input that each instrument follows, (rows, k): itself, or else the row's main one."""
-        main = MAIN_COLUMNS - INPUT_COLUMNS.start
+        main = _MAIN_INPUTS
         rows = np.array([*main, main[2], main[1]])[: self.rows]  # side force by rudder, lift by de
         own = self.index - INPUT_COLUMNS.start
         return np.where((own >= 0) & (own < len(INPUTS)), own, rows[:, None])
@@ -98,7 +98,7 @@ class Layout:
 
     def main_effect(self, inputs: FloatArray, samples: RowSamples) -> FloatArray:
         """Return what main inputs with the derivatives `inputs` (3, 4) make in samples, (3, m)."""
-        derivatives = inputs[_MOMENTS, MAIN_COLUMNS - INPUT_COLUMNS.start]
+        derivatives = inputs[_MOMENTS, _MAIN_INPUTS]
         return np.asarray(derivatives[:, None] * samples.f[_MOMENTS, :, self.main])
 
     @cached_property

@@ -17,7 +17,7 @@ from uav_ident_ros.identification.frames import BodyFrame, centripetal
 from uav_ident_ros.identification.inputs import InputMap, ServoLag, cell_means
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, MAX_DELAY, Settings
-from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 RATE_SAMPLES = 20
 """Samples from which the Imu's rate is found: enough for a median that drop-outs don't move."""
@@ -108,21 +108,21 @@ def join(blocks: Sequence[Block]) -> Block:
         parts = [np.zeros_like(b.u) if b.excitation is None else b.excitation for b in blocks]
         excitation = np.concatenate(parts)
     if flows := [block.flow for block in blocks if block.flow is not None]:
-        angles, down = edges([f.angles for f in flows]), edges([f.down for f in flows])
+        angles, down = edge_values([f.angles for f in flows]), edge_values([f.down for f in flows])
         flow = FlowSignals(angles, down, flows[0].airspeed)
     return Block(
-        edges([block.t_ns for block in blocks]),
+        edge_values([block.t_ns for block in blocks]),
         first.h,
-        edges([block.x for block in blocks]),
+        edge_values([block.x for block in blocks]),
         np.concatenate([block.u for block in blocks]),
-        edges([block.specific_force for block in blocks]),
+        edge_values([block.specific_force for block in blocks]),
         first.restarted,
         excitation,
         flow,
     )
 
 
-def edges(parts: Sequence[Edges]) -> Edges:
+def edge_values(parts: Sequence[Edges]) -> Edges:
     """Return the values at the edges of all cells, from those of blocks that share an edge."""
     return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
 
@@ -169,6 +169,7 @@ class Sampler:
     def __init__(self, settings: Settings) -> None:
         self._frame = BodyFrame(settings.imu)
         self._arm = np.array(settings.imu.lever_arm)
+        self._offset = bool(self._arm.any())
         self._actuators = settings.actuators
         self._max_gap_ns = round(settings.filter.max_gap * 1e9)
         self._timeout_ns = round(settings.actuators.timeout * 1e9)
@@ -281,7 +282,7 @@ class Sampler:
         x = self.rates.v[:, :3]
         spread = np.maximum(np.abs(x.mean(axis=0)), x.std(axis=0))
         window = np.array([newest - span_ns, newest], dtype=np.int64)
-        if spread.max() > STEADY_RATE or not self._inputs_known(window, 0).all():
+        if spread.max() > STEADY_RATE or self._known_runs(window, 0) != [(0, 2)]:
             return False
         # By time, not by sample: some publish only what changes.
         mean = cell_means(
@@ -312,12 +313,12 @@ class Sampler:
         edges = np.arange(start, self._usable(last_ns) + 1, self.h_ns, dtype=np.int64)
         if len(edges) < 2:
             return
-        known = self._inputs_known(edges, self._delay_ns)
-        for begin, end in _stretches(known):
+        runs = self._known_runs(edges, self._delay_ns)
+        for begin, end in runs:
             if end - begin > 1:
                 yield self._block(edges[begin:end], begin > 0 or not self._continues)
                 self._continues = True
-        self._continues = bool(known[-2:].all())
+        self._continues = bool(runs) and runs[-1][1] == len(edges) and end - begin > 1
         self._edge_ns = int(edges[-1])
 
     def _usable(self, last_ns: int) -> int:
@@ -330,21 +331,27 @@ class Sampler:
         newest = int(self.raw_inputs.t[-1]) + self._delay_ns
         return min(last_ns, newest) if last_ns - newest <= self._stale_ns else last_ns
 
-    def _inputs_known(self, edges: TimeArray, delay_ns: int) -> BoolArray:
-        """Whether a fresh enough input acts at each of the edges."""
+    def _known_runs(self, edges: TimeArray, delay_ns: int) -> list[tuple[int, int]]:
+        """Begin and end (exclusive) of each run of edges at which a fresh enough input acts."""
         at, t = edges - delay_ns, self.raw_inputs.t
+        first = int(t.searchsorted(at[0], side="right")) - 1
+        if first >= 0 and at[-1] - t[first] <= self._stale_ns and not self._linear:
+            return [(0, len(edges))]  # nearly always
         last = t.searchsorted(at, side="right") - 1
         begin = t[np.maximum(last, 0)]
-        if not self._linear:
-            return np.asarray((last >= 0) & (at - begin <= self._stale_ns))
-        end = t[np.minimum(t.searchsorted(at), len(t) - 1)]
-        return np.asarray((last >= 0) & (at <= end) & (end - begin <= self._stale_ns))
+        if self._linear:
+            end = t[np.minimum(t.searchsorted(at), len(t) - 1)]
+            known = (last >= 0) & (at <= end) & (end - begin <= self._stale_ns)
+        else:
+            known = (last >= 0) & (at - begin <= self._stale_ns)
+        flips = np.flatnonzero(np.diff(known.astype(np.int8), prepend=0, append=0)).tolist()
+        return list(zip(flips[::2], flips[1::2], strict=True))
 
     def _block(self, edges: TimeArray, restarted: bool) -> Block:
         assert self.h_ns is not None
         signals = self.rates.interpolate(edges).reshape(-1, 2, 3)
         x, force = self._frame.to_body(signals).transpose(1, 0, 2)
-        if self._arm.any():
+        if self._offset:
             force[:, 1:] -= centripetal(x, self._arm)
         u = self._input_means(edges - self._delay_ns, self._lag, restarted)
         injected = self._injected_means(edges - self._delay_ns, restarted)
@@ -398,12 +405,3 @@ def with_silences(t_ns: TimeArray, v: FloatArray, first_ns: int) -> tuple[TimeAr
         stamps, values = np.append(stamps, first_ns), np.append(values, np.zeros_like(v[:1]), 0)
     order = np.argsort(stamps, kind="stable")
     return stamps[order], values[order]
-
-
-def _stretches(flags: BoolArray) -> list[tuple[int, int]]:
-    """Begin and end (exclusive) of each run of true flags."""
-    if flags.all():
-        return [(0, len(flags))]
-    padded = np.concatenate([[0], flags.astype(np.int8), [0]])
-    flips = [int(i) for i in np.flatnonzero(np.diff(padded))]
-    return list(zip(flips[::2], flips[1::2], strict=True))

@@ -4,8 +4,8 @@
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.intake import Drop
 
 Values = TypeVar("Values")
 

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.intake import Drop
 from uav_ident_ros.identification.structure import ROWS
 
 TICKS_KEPT = 1200

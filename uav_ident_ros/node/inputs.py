@@ -9,9 +9,8 @@ from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
-from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import RATES
+from uav_ident_ros.identification.intake import RATES, Drop
 from uav_ident_ros.messages.arrival import Arrivals
 from uav_ident_ros.messages.imu import IMU_TYPE, decode_imu_cdr
 from uav_ident_ros.messages.streams import STREAMS, Stream

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 
 from rclpy.node import Node
 
-from uav_ident_ros.identification.drops import Drop
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import ARMED, RATES
+from uav_ident_ros.identification.intake import ARMED, RATES, Drop
 from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import NS_PER_S

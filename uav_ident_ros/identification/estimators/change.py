@@ -122,6 +122,8 @@ class ChangeDetector:
     ----------
     recent : deque of Regression
         The samples of the window.
+    count : int
+        Their number.
     found : Slopes
         What the last look found.
     """
@@ -137,6 +139,7 @@ class ChangeDetector:
         self.recent: deque[Regression] = deque()
         nothing = np.zeros((3, 4))
         self.found = Slopes(nothing, nothing, nothing, nothing, np.zeros(4))
+        self.count = 0
         self._recent_time = 0.0
         self._since_look = 0.0
         self._usual: FloatArray = np.zeros((3, 4))  # times power
@@ -152,6 +155,7 @@ class ChangeDetector:
     def restart(self) -> None:
         """Forget the window: what comes does not continue it."""
         self.recent.clear()
+        self.count = 0
         self._recent_time = self._since_look = 0.0
         self._agreeing.fill(0)
 
@@ -160,15 +164,18 @@ class ChangeDetector:
         if samples.restarted:
             self.restart()
         self.recent.append(samples)
+        self.count += len(samples.y)
         self._recent_time += samples.time
         while self._recent_time > WINDOW_TIME:
-            self._recent_time -= self.recent.popleft().time
+            oldest = self.recent.popleft()
+            self._recent_time -= oldest.time
+            self.count -= len(oldest.y)
         self._since_look += samples.time
         if self._since_look < CHECK_TIME - 0.5 * samples.dt:
             return False
         if self._recent_time < WINDOW_TIME - 1.5 * samples.time:
             return False
-        return sum(len(part.y) for part in self.recent) >= FEWEST_SAMPLES
+        return self.count >= FEWEST_SAMPLES
 
     def look(
         self, coefficients: FloatArray, sigma: FloatArray, lively: BoolArray, clear: BoolArray

@@ -174,10 +174,11 @@ class GradientEstimator:
         self.information.add([rows], weight)
         for y, f in zip(samples.y, samples.f, strict=True):
             self._step(y, f, samples.dt)
-        reference = self.information.solve_with_sigma(self.coefficients)[0]
-        distance = self.coefficients - reference.values
+        reference = self.information.solve(self.coefficients)
+        _, sigma = self.information.spread(reference)
+        distance = self.coefficients - reference.values[0]
         distance = np.hypot(distance, MODEL_ERROR * self.coefficients)
-        self.sigma = np.where(self.start.free, np.hypot(reference.sigma, distance), 0.0)
+        self.sigma = np.where(self.start.free, np.hypot(sigma[0], distance), 0.0)
 
     def _step(self, y: FloatArray, f: FloatArray, dt: float) -> None:
         """Step the law."""

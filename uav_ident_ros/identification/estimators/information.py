@@ -180,55 +180,35 @@ class Sums:
         self.counts[:, :, row] = np.array([[KNOWN_BLOCKS], [0.0]])
 
 
-@dataclass(frozen=True)
+@dataclass
 class Solution:
-    """Coefficients.
+    """Coefficients of some parts, and the equations that they solve.
+
+    The equations are ``(B^T S^-1 B + P) a = B^T S^-1 r`` with B = R T, row by row.
 
     Parameters
     ----------
-    linear : (rows, k) array
-        Coefficients of the regression problem.
-    values : (R, n) array
+    values : (parts, R, n) array
         Coefficients of the structure.
+    linear : (parts, rows, k) array
+        Coefficients of the regression problem.
+    sums : Sums
+        What they are solved from.
+    transform : (rows, k, k) array
+        T, from the structure's coefficients to the linear ones.
+    projected, matrix : (parts, rows, k, k) array
+        ``B^T S^-1``, and ``B^T S^-1 B + P``.
+    prior : (parts, rows, k) array
+        Diagonal of P.
     """
 
-    linear: FloatArray
     values: FloatArray
-
-
-@dataclass(frozen=True)
-class Spread(Solution):
-    """Coefficients, and how well they are known.
-
-    Parameters
-    ----------
-    covariance : (rows, k, k) array
-        Covariance of the linear coefficients, row by row.
-    sigma : (R, n) array
-        Standard deviations of the coefficients of the structure.
-    """
-
-    covariance: FloatArray
-    sigma: FloatArray
-
-
-@dataclass(frozen=True)
-class System:
-    """The equations ``(B^T S^-1 B + P) a = B^T S^-1 r`` of some parts, with B = R T, and a.
-
-    Instruments are scaled to a unit diagonal of S. All are (parts, rows, k, k) arrays but
-    `transform` (rows, k, k), `prior` and `scale` (parts, rows, k), and the solutions
-    (parts, rows, k, 1).
-    """
-
+    linear: FloatArray
     sums: Sums
-    transform: FloatArray  # T, from the structure's coefficients to the linear ones
-    scale: FloatArray  # Of the instruments
-    projected: FloatArray  # B^T S^-1
-    matrix: FloatArray  # Its product with B, and P
-    prior: FloatArray  # Diagonal of P
-    physical: FloatArray  # Coefficients of the structure
-    linear: FloatArray  # Those of the regression problem
+    transform: FloatArray
+    projected: FloatArray
+    matrix: FloatArray
+    prior: FloatArray
 
 
 class Information:
@@ -282,6 +262,7 @@ class Information:
         self._instrumental = np.array(instrumental)
         parts, rows, k = len(instrumental), layout.rows, layout.width
         self._i, self._j = layout.place[..., 0], layout.place[..., 1]
+        self._row, self._column = self._i[layout.used], self._j[layout.used]
         self._flow = _flow_entries(structure, layout)
         self._transform = Transform(structure, layout)
         self.start = start
@@ -303,7 +284,7 @@ class Information:
     def start(self, start: Start) -> None:
         self._start = start
         used = self.layout.used
-        self._initial = np.where(used, start.values[self._i, self._j], 0.0)[..., None]
+        self._initial = np.where(used, start.values[self._i, self._j], 0.0)
         self.free: BoolArray = used & start.free[self._i, self._j]
         self._precision = np.where(self.free, start.precision[self._i, self._j], 0.0)
         self._prior_variance = np.where(self.free, start.sigma[self._i, self._j] ** 2, 0.0)
@@ -346,7 +327,7 @@ class Information:
         self.time += time
         self._score += known[:, None] * score
         self._score_time += time
-        if self._score_time.max() >= BLOCK_TIME:
+        if max(self._score_time.tolist()) >= BLOCK_TIME:
             self._close_blocks(self._score_time >= BLOCK_TIME)
 
     def _stack(self, samples: Sequence[RowSamples]) -> RowSamples:
@@ -401,8 +382,8 @@ class Information:
 
     # -- solution --------------------------------------------------------------------------
 
-    def solve(self, values: FloatArray, parts: slice = slice(None)) -> list[Solution]:
-        """Return the coefficients of each of some parts, without their standard deviations.
+    def solve(self, values: FloatArray, parts: slice = slice(None)) -> Solution:
+        """Solve for what differs from the start, with instruments scaled to a unit diagonal of S.
 
         Parameters
         ----------
@@ -411,30 +392,6 @@ class Information:
         parts : slice
             Which parts; all if left out.
         """
-        system = self._system(values, parts)
-        return [
-            Solution(linear[..., 0], self._place(physical[..., 0], self._start.values))
-            for linear, physical in zip(system.linear, system.physical, strict=True)
-        ]
-
-    def solve_with_sigma(self, values: FloatArray) -> list[Spread]:
-        """Return the coefficients of all parts and how well they are known; as in `solve`."""
-        system = self._system(values, slice(None))
-        inverse, covariance = self._covariance(system)
-        resolution = 1.0 - np.einsum("pijj->pij", inverse) * system.prior
-        linear = system.transform @ covariance @ system.transform.swapaxes(-1, -2)
-        return [
-            Spread(
-                system.linear[p, ..., 0],
-                self._place(system.physical[p, ..., 0], self._start.values),
-                linear[p],
-                self._sigma(covariance[p], system.linear[p, ..., 0], resolution[p]),
-            )
-            for p in range(len(linear))
-        ]
-
-    def _system(self, values: FloatArray, parts: slice) -> System:
-        """Solve for what differs from the start."""
         sums, transform = self.known[parts], self._transform(values)
         instruments = sums.zz * self._pairs
         power = np.einsum("pijj->pij", instruments)
@@ -445,7 +402,7 @@ class Information:
         instruments *= scale[..., :, None] * scale[..., None, :]
         np.einsum("pijj->pij", instruments)[...] += RIDGE + dead
         slope = sums.zf @ transform
-        target = scale[..., None] * (sums.zy - slope @ self._initial)
+        target = scale[..., None] * (sums.zy - slope @ self._initial[..., None])
         slope *= self._pairs * scale[..., None]
         projected = np.linalg.solve(instruments, slope).swapaxes(-1, -2)
         matrix = projected @ slope
@@ -454,12 +411,14 @@ class Information:
         # Columns without power have neither data nor, where fixed, a prior.
         diagonal[diagonal <= 0.0] = 1.0
         try:
-            change = np.linalg.solve(matrix, projected @ target)
+            change = np.linalg.solve(matrix, projected @ target)[..., 0]
         except np.linalg.LinAlgError:
-            change = np.full_like(target, np.nan)
-        physical = self._initial + np.where(self.free[..., None], change, 0.0)
-        linear: FloatArray = transform @ physical
-        return System(sums, transform, scale, projected, matrix, prior, physical, linear)
+            change = np.full_like(prior, np.nan)
+        physical = self._initial + np.where(self.free, change, 0.0)
+        linear = (transform @ physical[..., None])[..., 0]
+        found = self._placed(physical, self._start.values)
+        projected = projected * scale[..., None, :]
+        return Solution(found, linear, sums, transform, projected, matrix, prior)
 
     def _prior(self, sums: Sums, power: FloatArray, variance: FloatArray) -> FloatArray:
         """Return how much the prior counts, (parts, rows, k), where samples count as their time.
@@ -468,56 +427,65 @@ class Information:
         what was learned before counts for more. What only keeps noise out does not.
         """
         prior = self._precision * (variance * self._unit_time)[..., None]
-        if sums.counts[1].any():
+        if np.add.reduce(sums.counts[1], axis=None) > 0.0:
             share = np.einsum("pijj->pij", sums.answers) / power
             prior *= 1.0 + self._told * share * (sums.counts[1] / self._unit_time)[..., None]
         return np.asarray(prior)
 
-    def _covariance(self, system: System) -> tuple[FloatArray, FloatArray]:
-        """Return the inverse of the matrix, and the covariance of the coefficients.
+    def spread(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
+        """Return how well the coefficients of all parts are known.
 
         ``G Omega G^T`` with Omega the sum of the outer products of the scores of one-second
         blocks: it holds for residuals coloured within a block, where ``s^2 R^-1`` is several
         times too small (block-mean form of Morelli and Klein 1997), and what answers disturbances
         in full (`Feedback`). The prior adds its own part.
+
+        Returns
+        -------
+        covariance : (parts, rows, k, k) array
+            Covariance of the linear coefficients, row by row.
+        sigma : (parts, R, n) array
+            Standard deviations of the coefficients of the structure.
         """
-        sums, scale = system.sums, system.scale
+        sums, transform, prior = solution.sums, solution.transform, solution.prior
         blocks, answer_time = sums.counts
         try:
-            inverse = np.linalg.inv(system.matrix)
+            inverse = np.linalg.inv(solution.matrix)
         except np.linalg.LinAlgError:
-            inverse = np.full_like(system.matrix, np.nan)
-        gain = self._pairs * (inverse @ system.projected) * scale[..., None, :]
+            inverse = np.full_like(solution.matrix, np.nan)
+        gain = self._pairs * (inverse @ solution.projected)
         # Few blocks: their scatter underestimates; p coefficients cost p degrees of freedom.
         correction = 1.0 + self._lost / np.maximum(blocks - self._lost, 1.0)
         middle = sums.scores * correction[..., None, None]
         middle += (self.variance * answer_time)[..., None, None] * sums.answers
-        held = inverse * (system.prior**2 * self._prior_variance)[..., None, :]
+        held = inverse * (prior**2 * self._prior_variance)[..., None, :]
         covariance = gain @ middle @ gain.swapaxes(-1, -2) + held @ inverse.swapaxes(-1, -2)
-        return inverse, covariance
+        resolution = 1.0 - np.einsum("pijj->pij", inverse) * prior
+        sigma = self._sigma(covariance, solution.linear, resolution)
+        return transform @ covariance @ transform.swapaxes(-1, -2), sigma
 
     def _sigma(
         self, covariance: FloatArray, linear: FloatArray, resolution: FloatArray
     ) -> FloatArray:
-        """Return the standard deviations of the structure's coefficients, shape (R, n).
+        """Return the standard deviations of the structure's coefficients, (parts, R, n).
 
         What is not free keeps that of the start. Where a flow angle is used, the uncertainty of
         the force row that defines it adds to that of the moment, as far as the samples tell of it:
-        the `resolution` (rows, k), 1 without a prior.
+        the `resolution` (parts, rows, k), 1 without a prior.
         """
-        variance = np.maximum(np.einsum("ijj->ij", covariance), 0.0)
-        out = self._place(variance, np.zeros_like(self._start.values))
+        variance = np.maximum(np.einsum("pijj->pij", covariance), 0.0)
+        out = self._placed(variance, np.zeros_like(self._start.values))
         for at in self._flow:
-            share, force = linear[at.row, at.angle] ** 2, out[at.rows.force]
+            share, force = linear[:, at.row, at.angle] ** 2, out[:, at.rows.force]
             for entry, column in ((at.angle, at.rows.angle), *at.others):
-                out[at.row, column] += share * force[column] * resolution[at.row, entry] ** 2
+                told = resolution[:, at.row, entry] ** 2
+                out[:, at.row, column] += share * force[:, column] * told
         return np.where(self._start.free, np.sqrt(out), self._start.sigma)
 
-    def _place(self, entries: FloatArray, out: FloatArray) -> FloatArray:
-        """Entries of the rows (rows, k) at their places in the structure, over `out` (R, n)."""
-        out = out.copy()
-        used = self.layout.used
-        out[self._i[used], self._j[used]] = entries[used]
+    def _placed(self, entries: FloatArray, over: FloatArray) -> FloatArray:
+        """Entries (parts, rows, k) at their places in the structure, over (R, n)."""
+        out = np.array([over] * len(entries))
+        out[:, self._row, self._column] = entries[:, self.layout.used]
         return out
 
     # -- what the flight has told, by the first part -----------------------------------------

@@ -10,8 +10,8 @@ while its coefficients are still poor).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,6 @@ from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import (
     MODEL_ERROR,
     Information,
-    Solution,
-    Spread,
     Sums,
 )
 from uav_ident_ros.identification.estimators.model_error import ModelError
@@ -70,6 +68,14 @@ TRIAL_TIME = 10.0
 TRIAL_RATIO = 0.8
 """Squared residual of the new coefficients, relative to the old ones', above which a reset
 is taken back: a real change leaves the old ones far behind, a false alarm does not."""
+
+
+class Known(NamedTuple):
+    """What an estimate says."""
+
+    linear: FloatArray  # (rows, k) Coefficients of the regression problem
+    covariance: FloatArray  # (rows, k, k) Their covariance, row by row
+    sigma: FloatArray  # (R, n) Standard deviations of the coefficients of the structure
 
 
 @dataclass
@@ -157,7 +163,7 @@ class RecursiveRegression:
         self._detector = ChangeDetector(self._start.free[:3], self._cutoff)
         self._recent: deque[RowSamples] = deque()
         self._recent_time = 0.0
-        self._snapshots: deque[Spread] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
+        self._snapshots: deque[Known] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
         self._since_snapshot = 0.0
         self._since_sigma = np.inf
         self._trials: dict[int, Trial] = {}
@@ -251,33 +257,33 @@ class RecursiveRegression:
 
         How well the coefficients are known is looked at every `SIGMA_TIME`, or `early` s sooner.
         """
-        due = self._since_sigma >= SIGMA_TIME - early
+        due, before = self._since_sigma >= SIGMA_TIME - early, self.coefficients
+        solution = self.information.solve(before, slice(None) if due else slice(1))
+        values, sigma = solution.values[0], self.sigma
         if due:
-            parts = self.information.solve_with_sigma(self.coefficients)
-            own: Solution = parts[0]
-            sigma = self._sigma_of(parts)
-        else:
-            own, sigma = self.information.solve(self.coefficients, slice(1))[0], self.sigma
-        largest = np.abs(own.values).max()
+            covariance, sigmas = self.information.spread(solution)
+            sigma = self._sigma(solution.values, sigmas)
+        largest = np.maximum.reduce(np.abs(values), axis=None)
         if not (largest < LARGEST_COEFFICIENT and np.isfinite(sigma).all()):  # NaN fails too
             self.forget(0.0)
             return
         if due:
-            self._white, self._since_sigma = parts[1], 0.0
-        self._solution, self.sigma = own.linear, sigma
-        self._linear = self._layout.matrix(own.linear)
-        self.coefficients = np.minimum(own.values, self._bounds)
+            self._white = Known(solution.linear[1], covariance[1], sigmas[1])
+            self._since_sigma, self.sigma = 0.0, sigma
+        self._solution = solution.linear[0]
+        self._linear = self._layout.matrix(self._solution)
+        self.coefficients = np.minimum(values, self._bounds)
 
-    def _sigma_of(self, parts: Sequence[Spread]) -> FloatArray:
-        """Return the standard deviations that are published."""
-        own, white, *reference = parts
-        values, sigma = own.values, own.sigma
+    def _sigma(self, values: FloatArray, sigmas: FloatArray) -> FloatArray:
+        """Return the standard deviations to be published, from those of all parts."""
+        own, white, *reference = values
+        sigma = sigmas[0]
         for other in reference:
-            sigma = np.hypot(sigma, values - other.values)
-        sigma = np.hypot(np.maximum(sigma, white.sigma), values - white.values)
+            sigma = np.hypot(sigma, own - other)
+        sigma = np.hypot(np.maximum(sigma, sigmas[1]), own - white)
         main = np.arange(len(ROWS)), MAIN_COLUMNS
-        sigma[main] = np.hypot(sigma[main], self.model_error * values[main])
-        sigma = np.hypot(sigma, MODEL_ERROR * values)
+        sigma[main] = np.hypot(sigma[main], self.model_error * own[main])
+        sigma = np.hypot(sigma, MODEL_ERROR * own)
         return np.where(self._start.free, sigma, self._start.sigma)
 
     def reconfigure(self, settings: Settings) -> None:
