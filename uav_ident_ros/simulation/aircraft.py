@@ -6,11 +6,13 @@ is made. One step of JSBSim moves the state first and evaluates controls, forces
 accelerations after, so that what is read after a step belongs to one instant.
 """
 
+import contextlib
 import importlib
 import os
+import re
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +55,10 @@ SURFACES = (
 )
 COMMANDS = ("fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm", "fcs/aileron-cmd-norm")
 _TRIMS = ("fcs/pitch-trim-cmd-norm", "fcs/yaw-trim-cmd-norm", "fcs/roll-trim-cmd-norm")
+
+OUTPUT = re.compile(r"<output\s[^>]*/>|<output\s[^>]*[^/]>.*?</output>", re.DOTALL)
+"""Files that some aircraft write of themselves, in whatever folder they are flown. (The outputs of
+their flight controls have no attributes.)"""
 
 SETTLING_TIME = 20.0
 """Time on the autopilot before others fly an aircraft, s."""
@@ -121,7 +127,6 @@ def _load(name: str, rate: float) -> Any:
         else:
             os.environ["JSBSIM_DEBUG"] = before
     fdm.set_debug_level(0)
-    fdm.disable_output()  # some aircraft write files of their own
     fdm.set_dt(1.0 / rate)
     own = MODELS / name
     source = own if own.is_dir() else Path(fdm.get_root_dir()) / "aircraft" / name
@@ -130,17 +135,30 @@ def _load(name: str, rate: float) -> Any:
             model = Path(shutil.copytree(source, Path(folder) / name)) / f"{name}.xml"
             text = model.read_text(encoding="utf-8", errors="surrogateescape")
             text = text.replace("</mass_balance>", BALLASTS * BALLAST + "</mass_balance>", 1)
+            text = OUTPUT.sub("", text)
             model.write_text(text, encoding="utf-8", errors="surrogateescape")
         fdm.set_aircraft_path(folder)
-        if not fdm.load_model(name):
+        with _explained(name):
+            found = fdm.load_model(name)
+        if not found:
             raise SimulationError(f"JSBSim has no aircraft '{name}': it is the 'model' of its file")
     return fdm
+
+
+@contextlib.contextmanager
+def _explained(name: str) -> Iterator[None]:
+    """Turn what JSBSim raises into a sentence: its exceptions have no public base class."""
+    try:
+        yield
+    except Exception as error:
+        raise SimulationError(f"JSBSim cannot fly aircraft '{name}': {error}") from None
 
 
 def _surface_ranges(name: str, rate: float) -> FloatArray:
     """Elevator, rudder and aileron at `COMMAND_POINTS`, shape (3, 81), rad."""
     fdm = _load(name, rate)
-    fdm.run_ic()
+    with _explained(name):
+        fdm.run_ic()
     out = np.empty((3, len(COMMAND_POINTS)))
     for i, command in enumerate(COMMAND_POINTS):
         for target in COMMANDS:
@@ -186,7 +204,8 @@ class Aircraft:
         while nodes.hasNode(f"propulsion/engine[{self._engines}]/set-running"):
             self._engines += 1
         suffixes = [""] + [f"[{i}]" for i in range(1, self._engines)]
-        self._throttle = [nodes.get_node(f"fcs/throttle-cmd-norm{s}") for s in suffixes]
+        throttles = (nodes.get_node(f"fcs/throttle-cmd-norm{s}") for s in suffixes)
+        self._throttle = [node for node in throttles if node is not None]  # a glider has none
         self._trim()
         # (4,) Elevator, rudder, aileron (rad) and throttle as last commanded
         self.surfaces = np.array([self.fdm[s] for s in SURFACES])

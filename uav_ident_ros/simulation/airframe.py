@@ -123,6 +123,8 @@ def _read(path: Path) -> Airframe:
         raise SimulationError(f"{where} has no entries like 'model: c172p'")
     nested = {"autopilot": (Gains, f"{where}, autopilot")}
     found: Airframe = build(Airframe, {"name": path.stem, **content}, where, nested)
+    if not isinstance(found.model, str):
+        raise SimulationError(f"{where}: model is the number {found.model}: write it in quotes")
     for key in ("speed", "altitude"):
         value = getattr(found, key)
         if not (isinstance(value, int | float) and value > 0.0):
