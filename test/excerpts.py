@@ -51,6 +51,16 @@ def excerpt(
     return target
 
 
+def decoded(bag: Path) -> dict[str, list[tuple[int, Any]]]:
+    """Log times and messages of a bag, by topic."""
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with Bag(bag) as opened:
+        decoders = {topic: opened.decoder(topic) for topic in opened.types}
+        for topic, log_ns, data in opened.messages(opened.types):
+            found.setdefault(topic, []).append((log_ns, decoders[topic](data)))
+    return found
+
+
 def parameters(name: str = "multisine", **changes: Any) -> dict[str, Any]:
     """Parameters beside a committed bag, with changes (``__`` for the dots)."""
     values = load_parameters(BAGS / name / "identifier.yaml", "identifier")

@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Programs as tests run them: in a process of their own, or by their main function."""
 
+import os
+import pty
+import select
 import subprocess
 import sys
+import termios
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -29,3 +34,35 @@ def refusal(main: Callable[[Sequence[str]], int], arguments: Sequence[str], caps
     assert (status, printed.out) == (2, ""), printed
     (line,) = printed.err.splitlines()
     return str(line)
+
+
+class Terminal:
+    """A program on a terminal of 24 lines; `options` may lead its streams elsewhere."""
+
+    def __init__(self, command: list[str], columns: int = 80, **options: Any) -> None:
+        self._main, side = pty.openpty()
+        termios.tcsetwinsize(side, (24, columns))
+        environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "NO_COLOR")}
+        environment |= {"TERM": "xterm-256color", "PYTHONIOENCODING": "utf-8"}
+        streams = {"stdin": side, "stdout": side, "stderr": side, **options}
+        self.process = subprocess.Popen(command, cwd=ROOT, env=environment, **streams)
+        os.close(side)
+        self.received = ""
+
+    def read_until(self, words: str, timeout: float = 120.0) -> bool:
+        """Read until the words were shown, or the program ends; return whether they were."""
+        end = time.monotonic() + timeout
+        while words not in self.received and time.monotonic() < end:
+            if select.select([self._main], [], [], 0.1)[0]:
+                try:
+                    self.received += os.read(self._main, 65536).decode(errors="replace")
+                except OSError:  # the program has ended
+                    break
+        return words in self.received
+
+    def close(self) -> None:
+        """Make sure that nothing is left."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        os.close(self._main)

@@ -17,6 +17,7 @@ from excerpts import (
     IMU,
     SECOND_NS,
     Entry,
+    decoded,
     excerpt,
     parameters,
     replayed_run,
@@ -27,7 +28,7 @@ from rosbags.highlevel import AnyReader
 
 from uav_ident_ros.bags.messages import TWIST, joint_state, plain, twist_stamped
 from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.bags.writing import BagWriter, jazzy_types
+from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.files.coefficients_file import load_coefficients, save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -93,18 +94,8 @@ def fed_by_hand(
 
 def published(output: Path) -> dict[str, list[tuple[int, Any]]]:
     """Log times and messages of a bag of estimates, by topic."""
-    found: dict[str, list[tuple[int, Any]]] = {}
-    with Bag(output / "estimates") as bag:
-        assert bag.types == {
-            "/identifier/coefficients": "std_msgs/msg/Float64MultiArray",
-            "/identifier/coefficients_named": "sensor_msgs/msg/JointState",
-            "/identifier/predicted_rates": "geometry_msgs/msg/Vector3Stamped",
-            "/identifier/prediction_error": "geometry_msgs/msg/Vector3Stamped",
-        }
-        for topic, log_ns, data in bag.messages(bag.types):
-            message = jazzy_types().deserialize_cdr(data, bag.types[topic])
-            found.setdefault(topic.removeprefix("/identifier/"), []).append((log_ns, message))
-    return found
+    found = decoded(output / "estimates")
+    return {topic.removeprefix("/identifier/"): entries for topic, entries in found.items()}
 
 
 @pytest.mark.parametrize(
@@ -119,6 +110,12 @@ def test_estimates_are_those_of_the_core_to_the_bit(
     main([str(bag), *options(name), "--output", str(output)])
     identifier, estimates = fed_by_hand(name, bag)
     structure, found = identifier.structure, published(output)
+    assert {topic: entries[0][1].__msgtype__ for topic, entries in found.items()} == {
+        "coefficients": "std_msgs/msg/Float64MultiArray",
+        "coefficients_named": "sensor_msgs/msg/JointState",
+        "predicted_rates": "geometry_msgs/msg/Vector3Stamped",
+        "prediction_error": "geometry_msgs/msg/Vector3Stamped",
+    }
     assert {len(messages) for messages in found.values()} == {len(estimates)}
     assert len(estimates) > 100
     for k, estimate in enumerate(estimates):

@@ -1,17 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The progress bar of `replay`: on a terminal, where tqdm is there, and nowhere else."""
 
-import os
-import pty
+import math
 import re
 import subprocess
 import sys
-import termios
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-from excerpts import ROOT, excerpt
-from programs import Capture
+from excerpts import excerpt
+from programs import Capture, Terminal
 
 from uav_ident_ros.offline import progress
 from uav_ident_ros.offline.status import NOT_USABLE, USABLE
@@ -19,24 +18,11 @@ from uav_ident_ros.offline.status import NOT_USABLE, USABLE
 
 def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
     """Run `replay` with a terminal as its error stream; return status and what was shown."""
-    shown, stream = pty.openpty()
-    termios.tcsetwinsize(stream, (24, 100))  # of no columns nothing is shown
-    process = subprocess.Popen(
-        [sys.executable, "-m", "uav_ident_ros.offline", *arguments],
-        cwd=ROOT, stdout=subprocess.DEVNULL, stderr=stream,
-    )  # fmt: skip
-    os.close(stream)
-    text = b""
-    while True:
-        try:
-            part = os.read(shown, 4096)
-        except OSError:  # the other end is closed
-            break
-        if not part:
-            break
-        text += part
-    os.close(shown)
-    return process.wait(), text.decode()
+    command = [sys.executable, "-m", "uav_ident_ros.offline", *arguments]
+    nowhere = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+    with closing(Terminal(command, 100, **nowhere)) as terminal:
+        terminal.read_until("to the end of what is shown", math.inf)
+        return terminal.process.wait(), terminal.received
 
 
 def test_one_bag_shows_every_phase_and_the_time_left(tmp_path: Path) -> None:

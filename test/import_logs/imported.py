@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import programs
+from excerpts import decoded
 
-from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.import_logs.cli import main
 from uav_ident_ros.messages.types import header_ns
@@ -36,21 +36,6 @@ def flight(duration: float = 10.0, **sensors: Any) -> Measurements:
     return build_measurements("flight", definition)
 
 
-def run(arguments: list[str], capsys: Any, status: int = 0) -> str:
-    """Import a log; return what was printed, as one line."""
-    ended = main(arguments)
-    printed = capsys.readouterr()
-    assert ended == status, printed.err
-    return " ".join(str(printed.out).split())
-
-
-def refusal(arguments: list[str], capsys: Any) -> str:
-    """Import a log that is refused; return the one line that says why."""
-    line = programs.refusal(main, arguments, capsys)
-    assert line.startswith("import_log: ")
-    return line
-
-
 @dataclass
 class Contents:
     """Samples of an imported bag: stamps, ns, and values of each topic."""
@@ -71,12 +56,11 @@ class Contents:
 
 def contents(path: Path) -> Contents:
     """Read a bag through the project's own reader."""
-    with Bag(path) as bag:
-        decode = {topic: bag.decoder(topic) for topic in bag.types}
-        rows = [(topic, log, decode[topic](data)) for topic, log, data in bag.messages(bag.types)]
-    imu = [m for topic, _, m in rows if topic == "/imu/data"]
-    commands = [m for topic, _, m in rows if topic == "/actuators"]
-    airspeed = [m for topic, _, m in rows if topic == "/airspeed"]
+    found = decoded(path)
+    imu, commands, airspeed = (
+        [message for _, message in found.get(topic, ())]
+        for topic in ("/imu/data", "/actuators", "/airspeed")
+    )
 
     def vectors(field: str) -> np.ndarray:
         return np.array([[getattr(getattr(m, field), axis) for axis in "xyz"] for m in imu])
@@ -90,7 +74,7 @@ def contents(path: Path) -> Contents:
         np.array([m.position for m in commands]),
         list(commands[0].name),
         np.array([m.twist.linear.x for m in airspeed]),
-        np.array([log for _, log, _ in rows]),
+        np.sort([log for entries in found.values() for log, _ in entries]),
     )
 
 
@@ -130,15 +114,20 @@ class Importer:
         self.folder, self._capsys = folder, capsys
         self.log, self._count = folder, 0
 
-    def __call__(self, log: Path, *options: str, status: int = 0) -> Imported:
-        self.log, self._count = log, self._count + 1
+    def __call__(self, log: Path | str, *options: str, status: int = 0) -> Imported:
+        self.log, self._count = Path(log), self._count + 1
         bag = self.folder / f"bag_{self._count}"
-        said = run([str(log), "--output", str(bag), *options], self._capsys, status)
-        return Imported(bag, said)
+        ended = main([str(log), "--output", str(bag), *options])
+        printed = self._capsys.readouterr()
+        assert ended == status, printed.err
+        return Imported(bag, " ".join(str(printed.out).split()))
 
-    def refused(self, log: Path, *options: str) -> str:
-        """The line with which a log is refused."""
-        return refusal([str(log), "--output", str(self.folder / "refused"), *options], self._capsys)
+    def refused(self, log: Path | str, *options: str) -> str:
+        """The one line with which a log is refused."""
+        arguments = [str(log), "--output", str(self.folder / "refused"), *options]
+        line = programs.refusal(main, arguments, self._capsys)
+        assert line.startswith("import_log: ")
+        return line
 
 
 @dataclass

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataflash_writing import OLD_FORMATS, DataflashWriter
+from excerpts import decoded
 from imported import Imported, Importer, mixing
 
-from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.simulation.channels import QUADROTOR
 
 START, STEP, COUNT = 20_000_000, 4000, 300
@@ -210,12 +210,10 @@ def test_mode_and_setpoints_come_along(importer: Importer, scale: float) -> None
     rows += [(START, "MODE", (5, 5, 1)), (int(COMMAND_US[9]), "MODE", (99, 99, 1))]
     title = [(START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",))]
     it = imported(importer, title + imu() + rcou() + rows, PLANE)
-    with Bag(it.folder) as bag:
-        decode = {topic: bag.decoder(topic) for topic in ("/mode", "/setpoint/rates")}
-        read = [(m.topic, m.log_ns, decode[m.topic](m.data)) for m in bag.messages(decode)]
-    modes = [(t, m.data) for topic, t, m in read if topic == "/mode"]
+    read = decoded(it.folder)
+    modes = [(t, m.data) for t, m in read["/mode"]]
     assert modes == [(START * 1000, "fbwa"), (int(COMMAND_US[9]) * 1000, "Mode 99")]
-    vector = next(m.vector for topic, _, m in read if topic == "/setpoint/rates")
+    vector = read["/setpoint/rates"][0][1].vector
     np.testing.assert_allclose(np.degrees([vector.x, vector.y, vector.z]), [30, -20, 10], rtol=1e-6)
 
 

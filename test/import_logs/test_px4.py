@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from excerpts import decoded
 from imported import Imported, Importer, mixing, replayed
 from pyulog import ULog
 from pyulog.ulog2csv import convert_ulog2csv
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
-from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.import_logs.knowledge import quaternions
@@ -364,18 +364,15 @@ def test_attitude_arming_mode_and_setpoints_come_along(importer: Importer) -> No
     it = imported(importer, topics, {"MC_ROLLRATE_P": 0.15})
     assert it.values["armed.type"] == "std_msgs/msg/Bool"
     assert "MC_ROLLRATE_P 0.15" in (it.folder / "identifier.yaml").read_text()
-    with Bag(it.folder) as bag:
-        topics = ("/imu/data", "/armed", "/mode", "/setpoint/rates")
-        decode = {topic: bag.decoder(topic) for topic in topics}
-        read = [(m.topic, m.log_ns, decode[m.topic](m.data)) for m in bag.messages(decode)]
-    states = [(t, m.data) for topic, t, m in read if topic == "/armed"]
+    read = decoded(it.folder)
+    states = [(t, m.data) for t, m in read["/armed"]]
     assert all(armed == (t >= armed_ns) for t, armed in states)
     assert (armed_ns, True) in states and len(states) == 3
-    modes = [(t, m.data) for topic, t, m in read if topic == "/mode"]
+    modes = [(t, m.data) for t, m in read["/mode"]]
     assert modes == [(int(IMU_NS[0]), "manual"), (armed_ns, "stabilized")]
-    asked = [m.vector for topic, _, m in read if topic == "/setpoint/rates"]
+    asked = [m.vector for _, m in read["/setpoint/rates"]]
     np.testing.assert_allclose([(v.x, v.y, v.z) for v in asked], asked_for)
-    imu = [m for topic, _, m in read if topic == "/imu/data"]
+    imu = [m for _, m in read["/imu/data"]]
     o = imu[110].orientation  # between two samples of the attitude
     middle = quaternions(*(np.array([angle]) for angle in (0.3, -0.2, yaw[5:7].mean())))[0]
     assert abs(np.dot([o.x, o.y, o.z, o.w], middle)) == pytest.approx(1.0, abs=1e-6)

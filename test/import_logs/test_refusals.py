@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dataflash_writing import DataflashWriter
-from imported import contents, refusal, run
+from imported import Importer
 from programs import python
 from pyulog import ULog
 from ulog_writing import commands, sensor_combined, stamps, write_ulog
@@ -28,11 +28,6 @@ VALUES = np.random.default_rng(1).normal(size=(len(IMU_NS), 3))
 COMMANDS = commands(IMU_NS[::4], VALUES[::4], "xyz")
 RATES = sensor_combined(IMU_NS, VALUES, VALUES)
 GOOD = {("sensor_combined", 0): RATES, ("vehicle_torque_setpoint", 0): COMMANDS}
-
-
-@pytest.fixture
-def out(tmp_path: Path) -> list[str]:
-    return ["--output", str(tmp_path / "bag")]
 
 
 Make = Callable[[Path], list[str]]
@@ -55,20 +50,19 @@ def ulog(tmp_path: Path) -> Path:
 KINDS = pytest.mark.parametrize("write", [ulog, plane_log])
 
 
-def spoilt(path: Path, content: bytes) -> str:
+def spoilt(path: Path, content: bytes) -> Path:
     path.write_bytes(content)
-    return str(path)
+    return path
 
 
-def test_nothing_half_written_stays_behind(tmp_path: Path, capsys, out) -> None:
+def test_nothing_half_written_stays_behind(tmp_path: Path) -> None:
     """A limit on the size of files fails the writing in the middle of the bag."""
-    log = ulog(tmp_path)
     program = (
         "import resource, signal, sys\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))\n"
         "from uav_ident_ros.import_logs.cli import main\n"
-        f"sys.exit(main({[str(log), *out]!r}))"
+        f"sys.exit(main({[str(ulog(tmp_path)), '--output', str(tmp_path / 'bag')]!r}))"
     )
     done = python("-c", program)
     assert done.returncode == 2
@@ -77,61 +71,72 @@ def test_nothing_half_written_stays_behind(tmp_path: Path, capsys, out) -> None:
     assert not (tmp_path / "bag").exists()
 
 
-def test_the_output_is_not_overwritten(tmp_path: Path, capsys, out) -> None:
-    (tmp_path / "bag").mkdir()
-    log = ulog(tmp_path)
-    assert "exists already" in refusal([str(log), *out], capsys)
-    assert not list((tmp_path / "bag").iterdir())
+def test_the_output_is_not_overwritten(importer: Importer) -> None:
+    (importer.folder / "refused").mkdir()
+    assert "exists already" in importer.refused(ulog(importer.folder))
+    assert not list((importer.folder / "refused").iterdir())
 
 
 # --- both kinds ---------------------------------------------------------------------------------
 
 
 @KINDS
-def test_a_log_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out, write) -> None:
-    whole = write(tmp_path).read_bytes()
-    cut = spoilt(write(tmp_path), whole[: len(whole) // 2 + 5])
-    assert "cut off at its end" in run([cut, *out], capsys)
-    found = contents(tmp_path / "bag")
+def test_a_log_that_is_cut_off_gives_what_is_there(importer: Importer, write: Any) -> None:
+    path = write(importer.folder)
+    whole = path.read_bytes()
+    found, _, said = importer(spoilt(path, whole[: len(whole) // 2 + 5]))
+    assert "cut off at its end" in said
     np.testing.assert_array_equal(found.imu_t_ns, IMU_NS[: len(found.imu_t_ns)])
     assert 700 < len(found.imu_t_ns) < 1300
 
 
 @KINDS
-def test_a_log_with_garbage_inside_says_so(tmp_path: Path, capsys, out, write) -> None:
-    path = write(tmp_path)
+def test_a_log_with_garbage_inside_says_so(importer: Importer, write: Any) -> None:
+    path = write(importer.folder)
     whole = bytearray(path.read_bytes())
     middle = len(whole) // 2
     whole[middle : middle + 1000] = np.random.default_rng(5).bytes(1000)
-    said = run([spoilt(path, whole), *out], capsys, DAMAGED)
-    (lost,) = re.findall(r"the file is damaged: (\d+) of \d+ bytes \(.* %\) in 1 place", said)
+    it = importer(spoilt(path, whole), status=DAMAGED)
+    (lost,) = re.findall(r"the file is damaged: (\d+) of \d+ bytes \(.* %\) in 1 place", it.said)
     assert 900 < int(lost) < 1200  # not to the next sync, of which there is none here
-    assert len(contents(tmp_path / "bag").imu_t_ns) > len(IMU_NS) - 40
-    assert "# Damaged:" in (tmp_path / "bag" / "identifier.yaml").read_text()
+    assert len(it.bag.imu_t_ns) > len(IMU_NS) - 40
+    assert "# Damaged:" in (it.folder / "identifier.yaml").read_text()
 
 
-# --- ULog ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("part", ["size", "type", "topic", "stamp"])
-def test_one_damaged_byte_of_a_ulog_costs_one_sample(
-    tmp_path: Path, capsys, out, part: str
+@pytest.mark.parametrize(
+    ("write", "part", "at", "value"),
+    [
+        (ulog, "size", 0, 9), (ulog, "type", 2, 0), (ulog, "topic", 3, 1),
+        (ulog, "stamp", 11, 0x55), (plane_log, "header", 0, 0), (plane_log, "type", 2, 0),
+        (plane_log, "known type", 2, 0), (plane_log, "stamp", 9, 0x55),
+    ],
+)  # fmt: skip
+def test_one_damaged_byte_costs_one_sample(
+    importer: Importer, write: Any, part: str, at: int, value: int
 ) -> None:
-    path = ulog(tmp_path)
+    """A library's own reader stops at it, and with it goes the rest of the log."""
+    path = write(importer.folder)
     whole = bytearray(path.read_bytes())
-    size = struct.calcsize("<Q3fIi3f") + 5
-    header = (size - 3).to_bytes(2, "little") + b"D\0\0"
-    place = whole.index(header, len(whole) // 2)
-    at, value = {"size": (0, 9), "type": (2, 0), "topic": (3, 1), "stamp": (11, 0x55)}[part]
-    whole[place + at] = value
-    said = run([spoilt(path, whole), *out], capsys, DAMAGED)
-    found = contents(tmp_path / "bag")
+    if write is ulog:
+        size = struct.calcsize("<Q3fIi3f") + 5
+        header = (size - 3).to_bytes(2, "little") + b"D\0\0"
+    else:
+        size = struct.calcsize("<3xQBffffffIIfBBHH")
+        header = HEADER + whole[whole.index(b"IMU\0") - 2 :][:1]
+        value = whole[whole.index(b"RCOU") - 2] if part == "known type" else value
+    whole[whole.index(header, len(whole) // 2) + at] = value
+    found, _, said = importer(spoilt(path, whole), status=DAMAGED)
     assert len(found.imu_t_ns) == len(IMU_NS) - 1
     assert set(found.imu_t_ns) < set(IMU_NS)
     assert len(found.actuator_t_ns) == len(IMU_NS) // 4
     if part != "stamp":
         assert f"{size} of {len(whole)} bytes (" in said
         assert "in 1 place, about 0.0" in said
+    elif write is plane_log:
+        assert "1 of 2000 messages IMU have a stamp that no clock gave" in said
+
+
+# --- ULog ---------------------------------------------------------------------------------------
 
 
 def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
@@ -175,63 +180,31 @@ def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
     assert ours.end_ns == theirs.last_timestamp * 1000
 
 
-def test_a_ulog_with_a_stamp_that_no_clock_gave(tmp_path: Path, capsys, out) -> None:
+def test_a_ulog_with_a_stamp_that_no_clock_gave(importer: Importer) -> None:
     topics = {key: {n: v.copy() for n, v in columns.items()} for key, columns in GOOD.items()}
     topics["sensor_combined", 0]["timestamp"][1000] = 2**62
     topics["vehicle_torque_setpoint", 0]["timestamp"][200] = 2**63
-    log = write_ulog(tmp_path / "flight.ulg", topics, {})
-    said = run([str(log), *out], capsys, DAMAGED)
+    log = write_ulog(importer.folder / "flight.ulg", topics, {})
+    found, _, said = importer(log, status=DAMAGED)
     assert "1 of 2000 messages sensor_combined have a stamp that no clock gave" in said
     assert "1 of 500 messages vehicle_torque_setpoint have a stamp that no clock gave" in said
-    found = contents(tmp_path / "bag")
     np.testing.assert_array_equal(found.imu_t_ns, np.delete(IMU_NS, 1000))
     assert found.log_ns[-1] == IMU_NS[-1]
 
 
-def test_a_last_stamp_that_lies_days_ahead(tmp_path: Path, capsys, out) -> None:
+def test_a_last_stamp_that_lies_days_ahead(importer: Importer) -> None:
     """It may be a straggler; what is written for every second is not written for those days."""
     rates = {name: values.copy() for name, values in RATES.items()}
     rates["timestamp"][-1] += 5 * 86_400_000_000
     armed = {"timestamp": stamps(IMU_NS[:2]), "arming_state": np.full(2, 2, np.uint8)}
     topics = GOOD | {("sensor_combined", 0): rates, ("vehicle_status", 0): armed}
-    log = write_ulog(tmp_path / "flight.ulg", topics, {})
-    assert "armed for 43" in run([str(log), *out], capsys)
-    with Bag(tmp_path / "bag") as bag:
+    it = importer(write_ulog(importer.folder / "flight.ulg", topics, {}))
+    assert "armed for 43" in it.said
+    with Bag(it.folder) as bag:
         assert bag.counts["/armed"] < 15
 
 
 # --- dataflash ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("part", ["header", "type", "known type", "stamp"])
-def test_one_damaged_byte_of_a_bin_costs_one_message(
-    tmp_path: Path, capsys, out, part: str
-) -> None:
-    """pymavlink's index stops at it, and with it went the rest of the log."""
-    whole = bytearray(plane_log(tmp_path).read_bytes())
-    reader = read_dataflash(tmp_path / "plane.bin", ("IMU", "RCOU"))
-    assert reader.messages("IMU").stamp_ns.tolist() == IMU_NS.tolist()
-    kind = whole[whole.index(b"IMU\0") - 2]
-    pattern = HEADER + bytes([kind])
-    place = whole.index(pattern, len(whole) // 2)
-    at, value = {
-        "header": (0, 0),
-        "type": (2, 0),
-        "known type": (2, whole[whole.index(b"RCOU") - 2]),
-        "stamp": (9, 0x55),
-    }[part]
-    whole[place + at] = value
-    said = run([spoilt(tmp_path / "plane.bin", whole), *out], capsys, DAMAGED)
-    found = contents(tmp_path / "bag")
-    assert len(found.imu_t_ns) == len(IMU_NS) - 1
-    assert set(found.imu_t_ns) < set(IMU_NS)
-    assert len(found.actuator_t_ns) == len(IMU_NS) // 4
-    if part == "stamp":
-        assert "1 of 2000 messages IMU have a stamp that no clock gave" in said
-    else:
-        size = struct.calcsize("<3xQBffffffIIfBBHH")
-        assert f"{size} of {len(whole)} bytes (" in said
-        assert re.search("in 1 place, about 0.0(05|1) s of the log", said)
 
 
 def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
@@ -281,28 +254,27 @@ def table(tmp_path: Path, text: str = TABLE, columns: str = COLUMNS) -> list[str
     return [str(tmp_path / "flight.csv"), "--columns", str(tmp_path / "columns.yaml")]
 
 
-def test_counts_of_a_raw_sensor(tmp_path: Path, capsys, out) -> None:
+def test_counts_of_a_raw_sensor(importer: Importer) -> None:
     units = COLUMNS.replace("unit: rad/s}", "unit: deg/s, counts: 16.4}")
     units += "specific_force: {columns: [q, r, p], unit: g, counts: 2048}\n"
-    run([*table(tmp_path, columns=units), *out], capsys)
-    found = contents(tmp_path / "bag")
+    found = importer(*table(importer.folder, columns=units)).bag
     np.testing.assert_allclose(found.rates[0], np.radians([0.1, 0.2, 0.3]) / 16.4, rtol=1e-12)
     np.testing.assert_allclose(
         found.force[0], 9.80665 * np.array([0.2, 0.3, 0.1]) / 2048, rtol=1e-12
     )
 
 
-def test_a_table_that_is_cut_off_gives_what_is_there(tmp_path: Path, capsys, out) -> None:
-    said = run([*table(tmp_path, TABLE[:-12]), *out], capsys)
+def test_a_table_that_is_cut_off_gives_what_is_there(importer: Importer) -> None:
+    found, _, said = importer(*table(importer.folder, TABLE[:-12]))
     assert "1 rows have too few cells and were left out, the first in line 301" in said
-    assert len(contents(tmp_path / "bag").imu_t_ns) == 299
+    assert len(found.imu_t_ns) == 299
 
 
 # --- what is refused ----------------------------------------------------------------------------
 
 
 def file(name: str, content: bytes) -> Make:
-    return lambda folder: [spoilt(folder / name, content)]
+    return lambda folder: [str(spoilt(folder / name, content))]
 
 
 def pipe(path: Path) -> str:
@@ -416,14 +388,15 @@ REFUSED: list[tuple[str, Make]] = [
 
 
 @pytest.mark.parametrize("number", range(len(REFUSED)))
-def test_it_is_refused_in_one_line(number: int, tmp_path: Path, capsys, out) -> None:
+def test_it_is_refused_in_one_line(number: int, importer: Importer) -> None:
     words, make = REFUSED[number]
-    said = refusal([*make(tmp_path), *out], capsys)
+    said = importer.refused(*make(importer.folder))
     assert re.search(words, said), said
 
 
-def test_motors_without_geometry_are_passed_over(tmp_path: Path, capsys, out) -> None:
-    assert "actuators: vehicle_torque_setpoint" in run([*px4(more=MOTORS)(tmp_path), *out], capsys)
+def test_motors_without_geometry_are_passed_over(importer: Importer) -> None:
+    it = importer(*px4(more=MOTORS)(importer.folder))
+    assert "actuators: vehicle_torque_setpoint" in it.said
 
 
 def test_the_example_of_the_help_is_a_good_map(tmp_path: Path) -> None:

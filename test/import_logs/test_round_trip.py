@@ -88,7 +88,6 @@ def assert_same_rates(measured: Measurements, imported, dtype: type) -> None:
     np.testing.assert_array_equal(imported.rates, measured.rates.astype(dtype))
     np.testing.assert_array_equal(imported.force, measured.specific_force.astype(dtype))
     assert imported.frame_ids == {measured.frame_id} == {"base_link_frd"}
-    assert (np.diff(imported.log_ns) >= 0).all()
 
 
 def assert_same_coefficients(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from excerpts import decoded
 from node_process import ROOT, NodeProcess
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
@@ -123,11 +124,8 @@ def replayed(flight: Recording, folder: Path) -> TickValues:
     status = replay([str(bag), *parameters, "--output", str(folder / "out")])
     assert status in (USABLE, NOT_USABLE)
     names = ("coefficients_named", "predicted_rates", "prediction_error")
-    topics = [f"{NODE}/{name}" for name in names]
-    with Bag(folder / "out" / "estimates") as estimates:
-        decoders = {topic: estimates.decoder(topic) for topic in topics}
-        decoded = [(m.topic, decoders[m.topic](m.data)) for m in estimates.messages(topics)]
-    return joined(*([m for t, m in decoded if t == topic] for topic in topics))
+    found = decoded(folder / "out" / "estimates")
+    return joined(*([m for _, m in found[f"{NODE}/{name}"]] for name in names))
 
 
 def wait_for_status(player: Player) -> None:

@@ -4,21 +4,20 @@
 import signal
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 from node_process import wait_for
 from programs import Capture
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
 from uav_ident_ros.domain import own_domain
+from uav_ident_ros.guest import Guest
 from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, main, tracking_error
 from uav_ident_ros.simulation.errors import SimulationError
 
@@ -121,29 +120,15 @@ def test_the_identifier_may_be_killed_and_faults_come_by_topic(tmp_path: Path) -
 
 def publish_faults(running: ClosedLoop, *commands: str) -> None:
     """Tell the plant of faults by its topic, and let it fly on for some samples."""
-    context = Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node("pilot", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    publisher = node.create_publisher(String, "simulated_plant/fault", 10)
-    try:
-        assert wait_for(lambda: publisher.get_subscription_count() > 0)
+    with closing(Guest("pilot")) as pilot:
+        publisher = pilot.node.create_publisher(String, "simulated_plant/fault", 10)
+        assert pilot.spin_for(TIMEOUT, lambda: publisher.get_subscription_count() > 0)
         for command in commands:
             publisher.publish(String(data=command))
         assert said(running, "simulated_plant", commands[-1])
         flown: list[Imu] = []
-        node.create_subscription(Imu, "imu/data", flown.append, qos_profile_sensor_data)
-
-        def far_enough() -> bool:
-            executor.spin_once(timeout_sec=0.05)
-            return len(flown) > 20
-
-        assert wait_for(far_enough)
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+        pilot.node.create_subscription(Imu, "imu/data", flown.append, qos_profile_sensor_data)
+        assert pilot.spin_for(TIMEOUT, lambda: len(flown) > 20)
 
 
 def test_a_process_that_does_not_start_ends_the_flight(tmp_path: Path, capsys: Capture) -> None:

@@ -5,14 +5,12 @@ import time
 
 import numpy as np
 from node_process import StartNode
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
 from uav_ident_ros.client import Excitation, subscribe_excitation
+from uav_ident_ros.guest import Guest
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
 from uav_ident_ros.ros import to_stamp
 
@@ -22,15 +20,11 @@ START_UP = 120.0
 """Seconds that a node may take to fly, on any machine."""
 
 
-class Controller:
+class Controller(Guest):
     """A controller that does nothing but to add what it is asked to, on the wall clock."""
 
     def __init__(self) -> None:
-        self._context = Context()
-        self._context.init(args=[])
-        self.node = Node("controller", context=self._context, use_global_arguments=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+        super().__init__("controller")
         self._imu = self.node.create_publisher(Imu, "imu/data", 50)
         self._actuators = self.node.create_publisher(JointState, "actuators", 50)
         self.excitation = Excitation(limit=[0.1] * 4)
@@ -42,8 +36,7 @@ class Controller:
     def fly_one_sample(self) -> None:
         """Publish a sample of quiet flight, and see what is to be added to the answer."""
         self._next_ns += PERIOD_NS
-        while (left := (self._next_ns - time.time_ns()) * 1e-9) > 0.0:
-            self._executor.spin_once(timeout_sec=left)
+        self.spin_for((self._next_ns - time.time_ns()) * 1e-9)
         self._executor.spin_once(timeout_sec=0.0)
         header = Header(stamp=to_stamp(self._next_ns))
         imu = Imu(header=header)
@@ -53,11 +46,6 @@ class Controller:
         asked = self.excitation.at(self._next_ns)
         self.added.append((self._next_ns, bool(asked.any())))
         self._actuators.publish(JointState(header=header, name=SURFACES, position=asked.tolist()))
-
-    def close(self) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
 
 
 def test_a_killed_node_leaves_the_controller_at_zero(start_node: StartNode) -> None:

@@ -10,10 +10,11 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
 from node_process import ROOT
 from rclpy.serialization import deserialize_message
 from recordings import NODE, RATES_TOPIC, Fly, recording
@@ -21,7 +22,6 @@ from sensor_msgs.msg import JointState
 
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import entry_names
-from uav_ident_ros.player import Player
 
 NAMED = f"{NODE}/coefficients_named"
 STRUCTURE = STRUCTURES["flight_dynamics"]
@@ -94,70 +94,24 @@ def test_foxglove_finds_every_panel_once_and_draws_by_the_stamps() -> None:
 # --- with a node ------------------------------------------------------------------------------
 
 
-def published(player: Player, imu: Any) -> dict[str, Any]:
-    """The newest message on every topic, the Imu's included."""
-    outputs = player.outputs
-    return {
-        RATES_TOPIC: imu,
-        NAMED: outputs.named[-1],
-        f"{NODE}/predicted_rates": outputs.predicted_rates[-1],
-        f"{NODE}/prediction_error": outputs.prediction_error[-1],
-        "/diagnostics": DiagnosticArray(status=[outputs.status[-1]]),
-    }
-
-
-def numbers(name: str, value: Any) -> Iterator[str]:
-    """Names of the numbers in a message, its fields joined by '/'."""
-    if isinstance(value, (int, float)):
-        yield name
+def numbers(topic: str, path: str, value: Any) -> Iterator[tuple[str, str]]:
+    """Every number of a message: the series that PlotJuggler makes of it, Foxglove's path to it."""
+    if isinstance(value, JointState):
+        for part in ("position", "velocity", "effort"):
+            for i, (name, _) in enumerate(zip(value.name, getattr(value, part), strict=False)):
+                yield f"{topic}/{name}/{part}", f"{path}.{part}[{i}]"
+    elif isinstance(value, DiagnosticStatus):
+        assert value.hardware_id == ""  # else it is part of the name
+        for entry in value.values:
+            with suppress(ValueError):
+                float(entry.value)
+                where = f'.status[:]{{name=="{value.name}"}}.values[:]{{key=="{entry.key}"}}.value'
+                yield f"{topic}/{value.name}/{entry.key}", f"{path}{where}"
+    elif isinstance(value, (int, float)):
+        yield topic, path
     elif hasattr(value, "get_fields_and_field_types"):
         for field in value.get_fields_and_field_types():
-            yield from numbers(f"{name}/{field}", getattr(value, field))
-
-
-def series(topic: str, message: Any) -> Iterator[str]:
-    """Names of the series that PlotJuggler makes of a message."""
-    if isinstance(message, JointState):
-        for part in ("position", "velocity", "effort"):
-            for name, _ in zip(message.name, getattr(message, part), strict=False):
-                yield f"{topic}/{name}/{part}"
-    elif isinstance(message, DiagnosticArray):
-        for status in message.status:
-            assert status.hardware_id == ""  # else it is part of the name
-            for value in status.values:
-                if is_number(value.value):
-                    yield f"{topic}/{status.name}/{value.key}"
-    else:
-        yield from numbers(topic, message)
-
-
-def is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-PATH = re.compile(r"""\.(\w+)(?:\[(\d+)\]|\[(:)\]\{(\w+)=="([^"]*)"\})?""")
-
-
-def at(path: str, messages: dict[str, Any]) -> Any:
-    """Value of a Foxglove message path: fields, indices, and the first that a filter lets pass."""
-    topic, dot, rest = path.partition(".")
-    value = messages[topic]
-    position = 0
-    while position < len(dot + rest):
-        part = PATH.match(dot + rest, position)
-        assert part is not None, f"'{path}' does not parse"
-        field, index, every, key, wanted = part.groups()
-        value = getattr(value, field)
-        if index is not None:
-            value = value[int(index)]
-        if every is not None:
-            (value,) = (entry for entry in value if getattr(entry, key) == wanted)
-        position = part.end()
-    return value
+            yield from numbers(f"{topic}/{field}", f"{path}.{field}", getattr(value, field))
 
 
 @pytest.fixture
@@ -171,25 +125,31 @@ def messages(fly: Fly) -> dict[str, Any]:
         "a status with an estimate",
     )
     newest = next(m for m in reversed(flight.messages) if m.topic == RATES_TOPIC)
-    return published(player, deserialize_message(newest.data, flight.classes[RATES_TOPIC]))
+    outputs = player.outputs
+    return {
+        RATES_TOPIC: deserialize_message(newest.data, flight.classes[RATES_TOPIC]),
+        NAMED: outputs.named[-1],
+        f"{NODE}/predicted_rates": outputs.predicted_rates[-1],
+        f"{NODE}/prediction_error": outputs.prediction_error[-1],
+        "/diagnostics": outputs.status[-1],
+    }
 
 
 def test_the_layouts_draw_what_the_node_publishes(messages: dict[str, Any]) -> None:
-    there = {name for topic, message in messages.items() for name in series(topic, message)}
+    there = [pair for topic, message in messages.items() for pair in numbers(topic, topic, message)]
+    series, paths = {name for name, _ in there}, {path: name for name, path in there}
     assert DRAWN
-    assert set(DRAWN) - there == set()
+    assert set(DRAWN) - series == set()
     (selected,) = PLOTJUGGLER.iter("selected_topics")
     assert set(str(selected.get("value")).split(";")) == set(messages)
 
     light = PANELS["Indicator!usable"]["path"]
     for path, label in [(c["value"], c["label"]) for c in CURVES] + [(light, "usable")]:
-        value = at(path, messages)
-        assert isinstance(value, float) or is_number(value), path
-        index = re.fullmatch(r".*/coefficients_named\.\w+\[(\d+)\]", path)
-        if index is not None:  # an index says nothing by itself: the label must be right
-            name = messages[NAMED].name[int(index.group(1))]
-            assert name.removeprefix("verdict/") == label
+        name = paths[path]
+        if name.startswith(f"{NAMED}/"):  # an index says nothing by itself: the label must be right
+            entry = name.removeprefix(f"{NAMED}/").rpartition("/")[0]
+            assert entry.removeprefix("verdict/") == label
 
-    panel, status = PANELS["DiagnosticStatusPanel!node"], messages["/diagnostics"].status[0]
+    panel, status = PANELS["DiagnosticStatusPanel!node"], messages["/diagnostics"]
     assert panel["selectedName"] == status.name
     assert panel["selectedHardwareId"] == status.hardware_id

@@ -10,11 +10,12 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped, Vector3
 from node_process import NodeProcess, wait_for
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from recordings import Spoil, put
 from sensor_msgs.msg import Imu, JointState, MagneticField
 from std_msgs.msg import Bool, Float64, Float64MultiArray
+
+from uav_ident_ros.guest import Guest
 
 PERIOD = 0.01
 START_NS = 1_700_000_000_000_000_000
@@ -142,15 +143,11 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
 }  # fmt: skip
 
 
-class Source:
+class Source(Guest):
     """Publishes what the node listens to, right or with a mistake, and hears /diagnostics."""
 
     def __init__(self) -> None:
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context)
-        self.node = rclpy.create_node("source", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
+        super().__init__("source")
         self.heard: list[str] = []
         self._sent = self._looks = 0
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 10)
@@ -185,7 +182,7 @@ class Source:
         if self._twin is not None:
             self._twin.destroy_node()
         twice = changes.get("node") == TWICE
-        self._twin = rclpy.create_node("identifier", context=self.context) if twice else None
+        self._twin = rclpy.create_node("identifier", context=self.node.context) if twice else None
         self.heard.clear()
         self._sent = self._looks = 0
 
@@ -210,7 +207,7 @@ class Source:
             if callable(change):
                 change(message)
             publisher.publish(message)
-        self.executor.spin_once(timeout_sec=PERIOD)
+        self._executor.spin_once(timeout_sec=PERIOD)
 
     def says(self, words: str) -> bool:
         """Go on until /diagnostics says the words, or has not in time."""
@@ -222,10 +219,8 @@ class Source:
         return wait_for(ended) and any(words in h for h in self.heard)
 
     def close(self) -> None:
-        self.node.destroy_node()
-        if self._twin is not None:
-            self._twin.destroy_node()
-        rclpy.shutdown(context=self.context)
+        self.make({})  # no twin
+        super().close()
 
 
 @pytest.fixture(scope="module")

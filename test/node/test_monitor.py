@@ -2,23 +2,17 @@
 """The monitor beside the real node, over DDS: on a pipe, on a terminal, once."""
 
 import contextlib
-import fcntl
 import os
-import pty
 import re
-import select
 import signal
-import struct
 import subprocess
 import sys
-import termios
 import threading
-import time
 from collections.abc import Callable, Iterator
 
 import pytest
 from node_process import PATIENCE, ROOT, StartNode
-from programs import Capture, python, refusal
+from programs import Capture, Terminal, python, refusal
 from recordings import Fly, change, recording
 
 from uav_ident_ros.bags.reading import Message
@@ -193,38 +187,6 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
         start_monitor("--node", "/two/identifier"), "no message on '/two/imu/data' yet"
     )
     assert "/two/identifier  waiting  not usable  no tick yet" in shown
-
-
-class Terminal:
-    """A program on a terminal of 80 columns and 24 lines."""
-
-    def __init__(self, command: list[str]) -> None:
-        self._main, side = pty.openpty()
-        fcntl.ioctl(side, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-        environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "NO_COLOR")}
-        environment |= {"TERM": "xterm-256color", "PYTHONIOENCODING": "utf-8"}
-        self.process = subprocess.Popen(
-            command, cwd=ROOT, stdin=side, stdout=side, stderr=side, env=environment
-        )
-        os.close(side)
-        self.received = ""
-
-    def read_until(self, words: str, timeout: float = PATIENCE) -> bool:
-        """Read until the words were shown, or the program ends; return whether they were."""
-        end = time.monotonic() + timeout
-        while words not in self.received and time.monotonic() < end:
-            if select.select([self._main], [], [], 0.1)[0]:
-                try:
-                    self.received += os.read(self._main, 65536).decode(errors="replace")
-                except OSError:  # the program has ended
-                    break
-        return words in self.received
-
-    def close(self) -> None:
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait()
-        os.close(self._main)
 
 
 @pytest.fixture
