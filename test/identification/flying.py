@@ -80,18 +80,22 @@ def messages(measurements: Measurements) -> list[Message]:
     return sorted(out, key=lambda message: (message.arrival, message.stream))
 
 
-def give(identifier: OnlineIdentifier, message: Message) -> None:
-    if message.stream == "rates":
-        identifier.add_rates(message.t_ns, message.values[:3], message.values[3:])
-    else:
-        identifier.add_actuators(message.t_ns, message.values)
+def give(identifier: OnlineIdentifier, stream: str, t_ns: int, values: tuple[float, ...]) -> object:
+    """Hand a sample of any stream over; why it was dropped, if it was."""
+    if stream == "rates":
+        return identifier.add_rates(t_ns, values[:3], values[3:] or None)
+    if stream == "armed":
+        return identifier.add_armed(t_ns, bool(values[0]))
+    if stream == "airspeed":
+        return identifier.add_airspeed(t_ns, *values[:1])
+    return getattr(identifier, f"add_{stream}")(t_ns, values)
 
 
 def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimate]:
     """Feed messages and compute every tick as soon as it is due."""
     estimates = []
     for message in stream:
-        give(identifier, message)
+        give(identifier, *message[1:])
         estimates += identifier.advance()
     return estimates
 

@@ -5,6 +5,7 @@ import random
 
 import numpy as np
 import pytest
+from flying import Message, run
 from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
@@ -79,14 +80,7 @@ def test_there_is_none_before_the_first_word_and_zero_after_the_last() -> None:
 
 def identifier_over(stream: list[tuple[str, int, tuple[float, ...]]]) -> OnlineIdentifier:
     identifier = OnlineIdentifier(Settings())
-    for kind, t_ns, values in stream:
-        if kind == "rates":
-            identifier.add_rates(t_ns, values)
-        elif kind == "actuators":
-            identifier.add_actuators(t_ns, values)
-        else:
-            identifier.add_excitation(t_ns, values)
-        list(identifier.advance())
+    run(identifier, [Message(0, *entry) for entry in stream])
     return identifier
 
 

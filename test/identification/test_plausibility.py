@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from equations import matrix
+from flying import Message, run
 
 from uav_ident_ros.identification import plausibility
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -305,25 +306,22 @@ def test_what_makes_two_streams_of_one() -> None:
         assert len(looker.noted) == min(found, 1)
 
 
-def run(signals: Signals, **settings: Any) -> list[Any]:
+def flown(signals: Signals, **settings: Any) -> list[Any]:
+    rates = zip(signals.t, np.hstack([signals.rates, signals.force]).tolist(), strict=True)
+    inputs = zip(signals.actuator_t, signals.raw.tolist(), strict=True)
+    stream = [
+        Message(0, name, 10**18 + round(t * 1e9), tuple(values))
+        for name, samples in (("rates", rates), ("actuators", inputs))
+        for t, values in samples
+    ]
     identifier = OnlineIdentifier(settings_of(**settings))
-    samples = [(t, 1, (*x, *f)) for t, x, f in zip(signals.t, signals.rates, signals.force)]  # noqa: B905
-    samples += [(t, 0, tuple(v)) for t, v in zip(signals.actuator_t, signals.raw)]  # noqa: B905
-    estimates = []
-    for t, is_rates, v in sorted(samples, key=lambda sample: sample[:2]):
-        t_ns = 10**18 + round(t * 1e9)
-        if is_rates:
-            identifier.add_rates(t_ns, v[:3], v[3:])
-        else:
-            identifier.add_actuators(t_ns, v)
-        estimates += identifier.advance()
-    return estimates
+    return run(identifier, sorted(stream, key=lambda message: (message.t_ns, message.stream)))
 
 
 def test_a_fault_stops_learning_and_says_why_but_can_be_switched_off() -> None:
-    estimates = run(Signals(10.0), imu__convention="flu", supervision__plausibility=False)
+    estimates = flown(Signals(10.0), imu__convention="flu", supervision__plausibility=False)
     assert estimates[-1].state != "fault"
-    estimates = run(Signals(10.0), imu__convention="flu")
+    estimates = flown(Signals(10.0), imu__convention="flu")
     late = [e for e in estimates if e.t_ns > 10**18 + 6 * 10**9]
     assert all(e.state == "fault" and not e.usable and not e.adapting for e in late)
     assert "imu.convention 'frd' would fit" in late[0].reason
@@ -332,7 +330,7 @@ def test_a_fault_stops_learning_and_says_why_but_can_be_switched_off() -> None:
 
 def test_a_reversed_channel_is_never_usable() -> None:
     reversed_ = (0.0, 0.0, -1.0, 0.0)
-    estimates = run(
+    estimates = flown(
         Signals(40.0),
         actuators__mixing__da=reversed_,
         supervision__expected_signs=("+pdot/da",),

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flying import give
 from hypothesis import example, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -113,18 +114,6 @@ class World:
     now_ns: int = START_NS
     estimates: list[Estimate] = field(default_factory=list)
 
-    def give(self, stream: str, t_ns: int, values: tuple[float, ...]) -> None:
-        """Hand a sample over, whatever it is."""
-        take = self.identifier
-        if stream == "rates":
-            take.add_rates(t_ns, values[:3], values[3:])
-        elif stream == "actuators":
-            take.add_actuators(t_ns, values)
-        elif stream == "airspeed":
-            take.add_airspeed(t_ns, *values[:1])
-        else:
-            take.add_armed(t_ns, bool(values[0]))
-
     def update(self) -> None:
         """Compute what is due."""
         self.estimates += self.identifier.advance()
@@ -145,7 +134,7 @@ class Fly:
 
     def __call__(self, world: World) -> None:
         for k, (stream, t_ns, values) in enumerate(self.samples(world.now_ns)):
-            world.give(stream, t_ns, values)
+            give(world.identifier, stream, t_ns, values)
             if k % 16 == 0:
                 world.update()
         world.now_ns += round(self.seconds * S)
@@ -190,7 +179,7 @@ class Give:
 
     def __call__(self, world: World) -> None:
         for k in range(self.times):  # five that agree are a new time base
-            world.give(self.stream, self.t_ns + k * MS, self.values)
+            give(world.identifier, self.stream, self.t_ns + k * MS, self.values)
         world.update()
 
 
@@ -362,7 +351,7 @@ def estimates_of(
     world = World(OnlineIdentifier(settings))
     left = next(batches)
     for sample in samples:
-        world.give(*sample)
+        give(world.identifier, *sample)
         left -= 1
         if left <= 0:
             world.update()
