@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from uav_ident_ros.simulation.aircraft import Aircraft
 from uav_ident_ros.simulation.airframe import FOLDER, airframe, airframe_names
 from uav_ident_ros.simulation.errors import SimulationError
 
@@ -53,6 +54,7 @@ def test_another_speed_scales_what_surfaces_do() -> None:
         (TEXT.replace("model: c172p\n", ""), "'model' is missing"),
         (TEXT.replace("50.0", "-3.0"), "speed is -3.0"),
         (TEXT.replace("50.0", "fast"), "speed is fast"),
+        (TEXT.replace("model: c172p", "model: 737"), "model is the number 737: write it in quotes"),
         ("[1, 2]", "no entries like 'model: c172p'"),
         ("a: [", "aircraft file"),
     ],
@@ -80,3 +82,20 @@ def test_the_files_are_installed() -> None:
     }:
         parent = suffix.as_posix().replace("ultra_stick_25e", "*")
         assert f'"simulation/{parent}"' in setup
+
+
+def test_an_aircraft_writes_no_files_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "jet.yaml"
+    path.write_text(TEXT.replace("c172p", "global5000").replace("50.0", "200.0"))
+    monkeypatch.chdir(tmp_path)
+    Aircraft(str(path), 100.0).step()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_aircraft_that_jsbsim_cannot_fly_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "turboprop.yaml"
+    path.write_text(TEXT.replace("c172p", "fokker50"))
+    with pytest.raises(SimulationError, match=r"'fokker50': .*throttle"):
+        Aircraft(str(path), 100.0)
