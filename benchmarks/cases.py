@@ -99,17 +99,7 @@ class Case:
 
 
 def simulated(name: str, seed: int | None = None, **sensor_changes: Any) -> Case:
-    """Return a flight of `flights.yaml`.
-
-    Parameters
-    ----------
-    name : str
-        Its name.
-    seed : int, optional
-        Seed instead of the definition's own.
-    **sensor_changes
-        Fields of `Sensors` that differ.
-    """
+    """Return a flight of `flights.yaml`; the arguments are those of `flights.load`."""
     own = flights.definition(name).get("seed", 0)
     return measured(flights.load(name, seed, **sensor_changes), name, own if seed is None else seed)
 

@@ -21,8 +21,9 @@ derivatives before the fault and five seconds after it.
 """
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import bench
@@ -233,31 +234,29 @@ def quadrotor_lines(found: Iterable[dict[str, Any]]) -> Iterator[str]:
         )
 
 
-def lines(found: list[Found]) -> Iterator[str]:
-    """Yield the table."""
-    yield (
-        "| turbulence | excited | rate, of the limit | attitude, of the limit | left | ends, s | "
-        "aborted | rms p / q / r, deg/s | worst error, % (median, largest) | within 2 sigma |"
-    )
-    yield "|---" * 10 + "|"
-    for severity in SEVERITIES:
-        for excited in (False, True):
-            some = [f for f in found if f.severity == severity and f.excited == excited]
-            if not some:
-                continue
-            rate, attitude = ([getattr(f, name) for f in some] for name in ("rate", "attitude"))
-            left = sum(max(f.rate, f.attitude) > 1.0 for f in some)
-            aborted = sum(f.why.startswith("aborted") for f in some)
-            worst = [100.0 * max(abs(e) for e in f.errors.values()) for f in some]
-            within = np.mean([abs(s) <= 2.0 for f in some for s in f.sigmas.values()])
-            p, q, r = np.mean([f.tracking for f in some], axis=0)
-            yield (
-                f"| {severity} | {'yes' if excited else 'no'} | {max(rate):.2f} | "
-                f"{max(attitude):.2f} | {left} of {len(some)} | "
-                f"{np.median([f.seconds for f in some]):.0f} | {aborted} | "
-                f"{p:.2f} / {q:.2f} / {r:.2f} | {np.median(worst):.0f}, {max(worst):.0f} | "
-                f"{100.0 * within:.0f} % |"
-            )
+HEAD = (
+    "turbulence", "excited", "rate, of the limit", "attitude, of the limit", "left", "ends, s",
+    "aborted", "rms p / q / r, deg/s", "worst error, % (median, largest)", "within 2 sigma",
+)  # fmt: skip
+
+
+def rows(found: list[Found]) -> Iterator[Sequence[str]]:
+    """Yield the rows of the table."""
+    for severity, excited in product(SEVERITIES, (False, True)):
+        some = [f for f in found if f.severity == severity and f.excited == excited]
+        if not some:
+            continue
+        rate, attitude = ([getattr(f, name) for f in some] for name in ("rate", "attitude"))
+        left = sum(max(f.rate, f.attitude) > 1.0 for f in some)
+        aborted = sum(f.why.startswith("aborted") for f in some)
+        worst = [100.0 * max(abs(e) for e in f.errors.values()) for f in some]
+        within = np.mean([abs(s) <= 2.0 for f in some for s in f.sigmas.values()])
+        yield (
+            severity, "yes" if excited else "no", f"{max(rate):.2f}", f"{max(attitude):.2f}",
+            f"{left} of {len(some)}", f"{np.median([f.seconds for f in some]):.0f}", f"{aborted}",
+            " / ".join(f"{axis:.2f}" for axis in np.mean([f.tracking for f in some], axis=0)),
+            f"{np.median(worst):.0f}, {max(worst):.0f}", f"{100.0 * within:.0f} %",
+        )  # fmt: skip
 
 
 def main() -> int:
@@ -283,7 +282,7 @@ def main() -> int:
         found.append(one)
         print(f"flown: {one.severity}, seed {one.seed}: {one.why}", file=sys.stderr)
     bench.keep(options.output, [vars(one) for one in found])
-    print("\n".join(lines(found)))
+    print(*bench.table(HEAD, rows(found)), sep="\n")
     return 0
 
 

@@ -76,18 +76,12 @@ def load_flight(
     return flight
 
 
-def load(name: str, seed: int | None = None, **sensor_changes: Any) -> Measurements:
-    """Return a flight as its sensors saw it.
-
-    Parameters
-    ----------
-    name : str
-        Name in `flights.yaml`.
-    seed : int, optional
-        Seed of everything random instead of the definition's.
-    **sensor_changes
-        Fields of `Sensors` that differ: ``rate=50.0``, ``convention="frd"``, ...
-    """
+def load(
+    name: str,  # In `flights.yaml`
+    seed: int | None = None,  # Of everything random, instead of the definition's
+    **sensor_changes: Any,  # Fields of `Sensors` that differ
+) -> Measurements:
+    """Return a flight as its sensors saw it."""
     own = definition(name)
     flight = load_flight(name, seed)
     return measure(

@@ -24,7 +24,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from multiprocessing.queues import Queue
 from pathlib import Path
 
@@ -54,20 +53,6 @@ STAMP_OFFSET = 4
 """Of a message that begins with a header, serialized: after the encapsulation header."""
 
 TICKS_PER_SECOND = os.sysconf("SC_CLK_TCK")
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Figures of one run."""
-
-    imu_rate: float
-    cpu: float
-    lost_imu: int
-    lost_actuators: int
-    sent: int
-    status: dict[str, str]
-    age_ms: np.ndarray
-    memory: tuple[float, float]
 
 
 # --- the publisher ----------------------------------------------------------------------------
@@ -130,8 +115,8 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / TICKS_PER_SECOND
 
 
-def measure(imu_rate: float, seconds: float, parameters: list[str]) -> Cost:
-    """Run node and publisher and measure for `seconds`."""
+def measure(imu_rate: float, seconds: float, parameters: list[str]) -> tuple[str, ...]:
+    """Run node and publisher and measure for `seconds`; return the row of the table."""
     from uav_ident_ros.player import Player
 
     command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
@@ -182,15 +167,23 @@ def measure(imu_rate: float, seconds: float, parameters: list[str]) -> Cost:
             publisher.terminate()
         if publisher.pid is not None:
             publisher.join()
-    return Cost(
-        imu_rate=imu_rate,
-        cpu=100.0 * cpu,
-        lost_imu=counts["imu"] - int(status["rates: messages"]),
-        lost_actuators=counts["actuators"] - int(status["actuators: messages"]),
-        sent=counts["imu"],
-        status=status,
-        age_ms=age_ms,
-        memory=(memory, memory_end),
+    update = [status.get(f"ticks: update time {p} [ms]", "-") for p in ("p50", "p99", "max")]
+    published = [status.get(f"ticks: age when published {p} [ms]", "-") for p in ("p50", "p99")]
+    age = np.percentile(age_ms, (50, 99)) if len(age_ms) else (np.nan, np.nan)
+    lost = {
+        topic: counts[topic] - int(status[f"{stream}: messages"])
+        for topic, stream in (("imu", "rates"), ("actuators", "actuators"))
+    }
+    return (
+        f"{imu_rate:g}",
+        f"{100.0 * cpu:.1f}",
+        f"{lost['imu']} / {counts['imu']}",
+        f"{lost['actuators']}",
+        " / ".join(update),
+        " / ".join(published),
+        f"{age[0]:.1f} / {age[1]:.1f}",
+        status.get("ticks: timer jitter p99 [ms]", "-"),
+        f"{memory:.0f} -> {memory_end:.0f}",
     )
 
 
@@ -210,39 +203,10 @@ def memory_over_an_hour(folder: Path) -> Iterator[tuple[int, float]]:
         flight.end()
 
 
-# --- the table --------------------------------------------------------------------------------
-
 COLUMNS = (
-    ("Imu [Hz]", 8),
-    ("CPU [% of a core]", 17),
-    ("lost Imu / sent", 15),
-    ("lost act.", 9),
-    ("update p50/p99/max [ms]", 23),
-    ("published p50/p99 [ms]", 22),
-    ("received p50/p99 [ms]", 21),
-    ("timer jitter p99 [ms]", 21),
-    ("memory [MB]", 13),
-)
-
-
-def row(cost: Cost) -> str:
-    """One line of the table."""
-    status = cost.status
-    update = [status.get(f"ticks: update time {p} [ms]", "-") for p in ("p50", "p99", "max")]
-    published = [status.get(f"ticks: age when published {p} [ms]", "-") for p in ("p50", "p99")]
-    age = np.percentile(cost.age_ms, (50, 99)) if len(cost.age_ms) else (np.nan, np.nan)
-    cells = (
-        f"{cost.imu_rate:g}",
-        f"{cost.cpu:.1f}",
-        f"{cost.lost_imu} / {cost.sent}",
-        f"{cost.lost_actuators}",
-        " / ".join(update),
-        " / ".join(published),
-        f"{age[0]:.1f} / {age[1]:.1f}",
-        status.get("ticks: timer jitter p99 [ms]", "-"),
-        f"{cost.memory[0]:.0f} -> {cost.memory[1]:.0f}",
-    )
-    return "  ".join(f"{cell:>{w}}" for cell, (_, w) in zip(cells, COLUMNS, strict=True))
+    "Imu [Hz]", "CPU [% of a core]", "lost Imu / sent", "lost act.", "update p50/p99/max [ms]",
+    "published p50/p99 [ms]", "received p50/p99 [ms]", "timer jitter p99 [ms]", "memory [MB]",
+)  # fmt: skip
 
 
 def main() -> int:
@@ -263,9 +227,9 @@ def main() -> int:
         given = ", ".join(options.parameter) or "default parameters"
         print(f"flight {FLIGHT}, {options.seconds:g} s per rate, actuators at 50 Hz, {given}")
         print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
-        print("  ".join(f"{title:>{width}}" for title, width in COLUMNS), flush=True)
-        for rate in options.rates:
-            print(row(measure(rate, options.seconds, options.parameter)), flush=True)
+        rows = (measure(rate, options.seconds, options.parameter) for rate in options.rates)
+        for line in bench.table(COLUMNS, rows):
+            print(line, flush=True)
     return 0
 
 

@@ -132,13 +132,7 @@ class ControllerExample(Node):
         )
 
     def _ready(self, t_ns: int) -> RateController:
-        """Return the controller; without a nominal set, the first good one takes its place.
-
-        Raises
-        ------
-        Refusal
-            If there is none yet.
-        """
+        """Return the controller; without a nominal set, the first good one takes its place."""
         if self._controller is None:
             newest, why = self._source.newest(t_ns), self._source.refusal(t_ns)
             if newest is None or why:

@@ -115,16 +115,11 @@ def files_exist(*arguments: str) -> OpaqueFunction:
     return OpaqueFunction(function=check)
 
 
-def fails_with(*processes: Action, respawn: str | None = None) -> list[RegisterEventHandler]:
-    """Return the handlers that end the launch, with status 1, if one of its processes fails.
-
-    Parameters
-    ----------
-    processes : Action
-        Those that are watched.
-    respawn : str, optional
-        Name of the launch argument that says whether they are started again instead.
-    """
+def fails_with(
+    *processes: Action,  # Those that are watched
+    respawn: str | None = None,  # Launch argument that says whether they are started again instead
+) -> list[RegisterEventHandler]:
+    """Return the handlers that end the launch, with status 1, if one of its processes fails."""
 
     def judge(event: ProcessExited, context: LaunchContext) -> SomeEntitiesType | None:
         status = event.returncode

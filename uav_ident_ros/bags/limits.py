@@ -85,13 +85,7 @@ class _Bounded:
         self._limit = self._left = max(LARGEST_PART, LARGEST_RATIO * size)
 
     def read(self, size: int) -> bytes:
-        """Read some bytes.
-
-        Raises
-        ------
-        TooLargeError
-            If there are more than there may be.
-        """
+        """Read some bytes."""
         data: bytes = self._content.read(size)
         self._left -= len(data)
         if self._left < 0:

@@ -86,11 +86,6 @@ class Message(NamedTuple):
 class Bag:
     """A bag that is open for reading; a context manager.
 
-    Parameters
-    ----------
-    path : Path or str
-        An MCAP file, or a rosbag2 folder, whose metadata file may be missing; or a bag of ROS 1.
-
     Raises
     ------
     BagError
@@ -104,7 +99,11 @@ class Bag:
     ...         print(log_ns, decode(data).angular_velocity.x)
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(
+        self,
+        # An MCAP file, or a rosbag2 folder, whose metadata file may be missing; or a bag of ROS 1
+        path: Path | str,
+    ) -> None:
         self.path = Path(path)
         self._stack = ExitStack()
         self._store = get_typestore(Stores.ROS2_JAZZY)

@@ -175,13 +175,7 @@ def _take(
 
 
 def _format(name: bytes, characters: bytes, columns: bytes) -> _Format:
-    """Return a type of messages as its declaration describes it.
-
-    Raises
-    ------
-    ValueError
-        If there is no such field type, or there are not as many names as types, or one twice.
-    """
+    """Return a type of messages as its declaration describes it."""
     kinds = _text(characters)
     names = _text(columns).split(",") if _text(columns) else []
     if any(kind not in FIELD_TYPES for kind in kinds) or len(names) != len(kinds):

@@ -247,13 +247,7 @@ class _Walker:
     def _flat(
         self, name: str, prefix: str, depth: int, total: list[int]
     ) -> Iterator[tuple[str, str]]:
-        """Yield names and NumPy types of a format's fields, those of formats in it one by one.
-
-        Raises
-        ------
-        ValueError
-            If there is no such format, or it is larger than a message can be.
-        """
+        """Yield names and NumPy types of a format's fields, those of formats in it one by one."""
         if depth > DEEPEST or not self._formats.get(name):
             raise ValueError(name)
         for kind, count, entry in self._formats[name]:

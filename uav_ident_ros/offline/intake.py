@@ -33,15 +33,12 @@ _NO_FORCE = (0.0, 0.0, 0.0)
 
 
 class Record:
-    """Samples of one stream as the identifier took them.
+    """Samples of one stream as the identifier took them."""
 
-    Parameters
-    ----------
-    width : int
-        Values per sample.
-    """
-
-    def __init__(self, width: int) -> None:
+    def __init__(
+        self,
+        width: int,  # Values per sample
+    ) -> None:
         self._width = width
         self._t = array("q")
         self._values = array("d")
@@ -87,28 +84,13 @@ class Refusals:
 
 
 class Intake:
-    """Takes the messages of a bag.
+    """Takes the messages of a bag."""
 
-    Parameters
-    ----------
-    inputs : Inputs
-        Topics and settings.
-    identifier : OnlineIdentifier
-        Who gets the samples.
-
-    Attributes
-    ----------
-    rates, actuators : Record
-        Samples that were taken, in the sensor's axes and as raw channels.
-    injected : Record
-        Excitation that was taken: de, dr, da, dth.
-    era : int
-        Restarts of the time base so far.
-    frame_ids : set of str
-        Every frame the rates have come in.
-    """
-
-    def __init__(self, inputs: Inputs, identifier: OnlineIdentifier) -> None:
+    def __init__(
+        self,
+        inputs: Inputs,  # Topics and settings
+        identifier: OnlineIdentifier,  # Who gets the samples
+    ) -> None:
         settings = inputs.settings
         self._inputs = inputs
         self._identifier = identifier
@@ -117,12 +99,13 @@ class Intake:
         self._readers = {
             name: self._streams[name].reader(settings) for name in inputs.streams if name != RATES
         }
+        # What was taken: in the sensor's axes, as raw channels, and de, dr, da, dth of excitation
         self.rates = Record(6)
         self.actuators = Record(len(settings.actuators.channels))
         self.injected = Record(len(INPUTS))
         self._records = {ACTUATORS: self.actuators, EXCITATION: self.injected}
-        self.era = 0
-        self.frame_ids: set[str] = set()
+        self.era = 0  # Restarts of the time base so far
+        self.frame_ids: set[str] = set()  # Every frame the rates have come in
         self._newest_ns: int | None = None
         self._jump_ns = round(settings.time_jump * 1e9)
         self._received: Counter[str] = Counter()

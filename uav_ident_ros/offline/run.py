@@ -77,32 +77,18 @@ Wrap = Callable[[Iterable[Message], int], Iterable[Message]]
 
 
 class OfflineRun:
-    """One pass of the identifier over the messages of a bag.
+    """One pass of the identifier over the messages of a bag."""
 
-    Parameters
-    ----------
-    inputs : Inputs
-        Topics and settings.
-    initial : CoefficientSet, optional
-        Coefficients to start from.
-    **parts
-        Parts of one's own: `estimator`, `gates` of `OnlineIdentifier`.
-
-    Attributes
-    ----------
-    identifier : OnlineIdentifier
-        The pipeline.
-    intake : Intake
-        What became of the messages.
-    estimates : Ticks
-        One per tick, in order.
-    """
-
-    def __init__(self, inputs: Inputs, initial: CoefficientSet | None = None, **parts: Any) -> None:
+    def __init__(
+        self,
+        inputs: Inputs,  # Topics and settings
+        initial: CoefficientSet | None = None,  # Coefficients to start from
+        **parts: Any,  # Parts of one's own: `estimator`, `gates` of `OnlineIdentifier`
+    ) -> None:
         self.inputs = inputs
         self.identifier = OnlineIdentifier(inputs.settings, initial, **parts)
-        self.intake = Intake(inputs, self.identifier)
-        self.estimates = Ticks(self.identifier.structure)
+        self.intake = Intake(inputs, self.identifier)  # What became of the messages
+        self.estimates = Ticks(self.identifier.structure)  # One per tick, in order
         self._contexts: list[tuple[int, float]] = []  # time base and delay of each estimate
 
     @property
@@ -121,13 +107,6 @@ class OfflineRun:
 
     def run(self, bag: Bag, wrap: Wrap) -> None:
         """Feed every message of the topics, in log-time order.
-
-        Parameters
-        ----------
-        bag : Bag
-            The bag.
-        wrap : callable
-            Wraps the messages and their number, for a progress bar.
 
         Raises
         ------

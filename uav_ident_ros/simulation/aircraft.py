@@ -105,13 +105,7 @@ BALLASTS = 5
 
 
 def _load(name: str, rate: float) -> Any:
-    """Return a quiet JSBSim executive with the aircraft loaded.
-
-    Raises
-    ------
-    SimulationError
-        If JSBSim is not installed or has no such aircraft.
-    """
+    """Return a quiet JSBSim executive with the aircraft loaded."""
     before = os.environ.get("JSBSIM_DEBUG")
     os.environ["JSBSIM_DEBUG"] = "0"  # or it prints a banner on stdout
     try:
@@ -230,13 +224,7 @@ class Aircraft:
             fdm[name] = 0.0  # the surfaces take over what the trim tabs held
 
     def _solve_trim(self) -> None:
-        """Trim by Newton's method, where JSBSim's own trim fails.
-
-        Raises
-        ------
-        SimulationError
-            If that does not converge either.
-        """
+        """Trim by Newton's method, where JSBSim's own trim fails."""
         x = np.array(TRIM_GUESS)
         for _ in range(TRIM_ITERATIONS):
             rest = self._unbalance(x)

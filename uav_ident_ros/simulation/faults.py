@@ -219,13 +219,7 @@ def move_centre(fdm: Any, share: float) -> None:
 
 
 def _place(fdm: Any, direction: str, offset: float) -> int:
-    """Put an empty point mass `offset` ft from the centre of gravity; return its index.
-
-    Raises
-    ------
-    SimulationError
-        If there is none left.
-    """
+    """Put an empty point mass `offset` ft from the centre of gravity; return its index."""
     manager, index = fdm.get_property_manager(), 0
     while manager.hasNode(f"inertia/pointmass-weight-lbs[{index}]"):
         places = [f"inertia/pointmass-location-{letter}-inches[{index}]" for letter in "XYZ"]

@@ -65,24 +65,7 @@ class Body:
 class Quadrotor:
     """The state of a quadrotor in flight, and how it goes on.
 
-    Attributes
-    ----------
-    rates : list of 3 floats
-        p, q, r, rad/s.
-    angles : list of 3 floats
-        Roll, pitch, yaw, rad.
-    velocity : list of 3 floats
-        u, v, w in body axes, m/s.
-    down : float
-        Position below the start, m.
-    speeds : list of 4 floats
-        Of the motors, 0 ... 1.
-    effect : list of 4 floats
-        What is left of each motor's thrust.
-    force : list of 3 floats
-        Specific force, m/s^2.
-    acceleration : list of 3 floats
-        Of the rates, rad/s^2.
+    Beside it, `force`, the specific force, m/s^2, and `acceleration`, of the rates, rad/s^2.
     """
 
     def __init__(
@@ -90,12 +73,12 @@ class Quadrotor:
         body: Body,  # What it is
     ) -> None:
         self.body = body
-        self.rates = [0.0] * 3
-        self.angles = [0.0] * 3
-        self.velocity = [0.0] * 3
-        self.down = 0.0
-        self.speeds = [body.hover] * 4
-        self.effect = [1.0] * 4
+        self.rates = [0.0] * 3  # p, q, r, rad/s
+        self.angles = [0.0] * 3  # Roll, pitch, yaw, rad
+        self.velocity = [0.0] * 3  # u, v, w in body axes, m/s
+        self.down = 0.0  # Position below the start, m
+        self.speeds = [body.hover] * 4  # Of the motors, 0 ... 1
+        self.effect = [1.0] * 4  # What is left of each motor's thrust
         self.look((0.0, 0.0, 0.0))
 
     @property
