@@ -15,30 +15,19 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.srv import ListParameters
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from uav_ident_ros.bags.reading import Message
-from uav_ident_ros.guest import Guest
+from uav_ident_ros.guest import CLOCK_AHEAD_NS, LOOK_EVERY, Guest, StepClock
 from uav_ident_ros.messages.types import NS_PER_S
-from uav_ident_ros.ros import latched, stamp_ns, to_stamp
+from uav_ident_ros.ros import latched, stamp_ns
 
 CLOCK_PERIOD_NS = 10_000_000
 """Interval of /clock, ns: 100 Hz, so that stamps on arrival are good to 10 ms."""
 
 ANSWER_WITHIN_NS = 200_000_000
 """In step with the node: after t is played, the output of t less this is waited for, ns."""
-
-NUDGE_AFTER = 0.02
-"""Seconds without an answer after which /clock goes on a step by itself."""
-
-CLOCK_AHEAD_NS = 100_000_000
-"""How far /clock may get ahead of the messages that way, ns: two periods of the node's timer."""
-
-STUCK_AFTER = 1.0
-"""Seconds without an answer after which /clock may get ahead by another period of that timer: on a
-busy machine the timer may have fired at the furthest time, before the messages were looked at."""
 
 CALL_AGAIN_AFTER = 1.0
 """Seconds without an answer after which a service call is repeated."""
@@ -93,11 +82,10 @@ class Player(Guest):
         super().__init__("player")
         self.outputs = Outputs()
         self._node_name = node_name
-        self._clock_ns = 0
         self._publishers = {
             topic: self.node.create_publisher(kind, topic, DEPTH) for topic, kind in topics.items()
         }
-        self._clock = self.node.create_publisher(Clock, "/clock", 10) if clock else None
+        self._clock = StepClock(self.node, self._executor, CLOCK_PERIOD_NS, clock)
         self._listen()
 
     def _listen(self) -> None:
@@ -128,8 +116,8 @@ class Player(Guest):
     def node_is_there(self) -> bool:
         """Whether the node listens to everything and offers its outputs."""
         publishers = [*self._publishers.values()]
-        if self._clock is not None:
-            publishers.append(self._clock)
+        if self._clock.publisher is not None:
+            publishers.append(self._clock.publisher)
         output = f"{self._node_name}/coefficients_named"
         return self.node.count_publishers(output) > 0 and all(
             publisher.get_subscription_count() > 0 for publisher in publishers
@@ -140,7 +128,7 @@ class Player(Guest):
         self.wait_until(
             self.node_is_there,
             f"node '{self._node_name}' to subscribe to {', '.join(self._publishers)}"
-            + (" and /clock" if self._clock else ""),
+            + (" and /clock" if self._clock.publisher else ""),
         )
         self._wait_for_answer_to_a_call()
         self.spin_for(SETTLE)
@@ -166,15 +154,9 @@ class Player(Guest):
         """Publish one message, or its CDR bytes."""
         self._publishers[topic].publish(data)
 
-    def send_clock(self, t_ns: int) -> None:
-        """Publish a time on /clock, even one before the last."""
-        self._clock_ns = t_ns
-        if self._clock is not None:
-            self._clock.publish(Clock(clock=to_stamp(t_ns)))
-
-    def _advance_clock(self, t_ns: int) -> None:
-        if t_ns > self._clock_ns:
-            self.send_clock(t_ns)
+    def send_clock(self, t_ns: int) -> bool:
+        """Publish a time on /clock, even one before the last; return whether it is."""
+        return self._clock.send(t_ns)
 
     def play(
         self,
@@ -203,9 +185,7 @@ class Player(Guest):
         start_ns, start = messages[0].log_ns, time.monotonic()
         late: list[float] = []
         clock_ns = start_ns
-        back = clock_ns < self._clock_ns
-        self.send_clock(clock_ns)
-        if back:  # which must arrive before the messages
+        if self.send_clock(clock_ns):  # which must arrive before the messages
             self.spin_for(SETTLE)
         for message in messages:
             while clock_ns + CLOCK_PERIOD_NS <= message.log_ns:
@@ -216,7 +196,7 @@ class Player(Guest):
                     self._keep_in_step(clock_ns, start_ns)
                 late.append(time.monotonic() - due)
                 on_time(clock_ns)
-                self._advance_clock(clock_ns)
+                self._clock.advance(clock_ns)
             self._publishers[message.topic].publish(message.data)
         self._flush()
         return math.sqrt(sum(x * x for x in late) / max(len(late), 1))
@@ -229,37 +209,24 @@ class Player(Guest):
     def _keep_in_step(self, t_ns: int, start_ns: int) -> None:
         """Listen, and before `t_ns` is played wait for the output of a moment ago."""
         self._executor.spin_once(timeout_sec=0.0)
-        wanted = t_ns - ANSWER_WITHIN_NS
-        if wanted >= start_ns + START_UP_NS:
-            self._wait_for_answer(wanted, start_ns)
+        wanted_ns = t_ns - ANSWER_WITHIN_NS
+        if wanted_ns >= start_ns + START_UP_NS and not self._clock.wait(
+            lambda: self.outputs.newest_ns >= wanted_ns, t_ns, PATIENCE
+        ):
+            raise PlayerError(
+                f"waited {PATIENCE:g} s in vain for the output of "
+                f"{(wanted_ns - start_ns) / NS_PER_S:.2f} s into the recording"
+            )
 
     def _flush(self) -> None:
         """Let the node's timer fire once more, and its last outputs arrive."""
         for _ in range(CLOCK_AHEAD_NS // CLOCK_PERIOD_NS):
-            self._advance_clock(self._clock_ns + CLOCK_PERIOD_NS)
-            self.spin_for(NUDGE_AFTER)
+            self._clock.advance()
+            self.spin_for(LOOK_EVERY)
         self.spin_for(SETTLE)
         # A busy node may have seen all of these steps before the last messages.
         newest_ns = None
         while newest_ns != self.outputs.newest_ns:
             newest_ns = self.outputs.newest_ns
-            self._advance_clock(self._clock_ns + CLOCK_PERIOD_NS)
+            self._clock.advance()
             self.spin_for(SETTLE)
-
-    def _wait_for_answer(self, wanted_ns: int, start_ns: int) -> None:
-        """Listen until the tick of `wanted_ns` is there.
-
-        The node may have seen /clock pass before the messages that came with it, and then its
-        timer waits for the next step of /clock: after a while it gets one.
-        """
-        begun = time.monotonic()
-        while self.outputs.newest_ns < wanted_ns:
-            if time.monotonic() > begun + PATIENCE:
-                raise PlayerError(
-                    f"waited {PATIENCE:g} s in vain for the output of "
-                    f"{(wanted_ns - start_ns) / NS_PER_S:.2f} s into the recording"
-                )
-            if not self.spin_for(NUDGE_AFTER, lambda: self.outputs.newest_ns >= wanted_ns):
-                furthest = wanted_ns + ANSWER_WITHIN_NS + CLOCK_AHEAD_NS
-                furthest += int((time.monotonic() - begun) / STUCK_AFTER) * CLOCK_AHEAD_NS // 2
-                self._advance_clock(min(self._clock_ns + CLOCK_PERIOD_NS, furthest))

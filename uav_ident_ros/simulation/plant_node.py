@@ -20,7 +20,6 @@ from geometry_msgs.msg import Quaternion, Vector3, Vector3Stamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool
@@ -33,6 +32,7 @@ from uav_ident_ros.client import (
     subscribe,
     subscribe_excitation,
 )
+from uav_ident_ros.guest import StepClock, listen
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
@@ -53,16 +53,6 @@ START_PATIENCE = 60.0
 
 COEFFICIENTS_WITHIN_NS = 200_000_000
 """In step: how far the newest coefficients may lie behind the newest Imu sample, ns."""
-
-NUDGE_AFTER = 0.02
-"""Wall-clock seconds without coefficients after which /clock goes on a step by itself: the
-identifier's timer may have fired just before the samples that it needed arrived."""
-
-STUCK_AFTER = 1.0
-"""Wall-clock seconds without coefficients after which it may get ahead by another period."""
-
-CLOCK_AHEAD_NS = 100_000_000
-"""How far /clock may get ahead of the Imu that way, ns: two periods of that timer."""
 
 TICK_NS = TICK_DUE_NS = 50_000_000
 """Time between two ticks, and how far behind the newest Imu sample one must lie to be due, ns."""
@@ -126,7 +116,7 @@ class PlantNode(Node):
         self._lock_step: bool = self._value("lock_step")
         self._period_ns = round(NS_PER_S / rate)
         self._start_ns = EPOCH_NS
-        self._now_ns, self._clock_ns = self._start_ns, 0
+        self._now_ns = self._start_ns
         self._samples: list[dict[str, Any]] = []
         self._estimates: list[tuple[float, Coefficients]] = []
         self._commands: dict[int, FloatArray] = {}
@@ -136,9 +126,9 @@ class PlantNode(Node):
         self._controller_silent = False
         self.missed = 0
         self._excite_at: float = self._value("excite_at") or math.inf
-        self._connect()
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
+        self._connect()
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
@@ -147,7 +137,7 @@ class PlantNode(Node):
         return rclpy.ok() and not self._ending.asked
 
     def _connect(self) -> None:
-        self._clock = self.create_publisher(Clock, "/clock", RELIABLE) if self._lock_step else None
+        self._clock = StepClock(self, self._executor, self._period_ns, self._lock_step)
         self._imu = self.create_publisher(Imu, "imu/data", RELIABLE)
         self._actuators = self.create_publisher(JointState, "actuators", RELIABLE)
         self.create_subscription(JointState, "command", self._on_command, RELIABLE)
@@ -232,14 +222,15 @@ class PlantNode(Node):
     def _one_interval(self, began: float) -> None:
         self._now_ns = self._start_ns + round(self._aircraft.time * NS_PER_S)
         sample = self._aircraft.sample()
-        self._advance_clock(self._now_ns)
+        self._clock.advance(self._now_ns)
         self._imu.publish(_imu_message(self._now_ns, sample))
         if self._lock_step:
             self._wait_for_answers()
             self._excite_if_due()
         else:
             self._excite_if_due()
-            self._spin_until(began + (self._now_ns + self._period_ns - self._start_ns) / NS_PER_S)
+            end = began + (self._now_ns + self._period_ns - self._start_ns) / NS_PER_S
+            self._wait(lambda: False, end - time.monotonic())
         self._answer(sample)
         for fault in self._aircraft.advance():
             self._say(fault)
@@ -289,22 +280,9 @@ class PlantNode(Node):
 
     # -- waiting ---------------------------------------------------------------------------
 
-    def _advance_clock(self, t_ns: int) -> None:
-        if self._clock is not None and t_ns > self._clock_ns:
-            self._clock_ns = t_ns
-            self._clock.publish(Clock(clock=to_stamp(t_ns)))
-
-    def _spin_until(self, end: float) -> None:
-        while (left := end - time.monotonic()) > 0.0 and self._going():
-            self._executor.spin_once(timeout_sec=left)
-
     def _wait(self, condition: Callable[[], bool], patience: float) -> bool:
-        end = time.monotonic() + patience
-        while not condition():
-            if time.monotonic() > end or not self._going():
-                return False
-            self._executor.spin_once(timeout_sec=NUDGE_AFTER)
-        return True
+        listen(self._executor, patience, lambda: condition() or not self._going())
+        return condition()
 
     def _wait_for_everyone(self) -> None:
         """Listen until there is a controller, and an identifier if one is waited for."""
@@ -320,7 +298,8 @@ class PlantNode(Node):
             if self._identifier_silent:
                 return commanded
             identified = self.count_publishers("identifier/coefficients_named") > 0
-            heard = self._clock is not None and self._clock.get_subscription_count() > 0
+            clock = self._clock.publisher
+            heard = clock is not None and clock.get_subscription_count() > 0
             return commanded and identified and heard and listeners() > 1 + guided
 
         if not self._wait(ready, START_PATIENCE) and self._going():
@@ -329,7 +308,7 @@ class PlantNode(Node):
                 + (" and a rate_reference" if self._value("wait_for_reference") else "")
                 + ("" if self._identifier_silent else " and an identifier")
             )
-        self._spin_until(time.monotonic() + 1.0)  # until they know this node too
+        self._wait(lambda: False, 1.0)  # until they know this node too
 
     def _wait_for_answers(self) -> None:
         """Listen until the newest sample is answered and the coefficients are not far behind."""
@@ -354,20 +333,14 @@ class PlantNode(Node):
             self._wait_for_coefficients(wanted)
 
     def _wait_for_coefficients(self, wanted_ns: int) -> None:
-        begun = time.monotonic()
-        while self._coefficients_ns < wanted_ns and self._going():
-            waited = time.monotonic() - begun
-            if waited > PATIENCE:
-                self._identifier_silent = True
-                self.get_logger().warning(
-                    f"no coefficients any more at {self._aircraft.time:.2f} s: going on without"
-                )
-                return
-            if not self._wait(lambda: self._coefficients_ns >= wanted_ns, NUDGE_AFTER):
-                # once more, if it fired at the furthest time before it had looked at the samples
-                furthest_ns = CLOCK_AHEAD_NS + int(waited / STUCK_AFTER) * TICK_NS
-                next_ns = self._clock_ns + self._period_ns
-                self._advance_clock(min(next_ns, self._now_ns + furthest_ns))
+        def answered() -> bool:
+            return self._coefficients_ns >= wanted_ns or not self._going()
+
+        if not self._clock.wait(answered, self._now_ns, PATIENCE):
+            self._identifier_silent = True
+            self.get_logger().warning(
+                f"no coefficients any more at {self._aircraft.time:.2f} s: going on without"
+            )
 
 
 def save_record(
