@@ -62,7 +62,7 @@ class Confirmation:
             # From the largest odds to those that confirm in just this time.
             self._odds *= (CONFIRMED / LARGEST_ODDS) ** (effect.shape[1] * white.dt / max_age)
         self._odds += 0.5 * np.add.reduce(gain, axis=1) / variance
-        np.clip(self._odds, -LARGEST_ODDS, LARGEST_ODDS, out=self._odds)
+        self._odds = np.maximum(np.minimum(self._odds, LARGEST_ODDS), -LARGEST_ODDS)
 
     def doubt(self, row: int) -> str:
         """Return why the main control derivative of a row is in doubt; empty if it is not."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_ident_ros.identification.filters import BlockFilter, DiscreteSystem
-from uav_ident_ros.identification.samples import NS, TimeArray
+from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import ActuatorSettings
 from uav_ident_ros.identification.structure import FloatArray
 
@@ -108,11 +108,9 @@ def cell_means(
     (m, N) array
         Mean over each cell.
     """
-    t = (t_ns - t_ns[0]) * NS
-    edges = (edges_ns - t_ns[0]) * NS
     last = t_ns.searchsorted(edges_ns, side="right") - 1
-    since = (edges - t[last])[:, None]
-    width = (t[1:] - t[:-1])[:, None]
+    since = (edges_ns - t_ns[last])[:, None]
+    width = (t_ns[1:] - t_ns[:-1])[:, None]
     integral = np.zeros_like(u)
     if interpolation == "linear":
         slope = np.zeros_like(u)
@@ -122,4 +120,4 @@ def cell_means(
     else:
         np.add.accumulate(u[:-1] * width, out=integral[1:])
         at_edges = integral[last] + u[last] * since
-    return np.asarray((at_edges[1:] - at_edges[:-1]) / (edges[1:] - edges[:-1])[:, None])
+    return np.asarray((at_edges[1:] - at_edges[:-1]) / (edges_ns[1:] - edges_ns[:-1])[:, None])

@@ -291,7 +291,7 @@ class Supervisor:
         """Return the state word, and why it is not learning or not usable."""
         if self.closed:
             return State.PAUSED, self.closed
-        if not self.learning.any():
+        if True not in self._learned.tolist():
             reasons = [*sorted(set(self.pauses().values())), verdict.reason]
             return State.PAUSED, "; ".join(filter(None, reasons))
         if verdict.usable:
