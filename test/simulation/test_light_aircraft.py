@@ -4,7 +4,8 @@ import math
 import numpy as np
 import pytest
 
-from uav_ident_ros.simulation.flight import GRAVITY, Flight
+from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.light_aircraft import TRUTH, LightFlight, fly
 

@@ -18,11 +18,9 @@ import numpy as np
 
 from uav_ident_ros.identification.frames import BodyFrame, rotation
 from uav_ident_ros.identification.inputs import InputMap
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray, Structure
-
-GRAVITY = 9.80665
-"""Standard gravity, m/s^2."""
 
 LOOK_TIME = 1.0
 """Time between two looks at all that was gathered, s."""

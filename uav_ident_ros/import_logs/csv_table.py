@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 
 from uav_ident_ros.files.strict_yaml import EntryError, finite, mapping, meant, yaml_problem
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.import_logs.flight_log import (
@@ -30,7 +31,7 @@ TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 """Nanoseconds in each unit of time."""
 
 RATE_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180.0}
-FORCE_UNITS = {"m/s^2": 1.0, "g": 9.80665}
+FORCE_UNITS = {"m/s^2": 1.0, "g": GRAVITY}
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "kn": 1852.0 / 3600.0}
 AXES = ("frd", "flu")
 

@@ -17,9 +17,6 @@ from uav_ident_ros.simulation.errors import SimulationError
 
 IntArray = NDArray[np.int64]
 
-GRAVITY = 9.80665
-"""Standard gravity, m/s^2."""
-
 EPOCH_NS = 1_700_000_000 * 10**9
 """Stamp of the first sample of every simulated flight, ns (14 November 2023)."""
 

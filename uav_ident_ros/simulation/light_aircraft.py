@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.faults import Schedule
 from uav_ident_ros.simulation.flight import (
-    GRAVITY,
     CoefficientChange,
     Flight,
     effect_of,

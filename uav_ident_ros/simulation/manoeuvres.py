@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.flight import GRAVITY
 
 ANGLE_GAIN = 1.0
 """Rate of an angle per rad of its error, 1/s."""

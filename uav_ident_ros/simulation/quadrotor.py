@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.flight import GRAVITY
 
 SIDES = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
 """Forward and right of the centre: motors front right, rear left, front left, rear right."""
