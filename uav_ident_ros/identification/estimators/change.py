@@ -140,6 +140,9 @@ class ChangeDetector:
         nothing = np.zeros((3, 4))
         self.found = Slopes(nothing, nothing, nothing, nothing, np.zeros(4))
         self.count = 0
+        self._new: list[Regression] = []  # since the last look
+        self._y: list[FloatArray] = []  # those of the last look
+        self._f: list[FloatArray] = []
         self._recent_time = 0.0
         self._since_look = 0.0
         self._usual: FloatArray = np.zeros((3, 4))  # times power
@@ -155,6 +158,8 @@ class ChangeDetector:
     def restart(self) -> None:
         """Forget the window: what comes does not continue it."""
         self.recent.clear()
+        self._new.clear()
+        self._y, self._f = [], []
         self.count = 0
         self._recent_time = self._since_look = 0.0
         self._agreeing.fill(0)
@@ -164,6 +169,7 @@ class ChangeDetector:
         if samples.restarted:
             self.restart()
         self.recent.append(samples)
+        self._new.append(samples)
         self.count += len(samples.y)
         self._recent_time += samples.time
         while self._recent_time > WINDOW_TIME:
@@ -244,8 +250,10 @@ class ChangeDetector:
 
     def _slopes(self, coefficients: FloatArray) -> Slopes:
         """Look for slopes over the window."""
-        y = np.concatenate([part.y for part in self.recent])[:, :3]
-        f = np.concatenate([part.f for part in self.recent])
+        y = np.concatenate([*self._y, *(part.y[:, :3] for part in self._new)])[-self.count :]
+        f = np.concatenate([*self._f, *(part.f for part in self._new)])[-self.count :]
+        self._y, self._f = [y], [f]
+        self._new.clear()
         residual = y - f @ coefficients.T
         residual -= np.add.reduce(residual) / len(y)
         u = f[:, INPUT_COLUMNS]

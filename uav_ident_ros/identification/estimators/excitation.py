@@ -63,6 +63,7 @@ class ExcitationGate:
     def __init__(self, free: BoolArray, settings: SupervisionSettings) -> None:
         self.settings = settings
         self._watched: BoolArray = free[:, INPUT_COLUMNS]
+        self._gathered: list[tuple[Regression, FloatArray]] = []
         self._window: deque[FloatArray] = deque()
         self._window_time = 0.0
         self._since_look = 0.0
@@ -88,13 +89,22 @@ class ExcitationGate:
         coefficients : (3, n) array
             What is known.
         """
-        u = samples.f[:, INPUT_COLUMNS]
-        sums = (np.add.reduce(u), np.add.reduce(u * u), np.add.reduce(residual * residual))
-        self._window.append(samples.dt * np.concatenate(((len(u),), *sums)))
+        self._gathered.append((samples, residual))
         self._since_look += samples.time
-        if self._since_look >= LOOK_TIME - 0.5 * samples.dt or len(self._window) == 1:
+        if self._since_look >= LOOK_TIME - 0.5 * samples.dt or not self._window:
+            self._add_up()
             self._look(coefficients[:, INPUT_COLUMNS])
         return self.weight
+
+    def _add_up(self) -> None:
+        """Put time, and the sums of u, u^2 and the squared residuals over it, into the window."""
+        gathered, self._gathered = self._gathered, []
+        u = np.concatenate([samples.f[:, INPUT_COLUMNS] for samples, _ in gathered])
+        residual = np.concatenate([residual for _, residual in gathered])
+        signals = np.concatenate((np.ones((len(u), 1)), u, u * u, residual * residual), axis=1)
+        counts = [len(residual) for _, residual in gathered]
+        sums = np.add.reduceat(signals, np.cumsum([0, *counts[:-1]]))
+        self._window.extend(s.dt * row for (s, _), row in zip(gathered, sums, strict=True))
 
     def _look(self, effect: FloatArray) -> None:
         """Compare the inputs over the window with what is usual, and with the residuals."""
@@ -102,7 +112,6 @@ class ExcitationGate:
         self._window_time += elapsed
         while self._window_time > WINDOW_TIME and len(self._window) > 1:
             self._window_time -= self._window.popleft()[0]
-        # Time, and the sums of u, u^2 and the squared residuals over it.
         sums = np.concatenate(self._window).reshape(-1, 12)
         means = np.add.reduce(sums)
         means /= means[0]

@@ -131,7 +131,8 @@ class Sums:
         self.products[..., : 1 + 2 * k] += products[..., 1:]
         if answering is not None:
             self.answers += products[..., 2 + k :] * answering
-            self.counts[1] += samples.time * weight * answering.any(axis=(1, 2))
+            answered = np.add.reduce(answering, axis=(1, 2)) > 0.0
+            self.counts[1] += samples.time * weight * answered
         return np.asarray(products[..., 0])
 
     def weigh(self, keep: FloatArray) -> None:

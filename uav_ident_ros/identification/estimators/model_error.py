@@ -13,8 +13,6 @@ derivative is off by about as much.
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 
 from uav_ident_ros.identification.regression import Layout, RowSamples
@@ -59,9 +57,11 @@ class ModelError:
         rows = len(ROWS)
         # samples, their weights (3,) times dt, and whether they do not continue those before
         self._gathered: list[tuple[RowSamples, FloatArray, bool]] = []
-        # sum of z f^T, z z^T and z y side by side, (rows, k, 2 k + 1), a block each
-        self._blocks: deque[FloatArray] = deque(maxlen=BLOCKS)
-        self._squares: deque[FloatArray] = deque(maxlen=BLOCKS)  # of the residuals, (rows,)
+        # sum of z f^T, z z^T and z y side by side, and of the squared residuals, a block each
+        k = layout.width + EXTRA
+        self._blocks: FloatArray = np.zeros((BLOCKS, rows, k, 2 * k + 1))
+        self._squares: FloatArray = np.zeros((BLOCKS, rows))
+        self._closed = 0
         self._ratio: FloatArray = np.zeros(rows)
         self._time = 0.0
         self._before: FloatArray | None = None
@@ -70,9 +70,9 @@ class ModelError:
 
     def forget(self, row: int) -> None:
         """Forget what a row has shown: it is learned anew."""
-        gathered = [weight for _, weight, _ in self._gathered]
-        for part in (*self._blocks, *self._squares, *gathered, self.share):
-            part[row] = 0.0
+        self._blocks[:, row] = self._squares[:, row] = self.share[row] = 0.0
+        for _, weight, _ in self._gathered:
+            weight[row] = 0.0
         self._sure[row] = False
 
     def add(
@@ -119,15 +119,16 @@ class ModelError:
         y, f, z = signals[:, :, 1:2], signals[:, :, 2 : 2 + k], signals[:, :, 2 + k :]
         f, z = (np.concatenate((part, extra[:, :, i]), axis=2) for i, part in enumerate((f, z)))
         weighted = (z * weight[:, :, None]).transpose(0, 2, 1)
-        self._blocks.append(weighted @ np.concatenate((f, z, y), axis=2))
-        self._squares.append(np.add.reduce(weight * signals[:, :, 0] ** 2, axis=1))
+        newest = self._closed % BLOCKS
+        self._blocks[newest] = weighted @ np.concatenate((f, z, y), axis=2)
+        self._squares[newest] = np.add.reduce(weight * signals[:, :, 0] ** 2, axis=1)
+        self._closed += 1
 
     def _look(self) -> None:
         """Solve in units of each regressor's rms, and compare the extra ones with their sigma."""
-        k = self._blocks[0].shape[1]
-        if len(self._blocks) <= k:
+        k, blocks = self._blocks.shape[2], self._blocks[: self._closed]
+        if len(blocks) <= k:
             return  # as many coefficients leave no scatter to judge by
-        blocks = np.array(self._blocks)
         total = np.add.reduce(blocks)
         zf, zz, zy = total[..., :k], total[..., k:-1], total[..., -1]
         power = np.einsum("ijj->ij", zz)
@@ -144,7 +145,7 @@ class ModelError:
         lost = k / (len(blocks) - k)
         variance = (1.0 + lost) * np.add.reduce(scatter**2)
         # An input that answers looks late, but not as if it stopped short.
-        answers = self._ratio * np.add.reduce(np.array(self._squares))
+        answers = self._ratio * np.add.reduce(self._squares)
         variance[:, -1] += answers * np.einsum(
             "ij,ijk,ik->i", gain[:, -1], instruments, gain[:, -1]
         )
