@@ -10,9 +10,8 @@ figures to ``build/accuracy.json``.
 """
 
 import fnmatch
-import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -146,23 +145,19 @@ def _jobs(only: str, quick: bool, seeds: int) -> list[tuple[str, int | None]]:
     return jobs
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> None:
     parser = bench.parser(__doc__, seeds=3, workers=2, output=bench.BUILD)
     parser.add_argument("--quick", action="store_true", help="six flights, one seed each")
     parser.add_argument("--only", default="*", metavar="PATTERN", help="flights, as in 'c172p_*'")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     jobs = _jobs(options.only, options.quick, options.seeds)
     if not jobs:
         parser.error(f"no flight matches '{options.only}': there are {', '.join(FLIGHTS)}")
-    found: list[Cell] = []
-    for cells in bench.each(run_flight, jobs, options.workers):
-        name, seed = cells[0]["flight"], cells[0]["seed"]
-        print(f"{name} seed {seed}: {accuracy_report.in_short(cells)}", file=sys.stderr, flush=True)
-        found += cells
+    flown = bench.done(run_flight, jobs, options.workers, accuracy_report.in_short)
+    found = [cell for cells in flown for cell in cells]
     bench.keep(options.output / "accuracy.json", found)
     print(accuracy_report.table(found))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -38,7 +38,7 @@ def in_short(cells: Sequence[CellRow]) -> str:
         if method in (DEFAULT, REFERENCE):
             fits = "/".join(f"{value:.1f}" for value in _mean([c["model"] for c in group]))
             parts.append(f"{structure} {method} {fits}")
-    return "; ".join(parts)
+    return f"{cells[0]['flight']} seed {cells[0]['seed']}: " + "; ".join(parts)
 
 
 def _best_in_hindsight(cells: Sequence[CellRow]) -> list[CellRow]:

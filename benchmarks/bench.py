@@ -42,6 +42,20 @@ def each(function: Callable[[Job], Result], jobs: Iterable[Job], workers: int) -
         yield from pool.imap(function, jobs)
 
 
+def done(
+    function: Callable[[Job], Result],
+    jobs: Iterable[Job],
+    workers: int,
+    said: Callable[[Result], object] = str,  # The line on a result
+) -> list[Result]:
+    """Return the result of every job, with a line on each as it comes."""
+    results = []
+    for result in each(function, jobs, workers):
+        print(said(result), flush=True)
+        results.append(result)
+    return results
+
+
 def resident_mb(pid: int | str = "self") -> float:
     """Resident memory of a process, MiB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])

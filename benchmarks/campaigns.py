@@ -6,7 +6,6 @@ the defaults, prints what came out with its spread, and keeps every figure in
 ``build/campaign_NAME.json``.
 """
 
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -35,13 +34,8 @@ Result = dict[str, Any]
 Job = tuple[Any, ...]
 
 
-def _over(jobs: Sequence[Job], function: Callable[[Job], Result], workers: int) -> list[Result]:
-    """Do all jobs in parallel; return their results in order."""
-    out = []
-    for job, result in zip(jobs, bench.each(function, jobs, workers), strict=True):
-        out.append(result)
-        print(*job, file=sys.stderr, flush=True)
-    return out
+def _said(result: Result) -> str:
+    return f"{result['flight']} {result['seed']} {result['estimator']} {result['structure']}"
 
 
 def _flown(job: Job, until: float = np.inf) -> tuple[Flight, cases.Track, Result]:
@@ -89,7 +83,7 @@ def convergence(seeds: int, workers: int) -> list[Result]:
     jobs = [
         (n, s, *m) for n in CONVERGENCE_FLIGHTS for m in _methods() for s in range(1, seeds + 1)
     ]
-    results = _over(jobs, _convergence_of, workers)
+    results = bench.done(_convergence_of, jobs, workers, _said)
     for label, group in _groups(results, "flight", "estimator", "structure"):
         times = [r["seconds"] for r in group]
         soon = sum(t <= 7.5 for t in times)
@@ -120,7 +114,7 @@ def _convergence_of(job: Job) -> Result:
 def gusts(seeds: int, workers: int) -> list[Result]:
     """Free-run fit on a held-out calm flight of models learned in gusts of 1 rad/s^2."""
     jobs = [("exact_gusts_10", s, *m) for m in _methods() for s in range(1, seeds + 1)]
-    results = _over(jobs, _final_of, workers)
+    results = bench.done(_final_of, jobs, workers, _said)
     held_out = cases.simulated("exact_held_out")
     for result, fit in zip(results, _free_run_fits(held_out, results), strict=True):
         result["fit"] = fit.tolist()
@@ -175,7 +169,7 @@ def coverage(seeds: int, workers: int) -> list[Result]:
     names = [(name, seeds) for name in OPEN_LOOP]
     names += [(name, max(1, seeds // 3)) for name in CLOSED_LOOP]
     jobs = [(n, s, e) for n, count in names for e in (IV, LS) for s in range(1, count + 1)]
-    results = _over(jobs, _final_of, workers)
+    results = bench.done(_final_of, jobs, workers, _said)
     for label, group in _groups(results, "flight", "estimator"):
         print(f"{label}{_coverage_line(group)}")
     pooled = [r for r in results if r["flight"] in OPEN_LOOP]
@@ -224,7 +218,7 @@ def quiet(seeds: int, workers: int) -> list[Result]:
     """How far coefficients move in ten quiet minutes, in sigma as of their beginning."""
     names = ("exact_quiet_gusts_03", "exact_quiet_gusts_10")
     jobs = [(n, s, e) for n in names for e in (IV, LS) for s in range(1, seeds + 1)]
-    results = _over(jobs, _quiet_of, workers)
+    results = bench.done(_quiet_of, jobs, workers, _said)
     for label, group in _groups(results, "flight", "estimator"):
         moves = [r["move"] for r in group]
         worst = max(group, key=lambda r: r["move"])
@@ -269,7 +263,7 @@ def changes(seeds: int, workers: int) -> list[Result]:
     few = max(1, seeds // 5)
     names = [(n, seeds) for n in PLANT_CHANGES] + [(n, few) for n in AIRCRAFT_CHANGES]
     jobs = [(n, s, IV) for n, count in names for s in range(1, count + 1)]
-    results = _over(jobs, _change_of, workers)
+    results = bench.done(_change_of, jobs, workers, _said)
     for label, group in _groups(results, "flight"):
         noticed = [r["noticed"] for r in group]
         followed = [r["followed"] for r in group]
@@ -326,7 +320,7 @@ def _named(track: cases.Track) -> list[tuple[float, str]]:
 def alarms(seeds: int, workers: int) -> list[Result]:
     """Releases in 30 minutes in which nothing changes."""
     jobs = [(n, s, IV) for n in ("exact_half_hour", "c172p_half_hour") for s in range(1, seeds + 1)]
-    results = _over(jobs, _alarms_of, workers)
+    results = bench.done(_alarms_of, jobs, workers, _said)
     for r in results:
         print(f"{r['flight']:20}seed {r['seed']}: {len(r['changes'])} releases {r['changes']}")
     return results
@@ -413,16 +407,15 @@ CAMPAIGNS: Mapping[str, tuple[Callable[[int, int], list[Result]], int, int]] = {
 """The campaigns, and their numbers of seeds: usual, and with ``--quick``."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> None:
     parser = bench.parser(__doc__, seeds=0, workers=2, output=bench.BUILD)
     parser.add_argument("name", choices=CAMPAIGNS, metavar="NAME", help=", ".join(CAMPAIGNS))
     parser.add_argument("--quick", action="store_true", help="few seeds")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     run, usual, few = CAMPAIGNS[options.name]
     results = run(options.seeds or (few if options.quick else usual), options.workers)
     bench.keep(options.output / f"campaign_{options.name}.json", results)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

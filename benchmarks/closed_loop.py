@@ -14,7 +14,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -229,10 +229,10 @@ PROGRAMS = {
 }
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     parser = bench.parser(__doc__, seeds=3)
     parser.add_argument("name", choices=tuple(PROGRAMS))
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     os.chdir(bench.ROOT)
     measure, lines = PROGRAMS[options.name]
     found = measure(options.seeds)

@@ -195,24 +195,18 @@ def sweep(name: str) -> str:
     return f"{name}: " + ", ".join(parts)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> None:
     """Print what was found."""
     parser = bench.parser(__doc__, seeds=2, workers=2)
     parser.add_argument("--sweep", action="store_true", help="recorded flights instead")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     if options.sweep:
         flights = filter(cases.is_recorded, cases.RECORDED_DELAY)
-        for text in bench.each(sweep, flights, options.workers):
-            print(text, flush=True)
-        return 0
-    results = []
+        bench.done(sweep, flights, options.workers)
+        return
     todo = [trial for seed in range(1, options.seeds + 1) for trial in trials(seed)]
-    for result in bench.each(judged, todo, options.workers):
-        results.append(result)
-        print(line(result), flush=True)
-    print(*summary(results), sep="\n")
-    return 0
+    print(*summary(bench.done(judged, todo, options.workers, line)), sep="\n")
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

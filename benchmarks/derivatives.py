@@ -13,8 +13,7 @@ alpha and beta: there, compare the aileron's alone. The last column counts the d
 sigmas that the identifier gave itself.
 """
 
-import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import bench
@@ -87,13 +86,13 @@ def _mode(value: complex | None) -> str:
     return f"{value:.2f} 1/s ({size:.2f} rad/s, damping ratio {-value.real / size:.2f})"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the tables; the return value is the exit status."""
+def main() -> None:
+    """Print the tables."""
     parser = bench.parser(__doc__, seed=1)
     parser.add_argument("aircraft", nargs="*", default=list(airframe_names()), help="default: all")
     parser.add_argument("--structure", choices=tuple(STRUCTURES), help="default: the setting's")
     parser.add_argument("--coefficients", type=Path, help="compare this file: fly nothing")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     values = {"structure": options.structure} if options.structure else {}
     for aircraft in options.aircraft:
         speed = None
@@ -105,8 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"\n{aircraft}, {truth.airspeed:.1f} m/s, structure {found.structure}")
         for line in (*lines(found, truth), *mode_lines(found, truth)):
             print(line)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

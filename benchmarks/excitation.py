@@ -20,7 +20,6 @@ of the thrust of one motor while nobody excites: when that is noticed, and the e
 derivatives before the fault and five seconds after it.
 """
 
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -259,8 +258,8 @@ def rows(found: list[Found]) -> Iterator[Sequence[str]]:
         )  # fmt: skip
 
 
-def main() -> int:
-    """Fly and print; return the exit status."""
+def main() -> None:
+    """Fly and print."""
     output = bench.BUILD / "excitation.json"
     parser = bench.parser(__doc__, seeds=20, workers=2, output=output)
     parser.add_argument("--excited", action="store_true", help="leave out the flights without")
@@ -270,21 +269,17 @@ def main() -> int:
     if options.quadrotor:
         flown = bench.each(lose_a_motor, range(options.seeds), options.workers)
         print(*quadrotor_lines(flown), sep="\n")
-        return 0
+        return
     jobs = [
         (severity, seed, excited)
         for severity in options.severity or SEVERITIES
         for seed in range(options.seeds)
         for excited in ((True,) if options.excited else (False, True))
     ]
-    found = []
-    for one in bench.each(fly, jobs, options.workers):
-        found.append(one)
-        print(f"flown: {one.severity}, seed {one.seed}: {one.why}", file=sys.stderr)
+    found = bench.done(fly, jobs, options.workers, lambda one: f"{one.severity}: {one.why}")
     bench.keep(options.output, [vars(one) for one in found])
     print(*bench.table(HEAD, rows(found)), sep="\n")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -17,7 +17,6 @@ independent of its error after: so they can be drawn, from the last back to the 
 time until "for good" is that of a hundred such estimators on each flight.
 """
 
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 
@@ -275,8 +274,8 @@ def lines(found: Sequence[Found]) -> Iterator[str]:
             )
 
 
-def main() -> int:
-    """Fly and print; return the exit status."""
+def main() -> None:
+    """Fly and print."""
     output = bench.BUILD / "excitation_bound.json"
     parser = bench.parser(__doc__, seeds=20, workers=2, output=output)
     parser.add_argument("--gusts", choices=tuple(GUSTS), action="append")
@@ -288,14 +287,10 @@ def main() -> int:
         for seed in range(1, options.seeds + 1)
         for excited in ((True,) if options.excited else (True, False))
     ]
-    found = []
-    for one in bench.each(judge, jobs, options.workers):
-        found.append(one)
-        print(f"{one.gusts}, seed {one.seed}: {one.seconds['all']:.1f} s", file=sys.stderr)
+    found = bench.done(judge, jobs, options.workers, lambda one: f"{one.seconds['all']:.1f} s")
     bench.keep(options.output, [asdict(f) for f in found])
     print("\n".join(lines(found)))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

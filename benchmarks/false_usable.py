@@ -8,7 +8,6 @@ than half, with an error above three of its sigmas.
 """
 
 import re
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -276,28 +275,22 @@ def details(outcome: Outcome) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the campaign; the status is 0 whatever comes out."""
+def main() -> None:
+    """Run the campaign."""
     parser = bench.parser(__doc__, seeds=0, workers=1, output=bench.BUILD)
     parser.add_argument("--structure", choices=tuple(STRUCTURES), default="")
     parser.add_argument("--classes", nargs="+", choices=tuple(verdict_flights.CLASSES))
     parser.add_argument("--short", action="store_true", help="shorter flights, one seed")
-    parser.add_argument("--verbose", action="store_true", help="a line for each flight")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     classes = options.classes or list(verdict_flights.CLASSES)
     seeds = range(1, (options.seeds or (1 if options.short else 2)) + 1)
     length = verdict_flights.SHORT if options.short else verdict_flights.LONG
     jobs = verdict_flights.trials(classes, tuple(seeds), length)
-    outcomes = []
     judged = partial(run, structure_name=options.structure)
-    for outcome in bench.each(judged, jobs, options.workers):
-        outcomes.append(outcome)
-        if options.verbose:
-            print(details(outcome), flush=True)
+    outcomes = bench.done(judged, jobs, options.workers, details)
     print(report(outcomes))
     bench.keep(options.output / "false_usable.json", [asdict(o) for o in outcomes])
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -25,7 +25,6 @@ Tables go to the terminal, every flight to build/fault_campaign.jsonl.
 import json
 import os
 import pickle
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -382,15 +381,15 @@ def _times(values: Sequence[float | None], limit: float) -> str:
     return f"{np.median(known):.1f} ({soon} of {len(values)})" if known else "-"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly the campaign; the return value is the exit status."""
+def main() -> None:
+    """Fly the campaign."""
     result, workers = bench.BUILD / "fault_campaign.jsonl", max(1, (os.cpu_count() or 2) - 1)
     parser = bench.parser(__doc__, minutes=np.inf, result=result, workers=workers)
     parser.add_argument("aircraft", nargs="*", default=AIRCRAFT, help=", ".join(airframe_names()))
     parser.add_argument("--fault", action="append", choices=list(FAULTS)[1:], help="default: all")
     parser.add_argument("--cells", type=int, help="how many of the design at most")
     parser.add_argument("--all", action="store_true", help="every controller flies every cell")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     cells = design(options.aircraft, options.fault or list(FAULTS)[1:])[: options.cells]
     options.result.parent.mkdir(exist_ok=True)
     flights: list[Any] = []
@@ -405,8 +404,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(json.dumps(flight), file=file, flush=True)
     for line in lines(flights):
         print(line)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

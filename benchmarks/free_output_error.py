@@ -8,7 +8,7 @@ of the flight, by `scipy.optimize.least_squares`, with the structure, the prior 
 of the online pass. Both are scored over the last 40 %, at 1, 3 and 5 s, p / q / r.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -134,19 +134,17 @@ def row(flight: str, held: Mapping[str, float]) -> str:
     return f"| {flight} | " + " | ".join(cells) + f" | {(both[0] - both[1]).min():.1f} |"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> None:
     """Print the table."""
     parser = bench.parser(__doc__, workers=2)
     parser.add_argument("flights", nargs="*", metavar="FLIGHT")
     parser.add_argument("--hold", nargs="*", default=[], metavar="NAME=VALUE")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     held = {name: float(value) for name, _, value in (h.partition("=") for h in options.hold)}
     print("| flight | 1 s, online | offline | 3 s | offline | 5 s | offline | worst |")
     print("|---|---|---|---|---|---|---|---|")
-    for line in bench.each(partial(row, held=held), options.flights or FLIGHTS, options.workers):
-        print(line, flush=True)
-    return 0
+    bench.done(partial(row, held=held), options.flights or FLIGHTS, options.workers)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

@@ -6,8 +6,6 @@ rates; beside it holding the rate, the model with the forces measured inside the
 `augmented` with the forces measured. Recorded flights get their delay, and an airspeed of 17 m/s.
 """
 
-from collections.abc import Sequence
-
 import bench
 import cases
 
@@ -40,19 +38,17 @@ def triple(fit: FloatArray) -> str:
     return " / ".join(f"{value:.0f}" for value in fit)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> None:
     """Print the table."""
     parser = bench.parser(__doc__, workers=2)
     parser.add_argument("flights", nargs="*", metavar="FLIGHT")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     known = [name for name in RECORDED if cases.is_recorded(name)]
     flights = options.flights or [*known, *SIMULATED]
     print("| flight | 1 s | 3 s | 5 s | holding, 1 s | forces measured | augmented, measured |")
     print("|---|---|---|---|---|---|---|")
-    for line in bench.each(row, flights, options.workers):
-        print(line, flush=True)
-    return 0
+    bench.done(row, flights, options.workers)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

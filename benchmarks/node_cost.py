@@ -209,7 +209,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def main() -> int:
+def main() -> None:
     """Measure and print."""
     from uav_ident_ros.domain import own_domain
 
@@ -223,15 +223,14 @@ def main() -> int:
         if options.hour:
             for minute, memory in memory_over_an_hour(Path(logs)):
                 print(f"{minute:3d} min of flight: {memory:.1f} MB", flush=True)
-            return 0
+            return
         given = ", ".join(options.parameter) or "default parameters"
         print(f"flight {FLIGHT}, {options.seconds:g} s per rate, actuators at 50 Hz, {given}")
         print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
         rows = (measure(rate, options.seconds, options.parameter) for rate in options.rates)
         for line in bench.table(COLUMNS, rows):
             print(line, flush=True)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

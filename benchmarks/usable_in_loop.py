@@ -8,7 +8,6 @@ with an ordinary gyro and a noisy one. Nobody excites.
     python benchmarks/usable_in_loop.py --workers 2
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
@@ -64,22 +63,20 @@ def fly(flight: tuple[str, int, float, int], duration: float) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly all and print the table; the status is 0 whatever comes out."""
+def main() -> None:
+    """Fly all and print the table."""
     parser = bench.parser(__doc__, duration=90.0, workers=1)
     parser.add_argument("--aircraft", nargs="+", default=AIRCRAFT)
     parser.add_argument("--turbulence", nargs="+", type=int, default=(0, 3))
     parser.add_argument("--noise", nargs="+", type=float, default=(0.005, 0.03), help="rad/s")
     parser.add_argument("--seeds", nargs="+", type=int, default=(1, 2))
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     flights = product(options.aircraft, options.turbulence, options.noise, options.seeds)
     print(
         "aircraft         turbulence     gyro  seed  usable   pdot   qdot   rdot   main, relative"
     )
-    for line in bench.each(partial(fly, duration=options.duration), flights, options.workers):
-        print(line, flush=True)
-    return 0
+    bench.done(partial(fly, duration=options.duration), flights, options.workers)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()

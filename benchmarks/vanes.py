@@ -38,7 +38,7 @@ def recorded(topic: str, *fields: str) -> FloatArray:
     return np.array(rows)
 
 
-def main() -> int:
+def main() -> None:
     """Print the correlations."""
     case = cases.load(FLIGHT)
     values = {"structure": "flight_dynamics", "airspeed.reference": RECORDED_SPEED}
@@ -77,8 +77,7 @@ def main() -> int:
                 f"  the force alone, with {what}: {agreement(both[:, 0]):.2f}; "
                 f"less what {label} would best make of it: {agreement(best):.2f}"
             )
-    return 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main()
