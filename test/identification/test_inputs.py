@@ -40,8 +40,8 @@ def test_servo_lag_is_exact_for_inputs_held_over_the_cells() -> None:
     tau, h = 0.08, 0.005
     u = np.repeat(np.random.default_rng(2).normal(size=(12, 4)), 6, axis=0)
     lag = ServoLag(tau, h)
-    lag.restart(np.zeros(4))
-    means = np.concatenate([lag.apply(u[:31]), lag.apply(u[31:])])
+    lag.apply(np.zeros((1, 4)), restarted=True)
+    means = np.concatenate([lag.apply(part, restarted=False) for part in (u[:31], u[31:])])
     state = np.zeros(4)
     for k, command in enumerate(u):
         # mean of command + (state - command) exp(-t / tau) over the cell

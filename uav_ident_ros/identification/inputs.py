@@ -68,15 +68,15 @@ class ServoLag:
             b = np.array([1.0 / time_constant])
             self._filter = BlockFilter(DiscreteSystem.from_continuous(a, b, h), 4)
 
-    def restart(self, u: FloatArray) -> None:
-        """Start in equilibrium at the input `u`, shape (4,)."""
-        if self._filter is not None:
-            self._filter.state = u[None, :].copy()
+    def apply(self, u: FloatArray, *, restarted: bool) -> FloatArray:
+        """Cell means of the deflection from cell means of the command, shape (m, 4).
 
-    def apply(self, u: FloatArray) -> FloatArray:
-        """Cell means of the deflection from cell means of the command, shape (m, 4)."""
+        Restarted, it begins in equilibrium at the first of them.
+        """
         if self._filter is None:
             return u
+        if restarted:
+            self._filter.state = u[:1].copy()
         before = self._filter.state
         after = self._filter.apply(u, u)[0]
         start = np.concatenate([before, after[:-1]])

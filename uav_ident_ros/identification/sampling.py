@@ -189,8 +189,6 @@ class Sampler:
         self.raw_inputs.clear()
         self.injected.clear()
         self.h_ns: int | None = None
-        self._lag: ServoLag | None = None
-        self._injected_lag: ServoLag | None = None
         self._stale_ns = self._timeout_ns
         self._calls = 0
         self._edge_ns: int | None = None
@@ -353,31 +351,14 @@ class Sampler:
         x, force = self._frame.to_body(signals).transpose(1, 0, 2)
         if self._offset:
             force[:, 1:] -= centripetal(x, self._arm)
-        u = self._input_means(edges - self._delay_ns, self._lag, restarted)
-        injected = self._injected_means(edges - self._delay_ns, restarted)
-        return Block(edges, self.h_ns * NS, x, u, force, restarted, injected)
-
-    def _input_means(self, edges: TimeArray, lag: ServoLag | None, restarted: bool) -> FloatArray:
-        """Cell means of the inputs after the servo lag, shape (m, 4)."""
-        assert lag is not None
-        raw = self.raw_inputs
+        at, raw = edges - self._delay_ns, self.raw_inputs
         done = self.input_map.curved(raw.v)
-        means = cell_means(raw.t, done, edges, self._actuators.interpolation)
-        commanded = self.input_map.mix(means)
-        if restarted:
-            lag.restart(commanded[0])
-        return lag.apply(commanded)
-
-    def _injected_means(self, edges: TimeArray, restarted: bool) -> FloatArray | None:
-        """Cell means of the excitation after the servo lag, shape (m, 4); None before any."""
-        if not len(self.injected.t):
-            return None
-        assert self._injected_lag is not None
-        t, v = with_silences(self.injected.t, self.injected.v, int(edges[0]))
-        means = cell_means(t, v, edges, "hold")
-        if restarted:
-            self._injected_lag.restart(means[0])
-        return self._injected_lag.apply(means)
+        means = cell_means(raw.t, done, at, self._actuators.interpolation)
+        u, injected = self._lag.apply(self.input_map.mix(means), restarted=restarted), None
+        if len(self.injected.t):
+            t, v = with_silences(self.injected.t, self.injected.v, int(at[0]))
+            injected = self._injected_lag.apply(cell_means(t, v, at, "hold"), restarted=restarted)
+        return Block(edges, self.h_ns * NS, x, u, force, restarted, injected)
 
 
 def with_silences(t_ns: TimeArray, v: FloatArray, first_ns: int) -> tuple[TimeArray, FloatArray]:
