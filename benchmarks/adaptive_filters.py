@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The adaptive filters of `padasip`, fed with the identifier's own filtered regressors."""
 
+import bench  # noqa: F401  (before NumPy)
 import numpy as np
 import padasip
 from numpy.typing import NDArray

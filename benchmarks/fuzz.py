@@ -24,10 +24,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import bench
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "test"), str(ROOT / "test" / "import_logs")]
+sys.path[:0] = [str(bench.ROOT / "test"), str(bench.ROOT / "test" / "import_logs")]
 
 from blackbox_writing import blackbox  # noqa: E402
 from dataflash_writing import DataflashWriter  # noqa: E402
