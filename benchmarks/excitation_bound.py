@@ -22,8 +22,10 @@ from dataclasses import asdict, dataclass
 
 import bench
 import cases
+import light_aircraft
 import numpy as np
 import verdict_flights
+from light_aircraft import GUST_TIME, ROLL_GUST_TIME, SPEED, TRUTH
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.filters import expm
@@ -36,10 +38,8 @@ from uav_ident_ros.identification.structure import (
     STRUCTURES,
     FloatArray,
 )
-from uav_ident_ros.simulation import light_aircraft
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment, sample_inputs
-from uav_ident_ros.simulation.light_aircraft import GUST_TIME, ROLL_GUST_TIME, SPEED, TRUTH
 from uav_ident_ros.simulation.noise import measure
 
 GUSTS = {"light": 0.3, "moderate": 0.8, "heavy": 1.5}

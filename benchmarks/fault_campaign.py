@@ -35,16 +35,7 @@ from typing import Any
 
 import bench
 import numpy as np
-
-from uav_ident_ros.client import CoefficientSource, Fallback
-from uav_ident_ros.control import Law
-from uav_ident_ros.control.choice import control_derivatives
-from uav_ident_ros.control.controller import OWN_GAINS
-from uav_ident_ros.control.pid import SURFACES, PidController, PidGains
-from uav_ident_ros.identification.structure import RATE_COLUMNS, FloatArray
-from uav_ident_ros.simulation.airframe import airframe_names
-from uav_ident_ros.simulation.flight import EPOCH_NS
-from uav_ident_ros.simulation.loop import (
+from loop import (
     DELAY,
     Controller,
     Mission,
@@ -54,6 +45,15 @@ from uav_ident_ros.simulation.loop import (
     nominal_of,
     rate_controller,
 )
+
+from uav_ident_ros.client import CoefficientSource, Fallback
+from uav_ident_ros.control import Law
+from uav_ident_ros.control.choice import control_derivatives
+from uav_ident_ros.control.controller import OWN_GAINS
+from uav_ident_ros.control.pid import SURFACES, PidController, PidGains
+from uav_ident_ros.identification.structure import RATE_COLUMNS, FloatArray
+from uav_ident_ros.simulation.airframe import airframe_names
+from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared, prepare
 

@@ -14,15 +14,15 @@ from itertools import product
 
 import bench
 import numpy as np
-
-from uav_ident_ros.control.controller import OWN_GAINS, Law
-from uav_ident_ros.identification.structure import MAIN_INPUTS, STRUCTURES
-from uav_ident_ros.simulation.loop import (
+from loop import (
     Mission,
     fly_loop,
     make_identifier,
     rate_controller,
 )
+
+from uav_ident_ros.control.controller import OWN_GAINS, Law
+from uav_ident_ros.identification.structure import MAIN_INPUTS, STRUCTURES
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared, prepare
 
 AIRCRAFT = ("c172p", "T37", "OV10", "pa28", "A4", "ultra_stick_25e")

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import cases
+import light_aircraft
 import numpy as np
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.simulation import jsbsim_flight, light_aircraft
+from uav_ident_ros.simulation import jsbsim_flight
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment

@@ -11,9 +11,9 @@ pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 import false_usable
 import verdict_flights
+from light_aircraft import TRUTH
 
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.simulation.light_aircraft import TRUTH
 
 
 def test_wrong_is_far_off_and_sure_of_it() -> None:

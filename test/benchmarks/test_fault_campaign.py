@@ -6,8 +6,7 @@ from typing import Any
 import fault_campaign
 import numpy as np
 import pytest
-
-from uav_ident_ros.simulation.loop import Outcome
+from loop import Outcome
 
 
 def flight(errors: list[float], lost: float | None = None, **values: Any) -> dict[str, Any]:

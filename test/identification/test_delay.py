@@ -6,9 +6,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import light_aircraft
 import numpy as np
 import pytest
 from flying import Message, errors, messages, plant_flight, run, settings, worst
+from light_aircraft import LightFlight
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.delay import (
@@ -28,11 +30,9 @@ from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.simulation import light_aircraft
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.light_aircraft import LightFlight
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.plant import Autopilot
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight

@@ -4,9 +4,11 @@
 import math
 from collections.abc import Iterator
 
+import light_aircraft
 import numpy as np
 import pytest
 from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
+from light_aircraft import TRUTH, LightFlight
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import LEAST_SPEED_SHARE, FlowObserver, FlowState
@@ -16,11 +18,9 @@ from uav_ident_ros.identification.prior import first_values, slope_bounds
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
-from uav_ident_ros.simulation import light_aircraft
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.light_aircraft import TRUTH, LightFlight
 from uav_ident_ros.simulation.noise import Sensors, measure
 
 FLIGHT = STRUCTURES["flight_dynamics"]

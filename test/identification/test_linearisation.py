@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from equations import matrix
+from light_aircraft import SPEED, TRUTH
 
 from uav_ident_ros.identification.linearisation import Condition, Mode, linearise, modes
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
-from uav_ident_ros.simulation.light_aircraft import SPEED, TRUTH
 
 FLIGHT = STRUCTURES["flight_dynamics"]
 LEVEL = Condition(SPEED)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from equations import matrix
 from flying import Message, run
+from light_aircraft import LightFlight, fly
 
 from uav_ident_ros.identification import plausibility
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -16,7 +17,6 @@ from uav_ident_ros.identification.plausibility import Plausibility, coefficient_
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.light_aircraft import LightFlight, fly
 
 TICK = 0.05
 TRIM = (0.0, 0.0, 0.0, 0.5)

@@ -3,13 +3,13 @@
 
 from typing import Any
 
+import light_aircraft
 import numpy as np
 import pytest
 from flying import AMPLITUDES, messages, plant_flight, run, settings
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.simulation import light_aircraft
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure

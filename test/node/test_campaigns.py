@@ -3,21 +3,16 @@
 
 import random
 import shutil
-import sys
 from pathlib import Path
-
-import pytest
-from excerpts import PARAMETERS, excerpt
-from node_process import ROOT
-from programs import python
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import Imu
-
-sys.path.insert(0, str(ROOT / "benchmarks"))
 
 import endings
 import faults
+import pytest
+from excerpts import PARAMETERS, excerpt
 from hostile import Hostile, example, leaves
+from programs import python
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Imu
 
 MESSAGES = 300
 """Hostile ones on every input; the campaign sends 100,000."""

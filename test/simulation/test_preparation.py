@@ -8,12 +8,13 @@ import pytest
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
+from loop import Mission, fly_loop, make_identifier, rate_controller
+
 from uav_ident_ros.client import Coefficients
 from uav_ident_ros.control import Law
 from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.simulation.linearisation import linearise_cruise
-from uav_ident_ros.simulation.loop import Mission, fly_loop, make_identifier, rate_controller
 from uav_ident_ros.simulation.preparation import Prepared, prepare, write
 
 NAME, LAW = "ultra_stick_25e", Law.INCREMENTAL

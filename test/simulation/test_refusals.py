@@ -8,14 +8,16 @@ import pytest
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
-from uav_ident_ros.simulation import jsbsim_flight, light_aircraft, plant
+import light_aircraft
+from light_aircraft import LightFlight
+
+from uav_ident_ros.simulation import jsbsim_flight, plant
 from uav_ident_ros.simulation.definition import build_flight
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.flight import CoefficientChange
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
-from uav_ident_ros.simulation.light_aircraft import LightFlight
 from uav_ident_ros.simulation.live import LiveQuadrotor
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.plant import Autopilot, PlantFlight

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-import sys
 from pathlib import Path
 
+import flights
 import numpy as np
 import pytest
 
@@ -10,13 +10,6 @@ from uav_ident_ros.simulation.definition import (
     definition_key,
     flight_spec,
 )
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-if not (BENCHMARKS / "flights.yaml").exists():
-    pytest.skip("the benchmarks are not installed with the package", allow_module_level=True)
-sys.path.insert(0, str(BENCHMARKS))
-
-import flights  # noqa: E402
 
 
 @pytest.mark.parametrize("name", flights.names())

@@ -3,11 +3,11 @@ import math
 
 import numpy as np
 import pytest
+from light_aircraft import TRUTH, LightFlight, fly
 
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.light_aircraft import TRUTH, LightFlight, fly
 
 EXCITATION = Segment("multisine", amplitudes={"de": 0.03, "dr": 0.04, "da": 0.03})
 REGRESSORS = {
