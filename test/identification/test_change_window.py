@@ -4,7 +4,11 @@
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.estimators.change import CONSTANT, ChangeDetector
+from uav_ident_ros.identification.estimators.change import (
+    CONSTANT,
+    WINDOW_TIME,
+    ChangeDetector,
+)
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.structure import CONSTANT_COLUMN, STRUCTURES
 
@@ -15,6 +19,7 @@ NOTHING, STILL = np.zeros((3, STRUCTURE.size)), np.zeros((3, 4))
 """Coefficients and sigmas of a row that knows nothing, exactly."""
 
 EVERY_INPUT, EVERY_ROW, NO_ROW = np.ones(4, dtype=bool), np.ones(3, dtype=bool), np.zeros(3, bool)
+UNKNOWN = NOTHING, STILL, EVERY_INPUT, EVERY_ROW
 ELEVATOR = NOTHING.copy()
 ELEVATOR[1, 8] = -20.0
 
@@ -37,16 +42,16 @@ def test_no_sequence_of_tick_lengths_is_too_odd(lengths: tuple[float, ...]) -> N
     chance, detector = np.random.default_rng(1), ChangeDetector(STRUCTURE.mask, 15.0)
     for length in lengths:
         data = noise_means(chance, length / 10)
-        assert update(detector, data, NOTHING, STILL, EVERY_INPUT, EVERY_ROW) == []
+        assert update(detector, data, *UNKNOWN) == []
         assert np.isfinite(detector.found.slope).all()
 
 
 def test_a_window_does_not_reach_over_a_gap() -> None:
+    """After one it is full again, and looked at, no sooner than after its own length."""
     chance, detector = np.random.default_rng(1), ChangeDetector(STRUCTURE.mask, 15.0)
-    for k in range(130):
-        data = noise_means(chance, 0.005, restarted=k == 120)
-        update(detector, data, NOTHING, STILL, EVERY_INPUT, EVERY_ROW)
-    assert len(detector.recent) == 10
+    looks = [detector.add(noise_means(chance, 0.005, restarted=k == 120)) for k in range(240)]
+    assert looks[110:120] == [True] * 10  # until `look` is asked, it stays due
+    assert looks.index(True, 120) - 120 == pytest.approx(WINDOW_TIME / 0.05, abs=2)
 
 
 def elevator_means(

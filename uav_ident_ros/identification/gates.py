@@ -222,11 +222,7 @@ class GlitchFilter:
             Range of the gyro, rad/s; 0 if it is not known, and nothing is a glitch.
         """
         out = np.zeros(len(rates), dtype=bool)
-        if (
-            max_rate <= 0.0
-            or not len(rates)
-            or np.maximum.reduce(np.abs(rates), axis=None) < max_rate
-        ):
+        if max_rate <= 0.0 or not len(rates) or largest(rates) < max_rate:
             self._run = 0
             return out
         for k, sample in enumerate(rates):

@@ -120,10 +120,6 @@ class ChangeDetector:
 
     Attributes
     ----------
-    recent : deque of Regression
-        The samples of the window.
-    count : int
-        Their number.
     found : Slopes
         What the last look found.
     """
@@ -136,13 +132,14 @@ class ChangeDetector:
         self._has_constant: BoolArray = constants.any(axis=1)
         self._residual: FloatArray = np.zeros((0, 3))
         self._rho: FloatArray = np.zeros(3)
-        self.recent: deque[Regression] = deque()
+        # Of what came: (time, samples) of the window, and y and f, joined at each look
+        self._window: deque[tuple[float, int]] = deque()
+        self._y: list[FloatArray] = []
+        self._f: list[FloatArray] = []
+        self._count = 0
+        self._dt = 0.0
         nothing = np.zeros((3, 4))
         self.found = Slopes(nothing, nothing, nothing, nothing, np.zeros(4))
-        self.count = 0
-        self._new: list[Regression] = []  # since the last look
-        self._y: list[FloatArray] = []  # those of the last look
-        self._f: list[FloatArray] = []
         self._recent_time = 0.0
         self._since_look = 0.0
         self._usual: FloatArray = np.zeros((3, 4))  # times power
@@ -157,10 +154,9 @@ class ChangeDetector:
 
     def restart(self) -> None:
         """Forget the window: what comes does not continue it."""
-        self.recent.clear()
-        self._new.clear()
+        self._window.clear()
         self._y, self._f = [], []
-        self.count = 0
+        self._count = 0
         self._recent_time = self._since_look = 0.0
         self._agreeing.fill(0)
 
@@ -168,20 +164,22 @@ class ChangeDetector:
         """Take new samples; say whether it is time to look at them."""
         if samples.restarted:
             self.restart()
-        self.recent.append(samples)
-        self._new.append(samples)
-        self.count += len(samples.y)
+        self._y.append(samples.y[:, :3])
+        self._f.append(samples.f)
+        self._window.append((samples.time, len(samples.y)))
+        self._dt = samples.dt
+        self._count += len(samples.y)
         self._recent_time += samples.time
         while self._recent_time > WINDOW_TIME:
-            oldest = self.recent.popleft()
-            self._recent_time -= oldest.time
-            self.count -= len(oldest.y)
+            time, count = self._window.popleft()
+            self._recent_time -= time
+            self._count -= count
         self._since_look += samples.time
         if self._since_look < CHECK_TIME - 0.5 * samples.dt:
             return False
         if self._recent_time < WINDOW_TIME - 1.5 * samples.time:
             return False
-        return self.count >= FEWEST_SAMPLES
+        return self._count >= FEWEST_SAMPLES
 
     def look(
         self, coefficients: FloatArray, sigma: FloatArray, lively: BoolArray, clear: BoolArray
@@ -250,10 +248,8 @@ class ChangeDetector:
 
     def _slopes(self, coefficients: FloatArray) -> Slopes:
         """Look for slopes over the window."""
-        y = np.concatenate([*self._y, *(part.y[:, :3] for part in self._new)])[-self.count :]
-        f = np.concatenate([*self._f, *(part.f for part in self._new)])[-self.count :]
+        y, f = (np.concatenate(parts)[-self._count :] for parts in (self._y, self._f))
         self._y, self._f = [y], [f]
-        self._new.clear()
         residual = y - f @ coefficients.T
         residual -= np.add.reduce(residual) / len(y)
         u = f[:, INPUT_COLUMNS]
@@ -272,7 +268,7 @@ class ChangeDetector:
         explained = _ratio(slope * product, np.add.reduce(white * white))
         placed = np.zeros((4, 3, len(INPUTS)))
         placed[:, self._row, self._input] = slope, deviation, t, explained
-        power = np.add.reduce(u * u) * self.recent[-1].dt
+        power = np.add.reduce(u * u) * self._dt
         return Slopes(placed[0], placed[1], placed[2], placed[3], power)
 
     def step(self, row: int) -> Step:
@@ -282,7 +278,7 @@ class ChangeDetector:
         # column k: a step at the start of sample k + 1 as the regression's filter passes it, taken
         # at the middle of each sample
         after = np.maximum(np.arange(count)[:, None] - np.arange(1, count) + 0.5, 0.0)
-        phase = self._cutoff * self.recent[-1].dt * after / np.sqrt(2.0)
+        phase = self._cutoff * self._dt * after / np.sqrt(2.0)
         steps = 1.0 - np.exp(-phase) * (np.cos(phase) + np.sin(phase))
         steps -= steps.mean(axis=0)
         white, steps = residual[1:] - rho * residual[:-1], steps[1:] - rho * steps[:-1]
@@ -290,7 +286,7 @@ class ChangeDetector:
         explained = product * product / power
         best = int(np.argmax(explained))
         share = float(_ratio(explained[best], white @ white))
-        passed = round(PASSED / (self._cutoff * self.recent[-1].dt))
+        passed = round(PASSED / (self._cutoff * self._dt))
         size = float(product[best] / power[best])
         return Step(size, share, max(0, count - 1 - best - passed))
 
@@ -302,7 +298,7 @@ class ChangeDetector:
         count = len(scores)
         sums = np.zeros((count + 1, scores.shape[1]))
         np.add.accumulate(scores, out=sums[1:])
-        length = min(max(1, round(CORRELATION_TIME / self.recent[-1].dt)), count)
+        length = min(max(1, round(CORRELATION_TIME / self._dt)), count)
         blocks = sums[length:] - sums[:-length]
         return np.asarray(np.add.reduce(blocks * blocks) * (count / (length * len(blocks))))
 

@@ -338,17 +338,19 @@ class Information:
             self._fading = self.sums.copy()
             self._fading.weigh(self._instrumental[:, None] * 1.0)
             self.sums.weigh(~self._instrumental[:, None] * 1.0)
-        signals, k = np.array([part.signals for part in samples]), self.layout.width
-        if self.warming_up:
-            signals[..., 2 + k :] = signals[..., 2 : 2 + k]
-        elif not self._instrumental[0]:
-            signals[0, ..., 2 + k :] = signals[0, ..., 2 : 2 + k]
-        return RowSamples(signals, samples[0].dt)
+        stack = RowSamples(np.array([part.signals for part in samples]), samples[0].dt)
+        plain = self._uninstrumented
+        stack.z[plain] = stack.f[plain]
+        return stack
+
+    @property
+    def _uninstrumented(self) -> BoolArray:
+        """Parts whose regressors are their own instruments now, (parts,)."""
+        return self.warming_up | ~self._instrumental
 
     def instrumented(self, samples: RowSamples) -> RowSamples:
         """Return samples with the instruments that the first part has now."""
-        plain = self.warming_up or not self._instrumental[0]
-        return samples.uninstrumented() if plain else samples
+        return samples.uninstrumented() if self._uninstrumented[0] else samples
 
     def _fade(self, keep: FloatArray) -> None:
         """Let the start count for `keep` (rows,) of what it did."""
