@@ -277,7 +277,8 @@ def details(outcome: Outcome) -> str:
 
 def main() -> None:
     """Run the campaign."""
-    parser = bench.parser(__doc__, seeds=0, workers=1, output=bench.BUILD)
+    parser = bench.parser(__doc__, workers=1, output=bench.BUILD)
+    parser.add_argument("--seeds", type=int, help="seeds 1 to N of each flight: 2, --short 1")
     parser.add_argument("--structure", choices=tuple(STRUCTURES), default="")
     parser.add_argument("--classes", nargs="+", choices=tuple(verdict_flights.CLASSES))
     parser.add_argument("--short", action="store_true", help="shorter flights, one seed")

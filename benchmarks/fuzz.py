@@ -6,7 +6,6 @@ an enemy would: bytes, blocks, lengths. The whole command runs on each, in this 
 nothing hides behind an exit status. The same seed gives the same files.
 """
 
-import argparse
 import contextlib
 import io
 import multiprocessing
@@ -269,11 +268,10 @@ def _too_long(*_: object) -> None:
 
 def main() -> int:
     """Spoil and read; 1 if one file was neither read nor refused as it should."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = bench.parser(__doc__, workers=2)
     parser.add_argument("--count", type=int, default=5000, help="files of each kind (5000)")
     parser.add_argument("--first", type=int, default=0, help="first seed (0)")
     parser.add_argument("--only", default="", help="kinds that begin like this")
-    parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     failed = False
     with tempfile.TemporaryDirectory() as name:

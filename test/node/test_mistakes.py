@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes at the start: the log and /diagnostics name each within 10 s, with what to do."""
+"""Mistakes at the start: the log and /diagnostics name each, with what to do, within 3 s."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -20,9 +20,11 @@ from uav_ident_ros.guest import Guest
 PERIOD = 0.01
 START_NS = 1_700_000_000_000_000_000
 
-LOOKS = 10
-"""Messages on /diagnostics, one a second, of which the last must name a mistake: DDS takes some
-until it has found, or lost, an endpoint on a busy machine."""
+LOOKS = 3
+"""Messages on /diagnostics, one a second, of which the last must name a mistake."""
+
+DISCOVERY = 2
+"""More of them until DDS has found, or lost, an endpoint on a busy machine."""
 
 SENT = 30
 """Messages on each topic since the last look, without which a look does not count: a busy machine
@@ -214,7 +216,7 @@ class Source(Guest):
 
         def ended() -> bool:
             self.send()
-            return self._looks >= LOOKS or any(words in h for h in self.heard)
+            return self._looks >= LOOKS + DISCOVERY or any(words in h for h in self.heard)
 
         return wait_for(ended) and any(words in h for h in self.heard)
 

@@ -140,6 +140,12 @@ def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
         assert len(ticks[ending]) >= 3
         assert ticks[ending] == sorted(ticks[ending])
 
+    silent = start_monitor("--once", "--timeout", "20")
+    shown, errors = silent.communicate(timeout=PATIENCE)
+    assert silent.returncode == 1, shown + errors
+    assert "waiting" in shown
+    assert "none since" in shown
+
 
 def shown_until(monitor: subprocess.Popen[str], words: str) -> str:
     """What it has shown when it shows the words; one that never does is ended."""
