@@ -27,10 +27,8 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, fly
+from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT, Autopilot, PlantFlight, vehicle
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
-from uav_ident_ros.simulation.quadrotor_flight import fly as hover
-from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT, vehicle
 
 DURATION = 90.0
 NOISY = Sensors(gyro_noise=0.02, accelerometer_noise=0.1, stamped=True)
@@ -61,13 +59,13 @@ def plant(
 ) -> Measurements:
     """Fly the aircraft of the paper's structure."""
     segments = (Segment("multisine", amplitudes=PEAKS, seed=seed),) if excited else ()
-    autopilot = Autopilot(**SMALL_UAV_AUTOPILOT) if closed else Autopilot()
+    autopilot = SMALL_UAV_AUTOPILOT if closed else Autopilot()
     flight = PlantFlight(
-        vehicle("small_uav"), segments=segments, duration=DURATION, rate=200.0, max_step=2.5e-3,
+        segments, DURATION, vehicle=vehicle("small_uav"), rate=200.0, max_step=2.5e-3,
         delay=delay, time_constant=lag, gusts=ColouredNoise(gusts, 0.3), autopilot=autopilot,
         seed=seed,
     )  # fmt: skip
-    return measure(fly(flight), NOISY, seed)
+    return measure(flight.fly(), NOISY, seed)
 
 
 def light(seed: int, delay: float, lag: float, gusts: float, **more: Any) -> Measurements:
@@ -85,7 +83,7 @@ def quadrotor(seed: int, delay: float, gusts: float) -> Measurements:
     flight = QuadrotorFlight(
         segments, DURATION, 500.0, delay=delay, gusts=ColouredNoise(gusts, 0.3), seed=seed
     )
-    return measure(hover(flight), replace(NOISY, rate=100.0, channels="quadrotor"), seed)
+    return measure(flight.fly(), replace(NOISY, rate=100.0, channels="quadrotor"), seed)
 
 
 def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:

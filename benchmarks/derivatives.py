@@ -26,7 +26,7 @@ from uav_ident_ros.identification.linearisation import level_modes
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
+from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.linearisation import Linearisation, linearise_cruise
 from uav_ident_ros.simulation.noise import Sensors, measure
 
@@ -39,7 +39,7 @@ def identified(
 ) -> tuple[CoefficientSet, float]:
     """Fly an aircraft and identify it; the coefficients at the end, and the mean airspeed, m/s."""
     segment = Segment("multisine", start=2.0, amplitudes=airframe(aircraft).excitation, seed=seed)
-    flight = fly(AircraftFlight(aircraft, (segment,), DURATION, seed=seed))
+    flight = AircraftFlight((segment,), DURATION, aircraft=aircraft, seed=seed).fly()
     assert flight.airspeed is not None
     case = cases.measured(measure(flight, SENSORS, seed), aircraft, seed)
     track = cases.identify(case, values)

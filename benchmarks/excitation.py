@@ -37,11 +37,13 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
+from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
-from uav_ident_ros.simulation.live import Live, LiveAircraft, LiveQuadrotor
+from uav_ident_ros.simulation.live import Live
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
 from uav_ident_ros.simulation.quadrotor import Body
+from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
 
 CONFIG = bench.ROOT / "config" / "closed_loop"
 AIRCRAFT = "c172p"

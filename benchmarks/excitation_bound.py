@@ -95,7 +95,7 @@ def fly(gusts: str, seed: int, excited: bool) -> tuple[Flight, tuple[Segment, ..
         segments if excited else (), DURATION, bank=20.0, gust=GUSTS[gusts],
         delay=verdict_flights.DELAY, seed=seed,
     )  # fmt: skip
-    return light_aircraft.fly(spec), spec.segments
+    return spec.fly(), spec.segments
 
 
 def identify(flight: Flight, segments: Sequence[Segment], seed: int) -> list[Estimate]:

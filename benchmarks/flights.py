@@ -6,11 +6,13 @@ named and says what came out.
 """
 
 import hashlib
+import json
 import os
 import pickle
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,10 +21,17 @@ import yaml
 from bench import BUILD
 
 from uav_ident_ros import simulation
-from uav_ident_ros.simulation.definition import build_flight, build_sensors, definition_key
+from uav_ident_ros.simulation.airframe import build
+from uav_ident_ros.simulation.channels import QUADROTOR
+from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import Flight
-from uav_ident_ros.simulation.noise import Measurements, measure
+from uav_ident_ros.simulation.flight import CoefficientChange, Flight
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
+from uav_ident_ros.simulation.live import Plan
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, vehicle
+from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
 
 DEFINITIONS = Path(__file__).with_name("flights.yaml")
 CACHE = BUILD / "flights"
@@ -58,19 +67,66 @@ def definition(name: str) -> dict[str, Any]:
         ) from None
 
 
+NESTED = {
+    "segments": (Segment, "input"),
+    "changes": (CoefficientChange, "change"),
+    "gusts": (ColouredNoise, "gusts"),
+    "force": (ColouredNoise, "force"),
+    "autopilot": (Autopilot, "autopilot"),
+}
+
+
+def plan_of(
+    # Either ``plant: NAME`` and the fields of `PlantFlight` (of `QuadrotorFlight`), or
+    # ``aircraft: NAME`` and those of `AircraftFlight`; ``inputs`` are the segments
+    definition: Mapping[str, Any],
+    seed: int | None = None,  # Seed of the disturbances instead of the definition's
+) -> Plan:
+    """Return the flight of a definition."""
+    values = _flown(definition, seed)
+    values["segments"] = values.pop("inputs", ())
+    if ("plant" in values) == ("aircraft" in values):
+        raise SimulationError("it must have either 'plant' or 'aircraft'")
+    kind: type[Plan] = AircraftFlight
+    if (name := values.pop("plant", "")) == QUADROTOR.name:
+        kind = QuadrotorFlight
+    elif name:
+        kind, values["vehicle"] = PlantFlight, vehicle(name)
+    plan: Plan = build(kind, values, "flight", NESTED)
+    return plan
+
+
+def sensors_of(definition: Mapping[str, Any], **changes: Any) -> Sensors:
+    """Return the sensors of a definition, with changes by keyword."""
+    sensors: Sensors = build(Sensors, {**definition.get("sensors", {}), **changes}, "sensors")
+    return sensors
+
+
+def _flown(definition: Mapping[str, Any], seed: int | None) -> dict[str, Any]:
+    """Return what of a definition determines the flight."""
+    values = {k: v for k, v in definition.items() if k not in ("sensors", "description")}
+    return values if seed is None else values | {"seed": seed}
+
+
+def key_of(definition: Mapping[str, Any], seed: int | None = None) -> str:
+    """Hash of what determines a flight."""
+    text = json.dumps(_flown(definition, seed), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
 def load_flight(
     name: str,  # Name in `flights.yaml`
     seed: int | None = None,  # Seed of gusts or turbulence instead of the definition's
 ) -> Flight:
     """Return a flight as it really was."""
     own = definition(name)
-    path = CACHE / f"{name}-{definition_key(own, seed)}-{_source_key()}.pickle"
+    path = CACHE / f"{name}-{key_of(own, seed)}-{_source_key()}.pickle"
     if path.exists():
         with path.open("rb") as file:
             flight: Flight = pickle.load(file)
         return flight
     start = time.monotonic()
-    flight = build_flight(name, own, seed)
+    flight = plan_of(own, seed).fly(name)
     if time.monotonic() - start > WORTH_KEEPING:
         _keep(flight, path)
     return flight
@@ -85,7 +141,7 @@ def load(
     own = definition(name)
     flight = load_flight(name, seed)
     return measure(
-        flight, build_sensors(own, **sensor_changes), own.get("seed", 0) if seed is None else seed
+        flight, sensors_of(own, **sensor_changes), own.get("seed", 0) if seed is None else seed
     )
 
 

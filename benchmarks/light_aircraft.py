@@ -8,8 +8,8 @@ feeds back: what an identified model has to find out on a real flight.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,10 +21,8 @@ from uav_ident_ros.simulation.flight import (
     CoefficientChange,
     Flight,
     effect_of,
-    sample_count,
 )
-from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.live import Live
+from uav_ident_ros.simulation.live import Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.plant import DEFAULT_TRIM
 
@@ -53,19 +51,19 @@ GUST_TIME, ROLL_GUST_TIME = 1.5, 0.3
 """Correlation times of wind and of its rolling part, s: 30 m and 6 m of flight."""
 
 
-@dataclass(frozen=True)
-class LightFlight:
-    """Everything that defines a flight of the light aircraft."""
+State = tuple[float, float, float, float, float, float, float, float, float]
+"""Rates p q r (rad/s), speed u v w through the air (m/s), roll and pitch (rad), altitude (m)."""
 
-    segments: Sequence[Segment]  # Excitation, added to the autopilot's commands
-    duration: float  # Length of the flight, s
-    rate: float = 200.0  # Rate of integration and of the noise-free samples, Hz
-    actuator_rate: float = 50.0  # Rate of the commands, Hz; each is held until the next
+
+@dataclass(frozen=True, kw_only=True)
+class LightFlight(Plan):
+    """Flight of the light aircraft on its autopilot."""
+
+    rate: float = 200.0  # Of integration, too
+    actuator_rate: float = 50.0
     bank: float = 0.0  # Bank angle of alternating turns, deg
     gust: float = 0.0  # Wind on each axis, m/s rms
-    # delay, time_constant: From command to surface, and the servos' first-order lag, s
-    delay: float = 0.0
-    time_constant: float = 0.0
+    time_constant: float = 0.0  # First-order lag of the servos, s
     # Largest deflection of a surface, rad: commands beyond it are without effect
     travel: float = math.inf
     yaw_damper: float = 0.15  # Rudder per rad/s of yaw rate
@@ -74,52 +72,37 @@ class LightFlight:
     roll_gust: float = 0.15
     # From a time on, an input (``de`` and so on) has its effect multiplied
     changes: tuple[CoefficientChange, ...] = ()
-    seed: int = 0  # Seed of the wind
-    truth: Mapping[str, float] = field(default_factory=lambda: dict(TRUTH))
 
+    def fly(self, name: str = "light_aircraft") -> Flight:
+        """Fly it; see `Plan.fly`."""
+        live = _LiveLight(self)
 
-State = tuple[float, float, float, float, float, float, float, float, float]
-"""Rates p q r (rad/s), speed u v w through the air (m/s), roll and pitch (rad), altitude (m)."""
+        def told(t: float, excitation: FloatArray) -> FloatArray:
+            return np.add(_autopilot(self, live.state, t), excitation)
 
-
-def fly(spec: LightFlight, name: str = "light_aircraft") -> Flight:
-    """Fly the light aircraft on its autopilot.
-
-    Raises
-    ------
-    SimulationError
-        If the actuator rate does not divide the rate, or the aircraft is lost.
-    """
-    live = _LiveLight(spec)
-
-    def told(t: float, excitation: FloatArray) -> FloatArray:
-        return np.add(_autopilot(spec, live.state, t), excitation)
-
-    flown = live.record(spec.segments, spec.duration, told)
-    record = flown.rows
-    speed = np.linalg.norm(record[:, 3:6], axis=1)
-    return Flight(
-        name=name,
-        rates=record[:, 0:3],
-        angular_acceleration=record[:, 9:12],
-        specific_force=record[:, 12:15],
-        inputs=flown.commands,
-        trim=np.array(DEFAULT_TRIM),
-        delay=spec.delay,
-        time_constant=spec.time_constant,
-        changes=spec.changes,
-        local_truth=dict(spec.truth),
-        airspeed=speed,
-        extra={
-            "alpha": np.arctan2(record[:, 5], record[:, 3]),
-            "beta": np.arcsin(record[:, 4] / speed),
-            "roll": record[:, 6],
-            "pitch": record[:, 7],
-            "altitude": record[:, 8],
-            "surfaces": record[:, 15:19],
-        },
-        **flown.common,
-    )
+        rows, commands, common = live.record(self, told)
+        speed = np.linalg.norm(rows[:, 3:6], axis=1)
+        return Flight(
+            name=name,
+            rates=rows[:, 0:3],
+            angular_acceleration=rows[:, 9:12],
+            specific_force=rows[:, 12:15],
+            inputs=commands,
+            trim=np.array(DEFAULT_TRIM),
+            time_constant=self.time_constant,
+            changes=self.changes,
+            local_truth=dict(TRUTH),
+            airspeed=speed,
+            extra={
+                "alpha": np.arctan2(rows[:, 5], rows[:, 3]),
+                "beta": np.arcsin(rows[:, 4] / speed),
+                "roll": rows[:, 6],
+                "pitch": rows[:, 7],
+                "altitude": rows[:, 8],
+                "surfaces": rows[:, 15:19],
+            },
+            **common,
+        )
 
 
 class _LiveLight(Live):
@@ -130,7 +113,7 @@ class _LiveLight(Live):
         self.spec, self.faults = spec, Schedule((), lambda _: None)
         self.state: State = (0.0, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._acting = self._surface = np.zeros(len(INPUTS))
-        self._wind = iter(_wind(spec, sample_count(spec.duration, spec.rate)))
+        self._wind = iter(_wind(spec, spec.samples))
         lag = spec.time_constant
         self._keep = math.exp(-1.0 / (spec.rate * lag)) if lag > 0.0 else 0.0
 
@@ -141,11 +124,11 @@ class _LiveLight(Live):
         self._surface = surface
         effect = effect_of(spec.changes, self.time) if spec.changes else 1.0
         u = (surface * effect).tolist()
-        slope, acceleration, force = _slope(spec.truth, self.state, u, gust)
+        slope, acceleration, force = _slope(self.state, u, gust)
         if self.rows is not None:
             self.rows.append((*self.state, *acceleration, *force, *surface))
         middle = tuple(x + 0.5 * h * dx for x, dx in zip(self.state, slope, strict=True))
-        slope, _, _ = _slope(spec.truth, middle, u, gust)  # type: ignore[arg-type]
+        slope, _, _ = _slope(middle, u, gust)  # type: ignore[arg-type]
         self.state = tuple(x + h * dx for x, dx in zip(self.state, slope, strict=True))  # type: ignore[assignment]
 
     def _tilt(self) -> Sequence[float]:
@@ -179,9 +162,10 @@ def _autopilot(spec: LightFlight, state: State, t: float) -> FloatArray:
 
 
 def _slope(
-    c: Mapping[str, float], state: State, surfaces: Sequence[float], gust: Sequence[float]
+    state: State, surfaces: Sequence[float], gust: Sequence[float]
 ) -> tuple[State, tuple[float, float, float], tuple[float, float, float]]:
     """Return the slope of the state, angular acceleration, rad/s^2, and specific force, m/s^2."""
+    c = TRUTH
     p, q, r, u, v, w, roll, pitch, _ = state
     de, dr, da, dth = surfaces
     beta, alpha = math.atan2(v + gust[0], u), math.atan2(w + gust[1], u)

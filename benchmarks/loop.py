@@ -22,7 +22,8 @@ from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
-from uav_ident_ros.simulation.live import LiveAircraft, Sample
+from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
+from uav_ident_ros.simulation.live import Sample
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared

@@ -8,16 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import cases
-import light_aircraft
 import numpy as np
+from light_aircraft import LightFlight
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.simulation import jsbsim_flight
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
+from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 
 EXCITED, CHANGED = 60.0, 75.0
@@ -126,20 +127,16 @@ def _fly(
         Segment("multisine", start, until - start, peaks, seed=seed) for start, until in excitation
     ]
     if aircraft == "light_aircraft":
-        flight = light_aircraft.fly(
-            light_aircraft.LightFlight(
-                segments, duration, bank=bank, gust=wind, changes=changes, delay=delay, seed=seed,
-                **light,
-            )
+        plan: Plan = LightFlight(
+            segments, duration, bank=bank, gust=wind, changes=changes, delay=delay, seed=seed,
+            **light,
         )  # fmt: skip
     else:
-        flight = jsbsim_flight.fly(
-            jsbsim_flight.AircraftFlight(
-                aircraft, segments, duration, rate=200.0, actuator_rate=50.0, bank=bank,
-                turbulence=int(wind), changes=changes, delay=delay, seed=seed,
-            )
+        plan = AircraftFlight(
+            segments, duration, 200.0, 50.0, aircraft=aircraft, bank=bank, turbulence=int(wind),
+            changes=changes, delay=delay, seed=seed,
         )  # fmt: skip
-    measured = measure(flight, sensors, seed)
+    measured = measure(plan.fly(), sensors, seed)
     return measured if spoil is None else spoil(measured)
 
 

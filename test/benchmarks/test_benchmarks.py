@@ -20,9 +20,8 @@ from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import PlantFlight, fly
+from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.recording import parameters
-from uav_ident_ros.simulation.vehicles import vehicle
 
 STRUCTURE = STRUCTURES["throttle_coupled"]
 PAPER = {"structure": STRUCTURE.name}
@@ -33,7 +32,8 @@ AMPLITUDES = {"de": 0.25, "dr": 0.35, "da": 0.25, "dth": 0.3}
 @pytest.fixture(scope="module")
 def flight() -> Flight:
     segments = (Segment("multisine", amplitudes=AMPLITUDES, seed=1),)
-    return fly(PlantFlight(vehicle("small_uav"), segments, 40.0, rate=200.0, max_step=2.5e-3))
+    plan = PlantFlight(segments, 40.0, 200.0, vehicle=vehicle("small_uav"), max_step=2.5e-3)
+    return plan.fly()
 
 
 def case_of(flight: Flight, **sensors: Any) -> cases.Case:

@@ -5,19 +5,32 @@ import flights
 import numpy as np
 import pytest
 
-from uav_ident_ros.simulation.definition import (
-    build_sensors,
-    definition_key,
-    flight_spec,
-)
+from uav_ident_ros.simulation.errors import SimulationError
 
 
 @pytest.mark.parametrize("name", flights.names())
 def test_every_definition_can_be_flown(name: str) -> None:
     own = flights.definition(name)
-    _, spec = flight_spec(own)
-    assert spec.duration > 0.0 and own["description"] and "seed" in own
-    assert spec.rate % build_sensors(own).rate == 0.0
+    plan = flights.plan_of(own)
+    assert plan.duration > 0.0 and own["description"] and "seed" in own
+    assert plan.rate % flights.sensors_of(own).rate == 0.0
+
+
+QUIET = {"plant": "small_uav", "duration": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("named", "definition"),
+    [
+        ("either 'plant' or 'aircraft'", {}),
+        ("no entry 'inptus'", {**QUIET, "inptus": []}),
+        ("input has no entry 'amp'", {**QUIET, "inputs": [{"kind": "quiet", "amp": 1}]}),
+        ("'duration' is missing", {"plant": "small_uav"}),
+    ],
+)
+def test_what_no_flight_is_defined_by_is_named(named: str, definition: dict) -> None:
+    with pytest.raises(SimulationError, match=named):
+        flights.plan_of(definition)
 
 
 def test_a_loaded_flight_is_kept_and_the_same(
@@ -38,6 +51,6 @@ def test_a_loaded_flight_is_kept_and_the_same(
 
 def test_the_key_follows_what_is_flown_and_not_what_measures_it() -> None:
     own = flights.definition("exact_gusts_10")
-    assert definition_key(own) == definition_key({**own, "sensors": {}, "description": "x"})
-    assert definition_key(own) != definition_key({**own, "delay": 0.01})
-    assert definition_key(own) != definition_key(own, 7)
+    assert flights.key_of(own) == flights.key_of({**own, "sensors": {}, "description": "x"})
+    assert flights.key_of(own) != flights.key_of({**own, "delay": 0.01})
+    assert flights.key_of(own) != flights.key_of(own, 7)

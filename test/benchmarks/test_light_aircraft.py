@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from light_aircraft import TRUTH, LightFlight, fly
+from light_aircraft import TRUTH, LightFlight
 
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.simulation.flight import Flight
@@ -35,15 +35,15 @@ def derivatives(flight: Flight) -> dict[str, float]:
 
 
 def test_the_aircraft_has_the_derivatives_that_it_says() -> None:
-    found = derivatives(fly(LightFlight((EXCITATION,), 40.0)))
+    found = derivatives(LightFlight((EXCITATION,), 40.0).fly())
     for name, value in TRUTH.items():
         assert found[name] == pytest.approx(value, rel=0.1, abs=0.1), name
 
 
 def test_level_flight_carries_the_weight_and_turns_carry_more() -> None:
-    level = fly(LightFlight((), 10.0))
+    level = LightFlight((), 10.0).fly()
     np.testing.assert_allclose(level.specific_force.mean(axis=0), [0.0, 0.0, -GRAVITY], atol=0.1)
-    turn = fly(LightFlight((), 10.0, bank=40.0))
+    turn = LightFlight((), 10.0, bank=40.0).fly()
     late = turn.time > 6.0
     roll = turn.extra["roll"][late].mean()
     assert math.radians(30.0) < roll < math.radians(45.0)

@@ -13,9 +13,8 @@ from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements
-from uav_ident_ros.simulation.plant import PlantFlight, fly
+from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.recording import parameters
-from uav_ident_ros.simulation.vehicles import vehicle
 
 AMPLITUDES = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
 DOMINANT = ("pdot/p", "qdot/q", "rdot/r", "pdot/da", "qdot/de", "rdot/dr")
@@ -50,7 +49,7 @@ def _fly_plant(duration: float, **changes: Any) -> Flight:
         "max_step": 2.5e-3,
         "seed": 1,
     }
-    return fly(PlantFlight(**{**values, **changes}))
+    return PlantFlight(**{**values, **changes}).fly()
 
 
 def settings(measurements: Measurements, **changes: Any) -> Settings:

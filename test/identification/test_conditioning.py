@@ -25,7 +25,7 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.vehicles import vehicle
+from uav_ident_ros.simulation.plant import vehicle
 
 # Known inertias: rate products that still converge would drift through the gap.
 BODY = vehicle("small_uav").inertia

@@ -6,7 +6,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import light_aircraft
 import numpy as np
 import pytest
 from flying import Message, errors, messages, plant_flight, run, settings, worst
@@ -34,10 +33,8 @@ from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import Autopilot
+from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
-from uav_ident_ros.simulation.quadrotor_flight import fly as hover
-from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT
 
 NOISY = Sensors(gyro_noise=0.02, accelerometer_noise=0.1)
 REAL_FLIGHT = Path(__file__).resolve().parents[3] / "shared" / "bags" / "thor75_auto"
@@ -73,7 +70,7 @@ def test_at_any_rate_of_the_imu(rate: float) -> None:
 
 
 def test_a_wrong_start_is_corrected_in_gusts_under_an_autopilot() -> None:
-    autopilot = Autopilot(**SMALL_UAV_AUTOPILOT)
+    autopilot = SMALL_UAV_AUTOPILOT
     flight = plant_flight(30.0, delay=0.06, gusts=ColouredNoise(0.3, 0.3), autopilot=autopilot)
     assert found(flight, actuators__delay=0.2).delay == pytest.approx(0.06, abs=0.015)
 
@@ -81,7 +78,7 @@ def test_a_wrong_start_is_corrected_in_gusts_under_an_autopilot() -> None:
 @pytest.mark.parametrize("gusts", [0.3, 1.0])
 def test_without_excitation_it_says_nothing(gusts: float) -> None:
     """The autopilot's answers to gusts tell of the autopilot, not of the delay."""
-    autopilot, air = Autopilot(**SMALL_UAV_AUTOPILOT), ColouredNoise(gusts, 0.3)
+    autopilot, air = SMALL_UAV_AUTOPILOT, ColouredNoise(gusts, 0.3)
     flight = plant_flight(30.0, segments=(), delay=0.06, gusts=air, autopilot=autopilot)
     identifier = found(flight, actuators__delay=0.04)
     assert identifier.delay == 0.04
@@ -92,7 +89,7 @@ def test_an_autopilot_that_answers_every_gust_leaves_the_delay_unknown() -> None
     """In gusts a hovering quadrotor's comes out 30 ms too long."""
     segments = (Segment("multisine", 2.0, amplitudes=AMPLITUDES, band=(0.2, 4.0)),)
     noise = ColouredNoise(0.5, 0.3)
-    flight = hover(QuadrotorFlight(segments, 30.0, 500.0, delay=0.012, gusts=noise))
+    flight = QuadrotorFlight(segments, 30.0, 500.0, delay=0.012, gusts=noise).fly()
     sensors = Sensors(rate=100.0, gyro_noise=0.01, channels="quadrotor")
     estimate = found(flight, sensors).delay_estimate
     assert abs(estimate.delay - 0.012) < 1.5 * estimate.sigma
@@ -122,7 +119,7 @@ def test_the_papers_differences_cannot_show_a_delay() -> None:
 def test_without_the_setting_nothing_moves_but_no_model_with_it_is_usable(more: float) -> None:
     peaks = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
     segments = [Segment("multisine", 2.0, 35.0, peaks, seed=1)]
-    flight = light_aircraft.fly(LightFlight(segments, 35.0, gust=0.3, delay=0.02 + more, seed=1))
+    flight = LightFlight(segments, 35.0, gust=0.3, delay=0.02 + more, seed=1).fly()
     m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15))
     identifier = OnlineIdentifier(settings(m, actuators__delay=0.02))
     last = run(identifier, messages(m))[-1]

@@ -26,7 +26,7 @@ from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.vehicles import vehicle
+from uav_ident_ros.simulation.plant import vehicle
 
 STRUCTURE = "throttle_coupled"
 BOTH = pytest.mark.parametrize("estimator", ["least_squares", "instrumental_variable"])

@@ -4,7 +4,6 @@
 import math
 from collections.abc import Iterator
 
-import light_aircraft
 import numpy as np
 import pytest
 from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
@@ -149,10 +148,10 @@ def test_the_flow_angles_of_a_light_jsbsim_aircraft_are_its_own() -> None:
     The forces that rates make by themselves are in no row: they are the rest.
     """
     pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
-    from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
+    from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 
     segment = Segment("multisine", amplitudes=dict.fromkeys(("de", "dr", "da"), 0.05), seed=1)
-    flight = fly(AircraftFlight("c172p", (segment,), 30.0, rate=200.0))
+    flight = AircraftFlight((segment,), 30.0, 200.0, aircraft="c172p").fly()
     found, true = flow_of(flight, true_values(flight))
     assert (true.std(axis=0) > math.radians(0.3)).all()
     assert ((found - true).std(axis=0) < 0.2 * true.std(axis=0)).all()
@@ -247,9 +246,7 @@ def test_a_warm_start_is_published_whole_before_the_first_sample_is_used() -> No
 
 
 def test_an_accelerometer_that_comes_late_is_learned_from() -> None:
-    flight = light_aircraft.fly(
-        LightFlight((Segment("multisine", amplitudes=AMPLITUDES, seed=1),), 60.0)
-    )
+    flight = LightFlight((Segment("multisine", amplitudes=AMPLITUDES, seed=1),), 60.0).fly()
     m = measure(flight, Sensors(gyro_noise=0.005, accelerometer_noise=0.05), seed=1)
     stream = messages(m)
     late = int(m.imu_t_ns[0]) + 15 * 10**9

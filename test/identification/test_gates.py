@@ -18,8 +18,7 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import Autopilot, CoefficientChange
-from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT
+from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT, CoefficientChange
 
 STRUCTURE = "throttle_coupled"
 
@@ -258,7 +257,7 @@ def test_a_long_storm_under_an_autopilot_moves_nothing() -> None:
             duration,
             segments=(excitation,),
             gusts=ColouredNoise(rms, 0.3),
-            autopilot=Autopilot(**SMALL_UAV_AUTOPILOT),
+            autopilot=SMALL_UAV_AUTOPILOT,
             seed=seed,
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from equations import matrix
 from flying import Message, run
-from light_aircraft import LightFlight, fly
+from light_aircraft import LightFlight
 
 from uav_ident_ros.identification import plausibility
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -28,7 +28,7 @@ class Signals:
     def __init__(self, duration: float = 12.0, **spec: Any) -> None:
         peaks = {"de": 0.05, "dr": 0.06, "da": 0.05, "dth": 0.1}
         excitation = spec.pop("excitation", (Segment("multisine", amplitudes=peaks),))
-        flight = fly(LightFlight(excitation, duration, **{"bank": 20.0, "gust": 0.3, **spec}))
+        flight = LightFlight(excitation, duration, **{"bank": 20.0, "gust": 0.3, **spec}).fly()
         noise = np.random.default_rng(1)
         self.t = flight.time[::2]
         self.rates = flight.rates[::2] + 0.01 * noise.standard_normal((len(self.t), 3))

@@ -18,7 +18,7 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.vehicles import vehicle
+from uav_ident_ros.simulation.plant import vehicle
 
 STRUCTURE = "throttle_coupled"
 

@@ -11,7 +11,7 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import Segment, sample_inputs
-from uav_ident_ros.simulation.vehicles import vehicle
+from uav_ident_ros.simulation.plant import vehicle
 
 RATE = 200.0
 REFERENCE = 20.0

@@ -3,18 +3,17 @@
 
 from typing import Any
 
-import light_aircraft
 import numpy as np
 import pytest
 from flying import AMPLITUDES, messages, plant_flight, run, settings
+from light_aircraft import LightFlight
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import Autopilot
-from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT
+from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT
 
 
 def measured(duration: float, **changes: Any) -> Measurements:
@@ -64,7 +63,7 @@ def test_quiet_flight_teaches_next_to_nothing_and_grows_stale() -> None:
         50.0,
         segments=(Segment("multisine", duration=20.0, amplitudes=AMPLITUDES, seed=1),),
         gusts=ColouredNoise(0.3, 0.3),
-        autopilot=Autopilot(**SMALL_UAV_AUTOPILOT),
+        autopilot=SMALL_UAV_AUTOPILOT,
     )
     _, estimates = flown(quiet, supervision__max_age=20.0, supervision__min_fit=0.0)
     t = np.array([e.t_ns - estimates[0].t_ns for e in estimates]) * 1e-9
@@ -93,9 +92,7 @@ def test_the_running_fit_tells_the_axis_whose_coefficient_is_wrong() -> None:
 @pytest.mark.parametrize(("travel", "misses"), [(0.03, True), (np.inf, False)])
 def test_a_limit_of_travel_that_nobody_told_is_named(travel: float, misses: bool) -> None:
     peaks = {"de": 0.15, "dr": 0.2, "da": 0.15}
-    flight = light_aircraft.fly(
-        light_aircraft.LightFlight([Segment("multisine", amplitudes=peaks)], 40.0, travel=travel)
-    )
+    flight = LightFlight([Segment("multisine", amplitudes=peaks)], 40.0, travel=travel).fly()
     _, estimates = flown(
         measure(flight, Sensors(gyro_noise=0.01, accelerometer_noise=0.15), seed=2),
         structure="flight_dynamics",

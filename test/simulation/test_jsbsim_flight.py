@@ -11,7 +11,7 @@ from uav_ident_ros.simulation.inputs import Segment
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
-from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
+from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.linearisation import linearise_cruise
 
 SMALL = 0.5
@@ -21,7 +21,7 @@ SMALL = 0.5
 def spec_of(name: str, duration: float = 15.0, **changes: object) -> AircraftFlight:
     peaks = {key: SMALL * peak for key, peak in airframe(name).excitation.items()}
     segment = Segment("multisine", start=2.0, amplitudes=peaks)
-    return AircraftFlight(name, (segment,), duration, **changes)
+    return AircraftFlight((segment,), duration, aircraft=name, **changes)
 
 
 def command_index(flight: Flight) -> np.ndarray:
@@ -31,12 +31,12 @@ def command_index(flight: Flight) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def cessna() -> Flight:
-    return fly(spec_of("c172p"))
+    return spec_of("c172p").fly()
 
 
 @pytest.mark.parametrize("name", airframe_names())
 def test_every_aircraft_flies_as_its_true_derivatives_say(name: str) -> None:
-    flight = fly(spec_of(name))
+    flight = spec_of(name).fly()
     truth = linearise_cruise(name)
     u = flight.extra["surfaces"] - flight.trim
     x = np.column_stack([flight.rates, flight.extra["beta"], flight.extra["alpha"]])
@@ -53,8 +53,8 @@ def test_every_aircraft_flies_as_its_true_derivatives_say(name: str) -> None:
 
 def test_another_speed_is_flown_with_its_own_derivatives() -> None:
     slow, usual = (
-        fly(spec_of("ultra_stick_25e", 6.0, speed=15.0)),
-        fly(spec_of("ultra_stick_25e", 6.0)),
+        spec_of("ultra_stick_25e", 6.0, speed=15.0).fly(),
+        spec_of("ultra_stick_25e", 6.0).fly(),
     )
     assert slow.airspeed.mean() == pytest.approx(15.0, rel=0.02)
     ratio = slow.local_truth["pdot/da"] / usual.local_truth["pdot/da"]
@@ -62,7 +62,7 @@ def test_another_speed_is_flown_with_its_own_derivatives() -> None:
 
 
 def test_recorded_delay_separates_command_and_surface() -> None:
-    flight = fly(spec_of("c172p", 8.0, delay=0.06))
+    flight = spec_of("c172p", 8.0, delay=0.06).fly()
     index = command_index(flight)
     known = index >= 0
     wanted = flight.trim + flight.inputs[index]
@@ -92,7 +92,7 @@ def test_specific_force_is_that_of_the_centre_of_gravity(cessna: Flight) -> None
 
 
 def test_a_halved_surface_does_half() -> None:
-    flight = fly(spec_of("c172p", 8.0, changes=(CoefficientChange(5.0, {"da": 0.5}),)))
+    flight = spec_of("c172p", 8.0, changes=(CoefficientChange(5.0, {"da": 0.5}),)).fly()
     command = flight.inputs[command_index(flight)]
     applied = flight.extra["surfaces"] - flight.trim
     before = flight.time < 4.9995
@@ -102,21 +102,21 @@ def test_a_halved_surface_does_half() -> None:
 
 
 def test_banked_flight_turns_to_both_sides() -> None:
-    flight = fly(AircraftFlight("c172p", (), 40.0, bank=25.0))
+    flight = AircraftFlight((), 40.0, aircraft="c172p", bank=25.0).fly()
     roll = np.degrees(flight.extra["roll"])
     assert 20.0 < roll.max() < 30.0 and -30.0 < roll.min() < -20.0
 
 
 def test_turbulence_is_seeded() -> None:
-    spec = AircraftFlight("c172p", (), 5.0, turbulence=3, seed=4)
-    first, again = fly(spec), fly(spec)
-    other = fly(dataclasses.replace(spec, seed=5))
-    calm = fly(dataclasses.replace(spec, turbulence=0))
+    spec = AircraftFlight((), 5.0, aircraft="c172p", turbulence=3, seed=4)
+    first, again = spec.fly(), spec.fly()
+    other = dataclasses.replace(spec, seed=5).fly()
+    calm = dataclasses.replace(spec, turbulence=0).fly()
     np.testing.assert_array_equal(first.rates, again.rates)
     assert np.abs(first.rates - other.rates).max() > 1e-3
     assert calm.rates.std() < 0.1 * first.rates.std()
 
 
 def test_nothing_is_printed(capfd: Capture) -> None:
-    fly(AircraftFlight("c172p", (), 0.1))
+    AircraftFlight((), 0.1, aircraft="c172p").fly()
     assert capfd.readouterr() == ("", "")

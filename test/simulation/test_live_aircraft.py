@@ -14,7 +14,8 @@ from uav_ident_ros.simulation.noise import Sensors
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
-from uav_ident_ros.simulation.live import LiveAircraft, Sample
+from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
+from uav_ident_ros.simulation.live import Sample
 
 PERFECT = Sensors(rate=100.0)
 PULSE = {"aileron": (2, 0), "elevator": (0, 1), "rudder": (1, 2)}

@@ -10,8 +10,7 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, fly
-from uav_ident_ros.simulation.vehicles import vehicle
+from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, vehicle
 
 SMALL_UAV = vehicle("small_uav")
 BIG = {"de": 0.25, "dr": 0.35, "da": 0.35, "dth": 0.3}
@@ -60,8 +59,8 @@ def reference(flight: Flight, gust: np.ndarray, edges: np.ndarray) -> np.ndarray
     ids=["servo", "change", "coarse", "moment"],
 )
 def test_the_plant_agrees_with_scipy(changes: dict) -> None:
-    spec = PlantFlight(SMALL_UAV, EXCITED, 0.4, actuator_rate=50.0, **changes)
-    flight = fly(spec)
+    spec = PlantFlight(EXCITED, 0.4, vehicle=SMALL_UAV, actuator_rate=50.0, **changes)
+    flight = spec.fly()
     edges = np.arange(0.0, 0.4001, 0.01)
     index = np.rint(edges * flight.rate).astype(int)
     wanted = reference(flight, flight.extra["gust"], edges)
@@ -71,8 +70,8 @@ def test_the_plant_agrees_with_scipy(changes: dict) -> None:
 
 
 def test_gusts_enter_as_angular_acceleration() -> None:
-    spec = PlantFlight(SMALL_UAV, (), 0.05, gusts=ColouredNoise(3.0, 0.01), seed=3)
-    flight = fly(spec)
+    spec = PlantFlight((), 0.05, vehicle=SMALL_UAV, gusts=ColouredNoise(3.0, 0.01), seed=3)
+    flight = spec.fly()
     # A gust is piecewise linear between samples: scipy has to start anew at each.
     wanted = reference(flight, flight.extra["gust"], flight.time)
     np.testing.assert_allclose(flight.rates, wanted, rtol=0.0, atol=1e-9)
@@ -93,9 +92,9 @@ def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
 def test_the_autopilot_feeds_back_and_its_commands_are_recorded() -> None:
     start = (0.5, 0.4, 0.3)
     pilot = Autopilot({"de/q": 0.1, "da/p": -0.05, "dr/r": 0.2}, {"de/q": 0.2})
-    spec = PlantFlight(SMALL_UAV, (), 2.0, initial_rates=start, autopilot=pilot)
-    free = fly(dataclasses.replace(spec, autopilot=None))
-    held = fly(spec)
+    spec = PlantFlight((), 2.0, vehicle=SMALL_UAV, initial_rates=start, autopilot=pilot)
+    free = dataclasses.replace(spec, autopilot=None).fly()
+    held = spec.fly()
     np.testing.assert_allclose(held.inputs[0], [0.1 * 0.4, 0.2 * 0.3, -0.05 * 0.5, 0.0])
     turned = held.rates[:30:10, 1].sum() * 0.01  # the autopilot's own integral of q
     assert held.inputs[3, 0] == pytest.approx(0.1 * held.rates[30, 1] + 0.2 * turned)

@@ -15,7 +15,7 @@ from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.quadrotor import Body, Quadrotor
-from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight, fly
+from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
 
 STILL = (0.0, 0.0, 0.0)
 
@@ -40,7 +40,7 @@ def test_the_control_derivatives_are_those_of_the_physics(name: str, of: int) ->
 @pytest.fixture(scope="module")
 def flight() -> Flight:
     segments = (Segment("multisine", start=2.0, amplitudes=AMPLITUDES, band=(0.2, 4.0)),)
-    return fly(QuadrotorFlight(segments, 40.0, delay=0.012))
+    return QuadrotorFlight(segments, 40.0, delay=0.012).fly()
 
 
 def test_it_is_identified_from_hover(flight: Flight) -> None:

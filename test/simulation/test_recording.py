@@ -10,21 +10,17 @@ from rosbags.interfaces import QosReliability
 from uav_ident_ros.bags.messages import VECTOR, vector_stamped
 from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.simulation.definition import build_measurements
-from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.recording import parameters, write_bag
 
-FLIGHT = {
-    "plant": "small_uav",
-    "duration": 2.0,
-    "inputs": [{"kind": "multisine", "amplitudes": {"de": 0.1, "dr": 0.1, "da": 0.1, "dth": 0.2}}],
-    "seed": 5,
-    "sensors": {"gyro_noise": 0.02, "latency": 0.003},
-}
+EXCITED = Segment("multisine", amplitudes={"de": 0.1, "dr": 0.1, "da": 0.1, "dth": 0.2})
+FLIGHT = PlantFlight((EXCITED,), 2.0, vehicle=vehicle("small_uav"), seed=5)
 
 
 def recorded(folder: Path, **changes: object) -> tuple[Path, Measurements]:
-    measured = build_measurements("short", FLIGHT, **changes)
+    measured = measure(FLIGHT.fly("short"), Sensors(gyro_noise=0.02, latency=0.003, **changes), 5)
     write_bag(measured, folder, compress=True)
     return folder, measured
 

@@ -8,47 +8,36 @@ import pytest
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
-import light_aircraft
 from light_aircraft import LightFlight
 
-from uav_ident_ros.simulation import jsbsim_flight, plant
-from uav_ident_ros.simulation.definition import build_flight
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.flight import CoefficientChange
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
-from uav_ident_ros.simulation.live import LiveQuadrotor
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import Autopilot, PlantFlight
-from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
-from uav_ident_ros.simulation.quadrotor_flight import fly as hover
-from uav_ident_ros.simulation.vehicles import Vehicle, vehicle
+from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, Vehicle, vehicle
+from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor, QuadrotorFlight
 
 SMALL_UAV = vehicle("small_uav")
 LONG_DOUBLET = Segment("doublet", amplitudes={"da": 1.5}, unit=2.0)
 WILD = Segment("multisine", amplitudes={"da": 0.9})
 
 
-def defined(**values: object) -> object:
-    return build_flight("odd", values)
-
-
 def flown(**changes: object) -> object:
-    return plant.fly(PlantFlight(SMALL_UAV, **{"segments": (), "duration": 1.0, **changes}))
+    values = {"segments": (), "duration": 1.0, "vehicle": SMALL_UAV, **changes}
+    return PlantFlight(**values).fly()
 
 
 def outside() -> object:
     """A plant with a coefficient that its structure does not have."""
     a = SMALL_UAV.coefficients.copy()
     a[0, 8] = 1.0
-    return plant.fly(PlantFlight(Vehicle("odd", "throttle_coupled", a), (), 1.0))
+    return PlantFlight((), 1.0, vehicle=Vehicle("odd", "throttle_coupled", a)).fly()
 
 
 def jsbsim(**values: object) -> object:
-    return jsbsim_flight.fly(
-        AircraftFlight(**{"aircraft": "c172p", "segments": (), "duration": 1.0, **values})
-    )
+    return AircraftFlight(**{"aircraft": "c172p", "segments": (), "duration": 1.0, **values}).fly()
 
 
 def sensed(**values: object) -> object:
@@ -59,13 +48,8 @@ def faulty(text: str) -> object:
     return LiveQuadrotor(Sensors(rate=100.0), faults=[parse_fault(text)])
 
 
-QUIET = {"plant": "small_uav", "duration": 1.0}
 CHANGE = (CoefficientChange(1.0, {"pdot/da": 0.5}),)
 REFUSED: list[tuple[str, Callable[[], object]]] = [
-    ("flight 'odd'.*either 'plant' or 'aircraft'", defined),
-    ("flight 'odd'.*inptus", lambda: defined(**QUIET, inptus=[])),
-    ("flight 'odd'.*amp", lambda: defined(**QUIET, inputs=[{"kind": "quiet", "amp": 1}])),
-    ("flight 'odd'.*duration", lambda: defined(plant="small_uav")),
     ("small_uav", lambda: vehicle("boomerang")),
     ("sweep", lambda: Segment("sweep")),
     ("flap", lambda: Segment("multisine", amplitudes={"flap": 0.1})),
@@ -77,16 +61,16 @@ REFUSED: list[tuple[str, Callable[[], object]]] = [
     ("de/alpha", lambda: flown(autopilot=Autopilot({"de/alpha": 1.0}))),
     ("diverges", lambda: flown(initial_rates=(1e5, 1e5, 1e5))),
     ("row p of 'de'", outside),
-    ("no whole number", lambda: light_aircraft.fly(LightFlight((), 1.0, actuator_rate=60.0))),
-    ("lost", lambda: light_aircraft.fly(LightFlight((LONG_DOUBLET,), 10.0))),
+    ("no whole number", lambda: LightFlight((), 1.0, actuator_rate=60.0).fly()),
+    ("lost", lambda: LightFlight((LONG_DOUBLET,), 10.0).fly()),
     ("c172p", lambda: jsbsim(aircraft="ufo")),
     ("turbulence", lambda: jsbsim(turbulence=9)),
     ("bank", lambda: jsbsim(bank=90.0)),
     ("duration", lambda: jsbsim(duration=float("nan"))),
     ("pdot/da", lambda: jsbsim(changes=CHANGE)),
     ("delay", lambda: jsbsim(delay=0.00123456)),
-    ("lost at", lambda: hover(QuadrotorFlight((WILD,), 20.0, delay=0.2))),
-    (r"delay 0\.0005 s is no whole number", lambda: QuadrotorFlight((), 1.0, delay=0.0005)),
+    ("lost at", lambda: QuadrotorFlight((WILD,), 20.0, delay=0.2).fly()),
+    (r"delay 0\.0005 s is no whole number", lambda: QuadrotorFlight((), 1.0, delay=0.0005).fly()),
     ("convention", lambda: sensed(convention="ned")),
     ("vtail", lambda: sensed(channels="vtail")),
     ("gyro_noise", lambda: sensed(gyro_noise=-0.1)),

@@ -9,8 +9,7 @@ from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import PlantFlight, fly
-from uav_ident_ros.simulation.vehicles import vehicle
+from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 
 NOISY = Sensors(rate=1000.0, gyro_noise=0.02, accelerometer_noise=0.1)
 
@@ -18,8 +17,8 @@ NOISY = Sensors(rate=1000.0, gyro_noise=0.02, accelerometer_noise=0.1)
 @pytest.fixture(scope="module")
 def flight() -> Flight:
     segment = Segment("multisine", amplitudes={"de": 0.1, "dr": 0.1, "da": 0.1, "dth": 0.2})
-    spec = PlantFlight(vehicle("small_uav"), (segment,), 20.0, force=ColouredNoise(0.5))
-    return fly(spec)
+    spec = PlantFlight((segment,), 20.0, vehicle=vehicle("small_uav"), force=ColouredNoise(0.5))
+    return spec.fly()
 
 
 def test_noise_and_bias_are_as_asked(flight: Flight) -> None:

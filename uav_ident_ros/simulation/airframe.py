@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.values import build
 
 FOLDER = Path(__file__).parent / "airframes"
 MODELS = FOLDER / "jsbsim"
@@ -130,3 +130,34 @@ def _read(path: Path) -> Airframe:
         if not (isinstance(value, int | float) and value > 0.0):
             raise SimulationError(f"{where}: {key} is {value}, not positive")
     return found
+
+
+def build(
+    cls: Any,  # The dataclass
+    values: Mapping[str, Any],  # Its fields by name; lists become tuples
+    where: str,  # What they belong to, for messages
+    # Fields that are dataclasses themselves, or sequences of them, with what one is called
+    nested: Mapping[str, tuple[Any, str]] | None = None,
+) -> Any:
+    """Build a dataclass from a mapping.
+
+    Raises
+    ------
+    SimulationError
+        If a name is no field of it, or a field without a default is missing.
+    """
+    known = {item.name: item for item in fields(cls)}
+    for key in values:
+        if key not in known:
+            raise SimulationError(f"{where} has no entry '{key}': there are {', '.join(known)}")
+    for name, item in known.items():
+        optional = {item.default, item.default_factory} != {MISSING}
+        if name not in values and not optional:
+            raise SimulationError(f"{where}: '{name}' is missing")
+    out = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+    for key, (inner, called) in (nested or {}).items():
+        if isinstance(found := out.get(key), tuple):
+            out[key] = tuple(build(inner, value, called) for value in found)
+        elif isinstance(found, Mapping):
+            out[key] = build(inner, found, called)
+    return cls(**out)

@@ -11,16 +11,15 @@ from typing import Any
 from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
-from uav_ident_ros.simulation.channels import CHANNEL_SETS
-from uav_ident_ros.simulation.definition import QUADROTOR
+from uav_ident_ros.simulation.channels import CHANNEL_SETS, QUADROTOR
+from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.inputs import INPUT_KINDS
-from uav_ident_ros.simulation.noise import FRAME_IDS
-from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES as QUADROTOR_AMPLITUDES
-from uav_ident_ros.simulation.vehicles import SMALL_UAV_AUTOPILOT, VEHICLE_NAMES
-
-BASE_RATE = 1000.0
-"""Rate of the simulation, Hz: the same flight for every Imu rate that divides it."""
+from uav_ident_ros.simulation.inputs import INPUT_KINDS, Segment
+from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
+from uav_ident_ros.simulation.live import SIMULATION_RATE, Plan
+from uav_ident_ros.simulation.noise import FRAME_IDS, Sensors, measure
+from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT, VEHICLE_NAMES, PlantFlight, vehicle
+from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
 
 START = 2.0
 """Time before the excitation begins, s."""
@@ -28,7 +27,7 @@ START = 2.0
 PLANT_AMPLITUDES = (0.08, 0.12, 0.06, 0.2)
 """Default peaks of de, dr, da (rad), dth; an aircraft has its own."""
 
-FORCE_NOISE = {"rms": 0.3, "correlation_time": 0.5}
+FORCE_NOISE = ColouredNoise(0.3, 0.5)
 """Variation of a plant's specific force, which its structure does not determine, m/s^2 and s."""
 
 BAD_ARGUMENTS = 2
@@ -47,27 +46,6 @@ examples:
   simulate --output quadrotor --plant quadrotor --delay 0.01
   simulate --output cessna --jsbsim c172p --delay 0.06
 """
-
-
-def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
-    parser = OneLineParser(
-        prog="simulate",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    add = parser.add_argument
-    add("--output", required=True, type=Path, metavar="DIR", help="folder of the new bag")
-    add("--compress", action="store_true", help="compress the bag with zstd")
-    _add_flight_options(parser.add_argument_group("flight"))
-    _add_sensor_options(parser.add_argument_group("sensors and messages"))
-    return parser
-
-
-def _words(values: Sequence[float]) -> str:
-    return " ".join(f"{v:g}" for v in values)
 
 
 FLIGHT_OPTIONS: dict[str, tuple[Any, str, str]] = {
@@ -92,17 +70,22 @@ SENSOR_OPTIONS: dict[str, tuple[Any, str, str]] = {
 """Options of one number: default, unit, meaning."""
 
 
-def _add_numbers(
-    group: argparse._ArgumentGroup, options: Mapping[str, tuple[Any, str, str]]
-) -> None:
-    for name, (default, unit, meaning) in options.items():
-        kind, said = type(default), f"{meaning} ({default:g})"
-        group.add_argument(name, type=kind, default=default, metavar=unit, help=said)
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = OneLineParser(
+        prog="simulate",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add("--output", required=True, type=Path, metavar="DIR", help="folder of the new bag")
+    add("--compress", action="store_true", help="compress the bag with zstd")
 
-
-def _add_flight_options(group: argparse._ArgumentGroup) -> None:
-    add = group.add_argument
-    add("--plant", choices=(*VEHICLE_NAMES, QUADROTOR),
+    flight = parser.add_argument_group("flight")
+    add, peaks = flight.add_argument, " ".join(f"{v:g}" for v in PLANT_AMPLITUDES)
+    add("--plant", choices=(*VEHICLE_NAMES, QUADROTOR.name),
         help="plant of the paper's structure (small_uav), or a quadrotor in hover")  # fmt: skip
     add("--jsbsim", metavar="AIRCRAFT",
         help=f"a JSBSim aircraft instead: {', '.join(airframe_names())}, "
@@ -110,15 +93,13 @@ def _add_flight_options(group: argparse._ArgumentGroup) -> None:
     add("--speed", type=float, metavar="M/S", help="aircraft: true airspeed (its own)")
     add("--input", choices=INPUT_KINDS, default="multisine", help="excitation (multisine)")
     add("--amplitude", nargs=4, type=float, metavar=("DE", "DR", "DA", "DTH"),
-        help="peaks, rad and throttle 0..1 "
-             f"({_words(PLANT_AMPLITUDES)}; others have their own)")  # fmt: skip
+        help=f"peaks, rad and throttle 0..1 ({peaks}; others have their own)")  # fmt: skip
     add("--autopilot", action="store_true",
         help="plant: feedback of rates and angles (an aircraft always has one)")  # fmt: skip
-    _add_numbers(group, FLIGHT_OPTIONS)
+    _add_numbers(flight, FLIGHT_OPTIONS)
 
-
-def _add_sensor_options(group: argparse._ArgumentGroup) -> None:
-    add = group.add_argument
+    sensors = parser.add_argument_group("sensors and messages")
+    add = sensors.add_argument
     add("--bias", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("P", "Q", "R"),
         help="gyro bias, FRD, rad/s (0 0 0)")  # fmt: skip
     add("--lever-arm", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
@@ -127,50 +108,69 @@ def _add_sensor_options(group: argparse._ArgumentGroup) -> None:
     add("--unstamped", action="store_true", help="actuators as Float64MultiArray, no stamp")
     add("--channels", choices=tuple(CHANNEL_SETS),
         help="what the raw actuator channels are (plain; motors)")  # fmt: skip
-    _add_numbers(group, SENSOR_OPTIONS)
+    _add_numbers(sensors, SENSOR_OPTIONS)
+    return parser
 
 
-def definition_from(options: argparse.Namespace) -> dict[str, Any]:
-    """Flight definition (see `definition.build_flight`) that the options ask for."""
-    kind, usual, channels = _vehicle_part(options)
-    amplitudes = dict(zip(INPUTS, options.amplitude, strict=True)) if options.amplitude else usual
-    excited = {"start": START, "duration": max(0.0, options.duration - START)}
-    return kind | {
-        "duration": options.duration + options.quiet,
-        "rate": BASE_RATE if BASE_RATE % options.imu_rate == 0.0 else options.imu_rate,
-        "actuator_rate": options.actuator_rate,
-        "delay": options.delay,
-        "seed": options.seed,
-        "inputs": [{"kind": options.input, "amplitudes": dict(amplitudes), **excited}],
-        "sensors": {
-            "rate": options.imu_rate,
-            "gyro_noise": options.noise,
-            "gyro_bias": tuple(options.bias),
-            "accelerometer_noise": options.accelerometer_noise,
-            "lever_arm": tuple(options.lever_arm),
-            "stamp_jitter": options.jitter,
-            "drop": options.drop,
-            "convention": options.convention,
-            "latency": options.latency,
-            "stamped": not options.unstamped,
-            "channels": options.channels or channels,
-        },
-    }
+def _add_numbers(
+    group: argparse._ArgumentGroup, options: Mapping[str, tuple[Any, str, str]]
+) -> None:
+    for name, (default, unit, meaning) in options.items():
+        kind, said = type(default), f"{meaning} ({default:g})"
+        group.add_argument(name, type=kind, default=default, metavar=unit, help=said)
 
 
-def _vehicle_part(options: argparse.Namespace) -> tuple[dict[str, Any], Mapping[str, float], str]:
+def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:
+    """Return the flight that the options ask for, and what measures it.
+
+    Raises
+    ------
+    SimulationError
+        If it cannot be flown or measured.
+    """
+    kind, peaks, own = _vehicle_part(options)
+    peaks = dict(zip(INPUTS, options.amplitude, strict=True)) if options.amplitude else peaks
+    plan = kind(
+        (Segment(options.input, START, max(0.0, options.duration - START), peaks),),
+        options.duration + options.quiet,
+        # the same flight for every Imu rate that divides it
+        SIMULATION_RATE if SIMULATION_RATE % options.imu_rate == 0.0 else options.imu_rate,
+        actuator_rate=options.actuator_rate,
+        delay=options.delay,
+        seed=options.seed,
+        **own,
+    )
+    sensors = Sensors(
+        rate=options.imu_rate,
+        gyro_noise=options.noise,
+        gyro_bias=tuple(options.bias),
+        accelerometer_noise=options.accelerometer_noise,
+        lever_arm=tuple(options.lever_arm),
+        stamp_jitter=options.jitter,
+        drop=options.drop,
+        convention=options.convention,
+        latency=options.latency,
+        stamped=not options.unstamped,
+        channels=options.channels or ("quadrotor" if kind is QuadrotorFlight else "plain"),
+    )
+    return plan, sensors
+
+
+def _vehicle_part(
+    options: argparse.Namespace,
+) -> tuple[type[Plan], Mapping[str, float], dict[str, Any]]:
+    """Kind of flight, usual peaks of its excitation and fields that no other kind has."""
     if options.jsbsim:
-        part = {"aircraft": options.jsbsim, "speed": options.speed}
-        part |= {"turbulence": options.turbulence, "bank": options.bank}
-        return part, airframe(options.jsbsim, options.speed).excitation, "plain"
-    lag = {"time_constant": options.servo_lag} if options.servo_lag else {}
-    part = {"plant": options.plant or VEHICLE_NAMES[0], "gusts": {"rms": options.gusts}} | lag
-    if options.plant == QUADROTOR:
-        return part, QUADROTOR_AMPLITUDES, "quadrotor"
-    part["force"] = FORCE_NOISE
-    if options.autopilot:
-        part["autopilot"] = SMALL_UAV_AUTOPILOT
-    return part, dict(zip(INPUTS, PLANT_AMPLITUDES, strict=True)), "plain"
+        own: dict[str, Any] = {"aircraft": options.jsbsim}
+        own |= {name: getattr(options, name) for name in ("speed", "turbulence", "bank")}
+        return AircraftFlight, airframe(options.jsbsim, options.speed).excitation, own
+    own = {"gusts": ColouredNoise(options.gusts)}
+    own |= {"time_constant": options.servo_lag} if options.servo_lag else {}
+    if options.plant == QUADROTOR.name:
+        return QuadrotorFlight, AMPLITUDES, own
+    own |= {"vehicle": vehicle(options.plant or VEHICLE_NAMES[0]), "force": FORCE_NOISE}
+    own["autopilot"] = SMALL_UAV_AUTOPILOT if options.autopilot else None
+    return PlantFlight, dict(zip(INPUTS, PLANT_AMPLITUDES, strict=True)), own
 
 
 def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
@@ -184,7 +184,7 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
     for name in others:
         if getattr(options, name):
             parser.error(f"--{name.replace('_', '-')} belongs to {owner}")
-    if options.plant == QUADROTOR and options.autopilot:
+    if options.plant == QUADROTOR.name and options.autopilot:
         parser.error("--autopilot: the quadrotor always has one")
     if not options.imu_rate > 0.0:
         parser.error(f"--imu-rate is {options.imu_rate:g}: it must be positive")
@@ -209,10 +209,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ImportError as error:
         print(f"simulate: {error.name} is not installed: pip install rosbags", file=sys.stderr)
         return BAD_ARGUMENTS
-    from uav_ident_ros.simulation.definition import build_measurements
-
     try:
-        measured = build_measurements(options.output.name, definition_from(options))
+        plan, sensors = flight_from(options)
+        measured = measure(plan.fly(options.output.name), sensors, options.seed)
         write_bag(measured, options.output, options.compress)
     except (SimulationError, BagWriteError, OSError) as error:
         print(f"simulate: {error}", file=sys.stderr)

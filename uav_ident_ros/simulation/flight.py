@@ -60,11 +60,22 @@ def sample_count(duration: float, rate: float) -> int:
 
 
 def effect_of(changes: Sequence[CoefficientChange], time: float) -> FloatArray:
-    """Effect of each input at `time` (s), relative to the start, shape (4,)."""
+    """Effect of each input at `time` (s), relative to the start, shape (4,).
+
+    Raises
+    ------
+    SimulationError
+        If a change is of something else.
+    """
     effect = np.ones(len(INPUTS))
     for change in changes:
-        if change.time <= time + TIME_TOLERANCE:
-            for name, factor in change.factors.items():
+        for name, factor in change.factors.items():
+            if name not in INPUTS:
+                raise SimulationError(
+                    f"change of '{name}': an aircraft changes the effect of an input, one of "
+                    f"{', '.join(INPUTS)}"
+                )
+            if change.time <= time + TIME_TOLERANCE:
                 effect[INPUTS.index(name)] *= factor
     return effect
 

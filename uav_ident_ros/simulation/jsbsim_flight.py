@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights of JSBSim aircraft: nonlinear aircraft that nobody here modelled."""
+"""JSBSim aircraft in flight: nonlinear aircraft that nobody here modelled."""
 
 import math
 from collections.abc import Sequence
@@ -8,20 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.simulation.aircraft import COLUMN, MAX_TURBULENCE
-from uav_ident_ros.simulation.airframe import airframe
+from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, MAX_TURBULENCE, Aircraft, settle
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault
-from uav_ident_ros.simulation.flight import (
-    CoefficientChange,
-    Flight,
-    check_positive,
-    effect_of,
-)
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, Faults, Schedule
+from uav_ident_ros.simulation.flight import CoefficientChange, Flight, effect_of
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
-from uav_ident_ros.simulation.live import LiveAircraft
+from uav_ident_ros.simulation.live import SIMULATION_RATE, Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
+
+SPEED_GAIN = 0.05
+"""Throttle per m/s of speed error: slow, and strong enough for climbs of a few degrees."""
 
 BANK_TIME = 20.0
 """Time of each turn of a banked flight, s, rolled into over `ROLL_TIME`."""
@@ -33,98 +29,117 @@ MAX_BANK = 60.0
 """Largest bank angle that the autopilot is asked for, deg."""
 
 
-@dataclass(frozen=True)
-class AircraftFlight:
-    """Everything that defines a flight of a JSBSim aircraft."""
+class LiveAircraft(Live):
+    """A JSBSim aircraft in flight; a row has its signals, in JSBSim's units."""
+
+    names = SURFACE_NAMES
+
+    def __init__(
+        self,
+        name: str,  # As in `uav_ident_ros.simulation.airframe`
+        sensors: Sensors,  # sensors, delay, seed, rate: As in `Live`
+        delay: float = 0.0,
+        faults: Sequence[Fault] = (),  # Those that come at a time of their own
+        seed: int = 0,
+        speed: float | None = None,  # True airspeed in place of the aircraft's own, m/s
+        rate: float = SIMULATION_RATE,
+    ) -> None:
+        super().__init__(sensors, delay, seed, rate)
+        self.aircraft = Aircraft(name, rate, speed)  # JSBSim's aircraft
+        self.autopilot, self.signals = settle(self.aircraft, sensors.rate)
+        self.trim = self.outputs = self._acting = self.aircraft.surfaces
+        self._airspeed = self.signals[COLUMN["airspeed"]]
+        self._state_of_faults = Faults(self.aircraft, self.trim, seed)
+        self.faults = Schedule(faults, self._state_of_faults.apply)
+
+    def _answer(self, surfaces: FloatArray | None) -> FloatArray:
+        slow = (self._airspeed - self.signals[COLUMN["airspeed"]]) * FOOT
+        told = self.outputs[:3] if surfaces is None else surfaces
+        return self.aircraft.clip(np.append(told, self.trim[3] + SPEED_GAIN * slow))
+
+    def _fly(self, acting: FloatArray, moved: bool) -> None:
+        if moved:
+            self.aircraft.set_surfaces(self._state_of_faults.surfaces(acting))
+        self.signals = self.aircraft.step()
+        if self.rows is not None:
+            self.rows.append(self.signals)
+
+    def _tilt(self) -> Sequence[float]:
+        return self.signals[COLUMN["roll"]], self.signals[COLUMN["pitch"]]
+
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        signals = self.aircraft.to_si(np.array(self.signals))
+        attitude, surfaces = (
+            signals[[COLUMN[name] for name in names]]
+            for names in (("roll", "pitch", "yaw"), SURFACE_NAMES)
+        )
+        return signals[0:3], signals[6:9], attitude, surfaces
+
+
+@dataclass(frozen=True, kw_only=True)
+class AircraftFlight(Plan):
+    """Flight of a JSBSim aircraft on a simple autopilot."""
 
     aircraft: str  # Its name, or the path of its file: see `uav_ident_ros.simulation.airframe`
-    segments: Sequence[Segment]  # Excitation, added to the autopilot's commands
-    duration: float  # Length of the record, s
-    rate: float = 1000.0  # Rate of the simulation and of the noise-free samples, Hz
-    actuator_rate: float = 100.0  # Rate of the commands, Hz; each is held until the next
-    delay: float = 0.0  # From recorded command to surface, s
     bank: float = 0.0  # Bank angle of alternating turns, deg; 0 for level flight
     turbulence: int = 0  # JSBSim's MIL-F-8785C severity, 0 (calm) to 7
     # From a time on, an input (``de`` and so on) has its effect about trim multiplied
     changes: tuple[CoefficientChange, ...] = ()
-    seed: int = 0  # Seed of the turbulence
     speed: float | None = None  # True airspeed, m/s; None for the aircraft's own
 
     def __post_init__(self) -> None:
-        airframe(self.aircraft, self.speed)
-        check_positive(self, "duration", "rate", "actuator_rate")
-        if not 0.0 <= self.delay < math.inf:
-            raise SimulationError(f"delay is {self.delay} s: it must be 0 or more")
+        super().__post_init__()
         if not 0 <= self.turbulence <= MAX_TURBULENCE:
             raise SimulationError(
                 f"turbulence is {self.turbulence}: it must be 0 (calm) to {MAX_TURBULENCE}"
             )
         if not abs(self.bank) <= MAX_BANK:
             raise SimulationError(f"bank is {self.bank} deg: at most {MAX_BANK:g} is flown")
+
+    def _bank_reference(self, t: float) -> float:
+        """Bank angle of alternating turns, rad: right, left, right, ..."""
+        if self.bank == 0.0 or t < 0.0:
+            return 0.0
+        turn, into = divmod(t, BANK_TIME)
+        side = 1.0 if turn % 2 == 0 else -1.0
+        last = 0.0 if turn == 0 else -side
+        blend = min(1.0, into / ROLL_TIME)
+        return math.radians(self.bank) * (last + (side - last) * blend)
+
+    def fly(self, name: str = "") -> Flight:
+        """Fly it; see `Plan.fly`."""
+        faults = [Fault("turbulence", value=self.turbulence, time=0.0)]
         for change in self.changes:
-            for name in change.factors:
-                if name not in INPUTS:
-                    raise SimulationError(
-                        f"change of '{name}': an aircraft changes the effect of an input, "
-                        f"one of {', '.join(INPUTS)}"
-                    )
+            effect = effect_of(self.changes, change.time)
+            faults += [
+                Fault("effect", SURFACE_NAMES[i], effect[i], change.time)
+                for i in map(INPUTS.index, change.factors)
+            ]
+        sensors = Sensors(rate=self.actuator_rate)
+        live = LiveAircraft(
+            self.aircraft, sensors, self.delay, faults, self.seed, self.speed, self.rate
+        )
 
+        def told(t: float, excitation: FloatArray) -> FloatArray:
+            wanted = live.autopilot.surfaces(live.signals, self._bank_reference(t))
+            return live.aircraft.clip(wanted + excitation)
 
-def _bank_reference(spec: AircraftFlight, t: float) -> float:
-    """Bank angle of alternating turns, rad: right, left, right, ..."""
-    if spec.bank == 0.0 or t < 0.0:
-        return 0.0
-    turn, into = divmod(t, BANK_TIME)
-    side = 1.0 if turn % 2 == 0 else -1.0
-    last = 0.0 if turn == 0 else -side
-    blend = min(1.0, into / ROLL_TIME)
-    return math.radians(spec.bank) * (last + (side - last) * blend)
-
-
-def fly(
-    spec: AircraftFlight,  # The flight
-    name: str = "",  # Name of the result; the aircraft's by default
-) -> Flight:
-    """Fly a JSBSim aircraft on a simple autopilot.
-
-    Raises
-    ------
-    SimulationError
-        If JSBSim is not installed, or the aircraft cannot be trimmed or is lost.
-    """
-    faults = [Fault("turbulence", value=spec.turbulence, time=0.0)]
-    for change in spec.changes:
-        effect = effect_of(spec.changes, change.time)
-        faults += [
-            Fault("effect", SURFACE_NAMES[i], effect[i], change.time)
-            for i in map(INPUTS.index, change.factors)
-        ]
-    live = LiveAircraft(
-        spec.aircraft, Sensors(rate=spec.actuator_rate), spec.delay, faults, spec.seed,
-        spec.speed, spec.rate,
-    )  # fmt: skip
-
-    def told(t: float, excitation: FloatArray) -> FloatArray:
-        wanted = live.autopilot.surfaces(live.signals, _bank_reference(spec, t))
-        return live.aircraft.clip(wanted + excitation)
-
-    flown = live.record(spec.segments, spec.duration, told)
-    record = live.aircraft.to_si(flown.rows)
-    extra = {key: record[:, COLUMN[key]] for key in ("alpha", "beta", "roll", "pitch", "altitude")}
-    surfaces = [COLUMN[key] for key in SURFACE_NAMES]
-    airspeed = record[:, COLUMN["airspeed"]]
-    return Flight(
-        name=name or airframe(spec.aircraft).name,
-        rates=record[:, 0:3],
-        angular_acceleration=record[:, 3:6],
-        specific_force=record[:, 6:9],
-        inputs=flown.commands - live.trim,
-        trim=np.array(live.trim),
-        delay=spec.delay,
-        changes=spec.changes,
-        # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
-        local_truth=cruise_derivatives(spec.aircraft, round(float(airspeed.mean()), 1)),
-        airspeed=airspeed,
-        extra={**extra, "surfaces": record[:, surfaces]},
-        **flown.common,
-    )
+        rows, commands, common = live.record(self, told)
+        record = live.aircraft.to_si(rows)
+        signals = ("alpha", "beta", "roll", "pitch", "altitude")
+        extra = {key: record[:, COLUMN[key]] for key in signals}
+        airspeed = record[:, COLUMN["airspeed"]]
+        return Flight(
+            name=name or live.aircraft.airframe.name,
+            rates=record[:, 0:3],
+            angular_acceleration=record[:, 3:6],
+            specific_force=record[:, 6:9],
+            inputs=commands - live.trim,
+            trim=np.array(live.trim),
+            changes=self.changes,
+            # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
+            local_truth=cruise_derivatives(self.aircraft, round(float(airspeed.mean()), 1)),
+            airspeed=airspeed,
+            extra={**extra, "surfaces": record[:, [COLUMN[key] for key in SURFACE_NAMES]]},
+            **common,
+        )

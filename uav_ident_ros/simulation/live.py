@@ -2,7 +2,7 @@
 """The loop over time of every simulated vehicle: commands in, signals out.
 
 Who flies it is up to others: a controller answers Imu samples one at a time (`Live.sample`,
-`Live.command`, `Live.advance`), or a whole flight is recorded (`Live.record`).
+`Live.command`, `Live.advance`), or a whole flight is recorded as a `Plan` says.
 """
 
 import math
@@ -14,28 +14,26 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, settle
-from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, Faults, Schedule
-from uav_ident_ros.simulation.flight import sample_count, stamps, whole_steps
+from uav_ident_ros.simulation.faults import Fault, Schedule
+from uav_ident_ros.simulation.flight import (
+    Flight,
+    check_positive,
+    sample_count,
+    stamps,
+    whole_steps,
+)
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
 from uav_ident_ros.simulation.noise import Sensors
-from uav_ident_ros.simulation.quadrotor import Body, Hold, Quadrotor
 
 SIMULATION_RATE = 1000.0
 """Rate of the simulation, Hz."""
-
-SPEED_GAIN = 0.05
-"""Throttle per m/s of speed error: slow, and strong enough for climbs of a few degrees."""
 
 LARGEST_UPSET = math.radians(85.0)
 """Roll or pitch angle at which the flight counts as lost, rad."""
 
 RANDOM_STREAM = 200
 """First of the random streams of a vehicle in the loop: none that a recorded flight uses."""
-
-STILL = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -51,17 +49,47 @@ class Sample:
     surfaces: FloatArray  # (4,) Where elevator, rudder, aileron (rad) and throttle are
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """A flight that was recorded."""
+@dataclass(frozen=True)
+class Plan:
+    """What defines every recorded flight; each kind of vehicle has fields of its own, too."""
 
-    rows: FloatArray  # (N, ...) The row of every step of the simulation
-    commands: FloatArray  # (M, C) The outputs of every interval
-    common: dict[str, Any]  # What a `Flight` has of any vehicle: stamps and excited intervals
+    segments: Sequence[Segment]  # Excitation, added to the autopilot's commands
+    duration: float  # Length of the record, s
+    rate: float = SIMULATION_RATE  # Rate of the noise-free samples, Hz
+    actuator_rate: float = 100.0  # Rate of the commands, Hz; each is held until the next
+    delay: float = 0.0  # From recorded command to surface or motor, s
+    seed: int = 0  # Seed of the disturbances
+
+    def __post_init__(self) -> None:
+        check_positive(self, "duration", "rate", "actuator_rate")
+        if not 0.0 <= self.delay < math.inf:
+            raise SimulationError(f"delay is {self.delay} s: it must be 0 or more")
+        if self.samples < 2:
+            raise SimulationError(
+                f"a duration of {self.duration} s holds no two samples at {self.rate} Hz"
+            )
+
+    @property
+    def samples(self) -> int:
+        """Number of the noise-free samples."""
+        return sample_count(self.duration, self.rate)
+
+    def fly(
+        self,
+        name: str = "",  # Name of the result; the vehicle's by default
+    ) -> Flight:
+        """Fly it.
+
+        Raises
+        ------
+        SimulationError
+            If the flight is impossible as planned, or the vehicle is lost.
+        """
+        raise NotImplementedError
 
 
 class Live:
-    """A vehicle in flight; what it is like is up to `LiveAircraft` and the others.
+    """A vehicle in flight; what it is like is up to its kinds.
 
     Raises
     ------
@@ -154,21 +182,26 @@ class Live:
 
     def record(
         self,
-        segments: Sequence[Segment],  # Excitation
-        duration: float,  # s
+        plan: Plan,
         # The outputs of an interval, within their limits, from its time (s) and excitation
         told: Callable[[float, FloatArray], FloatArray],
-    ) -> Recording:
+    ) -> tuple[FloatArray, FloatArray, dict[str, Any]]:
         """Fly on and keep everything.
+
+        Returns
+        -------
+        (N, ...) array, (M, C) array, dict
+            The rows, the outputs of all intervals, and what a `Flight` has of any vehicle.
 
         Raises
         ------
         SimulationError
             If it is lost.
         """
-        count = sample_count(duration, self.rate)
+        every = round(self.rate / plan.rate)
+        count = (plan.samples - 1) * every + 1
         times = np.arange(0, count, self._substeps) / self.rate
-        excitation = sample_inputs(segments, times)
+        excitation = sample_inputs(plan.segments, times)
         commands: list[FloatArray] = []
         self.rows = []
         for step in range(count):
@@ -179,11 +212,12 @@ class Live:
                 self._tell(commands[-1])
             self._advance_step()
         common = {
-            "t_ns": stamps(np.arange(count) / self.rate),
+            "t_ns": stamps(np.arange(plan.samples) / plan.rate),
             "actuator_t_ns": stamps(times),
-            "excitation": excited_intervals(segments, duration),
+            "delay": plan.delay,
+            "excitation": excited_intervals(plan.segments, (plan.samples - 1) / plan.rate),
         }
-        return Recording(np.array(self.rows), np.array(commands), common)
+        return np.array(self.rows[::every]), np.array(commands), common
 
     @property
     def time(self) -> float:
@@ -203,123 +237,3 @@ class Live:
             attitude=attitude,
             surfaces=surfaces,
         )
-
-
-class LiveAircraft(Live):
-    """A JSBSim aircraft in flight; a row has its signals, in JSBSim's units."""
-
-    names = SURFACE_NAMES
-
-    def __init__(
-        self,
-        name: str,  # As in `uav_ident_ros.simulation.airframe`
-        sensors: Sensors,  # sensors, delay, seed, rate: As in `Live`
-        delay: float = 0.0,
-        faults: Sequence[Fault] = (),  # Those that come at a time of their own
-        seed: int = 0,
-        speed: float | None = None,  # True airspeed in place of the aircraft's own, m/s
-        rate: float = SIMULATION_RATE,
-    ) -> None:
-        super().__init__(sensors, delay, seed, rate)
-        self.aircraft = Aircraft(name, rate, speed)  # JSBSim's aircraft
-        self.autopilot, self.signals = settle(self.aircraft, sensors.rate)
-        self.trim = self.outputs = self._acting = self.aircraft.surfaces
-        self._airspeed = self.signals[COLUMN["airspeed"]]
-        self._state_of_faults = Faults(self.aircraft, self.trim, seed)
-        self.faults = Schedule(faults, self._state_of_faults.apply)
-
-    def _answer(self, surfaces: FloatArray | None) -> FloatArray:
-        slow = (self._airspeed - self.signals[COLUMN["airspeed"]]) * FOOT
-        told = self.outputs[:3] if surfaces is None else surfaces
-        return self.aircraft.clip(np.append(told, self.trim[3] + SPEED_GAIN * slow))
-
-    def _fly(self, acting: FloatArray, moved: bool) -> None:
-        if moved:
-            self.aircraft.set_surfaces(self._state_of_faults.surfaces(acting))
-        self.signals = self.aircraft.step()
-        if self.rows is not None:
-            self.rows.append(self.signals)
-
-    def _tilt(self) -> Sequence[float]:
-        return self.signals[COLUMN["roll"]], self.signals[COLUMN["pitch"]]
-
-    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        signals = self.aircraft.to_si(np.array(self.signals))
-        attitude, surfaces = (
-            signals[[COLUMN[name] for name in names]]
-            for names in (("roll", "pitch", "yaw"), SURFACE_NAMES)
-        )
-        return signals[0:3], signals[6:9], attitude, surfaces
-
-
-class LiveQuadrotor(Live):
-    """A quadrotor in flight, commanded as an aircraft is.
-
-    Elevator, rudder and aileron stand for pitch, yaw and roll: it mixes them into its motors, and
-    holds its height itself. Parameters are those of `LiveAircraft`; a row has rates, specific
-    force, angular acceleration and angles.
-    """
-
-    names = QUADROTOR.names
-
-    def __init__(
-        self,
-        sensors: Sensors,
-        delay: float = 0.0,
-        faults: Sequence[Fault] = (),
-        seed: int = 0,
-        rate: float = SIMULATION_RATE,
-        body: Body | None = None,
-        gusts: FloatArray | None = None,  # (N, 3) Angular acceleration of each step, rad/s^2
-    ) -> None:
-        super().__init__(sensors, delay, seed, rate)
-        self.craft, self.hold = Quadrotor(body or Body()), Hold()
-        self._gusts = iter(() if gusts is None else gusts.tolist())
-        self.trim = np.array([0.0, 0.0, 0.0, self.craft.body.hover])
-        self._told: FloatArray = self.trim[:3]
-        self.outputs = self._acting = QUADROTOR.trim(self.trim)
-        for fault in faults:
-            _motor(fault)
-        self.faults = Schedule(faults, self._fail)
-
-    def _fail(self, fault: Fault) -> None:
-        if (motor := _motor(fault)) is None:
-            self.craft.effect = [1.0] * len(QUADROTOR.names)
-        else:
-            self.craft.effect[motor] = fault.value or 0.0
-
-    def motors(self, inputs: FloatArray) -> FloatArray:
-        """Motors' commands for de, dr, da, dth, within what they can do."""
-        return np.clip(QUADROTOR.raw(inputs, self.trim), 0.0, 1.0)
-
-    def _answer(self, surfaces: FloatArray | None) -> FloatArray:
-        self._told = self._told if surfaces is None else surfaces
-        return self.motors(np.append(self._told, self.hold.inputs(self.craft)[3]))
-
-    def _fly(self, acting: FloatArray, moved: bool) -> None:
-        craft, gust = self.craft, next(self._gusts, STILL)
-        if self.rows is not None:
-            craft.look(gust)
-            self.rows.append((craft.rates, craft.force, craft.acceleration, craft.angles))
-        craft.step(acting.tolist(), 1.0 / self.rate, gust)
-
-    def _tilt(self) -> Sequence[float]:
-        return self.craft.angles[:2]
-
-    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        craft = self.craft
-        craft.look(STILL)
-        surfaces = QUADROTOR.inputs(np.array(craft.speeds), self.trim) + self.trim
-        return np.array(craft.rates), np.array(craft.force), np.array(craft.angles), surfaces
-
-
-def _motor(fault: Fault) -> int | None:
-    """Return the motor of a fault; None if all are repaired."""
-    if fault.kind == "repaired":
-        return None
-    if fault.kind != "effect" or fault.what not in QUADROTOR.names:
-        raise SimulationError(
-            f"fault '{fault.what} {fault.kind}': a quadrotor knows 'MOTOR effect FACTOR', of "
-            f"{', '.join(QUADROTOR.names)}, and 'repaired'"
-        )
-    return QUADROTOR.names.index(fault.what)

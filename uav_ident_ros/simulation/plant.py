@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flight of a plant of the paper's structure: ``xdot = A f(x, u) + disturbance``.
+"""Plants of the paper's structure, by name, and their flights: ``xdot = A f(x, u) + disturbance``.
 
 Runge-Kutta of fourth order on a grid that every switching of the inputs falls on, so that
 the held inputs, the delay and the servo lag are exact; the error per step is below 1e-11
@@ -13,6 +13,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY, integrate, rates_derivative
+from uav_ident_ros.identification.rigid_body import (
+    Inertia,
+    coefficients_from_physics,
+    full_moments,
+)
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
@@ -29,13 +34,9 @@ from uav_ident_ros.simulation.flight import (
     Flight,
     changed_coefficients,
     check_positive,
-    sample_count,
-    stamps,
 )
-from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.live import Live
+from uav_ident_ros.simulation.live import Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
-from uav_ident_ros.simulation.vehicles import Vehicle
 
 DEFAULT_TRIM = (0.0, 0.0, 0.0, 0.5)
 """Surfaces centred (rad), half throttle."""
@@ -74,16 +75,81 @@ def _gain_matrix(gains: Mapping[str, float]) -> FloatArray:
     return matrix
 
 
-@dataclass(frozen=True)
-class PlantFlight:
-    """Everything that defines a flight of a structure plant."""
+SMALL_UAV_AUTOPILOT = Autopilot(
+    rate_gain={"de/q": 0.05, "da/p": -0.03, "dr/r": 0.08},
+    angle_gain={"de/q": 0.15, "da/p": -0.12},
+)
+"""Holds the attitude of `small_uav`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Vehicle:
+    """A plant ``xdot = A f(x, u)``."""
+
+    name: str  # Its name
+    structure: str  # Structure of A
+    coefficients: FloatArray  # (3, n) A, SI units
+    inertia: Inertia | None = None  # Its inertias, kg m^2, if A came from them
+
+
+def _small_uav() -> Vehicle:
+    """Propeller aircraft of 13 kg: roll, pitch, yaw damping of about 10, 6 and 2 1/s."""
+    inertia = Inertia(ix=0.8244, iy=1.135, iz=1.759, ixz=0.1204)
+    structure = STRUCTURES["throttle_coupled"]
+    moments = full_moments(
+        structure,
+        l_p=-8.2, l_r=1.5, l_dr=2.7, l_da=49.6, l_dth=0.7,
+        m_q=-6.8, m_de=-45.0, m_dth=-1.0,
+        n_p=0.3, n_r=-3.7, n_dr=-21.3, n_da=-9.9, n_dth=-1.0,
+    )  # fmt: skip
+    return Vehicle(
+        "small_uav", structure.name, coefficients_from_physics(inertia, moments), inertia
+    )
+
+
+# A of Section 4, as printed; columns pq qr pr p^2 r^2 p q r de dr da dth.
+_PRINTED = (
+    (0.0010, 0.0107, 0.0, 0.0, 0.0, -0.1361, 0.0, 0.0111, 0.0, 0.0181, 0.0030, 0.0014),
+    (0.0, 0.0, 0.0107, -0.0103, 0.0103, 0.0, -0.1090, 0.0, 0.0105, 0.0, 0.0, 0.0004),
+    (0.0102, 0.0093, 0.0, 0.0, 0.0, 0.0104, 0.0, -0.1032, 0.0, -0.0011, 0.0054, 0.0001),
+)
+
+
+def _paper_printed() -> Vehicle:
+    """Return the coefficients that the paper prints, moved from degrees to SI.
+
+    The quadratic columns grow by 180 / pi, the others keep their values. They are no
+    rigid body's: A32 is not -A11.
+    """
+    a = np.array(_PRINTED)
+    a[:, :5] *= 180.0 / np.pi
+    return Vehicle("paper_printed", "throttle_coupled", a)
+
+
+_VEHICLES = {"small_uav": _small_uav, "paper_printed": _paper_printed}
+
+VEHICLE_NAMES = tuple(_VEHICLES)
+"""Names of the plants."""
+
+
+def vehicle(name: str) -> Vehicle:
+    """Return the plant called `name`.
+
+    Raises
+    ------
+    SimulationError
+        If there is none.
+    """
+    if name not in _VEHICLES:
+        raise SimulationError(f"plant '{name}' is unknown: use one of {', '.join(VEHICLE_NAMES)}")
+    return _VEHICLES[name]()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantFlight(Plan):
+    """Flight of a structure plant."""
 
     vehicle: Vehicle  # The plant
-    segments: Sequence[Segment]  # Excitation; they add up
-    duration: float  # Length of the flight, s
-    rate: float = 1000.0  # Rate of the noise-free samples, Hz
-    actuator_rate: float = 100.0  # Rate of the commands, Hz; each is held until the next
-    delay: float = 0.0  # From command to surface, s
     time_constant: float = 0.0  # First-order lag of the servos, s
     gusts: ColouredNoise = CALM  # Angular acceleration, rad/s^2, on each axis independently
     # Variation of the specific force, m/s^2, on each axis; about (0, 0, -g)
@@ -95,69 +161,52 @@ class PlantFlight:
     # (4,) Trim of de, dr, da, dth: what the plain raw channels are at zero deviation
     trim: Sequence[float] = DEFAULT_TRIM
     initial_rates: Sequence[float] = (0.0, 0.0, 0.0)  # (3,) p, q, r at the start, rad/s
-    seed: int = 0  # Seed of the disturbances
     max_step: float = 1e-3  # Largest integration step, s
 
     def __post_init__(self) -> None:
-        check_positive(self, "duration", "rate", "actuator_rate", "max_step")
-        for name in ("delay", "time_constant"):
-            if not (0.0 <= getattr(self, name) < math.inf):
-                raise SimulationError(f"{name} is {getattr(self, name)} s: it must be 0 or more")
+        super().__post_init__()
+        check_positive(self, "max_step")
+        if not 0.0 <= self.time_constant < math.inf:
+            raise SimulationError(f"time_constant is {self.time_constant} s: it must be 0 or more")
 
-
-def _substeps(spec: PlantFlight) -> int:
-    """Return the least number of steps in a sample so that commands and delay fall on the grid."""
-    first = max(1, math.ceil(1.0 / (spec.rate * spec.max_step) - STEP_TOLERANCE))
-    for substeps in range(first, first + MAX_SUBSTEPS):
-        fine = spec.rate * substeps
-        offsets = (fine / spec.actuator_rate, fine * spec.delay)
-        if all(abs(v - round(v)) < STEP_TOLERANCE for v in offsets):
-            return substeps
-    raise SimulationError(
-        f"actuator rate {spec.actuator_rate:g} Hz and delay {spec.delay:g} s fall on no common "
-        f"grid with the sample rate {spec.rate:g} Hz: use whole fractions of it and whole "
-        "milliseconds"
-    )
-
-
-def fly(
-    spec: PlantFlight,  # The flight
-    name: str = "",  # Name of the result; the vehicle's by default
-) -> Flight:
-    """Fly a plant of the paper's structure.
-
-    Raises
-    ------
-    SimulationError
-        If the flight is impossible as asked, or the plant diverges.
-    """
-    substeps, samples = _substeps(spec), sample_count(spec.duration, spec.rate)
-    if samples < 2:
+    @property
+    def substeps(self) -> int:
+        """Least number of steps in a sample so that commands and delay fall on the grid."""
+        first = max(1, math.ceil(1.0 / (self.rate * self.max_step) - STEP_TOLERANCE))
+        for substeps in range(first, first + MAX_SUBSTEPS):
+            fine = self.rate * substeps
+            offsets = (fine / self.actuator_rate, fine * self.delay)
+            if all(abs(v - round(v)) < STEP_TOLERANCE for v in offsets):
+                return substeps
         raise SimulationError(
-            f"a duration of {spec.duration} s holds no two samples at {spec.rate} Hz"
+            f"actuator rate {self.actuator_rate:g} Hz and delay {self.delay:g} s fall on no common "
+            f"grid with the sample rate {self.rate:g} Hz: use whole fractions of it and whole "
+            "milliseconds"
         )
-    _check_structure(spec.vehicle)
-    gust_rng, force_rng = (np.random.default_rng([spec.seed, k]) for k in range(2))
-    gust = np.asarray(spec.moment) + spec.gusts.sample(samples, 3, spec.rate, gust_rng)
-    force = spec.force.sample(samples, 3, spec.rate, force_rng) - [0.0, 0.0, GRAVITY]
-    live = _LivePlant(spec, substeps, gust)
-    flown = live.record(spec.segments, (samples - 1) / spec.rate, live.told)
-    rates, acceleration = flown.rows[::substeps].transpose(1, 0, 2)
-    return Flight(
-        name=name or spec.vehicle.name,
-        rates=rates,
-        angular_acceleration=acceleration,
-        specific_force=force,
-        inputs=flown.commands,
-        trim=np.asarray(spec.trim, dtype=np.float64),
-        delay=spec.delay,
-        time_constant=spec.time_constant,
-        structure=spec.vehicle.structure,
-        coefficients=np.asarray(spec.vehicle.coefficients, dtype=np.float64),
-        changes=spec.changes,
-        extra={"gust": gust},
-        **flown.common | {"t_ns": stamps(np.arange(samples) / spec.rate)},
-    )
+
+    def fly(self, name: str = "") -> Flight:
+        """Fly it; see `Plan.fly`. A plant may diverge, too."""
+        _check_structure(self.vehicle)
+        gust_rng, force_rng = (np.random.default_rng([self.seed, k]) for k in range(2))
+        gust = np.asarray(self.moment) + self.gusts.sample(self.samples, 3, self.rate, gust_rng)
+        force = self.force.sample(self.samples, 3, self.rate, force_rng) - [0.0, 0.0, GRAVITY]
+        live = _LivePlant(self, self.substeps, gust)
+        rows, commands, common = live.record(self, live.told)
+        rates, acceleration = rows.transpose(1, 0, 2)
+        return Flight(
+            name=name or self.vehicle.name,
+            rates=rates,
+            angular_acceleration=acceleration,
+            specific_force=force,
+            inputs=commands,
+            trim=np.asarray(self.trim, dtype=np.float64),
+            time_constant=self.time_constant,
+            structure=self.vehicle.structure,
+            coefficients=np.asarray(self.vehicle.coefficients, dtype=np.float64),
+            changes=self.changes,
+            extra={"gust": gust},
+            **common,
+        )
 
 
 def _check_structure(vehicle: Vehicle) -> None:
@@ -178,38 +227,38 @@ def _check_structure(vehicle: Vehicle) -> None:
 class _LivePlant(Live):
     """It in flight; a row has the rates and their derivatives."""
 
-    def __init__(self, spec: PlantFlight, substeps: int, gust: FloatArray) -> None:
-        rate = spec.rate * substeps
-        super().__init__(Sensors(rate=spec.actuator_rate), spec.delay, spec.seed, rate)
-        self.faults, self._spec = Schedule((), lambda _: None), spec
-        self._rates = [float(rate) for rate in spec.initial_rates]
+    def __init__(self, plan: PlantFlight, substeps: int, gust: FloatArray) -> None:
+        rate = plan.rate * substeps
+        super().__init__(Sensors(rate=plan.actuator_rate), plan.delay, plan.seed, rate)
+        self.faults, self._plan = Schedule((), lambda _: None), plan
+        self._rates = [float(rate) for rate in plan.initial_rates]
         self._angles = np.zeros(len(RATES))
-        self._gains = (spec.autopilot or Autopilot()).matrices()
+        self._gains = (plan.autopilot or Autopilot()).matrices()
         self._acting = self._surfaces = np.zeros(len(INPUTS))
-        lag = spec.time_constant
+        lag = plan.time_constant
         self._half = math.exp(-0.5 / (rate * lag)) if lag else 0.0
         # at the beginning, in the middle and at the end of each step
         stages = np.arange(2 * substeps * (len(gust) - 1) + 3) / (2.0 * substeps)
         known = np.arange(len(gust))
         self._gusts = np.column_stack([np.interp(stages, known, column) for column in gust.T])
-        self._ahead = sorted(change.time for change in spec.changes)
+        self._ahead = sorted(change.time for change in plan.changes)
         self._change()
 
     def _change(self) -> None:
         """Take the coefficients that hold over the next step."""
         now = self.time + 0.5 / self.rate
         self._ahead = [time for time in self._ahead if time > now]
-        vehicle = self._spec.vehicle
-        a = changed_coefficients(vehicle.structure, vehicle.coefficients, self._spec.changes, now)
+        vehicle = self._plan.vehicle
+        a = changed_coefficients(vehicle.structure, vehicle.coefficients, self._plan.changes, now)
         self._by_input, self._derivative = a[:, INPUT_COLUMNS], rates_derivative(a)
 
     def told(self, _: float, excitation: FloatArray) -> FloatArray:
         """Excitation and feedback, within the autopilot's limit."""
-        if self._spec.autopilot is None:
+        if self._plan.autopilot is None:
             return excitation
-        x, limit = np.array(self._rates), self._spec.autopilot.limit
+        x, limit = np.array(self._rates), self._plan.autopilot.limit
         feedback = self._gains[0] @ x + self._gains[1] @ self._angles
-        self._angles = self._angles + x / self._spec.actuator_rate
+        self._angles = self._angles + x / self._plan.actuator_rate
         return np.asarray(np.clip(excitation + feedback, -limit, limit))
 
     def _fly(self, acting: FloatArray, moved: bool) -> None:
@@ -226,7 +275,7 @@ class _LivePlant(Live):
         (self._rates,) = integrate(self._derivative, self._rates, [step])
         if not all(abs(rate) < DIVERGED for rate in self._rates):  # NaN fails too
             raise SimulationError(
-                f"plant '{self._spec.vehicle.name}' diverges at {self.time:.2f} s: use smaller "
+                f"plant '{self._plan.vehicle.name}' diverges at {self.time:.2f} s: use smaller "
                 "amplitudes or gains"
             )
 

@@ -38,12 +38,14 @@ from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import UsageError, node_usage, run
 from uav_ident_ros.ros import to_stamp
-from uav_ident_ros.simulation.definition import QUADROTOR
+from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
-from uav_ident_ros.simulation.live import Live, LiveAircraft, LiveQuadrotor, Sample
+from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
+from uav_ident_ros.simulation.live import Live, Sample
 from uav_ident_ros.simulation.noise import FRAME_IDS, FRD_TO_FLU, Sensors
+from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
 
 PATIENCE = 5.0
 """In step: wall-clock seconds that an answer may take before the flight goes on without it."""
@@ -108,7 +110,7 @@ class PlantNode(Node):
         faults = [parse_fault(text) for text in self._value("faults") if text]
         name, delay, seed = (self._value(key) for key in ("aircraft", "delay", "seed"))
         self._aircraft: Live
-        if name == QUADROTOR:
+        if name == QUADROTOR.name:
             self._aircraft = LiveQuadrotor(sensors, delay, faults, seed)
         else:
             speed = self._value("speed") or None

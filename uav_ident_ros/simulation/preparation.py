@@ -21,8 +21,7 @@ from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import SURFACE_NAMES
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, fly
-from uav_ident_ros.simulation.live import LiveAircraft
+from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, LiveAircraft
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.recording import parameter_text, parameters
 
@@ -66,7 +65,7 @@ def prepare(
     """
     frame = airframe(name, speed)
     segment = Segment("multisine", start=2.0, amplitudes=frame.excitation, seed=seed)
-    flight = fly(AircraftFlight(name, (segment,), time, speed=speed, seed=seed))
+    flight = AircraftFlight((segment,), time, aircraft=name, speed=speed, seed=seed).fly()
     found = identify(measure(flight, SENSORS, seed))
     live = LiveAircraft(name, SENSORS, speed=speed)
     return Prepared(name, frame, live.trim, live.aircraft.limits, widened(found))
