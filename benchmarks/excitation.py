@@ -100,7 +100,7 @@ class Flight:
         self.aircraft: Live
         if name == AIRCRAFT:
             self.aircraft = LiveAircraft(name, SENSORS, delay, (), seed)
-            self.aircraft.faults.apply(Fault("turbulence", value=float(severity)))
+            self.aircraft.apply(Fault("turbulence", value=float(severity)))
             values |= {"airspeed.reference": AIRSPEED}
             guide = (0.5, 0.1)
         else:
@@ -197,7 +197,7 @@ def lose_a_motor(seed: int) -> dict[str, Any]:
             flight.run.start(settings, flight.identifier.flying(), flight.estimate)
         if healthy is None and flight.aircraft.time >= FAULT:
             healthy = flight.estimate
-            flight.aircraft.faults.apply(Fault("effect", "motor_front_left", LEFT))
+            flight.aircraft.apply(Fault("effect", "motor_front_left", LEFT))
         if relearned is None and flight.aircraft.time >= FAULT + RELEARNED:
             relearned = flight.estimate
         errors.append(flight.step()[5:])

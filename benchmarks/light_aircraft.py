@@ -16,7 +16,6 @@ import numpy as np
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.faults import Schedule
 from uav_ident_ros.simulation.flight import (
     CoefficientChange,
     Flight,
@@ -110,7 +109,7 @@ class _LiveLight(Live):
 
     def __init__(self, spec: LightFlight) -> None:
         super().__init__(Sensors(rate=spec.actuator_rate), spec.delay, spec.seed, spec.rate)
-        self.spec, self.faults = spec, Schedule((), lambda _: None)
+        self.spec = spec
         self.state: State = (0.0, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._acting = self._surface = np.zeros(len(INPUTS))
         self._wind = iter(_wind(spec, spec.samples))

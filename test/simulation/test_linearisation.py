@@ -60,7 +60,7 @@ def test_the_small_aeroplane_has_its_published_derivatives() -> None:
 def test_more_inertia_is_less_of_every_pitch_derivative() -> None:
     live = LiveAircraft("c172p", SENSORS)
     before = linearise(live.aircraft).derivatives
-    live.faults.apply(Fault("inertia", "pitch", 1.3))
+    live.apply(Fault("inertia", "pitch", 1.3))
     after = linearise(live.aircraft).derivatives
     for name in ("qdot/de", "qdot/q", "qdot/alpha"):
         assert after[name] / before[name] == pytest.approx(1.0 / 1.3, rel=0.02), name

@@ -38,15 +38,6 @@ which needs five."""
 UNBALANCES = ("udot-ft_sec2", "wdot-ft_sec2", "pdot-rad_sec2", "qdot-rad_sec2", "rdot-rad_sec2")
 """Accelerations that a trim removes."""
 
-TURBULENCE_TUSTIN = 4
-"""JSBSim's MIL-F-8785C turbulence, discretised by Tustin's rule."""
-
-MAX_TURBULENCE = 7
-"""Highest probability-of-exceedance index of JSBSim's turbulence."""
-
-WIND_AT_20_FEET = 25.0
-"""Low-altitude wind of the turbulence model, ft/s; it matters below 2000 ft only."""
-
 SURFACES = (
     "fcs/elevator-pos-rad",
     "fcs/rudder-pos-rad",
@@ -204,11 +195,6 @@ class Aircraft:
         # (4,) Elevator, rudder, aileron (rad) and throttle as last commanded
         self.surfaces = np.array([self.fdm[s] for s in SURFACES])
 
-    @property
-    def mass(self) -> float:
-        """Mass, slug."""
-        return float(self.fdm["inertia/mass-slugs"])
-
     def _trim(self) -> None:
         fdm = self.fdm
         fdm["ic/h-sl-ft"] = self.airframe.altitude / FOOT
@@ -283,7 +269,7 @@ class Aircraft:
     def to_si(self, record: FloatArray) -> FloatArray:
         """Signals in SI units; specific force in place of the forces."""
         record = record * self._scale
-        record[..., 6:9] *= FOOT / self.mass
+        record[..., 6:9] *= FOOT / self.fdm["inertia/mass-slugs"]
         return record
 
 
@@ -335,13 +321,3 @@ def settle(
             aircraft.set_surfaces(aircraft.clip(autopilot.surfaces(signals)))
         signals = aircraft.step()
     return autopilot, signals
-
-
-def start_turbulence(fdm: Any, severity: int, seed: int) -> None:
-    """Let the air become turbulent, 0 (calm) to `MAX_TURBULENCE`."""
-    if severity:
-        fdm["simulation/randomseed"] = seed
-        fdm["atmosphere/randomseed"] = seed
-        fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = WIND_AT_20_FEET
-        fdm["atmosphere/turbulence/milspec/severity"] = severity
-        fdm["atmosphere/turb-type"] = TURBULENCE_TUSTIN

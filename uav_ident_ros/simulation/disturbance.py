@@ -2,6 +2,7 @@
 """Gusts: coloured noise as angular acceleration."""
 
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -32,21 +33,11 @@ class ColouredNoise:
         decay = float(np.exp(-1.0 / (rate * self.correlation_time)))
         white = rng.standard_normal((count, channels))
         white[0] /= np.sqrt(1.0 - decay**2)  # starts in the stationary distribution
-        return np.asarray(self.rms * np.sqrt(1.0 - decay**2) * _first_order(white, decay))
+        paths = [
+            list(accumulate(column, lambda x, w: decay * x + w)) for column in white.T.tolist()
+        ]
+        return np.asarray(self.rms * np.sqrt(1.0 - decay**2) * np.column_stack(paths))
 
 
 CALM = ColouredNoise()
 """No disturbance."""
-
-
-def _first_order(white: FloatArray, decay: float) -> FloatArray:
-    """Recursion y[k] = decay y[k-1] + white[k] along axis 0."""
-    out = np.empty_like(white)
-    for column in range(white.shape[1]):
-        state = 0.0
-        path = []
-        for value in white[:, column].tolist():
-            state = decay * state + value
-            path.append(state)
-        out[:, column] = path
-    return out

@@ -15,14 +15,11 @@ With a time in front, ``90.0: aileron effect 0.5``, it happens then.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.aircraft import FOOT, MAX_TURBULENCE, Aircraft, start_turbulence
+from uav_ident_ros.simulation.aircraft import FOOT
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
 
@@ -38,6 +35,15 @@ GRAVITY_FT = 32.174049
 """Weight of a slug, lbf."""
 
 INCHES_PER_FOOT = 12.0
+
+TURBULENCE_TUSTIN = 4
+"""JSBSim's MIL-F-8785C turbulence, discretised by Tustin's rule."""
+
+MAX_TURBULENCE = 7
+"""Highest probability-of-exceedance index of JSBSim's turbulence."""
+
+WIND_AT_20_FEET = 25.0
+"""Low-altitude wind of the turbulence model, ft/s; it matters below 2000 ft only."""
 
 BALLAST_AXES = {"roll": ("Y", "inertia/ixx-slugs_ft2"), "pitch": ("X", "inertia/iyy-slugs_ft2")}
 """Where the ballast goes and the inertia that it raises."""
@@ -106,75 +112,6 @@ def _within(text: str, low: float, high: float) -> float:
     return value
 
 
-class Schedule:
-    """Faults that come at a time of their own."""
-
-    def __init__(
-        self,
-        scheduled: Sequence[Fault],  # What comes, in any order
-        apply: Callable[[Fault], None],  # Lets one happen now
-    ) -> None:
-        self.apply = apply
-        self._scheduled = sorted(scheduled, key=lambda fault: fault.time)
-
-    def due(self, time: float) -> list[Fault]:
-        """Apply what is scheduled until `time` (s) and return it."""
-        found = []
-        while self._scheduled and self._scheduled[0].time <= time:
-            found.append(self._scheduled.pop(0))
-            self.apply(found[-1])
-        return found
-
-
-class Faults:
-    """State of an aircraft's faults."""
-
-    def __init__(
-        self,
-        aircraft: Aircraft,  # Whose mass and weather they change
-        trim: FloatArray,  # (4,) Surfaces in trimmed flight: an effect is lost about them
-        seed: int,  # Seed of the turbulence
-    ) -> None:
-        self._aircraft, self._trim, self._seed = aircraft, trim, seed
-        self._effect = np.ones(4)
-        self._jammed = np.full(4, np.nan)
-
-    def apply(self, fault: Fault) -> None:
-        """Let it happen now.
-
-        Raises
-        ------
-        SimulationError
-            If this aircraft cannot have it.
-        """
-        if fault.what in QUADROTOR.names:
-            raise SimulationError(f"fault '{fault.what} effect': this aircraft has surfaces")
-        index = SURFACE_NAMES.index(fault.what) if fault.what in SURFACE_NAMES else 0
-        match fault.kind:
-            case "repaired":
-                self._effect[:] = 1.0
-                self._jammed[:] = np.nan
-            case "effect":
-                self._effect[index] = fault.value
-            case "jams":
-                now = self._aircraft.surfaces[index]
-                at = now if fault.value is None else self._trim[index] + fault.value
-                self._jammed[index] = at
-            case "turbulence":
-                start_turbulence(self._aircraft.fdm, round(fault.value or 0.0), self._seed)
-            case "engine":
-                self._aircraft.stop_engine()
-            case "cg":
-                move_centre(self._aircraft.fdm, fault.value or 0.0)
-            case "inertia":
-                add_ballast(self._aircraft.fdm, fault.what, fault.value or 1.0)
-
-    def surfaces(self, commanded: FloatArray) -> FloatArray:
-        """Return what the surfaces do when `commanded`, shape (4,)."""
-        moved = self._trim + self._effect * (commanded - self._trim)
-        return np.where(np.isnan(self._jammed), moved, self._jammed)
-
-
 def add_ballast(fdm: Any, axis: str, factor: float) -> None:
     """Multiply an inertia by `factor`, with equal masses on both sides of the centre of gravity.
 
@@ -189,10 +126,7 @@ def add_ballast(fdm: Any, axis: str, factor: float) -> None:
     direction, name = BALLAST_AXES[axis]
     wanted = factor * fdm[name]
     weight = (wanted - fdm[name]) / (2.0 * BALLAST_ARM**2) * GRAVITY_FT
-    pair = [_place(fdm, direction, side * BALLAST_ARM) for side in (1.0, -1.0)]
-    for index in pair:
-        fdm[f"inertia/pointmass-weight-lbs[{index}]"] = weight
-    fdm.run()  # the masses count from the next step on
+    _load(fdm, direction, (BALLAST_ARM, -BALLAST_ARM), weight)
     if abs(fdm[name] - wanted) > INERTIA_TOLERANCE * wanted:
         raise SimulationError(
             f"'{axis} inertia {factor:g}': JSBSim says {fdm[name]:.0f} slug ft^2 where "
@@ -206,28 +140,39 @@ def move_centre(fdm: Any, share: float) -> None:
     Raises
     ------
     SimulationError
-        If JSBSim's own centre of gravity is not where it should be.
+        If all ballasts are in use, or JSBSim's own centre of gravity is not where it should be.
     """
     before, wanted = fdm["inertia/cg-x-in"], share * fdm["metrics/cbarw-ft"]
     weight = CENTRE_BALLAST * fdm["inertia/weight-lbs"]
-    index = _place(fdm, "X", wanted * (1.0 + CENTRE_BALLAST) / CENTRE_BALLAST)
-    fdm[f"inertia/pointmass-weight-lbs[{index}]"] = weight
-    fdm.run()
+    _load(fdm, "X", (wanted * (1.0 + CENTRE_BALLAST) / CENTRE_BALLAST,), weight)
     moved = (fdm["inertia/cg-x-in"] - before) / INCHES_PER_FOOT
     if abs(moved - wanted) > INERTIA_TOLERANCE * abs(wanted):
         raise SimulationError(f"'cg aft {share:g}': JSBSim moved it by {moved:.3f} ft")
 
 
-def _place(fdm: Any, direction: str, offset: float) -> int:
-    """Put an empty point mass `offset` ft from the centre of gravity; return its index."""
-    manager, index = fdm.get_property_manager(), 0
-    while manager.hasNode(f"inertia/pointmass-weight-lbs[{index}]"):
-        places = [f"inertia/pointmass-location-{letter}-inches[{index}]" for letter in "XYZ"]
-        weight = fdm[f"inertia/pointmass-weight-lbs[{index}]"]
-        if weight == 0.0 and not any(fdm[place] for place in places):
-            for letter, place in zip("XYZ", places, strict=True):
-                there = offset * INCHES_PER_FOOT if letter == direction else 0.0
-                fdm[place] = fdm[f"inertia/cg-{letter.lower()}-in"] + there
-            return index
-        index += 1
-    raise SimulationError("a fault of the mass: all of the aircraft's ballasts are in use")
+def _load(fdm: Any, direction: str, offsets: Sequence[float], weight: float) -> None:
+    """Load empty point masses with `weight` (lbf) each, at offsets (ft) from the centre."""
+    manager, masses, free = fdm.get_property_manager(), 0, []
+    while manager.hasNode(f"inertia/pointmass-weight-lbs[{masses}]"):
+        places = [f"inertia/pointmass-location-{letter}-inches[{masses}]" for letter in "XYZ"]
+        if not any(fdm[name] for name in (f"inertia/pointmass-weight-lbs[{masses}]", *places)):
+            free.append((masses, places))
+        masses += 1
+    if len(free) < len(offsets):
+        raise SimulationError("a fault of the mass: all of the aircraft's ballasts are in use")
+    for offset, (index, places) in zip(offsets, free, strict=False):
+        for letter, place in zip("XYZ", places, strict=True):
+            there = offset * INCHES_PER_FOOT if letter == direction else 0.0
+            fdm[place] = fdm[f"inertia/cg-{letter.lower()}-in"] + there
+        fdm[f"inertia/pointmass-weight-lbs[{index}]"] = weight
+    fdm.run()  # the masses count from the next step on
+
+
+def start_turbulence(fdm: Any, severity: int, seed: int) -> None:
+    """Let the air become turbulent, 1 to `MAX_TURBULENCE`; 0 leaves it as it is."""
+    if severity:
+        fdm["simulation/randomseed"] = seed
+        fdm["atmosphere/randomseed"] = seed
+        fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = WIND_AT_20_FEET
+        fdm["atmosphere/turbulence/milspec/severity"] = severity
+        fdm["atmosphere/turb-type"] = TURBULENCE_TUSTIN

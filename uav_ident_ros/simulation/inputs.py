@@ -2,7 +2,7 @@
 """Excitation of a simulated flight, stretch by stretch: multisines, 3-2-1-1, doublets, quiet."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +10,9 @@ import numpy as np
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.identification.waveforms import WaveformError, multisines, pulses
 from uav_ident_ros.simulation.errors import SimulationError
+
+INPUT_KINDS = ("multisine", "3211", "doublet", "quiet")
+"""Kinds of excitation by name."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +34,9 @@ class Segment:
     seed: int = 0  # Seed of the multisine phases
 
     def __post_init__(self) -> None:
-        if self.kind not in _SHAPES:
+        if self.kind not in INPUT_KINDS:
             raise SimulationError(
-                f"input kind '{self.kind}' is unknown: use one of {', '.join(_SHAPES)}"
+                f"input kind '{self.kind}' is unknown: use one of {', '.join(INPUT_KINDS)}"
             )
         unknown = [name for name in self.amplitudes if name not in INPUTS]
         if unknown:
@@ -54,41 +57,26 @@ class Segment:
         active = [(INPUTS.index(name), a) for name, a in self.amplitudes.items() if a]
         if active and np.any(inside):
             active.sort()
-            shapes = _SHAPES[self.kind](self, t[inside] - self.start, len(active))
+            shapes = self._shapes(t[inside] - self.start, len(active))
             for (column, amplitude), shape in zip(active, shapes.T, strict=True):
                 u[inside, column] = amplitude * shape
         return u
 
-
-def _sample_multisine(segment: Segment, t: FloatArray, count: int) -> FloatArray:
-    try:
-        return multisines(t, count, segment.period, segment.band, segment.seed)
-    except WaveformError as error:
-        raise SimulationError(str(error)) from error
-
-
-def _sample_pulses(segment: Segment, t: FloatArray, count: int) -> FloatArray:
-    return pulses(t, count, segment.kind, segment.unit, segment.pause)
-
-
-_SHAPES: dict[str, Callable[[Segment, FloatArray, int], FloatArray]] = {
-    "multisine": _sample_multisine,
-    "3211": _sample_pulses,
-    "doublet": _sample_pulses,
-    "quiet": lambda _, t, count: np.zeros((len(t), count)),
-}
-
-INPUT_KINDS = tuple(_SHAPES)
-"""Kinds of excitation by name."""
+    def _shapes(self, t: FloatArray, count: int) -> FloatArray:
+        """Return the inputs' shapes over time (s) from the start, within -1 ... 1."""
+        if self.kind == "quiet":
+            return np.zeros((len(t), count))
+        if self.kind == "multisine":
+            try:
+                return multisines(t, count, self.period, self.band, self.seed)
+            except WaveformError as error:
+                raise SimulationError(str(error)) from error
+        return pulses(t, count, self.kind, self.unit, self.pause)
 
 
 def sample_inputs(segments: Sequence[Segment], t: FloatArray) -> FloatArray:
     """Sum of all segments at times t (s): inputs de, dr, da, dth, shape (len(t), 4)."""
-    t = np.asarray(t, dtype=np.float64)
-    u = np.zeros((len(t), len(INPUTS)))
-    for segment in segments:
-        u += segment.sample(t)
-    return u
+    return sum((segment.sample(t) for segment in segments), np.zeros((len(t), len(INPUTS))))
 
 
 def excited_intervals(

@@ -8,9 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, MAX_TURBULENCE, Aircraft, settle
+from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, settle
+from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault, Faults, Schedule
+from uav_ident_ros.simulation.faults import (
+    MAX_TURBULENCE,
+    SURFACE_NAMES,
+    Fault,
+    add_ballast,
+    move_centre,
+    start_turbulence,
+)
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight, effect_of
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Live, Plan
@@ -37,20 +45,43 @@ class LiveAircraft(Live):
     def __init__(
         self,
         name: str,  # As in `uav_ident_ros.simulation.airframe`
-        sensors: Sensors,  # sensors, delay, seed, rate: As in `Live`
+        sensors: Sensors,  # sensors, delay, faults, seed, rate: As in `Live`
         delay: float = 0.0,
-        faults: Sequence[Fault] = (),  # Those that come at a time of their own
+        faults: Sequence[Fault] = (),
         seed: int = 0,
         speed: float | None = None,  # True airspeed in place of the aircraft's own, m/s
         rate: float = SIMULATION_RATE,
     ) -> None:
-        super().__init__(sensors, delay, seed, rate)
+        super().__init__(sensors, delay, seed, rate, faults)
         self.aircraft = Aircraft(name, rate, speed)  # JSBSim's aircraft
         self.autopilot, self.signals = settle(self.aircraft, sensors.rate)
         self.trim = self.outputs = self._acting = self.aircraft.surfaces
         self._airspeed = self.signals[COLUMN["airspeed"]]
-        self._state_of_faults = Faults(self.aircraft, self.trim, seed)
-        self.faults = Schedule(faults, self._state_of_faults.apply)
+        self._seed, self._effect, self._jammed = seed, np.ones(4), np.full(4, np.nan)
+
+    def apply(self, fault: Fault) -> None:
+        """Let a fault happen now; see `Live.apply`."""
+        if fault.what in QUADROTOR.names:
+            raise SimulationError(f"fault '{fault.what} effect': this aircraft has surfaces")
+        index = SURFACE_NAMES.index(fault.what) if fault.what in SURFACE_NAMES else 0
+        match fault.kind:
+            case "repaired":
+                self._effect[:] = 1.0
+                self._jammed[:] = np.nan
+            case "effect":
+                self._effect[index] = fault.value
+            case "jams":
+                now = self.aircraft.surfaces[index]
+                at = now if fault.value is None else self.trim[index] + fault.value
+                self._jammed[index] = at
+            case "turbulence":
+                start_turbulence(self.aircraft.fdm, round(fault.value or 0.0), self._seed)
+            case "engine":
+                self.aircraft.stop_engine()
+            case "cg":
+                move_centre(self.aircraft.fdm, fault.value or 0.0)
+            case "inertia":
+                add_ballast(self.aircraft.fdm, fault.what, fault.value or 1.0)
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
         slow = (self._airspeed - self.signals[COLUMN["airspeed"]]) * FOOT
@@ -59,7 +90,8 @@ class LiveAircraft(Live):
 
     def _fly(self, acting: FloatArray, moved: bool) -> None:
         if moved:
-            self.aircraft.set_surfaces(self._state_of_faults.surfaces(acting))
+            moved_to = self.trim + self._effect * (acting - self.trim)
+            self.aircraft.set_surfaces(np.where(np.isnan(self._jammed), moved_to, self._jammed))
         self.signals = self.aircraft.step()
         if self.rows is not None:
             self.rows.append(self.signals)

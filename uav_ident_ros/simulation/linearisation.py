@@ -6,8 +6,7 @@ with the surfaces it has, and says what the accelerations are there. Engine spee
 stay; the throttle's derivatives are those at the speed that the engine has, not a second later.
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,8 +15,14 @@ import numpy as np
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.aircraft import COLUMN, Aircraft, settle
 
-STATES = ("p", "q", "r", "beta", "alpha")
-"""States of the linear model: rad/s and rad."""
+STATES = {
+    "p": "ic/p-rad_sec",
+    "q": "ic/q-rad_sec",
+    "r": "ic/r-rad_sec",
+    "beta": "ic/beta-rad",
+    "alpha": "ic/alpha-rad",
+}
+"""States of the linear model, rad/s and rad, and the properties that set them."""
 
 ROWS = ("pdot", "qdot", "rdot", "ay", "az", "betadot", "alphadot")
 """What is differentiated: rad/s^2, m/s^2 (specific force at the centre of gravity), rad/s."""
@@ -25,7 +30,7 @@ ROWS = ("pdot", "qdot", "rdot", "ay", "az", "betadot", "alphadot")
 STEP = 1e-3
 """Perturbation of a state (rad/s, rad) or an input (rad, throttle 0..1). JSBSim's tables are
 piecewise linear over a degree and more, its numbers are doubles: so it is neither too long nor
-too short, and the derivatives do not depend on it (a test holds them to that)."""
+too short."""
 
 SIMULATION_RATE = 200.0
 """Rate at which an aircraft settles at its cruise point, Hz: at 1 kHz it is the same one."""
@@ -33,13 +38,6 @@ SIMULATION_RATE = 200.0
 LEAST_DERIVATIVE = 0.01
 """Derivatives up to this size are left out of `cruise_derivatives`; in the units of `ROWS`."""
 
-_INITIAL = {
-    "p": "ic/p-rad_sec",
-    "q": "ic/q-rad_sec",
-    "r": "ic/r-rad_sec",
-    "beta": "ic/beta-rad",
-    "alpha": "ic/alpha-rad",
-}
 _KEPT = {
     "ic/h-sl-ft": "position/h-sl-ft",
     "ic/vt-fps": "velocities/vt-fps",
@@ -55,22 +53,15 @@ _KEPT = {
 """Properties that make an initial condition of a flight's state, in the order of writing."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Linearisation:
     """Derivatives of an aircraft about a flight condition."""
 
-    by_state: FloatArray  # (7, 5) Of `ROWS` by `STATES`, at a fixed attitude, airspeed and surfaces
-    # (7, 4) Of `ROWS` by de, dr, da, dth: whole control derivatives, at fixed states
-    by_input: FloatArray
+    # By name, ``pdot/da`` and so on: of `ROWS` by `STATES` at a fixed attitude, airspeed and
+    # surfaces, and by the inputs at fixed states
+    derivatives: dict[str, float]
     airspeed: float  # True, m/s
     alpha: float  # Angle of attack, rad
-
-    @property
-    def derivatives(self) -> dict[str, float]:
-        """All derivatives by name, ``pdot/da`` and so on."""
-        names = [f"{row}/{column}" for row in ROWS for column in (*STATES, *INPUTS)]
-        values = np.hstack([self.by_state, self.by_input]).ravel().tolist()
-        return dict(zip(names, values, strict=True))
 
 
 def linearise_cruise(
@@ -104,10 +95,7 @@ def cruise_derivatives(name: str, speed: float | None = None) -> dict[str, float
     }
 
 
-def linearise(
-    aircraft: Aircraft,  # The aircraft; of one in the loop, ``live.aircraft``
-    step: float = STEP,  # Perturbation to each side
-) -> Linearisation:
+def linearise(aircraft: Aircraft) -> Linearisation:
     """Differentiate an aircraft where it is, with the surfaces and the mass that it has.
 
     Best in steady, calm flight. Afterwards the aircraft is in the same state as before, at
@@ -117,32 +105,28 @@ def linearise(
     state = {name: float(fdm[now]) for name, now in _KEPT.items()}
     base = _signals(aircraft, state)
 
-    def slope(changes: Mapping[str, float], moved: FloatArray) -> FloatArray:
+    def slope(changed: str, moved: FloatArray) -> FloatArray:
         ends = []
-        for side in (1.0, -1.0):
-            aircraft.set_surfaces(surfaces + side * moved)
-            there = {name: state[name] + side * change for name, change in changes.items()}
-            ends.append(_outputs(aircraft, {**state, **there}))
-        return (ends[0] - ends[1]) / (2.0 * step)
+        for step in (STEP, -STEP):
+            aircraft.set_surfaces(surfaces + step * moved)
+            there = {changed: state[changed] + step} if changed else {}
+            signals = _signals(aircraft, state | there)
+            rows = [COLUMN[name] for name in ("pdot", "qdot", "rdot", "fy", "fz")]
+            flow = [fdm[f"aero/{angle}dot-rad_sec"] for angle in ("beta", "alpha")]
+            ends.append(np.append(signals[rows], flow))
+        return np.asarray((ends[0] - ends[1]) / (2.0 * STEP))
 
-    by_state = [slope({_INITIAL[name]: step}, np.zeros(4)) for name in STATES]
-    by_input = [slope({}, step * unit) for unit in np.eye(len(INPUTS))]
+    still = np.zeros(len(INPUTS))
+    columns = {name: slope(changed, still) for name, changed in STATES.items()}
+    columns |= {name: slope("", one) for name, one in zip(INPUTS, np.eye(len(INPUTS)), strict=True)}
     aircraft.set_surfaces(surfaces)
     _signals(aircraft, state)
-    return Linearisation(
-        np.column_stack(by_state),
-        np.column_stack(by_input),
-        float(base[COLUMN["airspeed"]]),
-        float(base[COLUMN["alpha"]]),
-    )
-
-
-def _outputs(aircraft: Aircraft, state: Mapping[str, float]) -> FloatArray:
-    """`ROWS` in a state, shape (7,)."""
-    signals = _signals(aircraft, state)
-    rows = [COLUMN[name] for name in ("pdot", "qdot", "rdot", "fy", "fz")]
-    flow = [aircraft.fdm[f"aero/{angle}dot-rad_sec"] for angle in ("beta", "alpha")]
-    return np.append(signals[rows], flow)
+    derivatives = {
+        f"{row}/{name}": float(column[k])
+        for k, row in enumerate(ROWS)
+        for name, column in columns.items()
+    }
+    return Linearisation(derivatives, float(base[COLUMN["airspeed"]]), float(base[COLUMN["alpha"]]))
 
 
 def _signals(aircraft: Aircraft, state: Mapping[str, float]) -> FloatArray:
@@ -151,17 +135,9 @@ def _signals(aircraft: Aircraft, state: Mapping[str, float]) -> FloatArray:
     for name, value in state.items():
         fdm[name] = value
     fdm.run_ic()
-    with _standing_still(fdm):
-        # once for the flow angles' rates, which JSBSim's moments may use, and once with them
-        aircraft.step()
-        return aircraft.to_si(np.array(aircraft.step()))
-
-
-@contextmanager
-def _standing_still(fdm: object) -> Iterator[None]:
-    """No time passes in JSBSim meanwhile."""
-    fdm.suspend_integration()  # type: ignore[attr-defined]
-    try:
-        yield
-    finally:
-        fdm.resume_integration()  # type: ignore[attr-defined]
+    fdm.suspend_integration()  # no time passes
+    # once for the flow angles' rates, which JSBSim's moments may use, and once with them
+    aircraft.step()
+    signals = aircraft.to_si(np.array(aircraft.step()))
+    fdm.resume_integration()
+    return signals

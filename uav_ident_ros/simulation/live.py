@@ -15,7 +15,7 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.faults import Fault, Schedule
+from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import (
     Flight,
     check_positive,
@@ -98,7 +98,6 @@ class Live:
     """
 
     names: tuple[str, ...]  # Names of the `outputs`
-    faults: Schedule  # What has gone wrong with it
     # (4,) Elevator, rudder, aileron (rad) and throttle of the steady flight that it starts in
     trim: FloatArray
     # What the actuators were told last, within their limits. Of `command` the throttle is its own:
@@ -112,14 +111,26 @@ class Live:
         delay: float,  # From a sample to the surface or motor that its command moves, s
         seed: int,  # Seed of the noise
         rate: float = SIMULATION_RATE,  # Of the simulation, Hz
+        faults: Sequence[Fault] = (),  # Those that come at a time of their own
     ) -> None:
         self._substeps = whole_steps(1.0 / sensors.rate, rate, f"rate {sensors.rate:g} Hz")
         self._delay = whole_steps(delay, rate, f"delay {delay:g} s")
         self._sensors, self.rate = sensors, rate
         self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(2)]
+        self._scheduled = sorted(faults, key=lambda fault: fault.time)
         self._step = 0
         self._underway: deque[tuple[int, FloatArray]] = deque()
         self.rows: list[Any] | None = None  # Of each step of a recorded flight
+
+    def apply(self, fault: Fault) -> None:
+        """Let a fault happen now.
+
+        Raises
+        ------
+        SimulationError
+            If this vehicle cannot have it.
+        """
+        raise NotImplementedError
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
         """Return the outputs for elevator, rudder, aileron, rad; None: the last ones hold."""
@@ -150,8 +161,11 @@ class Live:
         self._underway.append((self._step + self._delay, outputs))
 
     def _advance_step(self, moved: bool = False) -> list[Fault]:
-        faults = self.faults.due(self.time)
-        moved |= bool(faults)
+        faults = []
+        while self._scheduled and self._scheduled[0].time <= self.time:
+            faults.append(self._scheduled.pop(0))
+            self.apply(faults[-1])
+            moved = True
         while self._underway and self._underway[0][0] <= self._step:
             self._acting, moved = self._underway.popleft()[1], True
         self._fly(self._acting, moved)

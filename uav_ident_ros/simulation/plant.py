@@ -27,7 +27,6 @@ from uav_ident_ros.identification.structure import (
 )
 from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.faults import Schedule
 from uav_ident_ros.simulation.flight import (
     STEP_TOLERANCE,
     CoefficientChange,
@@ -230,7 +229,7 @@ class _LivePlant(Live):
     def __init__(self, plan: PlantFlight, substeps: int, gust: FloatArray) -> None:
         rate = plan.rate * substeps
         super().__init__(Sensors(rate=plan.actuator_rate), plan.delay, plan.seed, rate)
-        self.faults, self._plan = Schedule((), lambda _: None), plan
+        self._plan = plan
         self._rates = [float(rate) for rate in plan.initial_rates]
         self._angles = np.zeros(len(RATES))
         self._gains = (plan.autopilot or Autopilot()).matrices()

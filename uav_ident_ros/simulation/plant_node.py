@@ -178,7 +178,7 @@ class PlantNode(Node):
             fault = parse_fault(message.data)
             if math.isfinite(fault.time):
                 raise SimulationError(f"fault '{message.data}': on the topic it happens at once")
-            self._aircraft.faults.apply(fault)
+            self._aircraft.apply(fault)
         except SimulationError as error:
             self.get_logger().error(str(error))
         else:

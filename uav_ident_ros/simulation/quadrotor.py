@@ -63,10 +63,7 @@ class Body:
 
 
 class Quadrotor:
-    """The state of a quadrotor in flight, and how it goes on.
-
-    Beside it, `force`, the specific force, m/s^2, and `acceleration`, of the rates, rad/s^2.
-    """
+    """The state of a quadrotor in flight, and how it goes on."""
 
     def __init__(
         self,
@@ -79,7 +76,6 @@ class Quadrotor:
         self.down = 0.0  # Position below the start, m
         self.speeds = [body.hover] * 4  # Of the motors, 0 ... 1
         self.effect = [1.0] * 4  # What is left of each motor's thrust
-        self.look((0.0, 0.0, 0.0))
 
     @property
     def sinking(self) -> float:
@@ -90,11 +86,10 @@ class Quadrotor:
             + math.cos(pitch) * (math.sin(roll) * v + math.cos(roll) * w)
         )  # fmt: skip
 
-    def look(self, gust: Sequence[float]) -> None:
-        """Find `force` and `acceleration` as things are, in a gust (rad/s^2)."""
-        self.force, self.acceleration = self._loads(gust)
-
-    def _loads(self, gust: Sequence[float]) -> tuple[list[float], list[float]]:
+    def loads(
+        self,
+        gust: Sequence[float] = (0.0, 0.0, 0.0),  # Its angular acceleration, rad/s^2
+    ) -> tuple[list[float], list[float]]:
         """Specific force, m/s^2, and angular acceleration, rad/s^2, as things are."""
         body = self.body
         p, q, r = self.rates
@@ -131,11 +126,10 @@ class Quadrotor:
         self._move(state, first, 0.5 * h)
         self._move(state, self._slopes(gust), h)
         self.speeds = [a + (s - a) * decay**2 for s, a in zip(before, aims, strict=True)]
-        self.look(gust)
 
     def _slopes(self, gust: Sequence[float]) -> tuple[list[float], list[float], list[float], float]:
         """Time derivatives of rates, angles, velocity and position."""
-        force, acceleration = self._loads(gust)
+        force, acceleration = self.loads(gust)
         (p, q, r), (roll, pitch, _), (u, v, w) = self.rates, self.angles, self.velocity
         turn = q * math.sin(roll) + r * math.cos(roll)
         angles = [

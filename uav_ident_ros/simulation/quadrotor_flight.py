@@ -10,7 +10,7 @@ from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.faults import Fault, Schedule
+from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import Flight, check_positive
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
@@ -49,7 +49,7 @@ class LiveQuadrotor(Live):
         body: Body | None = None,
         gusts: FloatArray | None = None,  # (N, 3) Angular acceleration of each step, rad/s^2
     ) -> None:
-        super().__init__(sensors, delay, seed, rate)
+        super().__init__(sensors, delay, seed, rate, faults)
         self.craft, self.hold = Quadrotor(body or Body()), Hold()
         self._gusts = iter(() if gusts is None else gusts.tolist())
         self.trim = np.array([0.0, 0.0, 0.0, self.craft.body.hover])
@@ -57,9 +57,9 @@ class LiveQuadrotor(Live):
         self.outputs = self._acting = QUADROTOR.trim(self.trim)
         for fault in faults:
             _motor(fault)
-        self.faults = Schedule(faults, self._fail)
 
-    def _fail(self, fault: Fault) -> None:
+    def apply(self, fault: Fault) -> None:
+        """Let a fault happen now; see `Live.apply`."""
         if (motor := _motor(fault)) is None:
             self.craft.effect = [1.0] * len(QUADROTOR.names)
         else:
@@ -76,8 +76,7 @@ class LiveQuadrotor(Live):
     def _fly(self, acting: FloatArray, moved: bool) -> None:
         craft, gust = self.craft, next(self._gusts, STILL)
         if self.rows is not None:
-            craft.look(gust)
-            self.rows.append((craft.rates, craft.force, craft.acceleration, craft.angles))
+            self.rows.append((craft.rates, *craft.loads(gust), craft.angles))
         craft.step(acting.tolist(), 1.0 / self.rate, gust)
 
     def _tilt(self) -> Sequence[float]:
@@ -85,9 +84,9 @@ class LiveQuadrotor(Live):
 
     def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         craft = self.craft
-        craft.look(STILL)
+        force, _ = craft.loads()
         surfaces = QUADROTOR.inputs(np.array(craft.speeds), self.trim) + self.trim
-        return np.array(craft.rates), np.array(craft.force), np.array(craft.angles), surfaces
+        return np.array(craft.rates), np.array(force), np.array(craft.angles), surfaces
 
 
 def _motor(fault: Fault) -> int | None:
