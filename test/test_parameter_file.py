@@ -160,7 +160,7 @@ def test_files_without_parameters_and_what_is_no_text(tmp_path: Path) -> None:
     (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
     (tmp_path / "control").write_bytes(b"a: \x01\n")
     for name, words in (
-        ("missing.yaml", r"missing.yaml': does not exist"),
+        ("missing.yaml", r"missing.yaml': there is no such file"),
         ("", "directory"),
         ("binary", "UTF-8"),
         ("control", "special characters"),

@@ -13,7 +13,7 @@ from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.frames import rotation
-from uav_ident_ros.import_logs.knowledge import quaternions
+from uav_ident_ros.import_logs.stamps import quaternions
 from uav_ident_ros.simulation.channels import ELEVON, QUADROTOR
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared" / "logs" / "px4_quad_sample.ulg"

@@ -39,7 +39,7 @@ def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_pa
     [
         (("none",), "bag 'none' does not exist"),
         (("--speed", "9"), "0.1 to 5"),
-        ((str(ROOT / "bags" / "multisine"), "--params-file", "none.yaml"), "does not exist"),
+        ((str(ROOT / "bags" / "multisine"), "--params-file", "none.yaml"), "there is no such file"),
     ],
 )
 def test_wrong_input_is_refused_in_one_line(

@@ -57,7 +57,7 @@ def test_what_is_wrong_at_the_start_is_refused_in_one_line_with_the_fix(tmp_path
         path.write_text(text, encoding="utf-8")
         cases.append((["--ros-args", "--params-file", str(path)], said))
     cases += [
-        (["--ros-args", "--params-file", "none.yaml"], "'none.yaml': does not exist"),
+        (["--ros-args", "--params-file", "none.yaml"], "'none.yaml': there is no such file"),
         (["flight.yaml"], "--ros-args --params-file FILE"),
     ]
     dumped = tmp_path / "dumped.yaml"  # as `ros2 param dump` of a node in no namespace writes it

@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from uav_ident_ros.files.strict_yaml import EntryError, StrictLoader, mapping, yaml_problem
+from uav_ident_ros.files.strict_yaml import UNUSABLE, EntryError, StrictLoader, mapping, problem
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
 from uav_ident_ros.identification.structure import STRUCTURES
@@ -98,7 +98,7 @@ def save_coefficients(
             temporary.unlink(missing_ok=True)
         _sync_folder(target.parent)
     except OSError as error:
-        raise CoefficientsFileError(f"cannot write '{path}': {_reason(error)}") from None
+        raise CoefficientsFileError(f"cannot write '{path}': {problem(error)}") from None
 
 
 def _temporary_name(name: str, writer: int | str) -> str:
@@ -221,21 +221,11 @@ def initial_coefficients(settings: Settings) -> CoefficientSet | None:
 
 def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[CoefficientSet, Notes]:
     """Read a coefficients file with its notes; parameters and errors as `load_coefficients`."""
-    path = Path(path)
     try:
-        content = yaml.load(_text_of(path), StrictLoader)
+        content = yaml.load(_text_of(Path(path)), StrictLoader)
         return _coefficients(content, structure), _notes(content)
-    except OSError as error:
-        reason = _reason(error)
-    except UnicodeDecodeError:
-        reason = "it is not text in UTF-8"
-    except RecursionError:
-        reason = "it is nested too deeply"
-    except yaml.YAMLError as error:
-        reason = yaml_problem(error)
-    except EntryError as error:
-        reason = str(error)
-    raise CoefficientsFileError(f"coefficients file '{path}': {reason}")
+    except UNUSABLE as error:
+        raise CoefficientsFileError(f"coefficients file '{path}': {problem(error)}") from None
 
 
 def _text_of(path: Path) -> str:
@@ -248,12 +238,6 @@ def _text_of(path: Path) -> str:
     if status.st_size > LARGEST_FILE:
         raise EntryError(f"it has {status.st_size} bytes, more than any such file")
     return path.read_text(encoding="utf-8")
-
-
-def _reason(error: OSError) -> str:
-    if error.errno == errno.ENOENT:
-        return "there is no such file or folder"
-    return error.strerror or str(error)
 
 
 def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:

@@ -7,7 +7,6 @@ number and ``null`` for nothing. rcl (rcl_yaml_param_parser of ROS 2 Jazzy) does
 
 from __future__ import annotations
 
-import errno
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ from typing import Any
 
 import yaml
 
-from uav_ident_ros.files.strict_yaml import yaml_problem
+from uav_ident_ros.files.strict_yaml import UNUSABLE, problem
 
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str] | None
 
@@ -65,23 +64,15 @@ class ParameterFile:
         ParameterFileError
             If it cannot be read or rcl would refuse it.
         """
-        path = Path(path)
+        path, sections = Path(path), dict[str, dict[str, ParameterValue]]()
         try:
-            text = path.read_text(encoding="utf-8")
-        except OSError as error:
-            reason = "does not exist" if error.errno == errno.ENOENT else error.strerror
-            raise ParameterFileError(f"parameter file '{path}': {reason}") from None
-        except UnicodeDecodeError:
-            raise ParameterFileError(f"parameter file '{path}' is not text in UTF-8") from None
-        sections: dict[str, dict[str, ParameterValue]] = {}
-        try:
-            root = yaml.compose(text, _Loader)
+            root = yaml.compose(path.read_text(encoding="utf-8"), _Loader)
             for section, name, value in _sections(root, "", "the file") if root else ():
                 values = sections.setdefault(section, {})
                 if name:
                     values[name] = value
-        except yaml.YAMLError as error:
-            raise ParameterFileError(f"parameter file '{path}', {yaml_problem(error)}") from None
+        except UNUSABLE as error:
+            raise ParameterFileError(f"parameter file '{path}': {problem(error)}") from None
         return cls(path, sections)
 
     def values_for(

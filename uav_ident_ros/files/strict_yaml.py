@@ -2,6 +2,7 @@
 """YAML as it stands in a file, checked entry by entry: scalars are their text, no key is twice."""
 
 import difflib
+import errno
 import math
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -32,11 +33,22 @@ class StrictLoader(yaml.BaseLoader):
         return dict(super().construct_mapping(node, deep))
 
 
-def yaml_problem(error: yaml.YAMLError) -> str:
-    """Say in a line what is wrong with a text, and in which line of it."""
+UNUSABLE = (OSError, UnicodeDecodeError, RecursionError, yaml.YAMLError, EntryError)
+"""What reading and checking a file of text may raise."""
+
+
+def problem(error: BaseException) -> str:
+    """Say in a line why a file cannot be used, by one of `UNUSABLE`, and in which line of it."""
     if isinstance(error, yaml.MarkedYAMLError):
         mark = error.problem_mark or error.context_mark
         return f"line {mark.line + 1 if mark else 1}: {error.problem or error.context}"
+    if isinstance(error, OSError):
+        missing = error.errno == errno.ENOENT
+        return "there is no such file or folder" if missing else error.strerror or str(error)
+    if isinstance(error, UnicodeDecodeError):
+        return "it is not text in UTF-8"
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
     return str(error).splitlines()[0]
 
 

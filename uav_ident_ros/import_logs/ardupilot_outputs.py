@@ -9,16 +9,19 @@ import re
 
 import numpy as np
 
-from uav_ident_ros.import_logs.autopilot import Actuators, ActuatorsReader, Import
-from uav_ident_ros.import_logs.flight_log import (
-    NO_EFFECT,
-    Channel,
-    Effect,
-    unique_names,
+from uav_ident_ros.import_logs.autopilot import Actuators, ActuatorsReader, Import, table
+from uav_ident_ros.import_logs.channels import (
+    PWM_MAX,
+    PWM_MIN,
+    PWM_TRIM,
+    demands,
+    effect_of,
+    effects_of_arms,
+    named_once,
+    over_range,
 )
-from uav_ident_ros.import_logs.knowledge import between, effect_of, effects_of_arms, table
+from uav_ident_ros.import_logs.flight_log import NO_EFFECT, Channel, Effect, Stream
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.stamps import join
 
 KNOWN = table("ardupilot")
 SURFACES, THROTTLES, MOTORS = KNOWN["surfaces"], KNOWN["throttles"], KNOWN["motors"]
@@ -27,12 +30,6 @@ FRAMES = {
     for name, frame in KNOWN["frames"].items()
 }
 """Name and arms by FRAME_CLASS and FRAME_TYPE."""
-
-PWM_MIN, PWM_TRIM, PWM_MAX = 1000.0, 1500.0, 2000.0
-"""Pulse widths of least, rest and full where no parameter says, us."""
-
-NORMALISED = 10.0
-"""Demands beyond this are in the units before Copter 3.4, thousands: none is above one since."""
 
 OFF_CENTRE = 0.02
 """A trim further from the middle than this part of the range is worth a word."""
@@ -54,20 +51,13 @@ def read_outputs(it: Import) -> Actuators:
     usable = dict(found)
     if it.choice.actuators_topic is None and "RCOU" in found and not _explained(it.log):
         del usable["RCOU"]
-        it.log.findings.lost += [f"RCOU is passed over: {UNNAMED}"] if usable else []
+        it.findings.lost += [f"RCOU is passed over: {UNNAMED}"] if usable else []
     name = it.choose(usable or found)
-    source, t_ns, values, channels = READERS[name](it, found[name])
-    it.log.findings.say(f"actuators: {source}, stamped when logged")
+    commands, channels = READERS[name](it, found[name])
+    it.findings.say(f"actuators: {commands.source}, stamped when logged")
     if not any(any(channel.effect) for channel in channels):
         raise it.log.refusal(f": {UNNAMED}")
-    return source, t_ns, values, channels
-
-
-def pin_fields(messages: Messages, first: int = 1) -> dict[int, str]:
-    """Return the fields of the pins by number: ``C1`` ..., in old logs ``Ch1`` ..."""
-    fields = [name for name in messages.columns if re.fullmatch(r"C(h|han)?\d+", name)]
-    numbered = {int(re.sub(r"\D", "", name)): name for name in fields}
-    return {number: name for number, name in sorted(numbered.items()) if number >= first}
+    return commands, channels
 
 
 def _explained(log: Log) -> bool:
@@ -83,81 +73,65 @@ def _frame(log: Log) -> tuple[int, int]:
     return int(log.parameter("FRAME_CLASS")), int(log.parameter("FRAME_TYPE", -1))
 
 
-# --- pins ---------------------------------------------------------------------------------------
+def _pin_fields(messages: Messages, first: int = 1) -> dict[int, str]:
+    """Return the fields of the pins by number: ``C1`` ..., in old logs ``Ch1`` ..."""
+    fields = [name for name in messages.columns if re.fullmatch(r"C(h|han)?\d+", name)]
+    numbered = {int(re.sub(r"\D", "", name)): name for name in fields}
+    return {number: name for number, name in sorted(numbered.items()) if number >= first}
 
 
 def _pins(it: Import, first: Messages) -> Actuators:
     """Pulse widths and the functions of the servo outputs."""
-    log, fields = it.log, pin_fields(first)
-    t_ns, values = first.stamp_ns, first.values(*fields.values())
-    pins, sources = list(fields), [first.name]
+    log, fields = it.log, _pin_fields(first)
+    widths, pins = Stream(first.name, first.stamp_ns, first.values(*fields.values())), [*fields]
     for name in PINS[1:]:
         if (more := log.messages(name)) is not None:
-            added = pin_fields(more, len(pins) + 1)
-            t_ns, values = join((t_ns, values), (more.stamp_ns, more.values(*added.values())))
+            added = _pin_fields(more, len(pins) + 1)
+            widths = widths.joined(Stream(name, more.stamp_ns, more.values(*added.values())))
             pins += added
-            sources.append(name)
-    functions = {pin: int(log.parameter(f"SERVO{pin}_FUNCTION")) for pin in pins}
-    used = [i for i, pin in enumerate(pins) if functions[pin] or np.any(values[:, i] > 0)]
-    channels = _channels(log, {pins[i]: functions[pins[i]] for i in used})
-    return " and ".join(sources), t_ns, values[:, used], channels
-
-
-def _channels(log: Log, functions: dict[int, int]) -> tuple[Channel, ...]:
-    every = list(functions.values())
+    functions = [int(log.parameter(f"SERVO{pin}_FUNCTION")) for pin in pins]
+    used = [i for i, f in enumerate(functions) if f or np.any(widths.values[:, i] > 0)]
+    every = [functions[i] for i in used]
     rotors = _rotors(log, every)
-    throttles = sum(function in THROTTLES for function in every)
-    names = unique_names([_name(pin, function) for pin, function in functions.items()])
-    channels = []
-    for name, (pin, function) in zip(names, functions.items(), strict=True):
-        if function in SURFACES:
-            share = 1.0 / every.count(function)  # two servos of one function: their mean
-            effect = effect_of(SURFACES[function], share)
-            channels.append(_pulse(log, pin, name, effect, surface=True))
-        elif function in THROTTLES:
-            channels.append(_pulse(log, pin, name, (0.0, 0.0, 0.0, 1.0 / throttles)))
-        elif function in MOTORS:
-            effect = rotors.get(MOTORS[function], NO_EFFECT)
-            channels.append(_pulse(log, pin, name, effect, motor=True))
-        else:
-            channels.append(Channel(name, NO_EFFECT, f"SERVO{pin}_FUNCTION {function}", unit="us"))
+    channels = [_channel(log, pins[i], functions[i], every, rotors) for i in used]
     log.findings.say(
         "functions, ranges, directions from SERVOn_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
     )
-    return tuple(channels)
+    return Stream(widths.source, widths.t_ns, widths.values[:, used]), named_once(channels)
 
 
-def _name(pin: int, function: int) -> str:
-    if function in SURFACES:
-        return str(SURFACES[function]["name"])
-    if function in MOTORS:
-        return f"motor_{MOTORS[function]}"
-    return str(THROTTLES.get(function, f"output_{pin}"))
-
-
-def _pulse(
-    log: Log, pin: int, name: str, effect: Effect, *, surface: bool = False, motor: bool = False
+def _channel(
+    log: Log, pin: int, function: int, every: list[int], rotors: dict[int, Effect]
 ) -> Channel:
-    """Return a pin that runs from nothing to full, or deflects to both sides of its trim."""
-    prefix = f"SERVO{pin}_"
+    """Return what a pin is, by its function and those of every pin."""
+    prefix, trim = f"SERVO{pin}_", None
     low, high = log.parameter(f"{prefix}MIN", PWM_MIN), log.parameter(f"{prefix}MAX", PWM_MAX)
-    if motor and log.parameter("MOT_PWM_MAX") > 0.0:
-        low, high = log.parameter("MOT_PWM_MIN", low), log.parameter("MOT_PWM_MAX")
-    sign = -1.0 if log.parameter(f"{prefix}REVERSED") else 1.0
-    trim = log.parameter(f"{prefix}TRIM", PWM_TRIM) if surface else None
+    name, effect = f"output_{pin}", NO_EFFECT
+    if function in SURFACES:
+        # Two servos of one function: their mean.
+        effect = effect_of(SURFACES[function], 1.0 / every.count(function))
+        name, trim = SURFACES[function]["name"], log.parameter(f"{prefix}TRIM", PWM_TRIM)
+    elif function in THROTTLES:
+        name = THROTTLES[function]
+        effect = effect_of({"thrust": 1.0 / sum(other in THROTTLES for other in every)})
+    elif function in MOTORS:
+        name, effect = f"motor_{MOTORS[function]}", rotors.get(MOTORS[function], NO_EFFECT)
+        if log.parameter("MOT_PWM_MAX") > 0.0:
+            low, high = log.parameter("MOT_PWM_MIN", low), log.parameter("MOT_PWM_MAX")
+    channel = Channel(name, effect, f"{prefix}FUNCTION {function}", unit="us")
+    if function not in {*SURFACES, *THROTTLES, *MOTORS}:
+        return channel
     if trim is not None and abs(trim - (low + high) / 2.0) > OFF_CENTRE * (high - low):
         log.findings.assume(
             f"{name}: one unit is half of {low:g} to {high:g} us to either side, although its "
             f"trim, {trim:g} us, is off the middle"
         )
-    span = f"{low:g} to {high:g}" if trim is None else f"{low:g} {trim:g} {high:g}"
-    turned = ", reversed" if sign < 0 else ""
-    meaning = f"{prefix}FUNCTION {log.parameter(f'{prefix}FUNCTION'):g}, {span} us{turned}"
-    return Channel(name, effect, meaning, *between(low, high, sign, trim), "us")
+    turned = log.parameter(f"{prefix}REVERSED") != 0.0
+    return over_range(channel, low, high, centre=trim, turned=turned)
 
 
 def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
-    """Effect of each motor by its number, from the frame."""
+    """Effects of each motor by its number, from the frame."""
     if not any(function in MOTORS for function in functions):
         return {}
     if any(function in SURFACES for function in functions):
@@ -183,32 +157,81 @@ def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
     return dict(enumerate(effects_of_arms(arms), 1))
 
 
-# --- before the mixer -----------------------------------------------------------------------------
-
-
-def is_old_rate(messages: Messages) -> bool:
-    """Whether messages RATE are in the units of before Copter 3.4: its controls are no shares."""
-    fields = [field for field in KNOWN["controls"]["RATE"]["fields"] if field in messages]
-    asked = [messages.columns[field] for field in fields]
-    return any(np.abs(v[np.isfinite(v)]).max(initial=0.0) > NORMALISED for v in asked)
-
-
-def _demands(it: Import, messages: Messages) -> Actuators:
-    """Read the controls before the mixer of a Plane (AETR) or a Copter (RATE)."""
-    old = messages.name == "RATE" and is_old_rate(messages)
-    known = KNOWN["controls"][f"old {messages.name}" if old else messages.name]
-    fields = known["fields"]
-    it.log.findings.assume(known["assumed"])
-    if missing := [field for field in fields if field not in messages]:
-        raise it.log.refusal(
-            f": {messages.name} has no {', '.join(missing)}; it has {', '.join(messages.columns)}"
-        )
-    channels = tuple(
-        Channel(entry["name"], effect_of(entry), f"{messages.name}.{field}", 1.0 / entry["unit"])
-        for field, entry in fields.items()
-    )
-    return messages.name, messages.stamp_ns, messages.values(*fields), channels
-
-
-READERS: dict[str, ActuatorsReader] = {"RCOU": _pins, "RATE": _demands, "AETR": _demands}
+READERS: dict[str, ActuatorsReader] = {"RCOU": _pins, "RATE": demands, "AETR": demands}
 """Readers by message type, nearest to the actuators first."""
+
+
+# --- before SERVOn_FUNCTION ---------------------------------------------------------------------
+
+
+def name_as_today(log: Log, firmware: str) -> None:
+    """Add parameters to an old log, under today's names, as far as they follow from its own.
+
+    Before Copter 3.5 and Plane 3.8 no parameter said what pins 1 to 4 of a plane or the motors'
+    pins of a copter move: the firmware knew, from ``FRAME`` and the sticks' channels (``RCMAP_*``).
+    Ranges and directions were those of the radio's channels, ``RCn_MIN, TRIM, MAX, REV``.
+    """
+    parameters = log.parameters
+    if any(name.startswith("SERVO") and name.endswith("_FUNCTION") for name in parameters):
+        return
+    if "FRAME" in parameters and firmware in ("Copter", ""):
+        _old_copter(log)
+    elif firmware == "Plane" or (not firmware and "LIM_ROLL_CD" in parameters):
+        _old_plane(log)
+
+
+def _name_pin(log: Log, pin: int, function: int, stick: int) -> None:
+    """Give a pin its function, and the range and direction of a channel of the radio."""
+    today = {f"SERVO{pin}_FUNCTION": float(function)}
+    for end in ("MIN", "TRIM", "MAX"):
+        if (reach := log.parameters.get(f"RC{stick}_{end}")) is not None:
+            today[f"SERVO{pin}_{end}"] = reach
+    log.parameters.update(today | log.parameters)
+
+
+def _old_copter(log: Log) -> None:
+    """Motors on the first pins, in the order of the frame, and in the range of the throttle."""
+    said = [match[1] for text in log.texts if (match := re.fullmatch(r"Frame: (\w+)", text))]
+    if said:
+        frame_class = KNOWN["old_frames"].get(said[0])
+    else:
+        pulses = log.messages("RCOU")
+        fields = _pin_fields(pulses).values() if pulses else ()
+        moving = [bool(np.ptp(pulses.columns[field])) for field in fields] if pulses else []
+        used = [*moving, False].index(False)
+        frame_class = KNOWN["old_motor_counts"].get(used)
+        log.findings.assume(f"{used} pins carry pulses: they are its motors")
+    log.parameters.setdefault("FRAME_CLASS", float(frame_class or 0))
+    log.parameters.setdefault("FRAME_TYPE", log.parameters["FRAME"])
+    _, arms = FRAMES.get(_frame(log), ("", []))
+    functions = {number: function for function, number in MOTORS.items()}
+    for number in range(1, len(arms) + 1):
+        _name_pin(log, number, functions[number], KNOWN["throttle_stick"])
+    if arms:
+        log.findings.assume(
+            "a log without SERVOn_FUNCTION: the motors are on the pins of their numbers, their "
+            f"range is the throttle's (RC{KNOWN['throttle_stick']}_MIN, MAX)"
+        )
+
+
+def _old_plane(log: Log) -> None:
+    """Surfaces on the pins of the sticks' channels, and what RCn_FUNCTION says of the others."""
+    parameters = log.parameters
+    if paired := [name for name in KNOWN["old_pairs"] if parameters.get(name)]:
+        log.findings.doubt(
+            f"{paired[0]} is {parameters[paired[0]]:g}: how such pairs turn is not known here"
+        )
+        return
+    sticks = enumerate(KNOWN["old_plane"].items(), 1)
+    pins = {int(parameters.get(stick, i)): function for i, (stick, function) in sticks}
+    for name, value in parameters.items():
+        if found := re.fullmatch(r"RC(\d+)_FUNCTION", name):
+            pins.setdefault(int(found[1]), int(value))
+    for pin, function in pins.items():
+        _name_pin(log, pin, function, pin)
+        turned = float(log.parameter(f"RC{pin}_REV", 1.0) < 0)
+        parameters.setdefault(f"SERVO{pin}_REVERSED", turned)
+    log.findings.assume(
+        "a log without SERVOn_FUNCTION: aileron, elevator, throttle, rudder are on the pins of "
+        "their sticks (RCMAP_*), ranges and directions are those of RCn_MIN, TRIM, MAX, REV"
+    )

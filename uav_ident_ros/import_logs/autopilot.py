@@ -7,20 +7,15 @@ Where each stream stands is in the autopilot's table (`px4.yaml`, `ardupilot.yam
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from typing import Any
 
 import numpy as np
+import yaml
 
-from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import BoolArray, FloatArray
-from uav_ident_ros.import_logs.flight_log import (
-    Channel,
-    Choice,
-    FlightLog,
-    Stream,
-    gyro_and_force,
-)
-from uav_ident_ros.import_logs.knowledge import describe_rotation, quaternions
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.flight_log import Channel, Choice, Findings, FlightLog, Stream
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.stamps import (
     Stretches,
@@ -29,6 +24,7 @@ from uav_ident_ros.import_logs.stamps import (
     inside,
     interpolate,
     intervals,
+    quaternions,
 )
 
 ENOUGH_RATE = 20.0
@@ -42,13 +38,20 @@ switched on for a part of the flight tells of that part alone."""
 EULER_ANGLES = 3
 """Columns of an attitude that is given as roll, pitch, yaw, deg, in place of a quaternion."""
 
-Actuators = tuple[str, TimeArray, FloatArray, tuple[Channel, ...]]
-"""Source, stamps (ns), raw values (m, C) and the C channels of the commands."""
+RatesReader = Callable[["Import", Messages], Stream]
+"""Reads the rates and the specific force from messages."""
 
-RatesReader = Callable[["Import", Messages], tuple[TimeArray, FloatArray, FloatArray | None]]
-"""Reads stamps (ns), angular velocity (n, 3) and specific force (n, 3) from messages."""
+Actuators = tuple[Stream, list[Channel]]
+"""Raw values of the commands, and what each column is."""
 
 ActuatorsReader = Callable[["Import", Messages], Actuators]
+
+
+@cache
+def table(name: str) -> dict[Any, Any]:
+    """Return the table of this name, a YAML file of this folder."""
+    file = resources.files(__package__).joinpath(f"{name}.yaml")
+    return dict(yaml.safe_load(file.read_text(encoding="utf-8")))
 
 
 @dataclass
@@ -60,6 +63,11 @@ class Import:
     choice: Choice  # What to take in place of the best
     armed: Stretches | None = None  # Stretches in which it was armed; None if the log does not say
     flown: Stretches | None = None  # Stretches in the air, or armed; None if it does not say
+
+    @property
+    def findings(self) -> Findings:
+        """What there is to say about the log."""
+        return self.log.findings
 
     def refuse_others(self, key: str, found: Any, source: str) -> None:
         """Refuse a vehicle that is no aircraft: if what was `found` is in the table under `key`.
@@ -73,6 +81,8 @@ class Import:
             raise self.log.refusal(
                 f" is of {vehicle} ({source} {found}): the model is that of an aircraft's attitude"
             )
+
+    # --- which messages ---------------------------------------------------------------------------
 
     def find(
         self,
@@ -110,35 +120,31 @@ class Import:
         If none are, the fastest that cover it. What there is to choose from is said, and why
         what stands nearer to the sensor or the actuators is passed over.
         """
-        findings, names = self.log.findings, list(usable)
-        stamps = [messages.stamp_ns for messages in usable.values()]
+        names = list(usable)
+        stamps = {name: messages.stamp_ns for name, messages in usable.items()}
         rates = {name: messages.rate for name, messages in usable.items()}
-        whole_log = (min(int(t.min()) for t in stamps), max(int(t.max()) for t in stamps))
-        shares = {
-            name: coverage(t_ns, self.flown or [whole_log])
-            for name, t_ns in zip(names, stamps, strict=True)
-        }
+        every = np.concatenate([*stamps.values()])
+        flown = self.flown or [(int(every.min()), int(every.max()))]
+        shares = {name: coverage(t_ns, flown) for name, t_ns in stamps.items()}
         fast = [name for name in names if rates[name] >= ENOUGH_RATE]
-        most = max(shares[name] for name in fast or names)
-        whole = [name for name in fast or names if shares[name] >= ENOUGH_COVERAGE * most]
+        enough = ENOUGH_COVERAGE * max(shares[name] for name in fast or names)
+        whole = [name for name in fast or names if shares[name] >= enough]
         chosen = whole[0] if fast else max(whole, key=lambda name: rates[name])
         if len(names) > 1:
             listed = [f"{n} at {rates[n]:.4g} Hz over {100.0 * shares[n]:.0f} %" for n in names]
-            findings.say(f"{chosen} is taken; of the flight there is {', '.join(listed)}")
+            self.findings.say(f"{chosen} is taken; of the flight there is {', '.join(listed)}")
         before_mixer = self.table["before_mixer"]
         for name in names[: names.index(chosen)]:
-            slow = rates[name] < ENOUGH_RATE and shares[name] >= ENOUGH_COVERAGE * most
-            reason = (
-                f"is logged at {rates[name]:.3g} Hz only{self._to_log_faster(name)}"
-                if slow
-                else f"covers {100.0 * shares[name]:.0f} % of the flight only"
-            )
+            reason = f"covers {100.0 * shares[name]:.0f} % of the flight only"
+            if rates[name] < ENOUGH_RATE and shares[name] >= enough:
+                reason = f"is logged at {rates[name]:.3g} Hz only{self._to_log_faster(name)}"
             loss = ", from before the mixer, and knows nothing of saturation"
             tail = loss if chosen in before_mixer and name not in before_mixer else ""
-            findings.doubt(f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}")
-        self.say_of(chosen, usable[chosen].name)
+            self.findings.doubt(f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}")
+        self._say_of(chosen, usable[chosen].name)
+        self._say_what_it_lacks(chosen)
         if rates[chosen] < ENOUGH_RATE:
-            findings.doubt(
+            self.findings.doubt(
                 f"{chosen} has {rates[chosen]:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed"
                 f"{self._to_log_faster(chosen)}"
             )
@@ -157,88 +163,57 @@ class Import:
             return f" ({parameter} {value}, although it has '{option['name']}')"
         return f" ({parameter} {value}: make it {value | 1 << option['bit']}, '{option['name']}')"
 
-    def first(self, name: str) -> tuple[Messages, FloatArray] | None:
-        """Return the first messages that the table has for a stream, and their values (k, C)."""
-        for kind, fields in self.table["streams"][name].items():
-            messages = self.log.messages(kind)
-            if messages is not None and messages.has(*fields):
-                values = messages.values(*fields)
-                if np.isfinite(values).any():
-                    self.say_of(kind, messages.name)
-                    return messages, values
-        return None
+    def _say_of(self, kind: str, name: str) -> None:
+        """Say what the table has to say of messages that are taken."""
+        if read := self.table["said"].get(kind, {}).get("read"):
+            self.findings.say(read.format(name=name))
 
-    def say_flight(self, armed: Stretches | None, where: str) -> None:
-        """Take the stretches in which it was armed; they are the flight if nothing says more."""
+    def _say_what_it_lacks(self, kind: str) -> None:
+        said = self.table["said"].get(kind, {})
+        if "assumed" in said:
+            self.findings.assume(said["assumed"])
+        if "low_pass" in said:
+            cutoff = self.log.parameter(said["low_pass"])
+            at = f" at {cutoff:g} Hz ({said['low_pass']})" if cutoff else ""
+            self.findings.doubt(
+                f"{kind} is low-passed{at} by the autopilot: it comes late, which counts as a "
+                f"further delay of the inputs{said['more']}"
+            )
+
+    # --- flight, rates, commands ------------------------------------------------------------------
+
+    def take_flight(
+        self,
+        name: str,  # name, field, flying: messages that say when it was in the air, and how
+        field: str,
+        flying: Callable[[Any], Any],
+        armed: Stretches | None,  # Stretches in which it was armed; None if the log does not say
+        where: str,  # What says so
+    ) -> None:
+        """Take the stretches in the air; if nothing says more, those in which it was armed."""
         self.armed = armed
+        messages = self.log.messages(name)
+        if messages is not None and messages.has(field):
+            active = flying(messages.columns[field])
+            stretches = intervals(messages.stamp_ns, active, self.log.end_ns, self.log.start_ns)
+            self.flown = self._said("in the air", f"{name}.{field}", stretches)
         if armed is not None and (self.flown is None or not armed):
             self.flown = self._said("armed", where, armed)
         elif self.flown is None:
-            self.log.findings.assume(
-                "the log does not say when it flew: all of it counts as flight"
-            )
+            self.findings.assume("the log does not say when it flew: all of it counts as flight")
 
     def _said(self, state: str, source: str, stretches: Stretches) -> Stretches:
         """Say for how long the vehicle was in a state, armed and so on, and who says so."""
         if stretches:
             seconds = sum(end - start for start, end in stretches) * 1e-9
-            self.log.findings.say(
+            self.findings.say(
                 f"{state} for {seconds:.1f} s in {len(stretches)} stretch(es) ({source})"
             )
         else:
-            self.log.findings.doubt(
+            self.findings.doubt(
                 f"the vehicle was never {state} ({source}): no model can come of this log"
             )
         return stretches
-
-    def in_the_air(
-        self, messages: Messages | None, field: str, flying: Callable[[Any], Any]
-    ) -> None:
-        """Take the stretches in the air from messages that say it, if there are any."""
-        if messages is not None and field in messages:
-            active: BoolArray = flying(messages.columns[field])
-            stretches = intervals(messages.stamp_ns, active, self.log.end_ns, self.log.start_ns)
-            self.flown = self._said("in the air", f"{messages.name}.{field}", stretches)
-
-    def force_at(
-        self, rates: Messages, names: Mapping[str, Collection[str]], instance: int = 0
-    ) -> FloatArray | None:
-        """Specific force at the stamps of the rates, from other messages that are fast enough."""
-        for name, fields in names.items():
-            messages = self.log.messages(name, instance)
-            if messages is not None and messages.has(*fields) and messages.rate >= ENOUGH_RATE:
-                self.log.findings.say(
-                    f"specific force: {messages.name}, interpolated to the stamps of the rates"
-                )
-                return interpolate(rates.sample_ns, messages.sample_ns, messages.values(*fields))
-        self.log.findings.doubt("there is no accelerometer at a useful rate: ay and az are zero")
-        return None
-
-    def say_of(self, kind: str, name: str) -> None:
-        """Say what the table has to say of messages that are taken."""
-        said, findings = self.table["said"].get(kind, {}), self.log.findings
-        if "read" in said:
-            findings.say(said["read"].format(name=name))
-        if "assumed" in said:
-            findings.assume(said["assumed"])
-        if "low_pass" in said:
-            cutoff = self.log.parameter(said["low_pass"])
-            at = f" at {cutoff:g} Hz ({said['low_pass']})" if cutoff else ""
-            findings.doubt(
-                f"{kind} is low-passed{at} by the autopilot: it comes late, which counts as a "
-                f"further delay of the inputs{said['more']}"
-            )
-
-    def say_orientation(self, parameter: str, consequence: str, more: str = "") -> None:
-        """Say how the board stands in the body, and who has turned the rates by it."""
-        if parameter not in self.log.parameters:
-            self.log.findings.assume(f"the log has no {parameter}: rotation none ({consequence})")
-            return
-        number = int(self.log.parameter(parameter))
-        self.log.findings.say(
-            f"board orientation: {parameter} {number}, {describe_rotation(number)}{more}; "
-            f"{consequence}"
-        )
 
     def read_rates(
         self,
@@ -249,34 +224,57 @@ class Import:
         """Read the rates asked for, or the first that are fast enough, or the fastest."""
         usable = self.find("rates", readers, find)
         name = self.choose(usable)
-        t_ns, rates, force = readers[name](self, usable[name])
+        rates = readers[name](self, usable[name])
         instances = self.log.instances(sensor or name)
         if len(instances) > 1:
-            self.log.findings.say(f"instances {instances} of {sensor or name} (--rates-instance)")
-        return Stream(usable[name].name, t_ns, gyro_and_force(rates, force))
+            self.findings.say(f"instances {instances} of {sensor or name} (--rates-instance)")
+        return rates
 
-    def flight_log(
-        self, title: str, rates: Stream, actuators: Actuators, *, hovers: bool
-    ) -> FlightLog:
+    def say_orientation(self, parameter: str, consequence: str, more: str = "") -> None:
+        """Say how the board stands in the body, and who has turned the rates by it."""
+        if parameter not in self.log.parameters:
+            self.findings.assume(f"the log has no {parameter}: rotation none ({consequence})")
+            return
+        number = int(self.log.parameter(parameter))
+        angles = table("rotations").get(number)
+        turns = f"rotation {number}"
+        if angles is not None:
+            named = zip(("roll", "pitch", "yaw"), angles, strict=True)
+            turns = " ".join(f"{axis} {angle:g} deg" for axis, angle in named if angle) or "none"
+        self.findings.say(f"board orientation: {parameter} {number}, {turns}{more}; {consequence}")
+
+    def force_at(self, rates: Messages, instance: int = 0) -> FloatArray | None:
+        """Specific force at the stamps of the rates, from other messages that are fast enough."""
+        for name, fields in self.table["force"].items():
+            messages = self.log.messages(name, instance)
+            if messages is not None and messages.has(*fields) and messages.rate >= ENOUGH_RATE:
+                self.findings.say(
+                    f"specific force: {messages.name}, interpolated to the stamps of the rates"
+                )
+                return interpolate(rates.sample_ns, messages.sample_ns, messages.values(*fields))
+        self.findings.doubt("there is no accelerometer at a useful rate: ay and az are zero")
+        return None
+
+    # --- the rest ---------------------------------------------------------------------------------
+
+    def flight_log(self, rates: Stream, actuators: Actuators, *, hovers: bool) -> FlightLog:
         """Put together what was read with all that the table tells to read."""
-        source, t_ns, values, channels = actuators
-        streams = {"rates": rates, "actuators": Stream(source, t_ns, values)} | self._estimates()
-        self.log.findings.say(
-            "stamps are the autopilot's time since its start, not the time of day"
-        )
-        imported = tuple(self.table["parameters"]["imported"])
-        explaining = (*imported, *self.table["parameters"]["explaining"])
-        self.log.findings.lost += [
+        commands, channels = actuators
+        streams = {"rates": rates, "actuators": commands} | self._estimates()
+        self.findings.say("stamps are the autopilot's time since its start, not the time of day")
+        known = self.table["parameters"]
+        imported = tuple(known["imported"])
+        self.findings.lost += [
             f"{name} became {value:g} at {t:.1f} s: the first value is used"
             for t, name, value in self.log.changes
             if name.startswith(imported)
         ]
         return FlightLog(
             self.log.path,
-            title,
+            self.log.title,
             streams,
-            channels,
-            self.log.findings,
+            tuple(channels),
+            self.findings,
             lever_arm=self._lever_arm(),
             flown=self.flown,
             armed=self.armed,
@@ -285,45 +283,55 @@ class Import:
             parameters={
                 name: value
                 for name, value in sorted(self.log.parameters.items())
-                if name.startswith(explaining)
+                if name.startswith((*imported, *known["explaining"]))
             },
         )
+
+    def _first(self, name: str) -> tuple[Messages, FloatArray] | None:
+        """Return the first messages that the table has for a stream, and their values (k, C)."""
+        for kind, fields in self.table["streams"][name].items():
+            messages = self.log.messages(kind)
+            if messages is not None and messages.has(*fields):
+                values = messages.values(*fields)
+                if np.isfinite(values).any():
+                    self._say_of(kind, messages.name)
+                    return messages, values
+        return None
 
     def _estimates(self) -> dict[str, Stream]:
         """Find what the autopilot knew and wanted: airspeed, attitude, rates asked for, mode."""
         streams = {}
-        if found := self.first("airspeed"):
+        if found := self._first("airspeed"):
             messages, speed = found
             if self.table["streams"]["airspeed_ratio"]:
                 speed = speed * self._airspeed_ratio(messages)
             streams["airspeed"] = Stream(messages.name, messages.sample_ns, speed[:, 0])
-        if found := self.first("attitude"):
+        if found := self._first("attitude"):
             messages, turned = found
             if turned.shape[1] == EULER_ANGLES:
                 turned = quaternions(*np.radians(turned).T)
             streams["attitude"] = Stream(messages.name, messages.sample_ns, turned)
-        if found := self.first("setpoint"):
+        if found := self._first("setpoint"):
             messages, rates = found
             fields = ", ".join(self.table["streams"]["setpoint"][messages.name])
-            self.log.findings.say(f"rates asked for: {messages.name}.{fields}")
+            self.findings.say(f"rates asked for: {messages.name}.{fields}")
             unit = self.table["setpoint_unit"]
             streams["setpoint"] = Stream(messages.name, messages.stamp_ns, unit * rates)
-        if found := self.first("mode"):
+        if found := self._first("mode"):
             messages, values = found
             ((field,),) = self.table["streams"]["mode"].values()
             numbers = values[:, 0].astype(int)
             changed = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
             names = self.table["modes"]
             said = np.array([names.get(int(n), f"{field} {n}") for n in numbers[changed]])
-            listed = ", ".join(dict.fromkeys(said))
-            self.log.findings.say(f"mode: {messages.name}.{field}: {listed}")
+            self.findings.say(f"mode: {messages.name}.{field}: {', '.join(dict.fromkeys(said))}")
             streams["mode"] = Stream(messages.name, messages.stamp_ns[changed], said)
         return streams
 
     def _airspeed_ratio(self, airspeed: Messages) -> FloatArray:
         """Return the ratio of true to indicated airspeed (k, 1); 1 where it is not logged."""
-        if (found := self.first("airspeed_ratio")) is None:
-            self.log.findings.assume(
+        if (found := self._first("airspeed_ratio")) is None:
+            self.findings.assume(
                 f"{airspeed.name} is indicated airspeed; without a ratio it is taken as true"
             )
             return np.ones((1, 1))
@@ -335,14 +343,14 @@ class Import:
         prefix = self.table["parameters"]["lever_arm"].format(self.choice.rates_instance + 1)
         x, y, z = (self.log.parameter(f"{prefix}{axis}") for axis in "XYZ")
         if any((x, y, z)):
-            self.log.findings.say(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
+            self.findings.say(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
         else:
-            self.log.findings.assume(f"the accelerometer is at the centre of gravity ({prefix}* 0)")
+            self.findings.assume(f"the accelerometer is at the centre of gravity ({prefix}* 0)")
         return x, y, z
 
     def _ground_speed(self) -> float:
         """Return the median speed over ground in flight, m/s; 0 if it is not known."""
-        if (found := self.first("ground_speed")) is None:
+        if (found := self._first("ground_speed")) is None:
             return 0.0
         messages, speed = found
         keep = np.isfinite(speed[:, 0])

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.autopilot import table
+from uav_ident_ros.import_logs.channels import effects_of_arms, over_range
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
     Choice,
-    Findings,
     FlightLog,
     ImportLogError,
     Stream,
-    gyro_and_force,
+    rates_stream,
 )
-from uav_ident_ros.import_logs.knowledge import between, effects_of_arms, table
+from uav_ident_ros.import_logs.log import IN_NS, Log, Messages
 from uav_ident_ros.messages.types import NS_PER_US
 
 MAGIC = b"H Product:Blackbox flight data recorder"
@@ -27,6 +27,8 @@ MAGIC = b"H Product:Blackbox flight data recorder"
 
 GYROS = ("gyroUnfilt", "gyroADC")
 """Fields of the rates, the preferred first: as sampled, and behind the filters."""
+
+FRAMES = "the frames"
 
 
 def read_blackbox(
@@ -42,56 +44,56 @@ def read_blackbox(
     """
     if choice != Choice():
         raise ImportLogError(f"log '{path}': a blackbox has one set of rates and one of motors")
-    findings = Findings()
-    headers, fields, values = _read(path, findings)
-    t_ns = values[:, fields.index("time")].astype(np.int64) * NS_PER_US
-    name = next((gyro for gyro in GYROS if f"{gyro}[2]" in fields), None)
+    log = Log(path)
+    headers, frames = _read(log)
+    name = next((gyro for gyro in GYROS if frames.has(f"{gyro}[2]")), None)
     if name is None:
-        raise ImportLogError(f"log '{path}' has no rates (gyroADC); it has {', '.join(fields)}")
-    scale = _as_float(headers.get("gyro_scale", 0x3F800000)) * math.pi / 180.0
-    rates = _vector(fields, values, name, 3) * scale
+        fields = ", ".join([*frames.columns][1:])
+        raise log.refusal(f" has no rates (gyroADC); it has {fields}")
+    bits = headers.get("gyro_scale", "0x3f800000")  # a float's, in hexadecimal digits
+    number = int(bits, 16) if isinstance(bits, str) else int(bits)
+    scale = float(np.uint32(number).view(np.float32)) * math.pi / 180.0
     force = None
-    if "accSmooth[2]" in fields:
-        force = _vector(fields, values, "accSmooth", 3) * GRAVITY / float(headers["acc_1G"])
+    if frames.has("accSmooth[2]"):
+        force = frames.array("accSmooth") * GRAVITY / float(headers["acc_1G"])
     else:
-        findings.doubt("there is no accelerometer (accSmooth): ay and az are zero")
-    findings.say(f"rates: {name}, in body axes forward-left-up")
+        log.findings.doubt("there is no accelerometer (accSmooth): ay and az are zero")
+    log.findings.say(f"rates: {name}, in body axes forward-left-up")
     if name == GYROS[1]:
         cutoff = headers.get("gyro_lowpass_hz", headers.get("gyro_lpf1_static_hz"))
-        findings.doubt(
+        log.findings.doubt(
             "gyroADC is behind the filters"
             + (f" (low-pass at {cutoff} Hz)" if cutoff else "")
             + ": it comes late, which counts as a further delay of the inputs. Betaflight 4.5 logs "
             "gyroUnfilt, too"
         )
-    channels = _motors(path, headers, fields, findings)
-    commands = _vector(fields, values, "motor", len(channels))
-    findings.assume("all of the log counts as flight: a blackbox begins when it is armed")
+    commands = frames.array("motor") if frames.has("motor[0]") else np.zeros((0, 0))
+    channels = _motors(log, headers, commands.shape[1])
+    log.findings.assume("all of the log counts as flight: a blackbox begins when it is armed")
     streams = {
-        "rates": Stream(name, t_ns, gyro_and_force(rates, force)),
-        "actuators": Stream("motor", t_ns, commands),
+        "rates": rates_stream(name, frames.stamp_ns, frames.array(name) * scale, force),
+        "actuators": Stream("motor", frames.stamp_ns, commands),
     }
     title = str(headers.get("Firmware revision", headers.get("Firmware type", "blackbox")))
-    return FlightLog(path, title, streams, channels, findings, convention="flu", hovers=True)
+    return FlightLog(path, title, streams, channels, log.findings, convention="flu", hovers=True)
 
 
-def _read(path: Path, findings: Findings) -> tuple[dict[str, Any], list[str], FloatArray]:
-    """Return headers, names of the fields and the frames, as rows, of the longest log."""
+def _read(log: Log) -> tuple[dict[str, Any], Messages]:
+    """Return the headers and the frames of the longest log of a file."""
     try:
         from orangebox import Parser
     except ImportError:
-        raise ImportLogError(
-            f"log '{path}': orangebox is not installed, which reads blackbox logs: "
+        raise log.refusal(
+            ": orangebox is not installed, which reads blackbox logs: "
             "pip install 'uav_ident_ros[blackbox]' or pip install 'orangebox<0.5'"
         ) from None
     logging.getLogger("orangebox").addHandler(logging.NullHandler())  # it is wordy on stderr
-    parser = Parser.load(str(path), allow_invalid_header=True)
-    starts = [*parser.reader.log_pointers, path.stat().st_size]
+    parser = Parser.load(str(log.path), allow_invalid_header=True)
+    starts = [*parser.reader.log_pointers, log.path.stat().st_size]
     longest = int(np.argmax(np.diff(starts))) + 1
     parser.set_log_index(longest)
     if len(starts) > 2:
-        findings.say(f"log {longest} of {len(starts) - 1} in this file, the longest")
-    fields = parser.field_names
+        log.findings.say(f"log {longest} of {len(starts) - 1} in this file, the longest")
     frames: list[tuple[float, ...]] = []
     try:
         for frame in parser.frames():
@@ -99,69 +101,61 @@ def _read(path: Path, findings: Findings) -> tuple[dict[str, Any], list[str], Fl
     except Exception as error:  # damaged bytes make a parser fail in many ways
         reader = parser.reader
         if reader.tell() >= len(reader):
-            findings.doubt("the file is cut off at its end: what is there was read")
+            log.findings.doubt("the file is cut off at its end: what is there was read")
         else:
-            findings.damage.append(
+            log.findings.damage.append(
                 f"the file is damaged: orangebox stopped at byte {reader.tell()} of {len(reader)} "
                 f"({' '.join(str(error).split())}); what stands before was read"
             )
-    if not frames or "time" not in fields:
-        raise ImportLogError(f"log '{path}' has no frames that can be read")
-    _say_missing(fields, frames, findings)
-    used = [i for i, name in enumerate(fields) if name.startswith(("time", "gyro", "acc", "motor"))]
-    rows = np.array([[frame[i] for i in used] for frame in frames], dtype=float)
-    return parser.headers, [fields[i] for i in used], rows
+    names = parser.field_names
+    used = ("time", "gyro", "acc", "motor", "loopIteration")
+    columns = {
+        name: np.array([frame[i] for frame in frames], dtype=float)
+        for i, name in enumerate(names)
+        if name.startswith(used)
+    }
+    if not frames or "time" not in columns:
+        raise log.refusal(" has no frames that can be read")
+    _say_missing(columns.pop("loopIteration", np.zeros(0)), log)
+    log.add(FRAMES, 0, {IN_NS: columns["time"].astype(np.int64) * NS_PER_US, **columns})
+    if (found := log.messages(FRAMES)) is None:
+        raise log.refusal(" has no frame with a stamp that a clock gave")
+    return parser.headers, found
 
 
-def _say_missing(fields: list[str], frames: list[tuple[float, ...]], findings: Findings) -> None:
+def _say_missing(iterations: Any, log: Log) -> None:
     """Say how many frames the logger or the reader has left out."""
-    if "loopIteration" not in fields or len(frames) < 2:
+    if len(iterations) < 2:
         return
-    place = fields.index("loopIteration")
-    steps = np.diff([float(frame[place]) for frame in frames])
+    steps = np.diff(iterations)
     usual = max(float(np.median(steps)), 1.0)
     gaps = steps[steps > 1.5 * usual]
     if len(gaps):
         missing = round(float((gaps / usual - 1.0).sum()))
-        findings.doubt(
-            f"{missing} of {missing + len(frames)} frames are missing or damaged, in "
+        log.findings.doubt(
+            f"{missing} of {missing + len(iterations)} frames are missing or damaged, in "
             f"{len(gaps)} places"
         )
 
 
-def _as_float(number: int | float | str) -> float:
-    """Return the float whose bits a header gives in hexadecimal digits."""
-    bits = int(number, 16) if isinstance(number, str) else int(number)
-    return float(np.array([bits], dtype=np.uint32).view(np.float32)[0])
-
-
-def _vector(fields: list[str], values: FloatArray, name: str, size: int) -> FloatArray:
-    return values[:, [fields.index(f"{name}[{i}]") for i in range(size)]]
-
-
-def _motors(
-    path: Path, headers: dict[str, Any], fields: list[str], findings: Findings
-) -> tuple[Channel, ...]:
+def _motors(log: Log, headers: dict[str, Any], count: int) -> tuple[Channel, ...]:
     """Motors of a quadrotor in X, in Betaflight's order."""
-    count = sum(name.startswith("motor[") for name in fields)
     arms = table("betaflight")["quad_x"]
     if count != len(arms):
-        raise ImportLogError(
-            f"log '{path}' has {count} motors: only quadrotors are known, whose mixer is quad x"
-        )
+        raise log.refusal(f" has {count} motors: only quadrotors are known, whose mixer is quad x")
     turned = ", reversed (yaw_motors_reversed)" if headers.get("yaw_motors_reversed") else ""
     if turned:
         other = {"cw": "ccw", "ccw": "cw"}
         arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
     throttle = [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000]
     low, high = headers.get("motorOutput", throttle)
-    span = between(float(low), float(high))
-    findings.say(f"motor commands from {low} to {high} (motorOutput)")
-    findings.assume(
+    log.findings.say(f"motor commands from {low} to {high} (motorOutput)")
+    log.findings.assume(
         "a quadrotor in X with Betaflight's motor order (rear right, front right, rear left, front "
         f"left), propellers turning inwards at the front{turned}"
     )
-    return tuple(
-        Channel(f"motor_{i + 1}", effect, "motor of quad x", *span, "counts")
-        for i, effect in enumerate(effects_of_arms(arms))
-    )
+    motors = [
+        Channel(f"motor_{i}", effect, "motor of quad x", unit="counts")
+        for i, effect in enumerate(effects_of_arms(arms), 1)
+    ]
+    return tuple(over_range(motor, float(low), float(high)) for motor in motors)

@@ -39,6 +39,9 @@ PARAMETER_FILE = "identifier.yaml"
 
 WIDTH = 100
 
+FIRST_BYTES = 400
+"""Enough for the header line of a table, too."""
+
 _DESCRIPTION = """\
 Turn a PX4 log (.ulg), an ArduPilot dataflash log (.bin), a blackbox log of Betaflight (.bbl) or a
 table (.csv with a column map) into an MCAP bag with /imu/data, /actuators (named channels) and,
@@ -93,56 +96,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:
         from uav_ident_ros.bags.writing import BagWriteError
+        from uav_ident_ros.import_logs.fitting import Fitting
+        from uav_ident_ros.import_logs.writing import write_import
     except ImportError as error:
         print(f"import_log: {error.name} is not installed: pip install rosbags", file=sys.stderr)
         return USAGE_ERROR
+    folder: Path = options.output or Path(options.log.stem)
+    path = folder / PARAMETER_FILE
     try:
-        log = import_log(options)
+        if folder.exists():
+            raise ImportLogError(f"'{folder}' exists already: choose another --output")
+        log = read_log(options)
+        fitting = Fitting.of(log, options.trim, options.airspeed)
+        write_import(log, folder, lambda: fitting.write(path))
     except (ImportLogError, BagWriteError) as error:
         print(f"import_log: {printable(str(error))}", file=sys.stderr)
         return USAGE_ERROR
-    return DAMAGED if log.findings.damage else 0
-
-
-def import_log(options: argparse.Namespace) -> FlightLog:
-    """Read the log, write the bag and say what was done; return what was read.
-
-    Raises
-    ------
-    ImportLogError, BagWriteError
-        If the log cannot be used or the bag cannot be written.
-    """
-    from uav_ident_ros.import_logs.fitting import (
-        findings_by_title,
-        fitting_parameters,
-        write_parameters,
-    )
-    from uav_ident_ros.import_logs.writing import write_import
-
-    folder: Path = options.output or Path(options.log.stem)
-    path = folder / PARAMETER_FILE
-    if folder.exists():
-        raise ImportLogError(f"'{folder}' exists already: choose another --output")
-    log = _guarded(options)
-    if options.flight_only:
-        log = log.only_flight()
-    _say_streams(log)
-    parameters = fitting_parameters(log, options.trim, options.airspeed)
-    write_import(log, folder, lambda: write_parameters(log, parameters, path))
     print(f"{log.path.name}: {log.title}")
-    for title, sentences in findings_by_title(log, parameters).items():
+    for title, sentences in fitting.findings().items():
         print(f"\n{title}")
         for sentence in sentences:
             print(textwrap.fill(sentence, WIDTH, initial_indent="  - ", subsequent_indent="    "))
     print(f"\nwritten to {folder}; next: replay {folder} --params-file {path}")
-    return log
+    return DAMAGED if log.findings.damage else 0
 
 
-def _guarded(options: argparse.Namespace) -> FlightLog:
-    """Read the log; whatever its bytes do to a reader becomes one line."""
+def read_log(options: argparse.Namespace) -> FlightLog:
+    """Read the log as the options say; whatever its bytes do to a reader becomes one line.
+
+    Raises
+    ------
+    ImportLogError
+        If it is of no known kind or cannot be used.
+    """
     try:
-        log = read_log(options).with_plausible_stamps()
-        return replace(log, title=printable(log.title, LONGEST_TITLE))
+        log = _read(options.log, options)
     except ImportLogError:
         raise
     except Exception as error:  # what damaged bytes mean is not to be foreseen
@@ -150,17 +138,15 @@ def _guarded(options: argparse.Namespace) -> FlightLog:
         raise ImportLogError(
             f"log '{options.log}' cannot be used: what it says makes no sense ({reason})"
         ) from error
+    log = replace(log, title=printable(log.title, LONGEST_TITLE))
+    if options.flight_only:
+        log = log.only_flight()
+    _say_streams(log)
+    return log
 
 
-def read_log(options: argparse.Namespace) -> FlightLog:
-    """Read the log with the reader that its first bytes ask for.
-
-    Raises
-    ------
-    ImportLogError
-        If it is of no known kind or cannot be used.
-    """
-    path: Path = options.log
+def _read(path: Path, options: argparse.Namespace) -> FlightLog:
+    """Read the log with the reader that its first bytes ask for."""
     start = px4_log.MAGIC if path.is_dir() else _first_bytes(path)
     choice = Choice(**{f.name: getattr(options, f.name) for f in fields(Choice)})
     for magic, read in READERS.items():
@@ -184,12 +170,8 @@ def read_log(options: argparse.Namespace) -> FlightLog:
     )
 
 
-FIRST_BYTES = 400
-"""Enough for the header line of a table, too."""
-
-
 def _first_bytes(path: Path) -> bytes:
-    if path.exists() and not (path.is_file() or path.is_dir()):
+    if path.exists() and not path.is_file():
         raise ImportLogError(f"log '{path}' is no regular file: give a file on a disk")
     try:
         with path.open("rb") as file:

@@ -3,7 +3,7 @@
 
 import csv
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -12,29 +12,32 @@ from typing import Any
 import numpy as np
 import yaml
 
-from uav_ident_ros.files.strict_yaml import EntryError, finite, mapping, meant, yaml_problem
+from uav_ident_ros.files.strict_yaml import UNUSABLE, EntryError, finite, mapping, meant, problem
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
-    Findings,
     FlightLog,
     ImportLogError,
     Stream,
-    gyro_and_force,
+    rates_stream,
 )
+from uav_ident_ros.import_logs.log import IN_NS, Column, Log, Messages
 from uav_ident_ros.import_logs.stamps import LATEST_NS
 from uav_ident_ros.messages.types import NS_PER_S
 
-TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
-"""Nanoseconds in each unit of time."""
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
+    "rates": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
+    "specific_force": {"m/s^2": 1.0, "g": GRAVITY},
+    "airspeed": {"m/s": 1.0, "km/h": 1.0 / 3.6, "kn": 1852.0 / 3600.0},
+}
+"""Units of each quantity, SI, of the time ns; the first is the usual one."""
 
-RATE_UNITS = {"rad/s": 1.0, "deg/s": math.pi / 180.0}
-FORCE_UNITS = {"m/s^2": 1.0, "g": GRAVITY}
-SPEED_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "kn": 1852.0 / 3600.0}
+VECTORS = ("rates", "specific_force")
+"""Quantities of three columns, perhaps in counts of a raw sensor."""
+
 AXES = ("frd", "flu")
-
 AXES_OF_A_VECTOR = 3
 
 EXAMPLE = """\
@@ -62,25 +65,17 @@ class Quantity:
 class ColumnMap:
     """Meaning of the columns of a table."""
 
-    time: Quantity
-    rates: Quantity
-    force: Quantity  # Specific force
-    airspeed: Quantity  # True airspeed
+    quantities: Mapping[str, Quantity]  # By name, those of `UNITS`
     channels: dict[str, Channel]  # Channel by column
     axes: str  # ``frd`` or ``flu``
     lever_arm: tuple[float, float, float]  # Accelerometer from the centre of gravity, m, FRD
     delimiter: str  # Between the cells
 
     @property
-    def time_ns(self) -> Decimal:
-        """Unit of the time, ns."""
-        return Decimal(int(self.time.factor))
-
-    @property
     def columns(self) -> list[str]:
         """Every column that is read, the time's first."""
-        quantities = (self.time, self.rates, self.force, self.airspeed)
-        return [c for quantity in quantities for c in quantity.columns] + list(self.channels)
+        named = [column for quantity in self.quantities.values() for column in quantity.columns]
+        return [*named, *self.channels]
 
 
 def load_column_map(path: Path) -> ColumnMap:
@@ -93,13 +88,10 @@ def load_column_map(path: Path) -> ColumnMap:
     """
     try:
         return _column_map(yaml.safe_load(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
-        raise ImportLogError(f"column map '{path}' cannot be read: {reason}") from None
-    except yaml.YAMLError as error:
-        raise ImportLogError(f"column map '{path}' is no YAML: {yaml_problem(error)}") from None
-    except EntryError as error:
-        raise ImportLogError(f"column map '{path}': {error} (see import_log --help)") from None
+    except UNUSABLE as error:
+        raise ImportLogError(
+            f"column map '{path}': {problem(error)} (see import_log --help)"
+        ) from None
 
 
 def _column_map(content: Any) -> ColumnMap:
@@ -113,48 +105,29 @@ def _column_map(content: Any) -> ColumnMap:
         raise EntryError(f"axes is '{axes}': allowed are {', '.join(AXES)}")
     arm = _three(top.get("lever_arm", [0.0, 0.0, 0.0]), "lever_arm", "numbers forward, right, down")
     x, y, z = (finite(value, "lever_arm") for value in arm)
-    return ColumnMap(
-        time=_single(top, "time", TIME_UNITS),
-        rates=_vector(top, "rates", RATE_UNITS),
-        force=_vector(top, "specific_force", FORCE_UNITS, "m/s^2"),
-        airspeed=_single(top, "airspeed", SPEED_UNITS),
-        channels=_channels(top["channels"]),
-        axes=axes,
-        lever_arm=(x, y, z),
-        delimiter=delimiter,
-    )
+    quantities = {name: _quantity(top, name) for name in UNITS}
+    return ColumnMap(quantities, _channels(top["channels"]), axes, (x, y, z), delimiter)
 
 
-def _single(top: Mapping[str, Any], name: str, units: Mapping[str, float]) -> Quantity:
-    """Return a quantity of one column; the unit is the first if none is given."""
+def _quantity(top: Mapping[str, Any], name: str) -> Quantity:
+    """Return the columns and the unit of a quantity, nothing if the table does not have it."""
     if name not in top:
         return Quantity()
-    entry = mapping(top[name], name, ("column",), ("unit",))
-    return Quantity((str(entry["column"]),), _unit(entry, name, units, next(iter(units))))
-
-
-def _vector(
-    top: Mapping[str, Any], name: str, units: Mapping[str, float], usual: str | None = None
-) -> Quantity:
-    """Return a quantity of three columns, perhaps in counts of a raw sensor."""
-    if name not in top:
-        return Quantity()
-    entry = mapping(top[name], name, ("columns",), ("unit", "counts"))
-    counts = finite(entry.get("counts", 1.0), f"{name}.counts")
-    if not counts:
-        raise EntryError(f"{name}.counts is 0: how many counts make up one unit?")
-    columns = _three(entry["columns"], f"{name}.columns", "columns x, y, z")
-    return Quantity(tuple(map(str, columns)), _unit(entry, name, units, usual) / counts)
-
-
-def _unit(
-    entry: Mapping[str, Any], name: str, units: Mapping[str, float], usual: str | None
-) -> float:
-    unit = entry.get("unit", usual)
+    key, more = ("columns", ("unit", "counts")) if name in VECTORS else ("column", ("unit",))
+    entry = mapping(top[name], name, (key,), more)
+    units = UNITS[name]
+    # Rates in the wrong unit would pass for others.
+    unit = entry.get("unit", None if name == "rates" else next(iter(units)))
     if unit not in [*units]:
         said = "missing" if unit is None else f"'{unit}'"
         raise EntryError(f"{name}.unit is {said}: allowed are {', '.join(units)}")
-    return units[unit]
+    counts = finite(entry.get("counts", 1.0), f"{name}.counts")
+    if not counts:
+        raise EntryError(f"{name}.counts is 0: how many counts make up one unit?")
+    columns = [entry[key]]
+    if name in VECTORS:
+        columns = _three(entry[key], f"{name}.columns", "columns x, y, z")
+    return Quantity(tuple(map(str, columns)), units[unit] / counts)
 
 
 def _channels(content: Any) -> dict[str, Channel]:
@@ -207,74 +180,70 @@ def read_csv(
     ImportLogError
         If it cannot be read, a column is missing, a cell is no number, or there are no samples.
     """
-    findings = Findings()
+    log = Log(path, "table")
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            t_ns, table = _read_table(file, columns, findings)
-        streams = _streams(t_ns, table, columns)
-    except OSError as error:
-        raise ImportLogError(f"table '{path}' cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ImportLogError(f"table '{path}' is not text in UTF-8") from None
-    except (csv.Error, EntryError) as error:
-        raise ImportLogError(f"table '{path}': {error}") from None
-    if not columns.force.columns:
-        findings.doubt("there is no accelerometer: ay and az are zero")
-    findings.say(
+            log.add("the table", 0, _read_columns(file, columns, log))
+        streams = _streams(log.messages("the table"), columns)
+    except (*UNUSABLE, csv.Error) as error:
+        raise ImportLogError(f"table '{path}': {problem(error)}") from None
+    if not columns.quantities["specific_force"].columns:
+        log.findings.doubt("there is no accelerometer: ay and az are zero")
+    log.findings.say(
         f"units and axes from the column map: rates in body axes {columns.axes}, times "
-        f"{columns.rates.factor:.6g} to rad/s"
+        f"{columns.quantities['rates'].factor:.6g} to rad/s"
     )
-    findings.assume(
+    log.findings.assume(
         "the stamp of a row is that of all its values, unfiltered; the table does not say when it "
         "flew"
     )
     return FlightLog(
         path,
-        "table",
+        log.title,
         streams,
         tuple(columns.channels.values()),
-        findings,
+        log.findings,
         convention=columns.axes,
         lever_arm=columns.lever_arm,
     )
 
 
-def _streams(t_ns: TimeArray, table: FloatArray, columns: ColumnMap) -> dict[str, Stream]:
+def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
     """Return the streams of a table whose rows follow each other in time."""
+    if rows is None:
+        raise EntryError("it has no row with a stamp that a clock gave")
+    t_ns = rows.stamp_ns
     steps = np.diff(t_ns)
     back, ahead = int((steps < 0).sum()), int((steps > 0).sum())
     if len(t_ns) > 1 and back >= ahead:
         raise EntryError(
             f"the time goes on in {ahead} rows and back in {back}: sort the rows by their time"
         )
-
-    def part(names: Sequence[str]) -> FloatArray:
-        return table[:, [columns.columns.index(name) - 1 for name in names]]
-
-    def stream(what: str, names: Sequence[str], values: FloatArray, some: Any = np.all) -> Stream:
-        there = some(np.isfinite(part(names)), axis=1)
+    places = {"rates": columns.quantities["rates"].columns, "actuators": tuple(columns.channels)}
+    places |= {"airspeed": columns.quantities["airspeed"].columns}
+    streams = {}
+    for what, names in places.items():
+        if not names:
+            continue
+        values = rows.values(*names)
+        there = (np.any if what == "actuators" else np.all)(np.isfinite(values), axis=1)
         if not there.any():
             raise EntryError(f"it has no {what}: columns {', '.join(names)} are empty")
-        return Stream("table", t_ns, values).chosen(there)
-
-    rates, force, speed = columns.rates, columns.force, columns.airspeed
-    measured = part(force.columns) * force.factor if force.columns else None
-    both = gyro_and_force(part(rates.columns) * rates.factor, measured)
-    channels = [*columns.channels]
-    streams = {
-        "rates": stream("rates", rates.columns, both),
-        "actuators": stream("actuators", channels, part(channels), np.any),
-    }
-    if speed.columns:
-        values = part(speed.columns)[:, 0] * speed.factor
-        streams["airspeed"] = stream("airspeed", speed.columns, values)
+        stream = Stream("table", t_ns, values)
+        if what == "rates":
+            force = columns.quantities["specific_force"]
+            measured = rows.values(*force.columns) * force.factor if force.columns else None
+            factor = columns.quantities["rates"].factor
+            stream = rates_stream("table", t_ns, values * factor, measured)
+        elif what == "airspeed":
+            speed: FloatArray = values[:, 0] * columns.quantities["airspeed"].factor
+            stream = Stream("table", t_ns, speed)
+        streams[what] = stream.chosen(there)
     return streams
 
 
-def _read_table(
-    file: Iterator[str], columns: ColumnMap, findings: Findings
-) -> tuple[TimeArray, FloatArray]:
-    """Return the stamps, ns, and the columns of the map but the first, NaN where empty."""
+def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str, Column]:
+    """Return the columns of the map, NaN where empty, and the stamps."""
     reader = csv.reader(file, delimiter=columns.delimiter)
     rows = (
         (reader.line_num, [cell.strip() for cell in cells])
@@ -288,21 +257,23 @@ def _read_table(
         if name not in header:
             listed = ", ".join(header)
             raise EntryError(f"it has no column '{name}'; it has {listed}: {meant(name, header)}")
-    places = [header.index(name) for name in columns.columns]
+    place, *places = (header.index(name) for name in columns.columns)
+    unit_ns = Decimal(int(columns.quantities["time"].factor))
     t_ns, values, short = [], [], []
     for line, cells in rows:
-        if len(cells) <= max(places):
+        if len(cells) <= max(place, *places):
             short.append(line)
             continue
-        t_ns.append(_stamp(line, cells[places[0]], columns.time_ns))
-        values.append([_number(line, cells[place]) for place in places[1:]])
+        t_ns.append(_stamp(line, cells[place], unit_ns))
+        values.append([_number(line, cells[other]) for other in places])
     if not values:
         raise EntryError("it has no complete row below its header")
     if short:
-        findings.doubt(
+        log.findings.doubt(
             f"{len(short)} rows have too few cells and were left out, the first in line {short[0]}"
         )
-    return np.array(t_ns, dtype=np.int64), np.array(values)
+    named = zip(columns.columns[1:], np.array(values).T, strict=True)
+    return {IN_NS: np.array(t_ns, dtype=np.int64), **dict(named)}
 
 
 def _stamp(line: int, cell: str, unit_ns: Decimal) -> int:

@@ -2,8 +2,9 @@
 """The parameters of the identifier that fit an imported log, and what there is to say of them."""
 
 import textwrap
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -38,40 +39,90 @@ DIRECTIONS = ("nose down", "nose left", "right wing down", "throttle")
 COMMENT_WIDTH = 96
 
 
-def fitting_parameters(
-    log: FlightLog,  # The log
-    trim: str,  # One of `flight_log.TRIMS`
-    airspeed: bool | None,  # Whether to scale with the airspeed; None if it was measured in flight
-) -> dict[str, Any]:
-    """Return parameters of the identifier that fit the bag, by dotted name.
+@dataclass(frozen=True)
+class Fitting:
+    """The parameters that fit an imported log."""
 
-    Raises
-    ------
-    ImportLogError
-        If there is no airspeed to scale with.
-    """
-    channels = [channel for _, channel in log.used]
-    values: dict[str, Any] = {
-        "imu.type": TOPICS["rates"].msgtype,
-        "imu.convention": log.convention,
-        "imu.lever_arm": list(log.lever_arm),
-        "actuators.type": TOPICS["actuators"].msgtype,
-        "actuators.channels": [channel.name for channel in channels],
-        "actuators.scale": [channel.scale for channel in channels],
-        "actuators.trim": _trim(log, trim),
-        "actuators.estimate_delay": True,
-    }
-    if not log.has_force:
-        values["structure"] = WITHOUT_FORCES
-    elif log.hovers:
-        values["structure"] = WITHOUT_WINGS
-    if trim == "learn":
-        values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
-    for i, name in enumerate(INPUTS):
-        values[f"actuators.mixing.{name}"] = [channel.effect[i] for channel in channels]
-    if log.armed is not None:
-        values["armed.type"] = TOPICS["armed"].msgtype
-    return values | _airspeed(log, airspeed)
+    log: FlightLog
+    values: dict[str, Any]  # Of the identifier, by dotted name
+
+    @classmethod
+    def of(
+        cls,
+        log: FlightLog,
+        trim: str,  # One of `flight_log.TRIMS`
+        airspeed: bool | None,  # Whether to scale with the airspeed; None if measured in flight
+    ) -> Self:
+        """Return the parameters that fit a log.
+
+        Raises
+        ------
+        ImportLogError
+            If there is no airspeed to scale with.
+        """
+        channels = [channel for _, channel in log.used]
+        values: dict[str, Any] = {
+            "imu.type": TOPICS["rates"].msgtype,
+            "imu.convention": log.convention,
+            "imu.lever_arm": list(log.lever_arm),
+            "actuators.type": TOPICS["actuators"].msgtype,
+            "actuators.channels": [channel.name for channel in channels],
+            "actuators.scale": [channel.scale for channel in channels],
+            "actuators.trim": _trim(log, trim),
+            "actuators.estimate_delay": True,
+        }
+        if not log.has_force:
+            values["structure"] = WITHOUT_FORCES
+        elif log.hovers:
+            values["structure"] = WITHOUT_WINGS
+        if trim == "learn":
+            values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
+        for i, name in enumerate(INPUTS):
+            values[f"actuators.mixing.{name}"] = [channel.effect[i] for channel in channels]
+        if log.armed is not None:
+            values["armed.type"] = TOPICS["armed"].msgtype
+        return cls(log, values | _airspeed(log, airspeed))
+
+    def findings(self) -> dict[str, list[str]]:
+        """Return all there is to say under headings, those that are empty left out."""
+        findings = self.log.findings
+        titled = {
+            "Damaged": findings.damage,
+            "From the log": findings.read,
+            "Assumed": findings.assumed,
+            "Missing or doubtful": findings.lost,
+            "Inputs": self._inputs_in_words(),
+        }
+        return {title: sentences for title, sentences in titled.items() if sentences}
+
+    def _inputs_in_words(self) -> list[str]:
+        channels = [channel for _, channel in self.log.used]
+        lines = []
+        for channel, trim in zip(channels, self.values["actuators.trim"], strict=True):
+            scale = f", times {channel.scale:.6g}" if channel.scale != 1.0 else ""
+            lines.append(
+                f"{channel.name}: {channel.meaning}; {channel.unit} less {trim:.6g}{scale}"
+            )
+        for i, (name, direction) in enumerate(zip(INPUTS, DIRECTIONS, strict=True)):
+            terms = [f"{c.effect[i]:+.4g} {c.name}" for c in channels if c.effect[i]]
+            lines.append(f"{name} ({direction}) = {' '.join(terms) or 'nothing'}")
+        return lines
+
+    def write(self, path: Path) -> None:
+        """Write the parameter file, with everything that was found out as comments."""
+        log, titled = self.log, self.findings()
+        said = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
+        if log.parameters:
+            named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())
+            titled["Parameters of the autopilot"] = [named]
+        lines = ["# SPDX-License-Identifier: Apache-2.0", *_comment(said)]
+        for title, sentences in titled.items():
+            lines.append(f"# {title}:")
+            lines += [line for sentence in sentences for line in _comment(sentence, "- ", "  ")]
+        lines += ["/**:", "  ros__parameters:"]
+        lines += [f"    {name}: {written(value)}" for name, value in self.values.items()]
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        Settings.from_values(load_parameters(path, "/identifier"))  # what was written can be used
 
 
 def _trim(log: FlightLog, trim: str) -> list[float]:
@@ -127,51 +178,6 @@ def _flown_speed(log: FlightLog) -> float:
     if coverage(flown.t_ns, flight, SLOWEST_NS) < ENOUGH_AIRSPEED:
         return 0.0
     return float(np.median(flown.values))
-
-
-# --- words --------------------------------------------------------------------------------------
-
-
-def findings_by_title(log: FlightLog, parameters: dict[str, Any]) -> dict[str, list[str]]:
-    """Return all there is to say under headings, those that are empty left out."""
-    findings = log.findings
-    titled = {
-        "Damaged": findings.damage,
-        "From the log": findings.read,
-        "Assumed": findings.assumed,
-        "Missing or doubtful": findings.lost,
-        "Inputs": _inputs_in_words(log, parameters),
-    }
-    return {title: sentences for title, sentences in titled.items() if sentences}
-
-
-def _inputs_in_words(log: FlightLog, parameters: dict[str, Any]) -> list[str]:
-    channels = [channel for _, channel in log.used]
-    lines = []
-    for channel, trim in zip(channels, parameters["actuators.trim"], strict=True):
-        scale = f", times {channel.scale:.6g}" if channel.scale != 1.0 else ""
-        lines.append(f"{channel.name}: {channel.meaning}; {channel.unit} less {trim:.6g}{scale}")
-    for i, (name, direction) in enumerate(zip(INPUTS, DIRECTIONS, strict=True)):
-        terms = [f"{c.effect[i]:+.4g} {c.name}" for c in channels if c.effect[i]]
-        lines.append(f"{name} ({direction}) = {' '.join(terms) or 'nothing'}")
-    return lines
-
-
-def write_parameters(log: FlightLog, parameters: dict[str, Any], path: Path) -> None:
-    """Write the parameter file, with everything that was found out as comments."""
-    said = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
-    titled = findings_by_title(log, parameters)
-    if log.parameters:
-        named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())
-        titled["Parameters of the autopilot"] = [named]
-    lines = ["# SPDX-License-Identifier: Apache-2.0", *_comment(said)]
-    for title, sentences in titled.items():
-        lines.append(f"# {title}:")
-        lines += [line for sentence in sentences for line in _comment(sentence, "- ", "  ")]
-    lines += ["/**:", "  ros__parameters:"]
-    lines += [f"    {name}: {written(value)}" for name, value in parameters.items()]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    Settings.from_values(load_parameters(path, "/identifier"))  # what was written can be used
 
 
 def _comment(text: str, first: str = "", other: str = "") -> list[str]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
-from uav_ident_ros.import_logs.stamps import Stretches, inside, plausible
+from uav_ident_ros.import_logs.stamps import Stretches, hold, inside
 
 Effect = tuple[float, float, float, float]
 """Share of a channel in de, dr, da, dth; see `Channel`."""
@@ -22,6 +22,10 @@ NO_EFFECT: Effect = (0.0, 0.0, 0.0, 0.0)
 
 LONGEST_LINE, LONGEST_TITLE = 2000, 120
 """Characters of the longest message and title: damaged files have names of any length."""
+
+JOIN_NS = 200_000
+"""Samples of two topics this close, ns, are of one cycle of the controller: the fastest run at
+1 kHz or so, and what is published in one cycle is some microseconds apart."""
 
 TRIMS = ("flight", "neutral", "learn")
 """Where the trim comes from: the median in flight, the channels' rest positions, or the identifier
@@ -70,6 +74,28 @@ class Stream:
     def chosen(self, keep: BoolArray) -> Stream:
         """Return some of the samples only."""
         return Stream(self.source, self.t_ns[keep], self.values[keep])
+
+    def joined(self, other: Stream) -> Stream:
+        """Return both side by side, (n, C1 + C2); each value is held until its stream's next.
+
+        Stamps of one controller cycle (closer than `JOIN_NS`) become one, the later. Before the
+        first sample of a stream its values are NaN.
+        """
+        every = np.union1d(self.t_ns, other.t_ns)
+        t_ns = every[np.append(np.diff(every) > JOIN_NS, True)]
+        values = np.hstack([hold(t_ns, part.t_ns, part.values) for part in (self, other)])
+        return Stream(f"{self.source} and {other.source}", t_ns, values)
+
+
+def rates_stream(
+    source: str,
+    t_ns: TimeArray,
+    rates: FloatArray,  # (n, 3) Angular velocity, rad/s
+    force: FloatArray | None,  # (n, 3) Specific force, m/s^2; None if there is none
+) -> Stream:
+    """Put angular velocity and specific force side by side, NaN if there is no force."""
+    force = np.full(rates.shape, np.nan) if force is None else force
+    return Stream(source, t_ns, np.hstack([rates, force]))
 
 
 STREAMS: Mapping[str, str] = {
@@ -141,23 +167,6 @@ class FlightLog:
         t_ns = self.streams[name].t_ns
         return inside(t_ns, self.flown) if self.flown else np.ones(len(t_ns), dtype=bool)
 
-    def with_plausible_stamps(self) -> FlightLog:
-        """Return the log without samples whose stamp no clock gave.
-
-        Raises
-        ------
-        ImportLogError
-            If no rates or no actuators are left.
-        """
-        good = {name: plausible(stream.t_ns) for name, stream in self.streams.items()}
-        self.findings.damage += [
-            f"{name}: {int((~keep).sum())} of {len(keep)} samples have a stamp that no clock gave, "
-            "and were left out"
-            for name, keep in good.items()
-            if not keep.all()
-        ]
-        return self._only(good, "left with a usable stamp")
-
     def only_flight(self) -> FlightLog:
         """Return the log without what is known to be on the ground.
 
@@ -170,26 +179,13 @@ class FlightLog:
             reason = "it never flew" if self.flown is not None else "it does not say when it flew"
             raise ImportLogError(f"log '{self.path}': {reason}: leave --flight-only out")
         self.findings.doubt("what was logged on the ground is left out (--flight-only)")
-        flight = {name: self.in_flight(name) for name in self.streams}
-        return self._only(flight, "in flight: leave --flight-only out")
-
-    def _only(self, keep: Mapping[str, BoolArray], where: str) -> FlightLog:
+        streams = {name: s.chosen(self.in_flight(name)) for name, s in self.streams.items()}
         for name in ("rates", "actuators"):
-            if not keep[name].any():
-                raise ImportLogError(f"log '{self.path}' has no {name} {where}")
-        streams = {name: stream.chosen(keep[name]) for name, stream in self.streams.items()}
+            if not len(streams[name].t_ns):
+                raise ImportLogError(
+                    f"log '{self.path}' has no {name} in flight: leave --flight-only out"
+                )
         return replace(self, streams=streams)
-
-
-def gyro_and_force(rates: FloatArray, force: FloatArray | None) -> FloatArray:
-    """Put rates (n, 3) and specific force (n, 3) side by side, NaN if there is no force."""
-    return np.hstack([rates, np.full(rates.shape, np.nan) if force is None else force])
-
-
-def unique_names(names: list[str]) -> list[str]:
-    """Return the names with ``_2``, ``_3`` ... behind those that occur again."""
-    counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
-    return [n if count == 1 else f"{n}_{count}" for n, count in zip(names, counts, strict=True)]
 
 
 def printable(text: str, longest: int = LONGEST_LINE) -> str:

@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
 from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError
-from uav_ident_ros.import_logs.resync import Gap, loss_in_words
 from uav_ident_ros.import_logs.stamps import plausible, rate
 from uav_ident_ros.messages.types import NS_PER_US
 
 Column = NDArray[Any]
 """Values of one field, in the type of the log."""
 
-STAMPS = {"timestamp": NS_PER_US, "TimeUS": NS_PER_US, "TimeMS": 1_000_000}
+IN_NS = "stamp [ns]"
+"""Name of a column of stamps that are in ns already."""
+
+STAMPS = {IN_NS: 1, "timestamp": NS_PER_US, "TimeUS": NS_PER_US, "TimeMS": 1_000_000}
 """Fields of the time since the autopilot's start, and their unit, ns; TimeMS until 2015."""
 
 SAMPLED = ("timestamp_sample", "SampleUS")
@@ -33,10 +35,6 @@ class Messages:
     # Array by field name; an entry of an array field is ``field[0]`` and so on
     columns: dict[str, Column]
 
-    def __contains__(self, field: str) -> bool:
-        """Whether they have such a field."""
-        return field in self.columns
-
     def has(self, *fields: str) -> bool:
         """Whether they have all these fields."""
         return set(fields) <= set(self.columns)
@@ -44,13 +42,13 @@ class Messages:
     @property
     def stamp_ns(self) -> TimeArray:
         """When they were published or logged, ns since the start of the autopilot."""
-        name = next(name for name in STAMPS if name in self)
+        name = next(name for name in STAMPS if name in self.columns)
         return np.asarray(self.columns[name]).astype(np.int64) * STAMPS[name]
 
     @property
     def sample_ns(self) -> TimeArray:
         """When what they hold was sampled, ns; the same as `stamp_ns` where that is not said."""
-        name = next((name for name in SAMPLED if name in self), None)
+        name = next((name for name in SAMPLED if name in self.columns), None)
         if name is None:
             return self.stamp_ns
         sampled = np.asarray(self.columns[name]).astype(np.int64) * NS_PER_US
@@ -68,11 +66,8 @@ class Messages:
 
     def array(self, field: str) -> FloatArray:
         """Values of an array field, shape (k, its length)."""
-        return self.values(*(f"{field}[{i}]" for i in range(self.size(field))))
-
-    def size(self, field: str) -> int:
-        """Length of an array field."""
-        return sum(1 for name in self.columns if name.startswith(f"{field}["))
+        count = sum(name.startswith(f"{field}[") for name in self.columns)
+        return self.values(*(f"{field}[{i}]" for i in range(count)))
 
 
 @dataclass
@@ -80,15 +75,12 @@ class Log:
     """A log in memory."""
 
     path: Path  # Where it is from
+    title: str = ""  # What wrote it, as far as the log says
     kinds: set[str] = field(default_factory=set)  # Every kind of messages in it
     # Parameters at the start, by name, and time (s), name and value of those that became others
     parameters: dict[str, float] = field(default_factory=dict)
     changes: list[tuple[float, str, float]] = field(default_factory=list)
     texts: list[str] = field(default_factory=list)  # What the autopilot said of itself
-    # What a PX4 log says of the firmware and the board
-    facts: dict[str, int | float | str] = field(default_factory=dict)
-    # Lengths of the stretches in which the logger itself lost messages, s
-    dropouts: list[float] = field(default_factory=list)
     findings: Findings = field(default_factory=Findings)  # What there is to say about it
     start_ns: int | None = None  # Stamp of the start, ns; None if it is not known
     _found: dict[tuple[str, int], Messages] = field(default_factory=dict)
@@ -104,15 +96,16 @@ class Log:
 
     def add(
         self, name: str, instance: int, columns: dict[str, Column], instance_field: str = ""
-    ) -> BoolArray:
-        """Add messages; return which are kept: those with a stamp that a clock gave.
+    ) -> tuple[BoolArray, TimeArray]:
+        """Add messages; return which are kept, those with a stamp that a clock gave, and theirs.
 
         With an `instance_field` they are of several instances, as it says.
         """
-        good = plausible(Messages(name, columns).stamp_ns)
+        t_ns = Messages(name, columns).stamp_ns
+        good = plausible(t_ns)
         if not good.all():
             self.findings.damage.append(
-                f"{int((~good).sum())} of {len(good)} messages {name} have a stamp that no clock "
+                f"{int((~good).sum())} of {len(good)} samples of {name} have a stamp that no clock "
                 "gave, and were left out"
             )
         columns = {field: values[good] for field, values in columns.items()}
@@ -122,7 +115,7 @@ class Log:
             named = f"{name}[{number}]" if number else name
             self._found[name, number] = Messages(named, chosen)
             self.kinds.add(name)
-        return good
+        return good, t_ns[good]
 
     def messages(self, name: str, instance: int = 0) -> Messages | None:
         """Return the messages of a kind and instance, if there are any."""
@@ -140,13 +133,3 @@ class Log:
         """Take a parameter; a value that is not the first is a change at the time `t`, s."""
         if np.isfinite(value) and self.parameters.setdefault(name, value) != value:
             self.changes.append((t, name, value))
-
-    def say_loss(
-        self, gaps: list[Gap], size: int, stamped: list[tuple[int, int]], *, cut: bool
-    ) -> None:
-        """Say how much of the file could not be read; a gap at the end may be a `cut`."""
-        if gaps and cut:
-            gaps.pop()
-            self.findings.doubt("the file is cut off at its end: what is there was read")
-        if gaps:
-            self.findings.damage.insert(0, loss_in_words(gaps, size, sorted(stamped)))

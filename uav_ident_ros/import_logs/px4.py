@@ -5,24 +5,20 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import Import, RatesReader
-from uav_ident_ros.import_logs.flight_log import Choice, FlightLog
-from uav_ident_ros.import_logs.knowledge import board_to_body, table
+from uav_ident_ros.import_logs.autopilot import Import, RatesReader, table
+from uav_ident_ros.import_logs.flight_log import Choice, FlightLog, Stream, rates_stream
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.px4_actuators import COMMANDS, hovers, read_actuators
 from uav_ident_ros.import_logs.px4_folder import read_folder
-from uav_ident_ros.import_logs.px4_log import read_ulog, title_of
+from uav_ident_ros.import_logs.px4_log import read_ulog
 from uav_ident_ros.import_logs.stamps import intervals
-from uav_ident_ros.messages.types import PX4_RELATIVE_TIMESTAMP_INVALID
+from uav_ident_ros.messages.types import PX4_ARMING_STATE_ARMED, PX4_RELATIVE_TIMESTAMP_INVALID
 
-ARMED = 2
-"""vehicle_status.arming_state of an armed vehicle, in old and new logs."""
+LANDED = "vehicle_land_detected"
 
 MOST_GYROS = 4
-
-Rates = tuple[TimeArray, FloatArray, FloatArray | None]
 
 
 def read_px4(
@@ -43,70 +39,66 @@ def read_px4(
     else:
         log = read_ulog(path)
     it = Import(log, known, choice)
-    status = log.messages("vehicle_status")
     for name in ("CA_AIRFRAME", "MAV_TYPE"):
         it.refuse_others(name, log.parameters.get(name), name)
-    if status is not None and "vehicle_type" in status:
+    armed, status = None, log.messages("vehicle_status")
+    if status is not None and status.has("vehicle_type"):
         kind = int(status.columns["vehicle_type"][-1])
         it.refuse_others("vehicle_type", kind, "vehicle_status.vehicle_type")
-    it.in_the_air(log.messages(LANDED), "landed", lambda landed: landed == 0)
-    armed = None
-    if status is not None and "arming_state" in status:
-        active = status.columns["arming_state"] == ARMED
+    if status is not None and status.has("arming_state"):
+        active = status.columns["arming_state"] == PX4_ARMING_STATE_ARMED
         armed = intervals(status.stamp_ns, active, log.end_ns, log.start_ns)
-    it.say_flight(armed, "vehicle_status.arming_state")
+    it.take_flight(
+        LANDED, "landed", lambda landed: landed == 0, armed, "vehicle_status.arming_state"
+    )
     rates = it.read_rates(RATES_READERS, log.messages, "sensor_gyro")
-    actuators = read_actuators(it)
     hovering = hovers(log, choice.actuators_instance)
-    return it.flight_log(title_of(log), rates, actuators, hovers=hovering)
+    return it.flight_log(rates, read_actuators(it), hovers=hovering)
 
 
-LANDED = "vehicle_land_detected"
-
-
-# --- rates --------------------------------------------------------------------------------------
-
-
-def _from_sensor_combined(it: Import, topic: Messages) -> Rates:
+def _from_sensor_combined(it: Import, topic: Messages) -> Stream:
     """Calibrated mean rates over each gyro period, in the body's axes."""
-    findings = it.log.findings
     _say_orientation(it, "PX4 has turned sensor_combined by it")
     relative = topic.columns["accelerometer_timestamp_relative"]
     valid = relative != PX4_RELATIVE_TIMESTAMP_INVALID
+    force = None
     if not valid.any():
-        findings.doubt("there is no valid accelerometer sample: ay and az are zero")
-        return topic.stamp_ns, topic.array("gyro_rad"), None
-    if not valid.all():
-        findings.doubt(f"{int((~valid).sum())} accelerometer samples are invalid: held over")
-    last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))
-    if offset := float(np.median(relative[valid])) * 1e-3:
-        findings.say(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
-    return topic.stamp_ns, topic.array("gyro_rad"), topic.array("accelerometer_m_s2")[last]
+        it.findings.doubt("there is no valid accelerometer sample: ay and az are zero")
+    else:
+        last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))
+        force = topic.array("accelerometer_m_s2")[last]
+        if not valid.all():
+            it.findings.doubt(f"{int((~valid).sum())} accelerometer samples are invalid: held over")
+        if offset := float(np.median(relative[valid])) * 1e-3:
+            it.findings.say(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
+    return rates_stream(topic.name, topic.stamp_ns, topic.array("gyro_rad"), force)
 
 
-def _from_sensor_gyro(it: Import, topic: Messages) -> Rates:
+def _from_sensor_gyro(it: Import, topic: Messages) -> Stream:
     """Uncalibrated rates of one gyro, in the board's axes: offset and rotation applied here."""
-    log, raw = it.log, topic.values(*"xyz")
-    if "timestamp_sample" not in topic:
-        log.findings.assume(
+    rates = topic.values(*"xyz")
+    if not topic.has("timestamp_sample"):
+        it.findings.assume(
             "sensor_gyro without timestamp_sample (before v1.11) is calibrated, filtered and "
             "turned into body axes by its driver"
         )
-        return topic.stamp_ns, raw, it.force_at(topic, it.table["force"])
-    matrix = board_to_body(_rotation_number(log), _board_offsets(log))
-    if matrix is None:
-        raise log.refusal(
-            f": SENS_BOARD_ROT is {_rotation_number(log)}, which is not known: "
-            "--rates-topic sensor_combined or vehicle_angular_velocity needs no rotation"
-        )
-    offset = _gyro_offset(log, topic)
-    _say_orientation(it, "applied here to sensor_gyro, which is in the board's axes")
-    return topic.sample_ns, (raw - offset) @ matrix.T, it.force_at(topic, it.table["force"])
+    else:
+        number = int(it.log.parameter("SENS_BOARD_ROT"))
+        listed = table("rotations").get(number)
+        if listed is None:
+            raise it.log.refusal(
+                f": SENS_BOARD_ROT is {number}, which is not known: "
+                "--rates-topic sensor_combined or vehicle_angular_velocity needs no rotation"
+            )
+        fine = rotation(*np.radians(_board_offsets(it.log)))
+        rates = (rates - _gyro_offset(it.log, topic)) @ (fine @ rotation(*np.radians(listed))).T
+        _say_orientation(it, "applied here to sensor_gyro, which is in the board's axes")
+    return rates_stream(topic.name, topic.sample_ns, rates, it.force_at(topic))
 
 
-def _from_angular_velocity(it: Import, topic: Messages) -> Rates:
+def _from_angular_velocity(it: Import, topic: Messages) -> Stream:
     """Take the rates that PX4 controls with."""
-    return topic.sample_ns, topic.array("xyz"), it.force_at(topic, it.table["force"])
+    return rates_stream(topic.name, topic.sample_ns, topic.array("xyz"), it.force_at(topic))
 
 
 RATES_READERS: dict[str, RatesReader] = {
@@ -117,13 +109,9 @@ RATES_READERS: dict[str, RatesReader] = {
 """Readers by topic, the preferred first."""
 
 
-def _rotation_number(log: Log) -> int:
-    return int(log.parameter("SENS_BOARD_ROT"))
-
-
-def _board_offsets(log: Log) -> tuple[float, float, float]:
-    x, y, z = (log.parameter(f"SENS_BOARD_{axis}_OFF") for axis in "XYZ")
-    return x, y, z
+def _board_offsets(log: Log) -> list[float]:
+    """Return the fine roll, pitch, yaw of the board, deg."""
+    return [log.parameter(f"SENS_BOARD_{axis}_OFF") for axis in "XYZ"]
 
 
 def _say_orientation(it: Import, consequence: str) -> None:
@@ -134,7 +122,7 @@ def _say_orientation(it: Import, consequence: str) -> None:
 
 def _gyro_offset(log: Log, topic: Messages) -> FloatArray:
     """Calibrated offset of the gyro with this device number, rad/s, board axes."""
-    device = int(topic.columns["device_id"][0]) if "device_id" in topic else 0
+    device = int(topic.columns["device_id"][0]) if topic.has("device_id") else 0
     for i in range(MOST_GYROS):
         if device and int(log.parameter(f"CAL_GYRO{i}_ID")) == device:
             log.findings.say(f"gyro offset: CAL_GYRO{i}_XOFF, YOFF, ZOFF, subtracted")

@@ -8,26 +8,24 @@ and `actuator_outputs`, behind it.
 """
 
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
-from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import Actuators, ActuatorsReader, Import
-from uav_ident_ros.import_logs.flight_log import (
-    NO_EFFECT,
-    Channel,
-    unique_names,
-)
-from uav_ident_ros.import_logs.knowledge import (
-    between,
+from uav_ident_ros.import_logs.autopilot import Actuators, ActuatorsReader, Import, table
+from uav_ident_ros.import_logs.channels import (
+    PWM_MAX,
+    PWM_MIN,
+    demands,
     effect_of,
     effects_of_arms,
+    named_once,
+    over_range,
     rotor_effects,
-    table,
 )
+from uav_ident_ros.import_logs.flight_log import NO_EFFECT, Channel, Stream
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.stamps import join
 
 KNOWN = table("px4")
 MULTIROTOR, FIXED_WING = 0, 1
@@ -38,9 +36,6 @@ QUADROTOR = 2
 
 MOTOR_FUNCTION, SERVO_FUNCTION, FUNCTIONS_OF_A_KIND = 101, 201, 16
 """Output functions of the first motor and servo (PWM_MAIN_FUNCn), and how many there are."""
-
-PWM_MIN, PWM_MAX = 1000.0, 2000.0
-"""Pulse widths of no and full command where no parameter says, us."""
 
 CONTROLS = "actuator_controls_"
 SETPOINTS = ("vehicle_torque_setpoint", "vehicle_thrust_setpoint")
@@ -66,23 +61,22 @@ def read_actuators(it: Import) -> Actuators:
 
     usable = it.find("actuators", READERS, find)
     name = _choose(it, usable)
-    actuators = READERS[name](it, usable[name])
-    it.log.findings.say(f"actuators: {actuators[0]}")
-    if "timestamp_sample" in usable[name]:
+    commands, channels = READERS[name](it, usable[name])
+    it.findings.say(f"actuators: {commands.source}")
+    if usable[name].has("timestamp_sample"):
         delays = usable[name].stamp_ns - usable[name].sample_ns
-        it.log.findings.say(
+        it.findings.say(
             "commands count from their publication (timestamp), in the median "
             f"{np.median(delays) * 1e-6:.2f} ms after the gyro sample they answer "
             "(timestamp_sample)"
         )
-    return actuators
+    return commands, channels
 
 
 def _choose(it: Import, usable: dict[str, Messages]) -> str:
     """Name the best topic: nearest to the actuators, of those that say what they move."""
-    sets = _sets_of_a_hybrid(it.log)
-    if sets:
-        it.log.findings.assume(
+    if sets := _sets_of_a_hybrid(it.log):
+        it.findings.assume(
             f"a VTOL: {sets[0]} are the commands of hover, {sets[1]} those of forward flight "
             f"(--actuators-instance); {it.choice.actuators_instance} is taken"
         )
@@ -120,31 +114,29 @@ def hovers(log: Log, instance: int) -> bool:
 
 def _allocated(it: Import, _: Messages) -> Actuators:
     """Motors and servos behind the control allocation."""
-    log = it.log
-    parts: list[tuple[TimeArray, FloatArray]] = []
+    parts: list[Stream] = []
     channels: list[Channel] = []
-    sources: list[str] = []
     for name, describe in zip(ALLOCATED, (_motors, _servos), strict=True):
-        if (topic := log.messages(name, it.choice.actuators_instance)) is not None:
+        if (topic := it.log.messages(name, it.choice.actuators_instance)) is not None:
             values = topic.array("control")
-            in_use = ~np.isnan(values).all(axis=0)
-            every = describe(log, values.shape[1])
-            channels += [c for c, used in zip(every, in_use, strict=True) if used]
-            parts.append((topic.stamp_ns, values[:, in_use]))
-            sources.append(topic.name)
-    source = " and ".join(sources)
+            in_use = np.flatnonzero(~np.isnan(values).all(axis=0))
+            every = describe(it.log, values.shape[1])
+            channels += [every[i] for i in in_use]
+            parts.append(Stream(topic.name, topic.stamp_ns, values[:, in_use]))
+    commands = reduce(Stream.joined, parts)
     if not channels:
-        raise log.refusal(f": {source} hold no value throughout: the motors were never on")
+        raise it.log.refusal(f": {commands.source} hold no value throughout: the motors were never "
+                             "on")  # fmt: skip
     if not any(any(channel.effect) for channel in channels):
-        raise log.refusal(
-            f": no parameter (CA_ROTOR*, CA_SV_CS*) says what {source} move; try "
+        raise it.log.refusal(
+            f": no parameter (CA_ROTOR*, CA_SV_CS*) says what {commands.source} move; try "
             "--actuators-topic vehicle_torque_setpoint"
         )
-    t_ns, values = parts[0] if len(parts) == 1 else join(*parts)
-    return source, t_ns, values, tuple(channels)
+    return commands, channels
 
 
 def _motors(log: Log, count: int) -> list[Channel]:
+    """Meaning of the entries of actuator_motors: first the rotors."""
     rotors = min(int(log.parameter("CA_ROTOR_COUNT")), count)
     airframe = log.parameters.get("CA_AIRFRAME")
     effects = [NO_EFFECT] * count
@@ -171,8 +163,7 @@ def _motors(log: Log, count: int) -> list[Channel]:
             f"CA_AIRFRAME {airframe}: what the motors turn is not known here, they are only "
             "recorded"
         )
-    return [Channel(f"motor_{i}", effect, f"motor {i}, 0 to 1")
-            for i, effect in enumerate(effects, 1)]  # fmt: skip
+    return [Channel(f"motor_{i}", e, f"motor {i}, 0 to 1") for i, e in enumerate(effects, 1)]
 
 
 def _servos(log: Log, count: int) -> list[Channel]:
@@ -191,42 +182,30 @@ def _servos(log: Log, count: int) -> list[Channel]:
         meaning = f"{prefix}TYPE {kind}, torques {words or 'none'}"
         channels.append(Channel(name, effect, meaning, neutral=log.parameter(f"{prefix}TRIM")))
     channels += [Channel(f"servo_{i + 1}", NO_EFFECT, "servo") for i in range(surfaces, count)]
+    channels = named_once(channels)
     if surfaces:
         log.findings.say(
             f"{surfaces} control surfaces, types and torques from CA_SV_CSi_TYPE and _TRQ_R, _P, "
             f"_Y: {', '.join(channel.name for channel in channels[:surfaces])}"
         )
-    return _named_once(channels)
+    return channels
 
 
-def _named_once(channels: list[Channel]) -> list[Channel]:
-    names = unique_names([channel.name for channel in channels])
-    return [replace(c, name=name) for c, name in zip(channels, names, strict=True)]
-
-
-# --- before the allocation or the mixer ---------------------------------------------------------
+# --- before the allocation, and behind the mixer ------------------------------------------------
 
 
 def _setpoints(it: Import, torque: Messages) -> Actuators:
     """Torque and thrust asked of the control allocation."""
-    log = it.log
-    thrust = log.messages(SETPOINTS[1], it.choice.actuators_instance)
-    channels = [
-        Channel(f"{axis}_torque", effect_of({axis: 1.0}), f"torque setpoint, {way} positive")
-        for axis, way in (("roll", "right"), ("pitch", "up"), ("yaw", "right"))
-    ]
-    stream = (torque.stamp_ns, torque.array("xyz"))
+    commands, channels = demands(it, torque)
+    thrust = it.log.messages(SETPOINTS[1], it.choice.actuators_instance)
     if thrust is None:
-        log.findings.doubt("there is no vehicle_thrust_setpoint: dth is zero throughout")
-        return torque.name, *stream, tuple(channels)
-    forces = thrust.array("xyz")
-    acting = {"z": -1.0} if _lifts(log, forces) else {"x": 1.0}
-    channels += [
-        Channel(f"thrust_{axis}", (0.0, 0.0, 0.0, acting.get(axis, 0.0)), f"thrust {way}")
-        for axis, way in (("x", "forward"), ("y", "right"), ("z", "down"))
-    ]
-    t_ns, values = join(stream, (thrust.stamp_ns, forces))
-    return f"{torque.name} and {thrust.name}", t_ns, values, tuple(channels)
+        it.findings.doubt("there is no vehicle_thrust_setpoint: dth is zero throughout")
+        return commands, channels
+    forces, axes = demands(it, thrust)
+    acting = (0.0, 0.0, -1.0) if _lifts(it.log, forces.values) else (1.0, 0.0, 0.0)
+    for axis, share in zip(axes, acting, strict=True):
+        channels.append(replace(axis, effect=effect_of({"thrust": share})))
+    return commands.joined(forces), channels
 
 
 def _lifts(log: Log, forces: FloatArray) -> bool:
@@ -239,23 +218,11 @@ def _lifts(log: Log, forces: FloatArray) -> bool:
     return up >= ahead
 
 
-def _controls(it: Import, topic: Messages) -> Actuators:
-    """One set of controls of logs before v1.13 or so."""
-    values = topic.array("control")
-    return topic.name, topic.stamp_ns, values, tuple(
-        Channel(entry["name"], effect_of(entry), f"{topic.name}, index {i}, before the mixer")
-        for i, entry in enumerate(KNOWN["control_group"][: values.shape[1]])
-    )  # fmt: skip
-
-
-# --- pulse widths -------------------------------------------------------------------------------
-
-
 def _outputs(it: Import, topic: Messages) -> Actuators:
     """Pulse widths at the pins, with functions from PWM_*_FUNCn, or a quadrotor's old mixer."""
     log, instance = it.log, it.choice.actuators_instance
-    count = int(np.max(topic.columns["noutputs"])) or topic.size("output")
-    values = topic.array("output")[:, :count]
+    values = topic.array("output")
+    count = int(np.max(topic.columns["noutputs"])) or values.shape[1]
     prefix = "PWM_AUX" if instance else "PWM_MAIN"
     functions = [int(log.parameter(f"{prefix}_FUNC{i + 1}")) for i in range(count)]
     if any(functions):
@@ -268,26 +235,30 @@ def _outputs(it: Import, topic: Messages) -> Actuators:
             f": no parameter {prefix}_FUNCn says what the actuator_outputs move; "
             "try --actuators-topic actuator_controls_0"
         )
-    return topic.name, topic.stamp_ns, values, tuple(channels)
+    return Stream(topic.name, topic.stamp_ns, values[:, :count]), channels
 
 
 def _by_function(log: Log, functions: list[int], prefix: str) -> list[Channel]:
     motors = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
     servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
+    reversed_pins = int(log.parameter(f"{prefix}_REV"))
     channels = []
     for i, function in enumerate(functions):
         low = log.parameter(f"{prefix}_MIN{i + 1}", PWM_MIN)
         high = log.parameter(f"{prefix}_MAX{i + 1}", PWM_MAX)
-        sign = -1.0 if int(log.parameter(f"{prefix}_REV")) >> i & 1 else 1.0
-        where = f"{prefix}_FUNC{i + 1} {function}, {low:g} to {high:g} us"
-        kind, scale, neutral = Channel(f"output_{i + 1}", NO_EFFECT, ""), 1.0, 0.0
-        if function in motors:
-            kind, (scale, neutral) = motors[function], between(low, high, sign)
-        elif function in servos:
-            centre = (low + high) / 2.0
-            kind, (scale, neutral) = servos[function], between(low, high, sign, centre)
-        channels.append(replace(kind, meaning=where, scale=scale, neutral=neutral, unit="us"))
-    return _named_once(channels)
+        plain = Channel(f"output_{i + 1}", NO_EFFECT, "")
+        channel = replace(
+            {**motors, **servos}.get(function, plain),
+            meaning=f"{prefix}_FUNC{i + 1} {function}",
+            neutral=0.0,
+            unit="us",
+        )
+        if channel.name != plain.name:
+            centre = (low + high) / 2.0 if function in servos else None
+            turned = bool(reversed_pins >> i & 1)
+            channel = over_range(channel, low, high, centre=centre, turned=turned)
+        channels.append(channel)
+    return named_once(channels)
 
 
 def _quad_x(log: Log, count: int) -> list[Channel]:
@@ -298,19 +269,20 @@ def _quad_x(log: Log, count: int) -> list[Channel]:
         "on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
     )
     log.findings.say(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
-    motors = [
-        Channel(f"motor_{i}", effect, "output of quad x", *between(low, high), "us")
+    channels = [
+        over_range(Channel(f"motor_{i}", effect, "output of quad x", unit="us"), low, high)
         for i, effect in enumerate(effects_of_arms(KNOWN["quad_x"]), 1)
     ]
-    more = range(len(motors), count)
-    return [*motors, *(Channel(f"output_{i + 1}", NO_EFFECT, "", unit="us") for i in more)][:count]
+    for i in range(len(channels) + 1, count + 1):
+        channels.append(Channel(f"output_{i}", NO_EFFECT, "", unit="us"))
+    return channels[:count]
 
 
 READERS: dict[str, ActuatorsReader] = {
     **dict.fromkeys(ALLOCATED, _allocated),
     SETPOINTS[0]: _setpoints,
-    f"{CONTROLS}0": _controls,
-    f"{CONTROLS}1": _controls,
+    f"{CONTROLS}0": demands,
+    f"{CONTROLS}1": demands,
     "actuator_outputs": _outputs,
 }
 """Readers by topic, nearest to the actuators first; the pulse widths, whose meaning is the least

@@ -35,7 +35,7 @@ def read_folder(path: Path, topics: Collection[str]) -> Log:
             if logs
             else f"folder '{path}' has no table of ulog2csv, as LOG_sensor_combined_0.csv"
         )
-    log = Log(path, facts={"sys_name": "PX4, by ulog2csv"})
+    log = Log(path, "PX4, by ulog2csv")
     for file, match in found.items():
         columns = _table(file)
         if len(columns["timestamp"]):

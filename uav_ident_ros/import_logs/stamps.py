@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the stamps of a stream tell: its rate, its gaps, and how to join two streams."""
+"""What the stamps of a stream tell: its rate, its gaps, and values at other times."""
 
 from collections.abc import Sequence
 
@@ -16,10 +16,6 @@ Stretches = Sequence[tuple[int, int]]
 GAP_INTERVALS, SHORTEST_GAP = 3.0, 0.02
 """An interval of more than so many median ones, and longer than so many s, is a gap: jitter stays
 below, a lost sample or two hardly matter."""
-
-JOIN_NS = 200_000
-"""Samples of two topics this close, ns, are of one cycle of the controller: the fastest run at
-1 kHz or so, and what is published in one cycle is some microseconds apart."""
 
 LATEST_NS = 2**31 * NS_PER_S
 """What a ROS stamp can hold, ns."""
@@ -129,25 +125,6 @@ def intervals(
     return result
 
 
-def join(
-    first: tuple[TimeArray, FloatArray],  # first, second: (k,) Stamps, ns, rising, and values
-    second: tuple[TimeArray, FloatArray],
-) -> tuple[TimeArray, FloatArray]:
-    """Put two streams side by side; each value is held until its stream's next.
-
-    Stamps of one controller cycle (closer than `JOIN_NS`) become one, the later. Before the
-    first sample of a stream its values are NaN.
-
-    Returns
-    -------
-    pair of (n,) int array and (n, C1 + C2) array
-        Stamps and values of both.
-    """
-    every = np.union1d(first[0], second[0])
-    t_ns = every[np.append(np.diff(every) > JOIN_NS, True)]
-    return t_ns, np.hstack([hold(t_ns, *first), hold(t_ns, *second)])
-
-
 def hold(t_ns: TimeArray, samples_ns: TimeArray, values: FloatArray) -> FloatArray:
     """Return the last value at or before each time, NaN before the first, (n, C)."""
     index = np.searchsorted(samples_ns, t_ns, side="right") - 1
@@ -161,3 +138,20 @@ def interpolate(t_ns: TimeArray, samples_ns: TimeArray, values: FloatArray) -> F
     origin = int(samples_ns[0])
     at, known = (t_ns - origin).astype(float), (samples_ns - origin).astype(float)
     return np.column_stack([np.interp(at, known, column) for column in values.T])
+
+
+def quaternions(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return the unit quaternions x, y, z, w of Euler angles (rad), shape (n, 4)."""
+    (cr, sr), (cp, sp), (cy, sy) = (
+        (np.cos(angle / 2.0), np.sin(angle / 2.0)) for angle in (roll, pitch, yaw)
+    )
+    x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
+    z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
+    return np.column_stack([x, y, z, w])
+
+
+def turned_at(t_ns: TimeArray, samples_ns: TimeArray, quaternion: FloatArray) -> FloatArray:
+    """Return unit quaternions (k, 4) at other times (n,), joined along the shorter arcs."""
+    flips = np.cumprod(np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
+    joined = interpolate(t_ns, samples_ns, quaternion * np.append(1.0, flips)[:, None])
+    return np.asarray(joined / np.linalg.norm(joined, axis=1, keepdims=True))

@@ -23,8 +23,7 @@ from uav_ident_ros.bags.messages import (
 from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.import_logs.flight_log import FlightLog, Stream
-from uav_ident_ros.import_logs.knowledge import at_times
-from uav_ident_ros.import_logs.stamps import inside
+from uav_ident_ros.import_logs.stamps import inside, turned_at
 
 FRAME_IDS = {"frd": "base_link_frd", "flu": "base_link"}
 """Frame of the Imu's header; the identifier takes the suffix as the convention."""
@@ -119,7 +118,7 @@ def _imu(log: FlightLog) -> Make:
     assert rates is not None
     turns = [None] * len(rates.t_ns)
     if attitude is not None:
-        turns = at_times(rates.t_ns, attitude.t_ns, attitude.values).tolist()
+        turns = turned_at(rates.t_ns, attitude.t_ns, attitude.values).tolist()
     turned = iter(turns)
 
     def make(t_ns: int, value: Any) -> Any:

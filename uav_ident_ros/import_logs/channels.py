@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the channels of an autopilot do: their shares in the inputs, their ranges, mixers of rotors.
+
+Signs as everywhere in the project: positive de pitches down, dr yaws left, da rolls right. The
+autopilots count pitch up and yaw right as positive.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.autopilot import Actuators, Import
+from uav_ident_ros.import_logs.flight_log import Channel, Effect, Stream
+from uav_ident_ros.import_logs.log import Messages
+
+PWM_MIN, PWM_TRIM, PWM_MAX = 1000.0, 1500.0, 2000.0
+"""Pulse widths of least, rest and full where no parameter says, us."""
+
+SENSES = {"ccw": 1.0, "cw": -1.0}
+"""Yawing moment per thrust, right positive, by the rotor's sense of rotation from above."""
+
+ROTATION_RANGE = 2.0
+"""Sum of the weights' absolute values in de, dr, da of a multirotor: one is then half of the
+motors at full and half at nothing. As in config/px4_quadrotor.yaml."""
+
+
+def effect_of(entry: Mapping[str, Any], share: float = 1.0) -> Effect:
+    """Return the effect of what rolls right, pitches up, yaws right and pushes by some shares."""
+    roll, pitch, yaw, thrust = (
+        float(entry.get(axis, 0.0)) * share for axis in ("roll", "pitch", "yaw", "thrust")
+    )
+    return (0.0 - pitch, 0.0 - yaw, roll + 0.0, thrust)  # never -0.0
+
+
+def effects_of_arms(arms: Sequence[str]) -> list[Effect]:
+    """Return the effects of equal rotors, each given as its arm's angle and sense of rotation.
+
+    The angle is clockwise from the nose, deg.
+    """
+    angles, senses = zip(*(arm.split() for arm in arms), strict=True)
+    bearings = np.radians(np.array(angles, dtype=float))
+    positions = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    return rotor_effects(positions, [SENSES[sense] for sense in senses], [1.0] * len(arms))
+
+
+def rotor_effects(
+    positions: FloatArray,  # (N, 2) Forward and right of the centre, in any unit
+    # Yawing moment per thrust: positive for a rotor that turns counter-clockwise from above, whose
+    # reaction yaws the vehicle right
+    moment_ratios: Sequence[float],
+    thrusts: Sequence[float],  # Relative thrust at full command
+) -> list[Effect]:
+    """Effects of the upward rotors of a multirotor, each row of the mixing in a fixed range."""
+    thrust = np.asarray(thrusts, dtype=float)
+    forward, right = positions.T
+    rows = np.array([-right, forward, moment_ratios]) * thrust
+    rows[np.abs(rows) < 1e-9 * max(np.abs(rows).max(), 1e-9)] = 0.0
+    size = np.abs(rows).sum(axis=1, keepdims=True)
+    rows = ROTATION_RANGE * np.divide(rows, size, out=np.zeros_like(rows), where=size > 0.0)
+    names = ("roll", "pitch", "yaw", "thrust")
+    columns = np.vstack([rows, thrust / thrust.sum()]).T.tolist()
+    return [effect_of(dict(zip(names, column, strict=True))) for column in columns]
+
+
+def over_range(
+    channel: Channel,
+    low: float,  # low, high: raw values at the ends of the range
+    high: float,
+    *,
+    centre: float | None = None,  # Raw value at rest of what deflects to both sides
+    turned: bool = False,  # Whether the range is turned round
+) -> Channel:
+    """Return a channel that runs from nothing to full, or from its centre to both sides.
+
+    Raises
+    ------
+    ValueError
+        If that is no range.
+    """
+    if not high > low:
+        raise ValueError(f"{channel.name} is said to run from {low:g} to {high:g}: no range")
+    span, halves, rest = f"{low:g} to {high:g}", 1.0, high if turned else low
+    if centre is not None:
+        span, halves, rest = f"{low:g} {centre:g} {high:g}", 2.0, centre
+    scale = (-halves if turned else halves) / (high - low)
+    meaning = f"{channel.meaning}, {span} {channel.unit}{', reversed' if turned else ''}"
+    return replace(channel, meaning=meaning, scale=scale, neutral=rest)
+
+
+def demands(it: Import, messages: Messages) -> Actuators:
+    """Read controls from before the mixer, which the table explains field by field.
+
+    Raises
+    ------
+    ImportLogError
+        If one that moves something is missing.
+    """
+    fields = it.table["controls"][messages.name.partition("[")[0]]
+    effects = {field: effect_of(entry) for field, entry in fields.items()}
+    if missing := [f for f, effect in effects.items() if any(effect) and not messages.has(f)]:
+        raise it.log.refusal(
+            f": {messages.name} has no {', '.join(missing)}; it has {', '.join(messages.columns)}"
+        )
+    there = [field for field in fields if messages.has(field)]
+    channels = [
+        Channel(
+            fields[field]["name"],
+            effects[field],
+            f"{messages.name}.{field}",
+            1.0 / fields[field].get("unit", 1.0),
+        )
+        for field in there
+    ]
+    return Stream(messages.name, messages.stamp_ns, messages.values(*there)), channels
+
+
+def named_once(channels: Sequence[Channel]) -> list[Channel]:
+    """Return the channels with ``_2``, ``_3`` ... behind names that occur again."""
+    names = [channel.name for channel in channels]
+    counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
+    return [
+        channel if count == 1 else replace(channel, name=f"{channel.name}_{count}")
+        for channel, count in zip(channels, counts, strict=True)
+    ]
