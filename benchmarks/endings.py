@@ -15,7 +15,6 @@ signals    At a random moment, every other time while it starts and every other 
 import os
 import random
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -32,6 +31,7 @@ from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.domain import own_domain
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, load_with_notes
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.process import NodeProcess
 
 BAG = bench.ROOT / "bags" / "multisine"
 TOPICS = ("/imu/data", "/actuators")
@@ -102,13 +102,11 @@ class Feeder:
 
 
 @contextmanager
-def running(state_file: Path, log: Path) -> Iterator[subprocess.Popen[bytes]]:
+def running(state_file: Path, log: Path) -> Iterator[NodeProcess]:
     """Run the node as a process of its own, and kill it in the end."""
-    command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
-    command += ["--params-file", str(BAG / "identifier.yaml")]
-    command += ["-p", f"state_file:={state_file}", "-p", "save_period:=1.0"]
-    with log.open("wb") as file:
-        node = subprocess.Popen(command, cwd=bench.ROOT, stdout=file, stderr=file)
+    log.unlink(missing_ok=True)
+    values = {"state_file": state_file, "save_period": 1.0}
+    node = NodeProcess("uav_ident_ros.node", log, values, file=BAG / "identifier.yaml")
     try:
         yield node
     finally:
@@ -130,7 +128,7 @@ def kills(feeder: Feeder, count: int, chance: random.Random, folder: Path, wrong
             saves += feeder.saves()
         if saved is not None:
             published = feeder.player.outputs.coefficients
-            if "started from" not in log.read_text(encoding="utf-8"):
+            if "started from" not in node.log:
                 wrong.append(f"start {number}: it did not start from the file")
             if not published:
                 wrong.append(f"start {number}: it published nothing")
@@ -142,9 +140,7 @@ def kills(feeder: Feeder, count: int, chance: random.Random, folder: Path, wrong
     return f"{count} kills, {saves} files written, {interrupted} killed in the middle of one"
 
 
-def _live_until_saved(
-    feeder: Feeder, node: subprocess.Popen[bytes], state_file: Path, life: float
-) -> None:
+def _live_until_saved(feeder: Feeder, node: NodeProcess, state_file: Path, life: float) -> None:
     """Feed a node until it has written a file, and `life` seconds more."""
     feeder.player.wait_for_node()
     feeder.player.outputs.clear()
@@ -187,7 +183,7 @@ def signals(
                 time.sleep(chance.choice(GAPS))
             status = node.wait(PATIENCE)
         learned, saved = learned + knows, saved + state_file.exists()
-        said = log.read_text(encoding="utf-8", errors="replace")
+        said = node.log
         if status != 0 or "Traceback" in said or "FATAL" in said:
             wrong.append(f"run {number}: status {status}: {said[-300:]}")
         if knows and not state_file.exists():
@@ -195,9 +191,7 @@ def signals(
     return f"{count} nodes ended; {learned} had learned, {saved} left a file"
 
 
-def _live_until_learned(
-    feeder: Feeder, node: subprocess.Popen[bytes], life: float, *, started: bool
-) -> None:
+def _live_until_learned(feeder: Feeder, node: NodeProcess, life: float, *, started: bool) -> None:
     """Feed a node for `life` seconds, from when it heeds signals or, `started`, has learned."""
     limit = time.monotonic() + PATIENCE
     while not _heeds(node.pid) and time.monotonic() < limit:

@@ -13,7 +13,7 @@ from one seed.
 import itertools
 import os
 import random
-import subprocess
+import signal
 import sys
 import tempfile
 import time
@@ -38,6 +38,7 @@ from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.offline.run import OfflineRun, run_over
 from uav_ident_ros.offline.ticks import Ticks
 from uav_ident_ros.player import Outputs, Player, PlayerError
+from uav_ident_ros.process import NodeProcess
 
 BAG = bench.ROOT / "bags" / "multisine"
 
@@ -133,7 +134,6 @@ class Campaign:
         self.chance = random.Random(seed)
         self._count = count
         self._sim_time = sim_time
-        self._log = folder / "node.log"
         self._process = self._start(folder)
         # Without a stamp of its own, it holds from its arrival: by /clock, with the others.
         self.topics = [topic for topic in TYPES if sim_time or topic != ARMED]
@@ -149,21 +149,18 @@ class Campaign:
         self._flight = self._load_flight()
         self._hostile = {t: Hostile(kind, self.chance) for t, kind in self._types.items()}
 
-    def _start(self, folder: Path) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
-        command += ["--params-file", str(BAG / "identifier.yaml")]
-        for name, value in (
-            ("airspeed.type", TYPES[AIRSPEED]),
-            ("armed.type", TYPES[ARMED] if self._sim_time else '""'),
-            ("state_file", folder / "state.yaml"),
-            ("save_period", 1.0),
-            ("actuators.lower_limit", LIMITS["lower"]),
-            ("actuators.upper_limit", LIMITS["upper"]),
-            ("use_sim_time", str(self._sim_time).lower()),
-        ):
-            command += ["-p", f"{name}:={value}"]
-        with self._log.open("wb") as file:
-            return subprocess.Popen(command, cwd=bench.ROOT, stdout=file, stderr=file)
+    def _start(self, folder: Path) -> NodeProcess:
+        values = {
+            "airspeed.type": TYPES[AIRSPEED],
+            "armed.type": TYPES[ARMED] if self._sim_time else '""',
+            "state_file": folder / "state.yaml",
+            "save_period": 1.0,
+            "actuators.lower_limit": LIMITS["lower"],
+            "actuators.upper_limit": LIMITS["upper"],
+            "use_sim_time": self._sim_time,
+        }
+        log = folder / "node.log"
+        return NodeProcess("uav_ident_ros.node", log, values, file=BAG / "identifier.yaml")
 
     def _load_flight(self) -> list[tuple[int, str, bytes]]:
         """Good messages: those of the bag, an airspeed ten times a second, armed twice."""
@@ -468,14 +465,7 @@ class Campaign:
 
     def end(self) -> None:
         """End the node, which must end well, and leave the graph."""
-        if self._process.poll() is None:
-            self._process.terminate()
-        try:
-            status = self._process.wait(15.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            status = "none: it had to be killed"
-        log = self._log.read_text(encoding="utf-8", errors="replace")
+        status, log = self._process.end(signal.SIGTERM), self._process.log
         if status != 0 or "Traceback" in log:
             tail = "\n".join(log.splitlines()[-30:])
             self.outcome.problems.append(f"it ended with status {status}:\n{tail}")

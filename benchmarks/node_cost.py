@@ -17,10 +17,7 @@ from __future__ import annotations
 import itertools
 import multiprocessing
 import os
-import signal
 import struct
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -32,6 +29,7 @@ import flights
 import numpy as np
 
 from uav_ident_ros.bags.writing import jazzy_types
+from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.ros import stamp_ns
 from uav_ident_ros.simulation.recording import actuator_messages, imu_messages
 
@@ -119,20 +117,18 @@ def measure(imu_rate: float, seconds: float, parameters: list[str]) -> tuple[str
     """Run node and publisher and measure for `seconds`; return the row of the table."""
     from uav_ident_ros.player import Player
 
-    command = [sys.executable, "-m", "uav_ident_ros.node", "--ros-args"]
-    for parameter in (
-        "actuators.type:=sensor_msgs/msg/JointState",
-        "actuators.channels:=[elevator, rudder, aileron, throttle]",
-        "actuators.trim:=[0.0, 0.0, 0.0, 0.5]",
-        *parameters,
-    ):
-        command += ["-p", parameter]
     spawn = multiprocessing.get_context("spawn")
     ready, sent = spawn.Event(), spawn.Queue()
     publisher = spawn.Process(
         target=publish, args=(imu_rate, WARM_UP + seconds + MARGIN, ready, sent)
     )
-    node = subprocess.Popen(command, cwd=bench.ROOT, stderr=subprocess.DEVNULL)
+    values = {
+        "actuators.type": "sensor_msgs/msg/JointState",
+        "actuators.channels": "[elevator, rudder, aileron, throttle]",
+        "actuators.trim": "[0.0, 0.0, 0.0, 0.5]",
+        **dict(parameter.split(":=", 1) for parameter in parameters),
+    }
+    node = NodeProcess("uav_ident_ros.node", Path(os.environ["ROS_HOME"]) / "node.log", values)
     player = Player({}, clock=False)
     ages: list[int] = []
     try:
@@ -161,8 +157,7 @@ def measure(imu_rate: float, seconds: float, parameters: list[str]) -> tuple[str
         status = {entry.key: entry.value for entry in player.outputs.status[-1].values}
     finally:
         player.close()
-        node.send_signal(signal.SIGINT)
-        node.wait(10.0)
+        node.end()
         if publisher.is_alive():
             publisher.terminate()
         if publisher.pid is not None:

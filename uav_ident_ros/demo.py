@@ -9,12 +9,9 @@ the same computation its score, its picture and its report.
 import argparse
 import contextlib
 import os
-import signal
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +29,7 @@ from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.run import Inputs, choose_inputs
 from uav_ident_ros.offline.status import NO_RESULT
 from uav_ident_ros.player import Player, PlayerError
+from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.share import shared
 
 NODE_NAME = "/identifier"
@@ -96,43 +94,22 @@ def load_flight(path: Path, parameter_file: Path | None) -> Flight:
         )
 
 
-# --- the node ---------------------------------------------------------------------------------
-
-
-def node_command(flight: Flight) -> list[str]:
-    """Return the command line of the node for a flight."""
-    # A recorded flight must neither start from the vehicle's state file nor end up in it.
-    command = [sys.executable, "-m", "uav_ident_ros.node"]
-    command += ["--ros-args", "-p", "state_file:=none"]
-    if flight.parameter_file is not None:
-        command += ["--params-file", str(flight.parameter_file)]
-    settings = flight.inputs.settings
-    for name, value in (
-        ("use_sim_time", "true"),
-        ("imu.type", settings.imu.type),
-        ("actuators.type", settings.actuators.type),
-    ):
-        command += ["-p", f"{name}:={value}"]
-    for stream in STREAMS:
-        if stream.name in flight.inputs.streams:
-            command += ["-r", f"{stream.topic}:={flight.inputs.streams[stream.name]}"]
-    return command
-
-
-@contextlib.contextmanager
-def running_node(flight: Flight, log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Run the node; it is ended in any case."""
-    with log.open("wb") as file:
-        process = subprocess.Popen(node_command(flight), stdout=file, stderr=subprocess.STDOUT)
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+def running_node(flight: Flight, log: Path) -> NodeProcess:
+    """Run the node for a flight."""
+    settings, streams = flight.inputs.settings, flight.inputs.streams
+    return NodeProcess(
+        "uav_ident_ros.node",
+        log,
+        {
+            # a recorded flight must neither start from the vehicle's state file nor end up in it
+            "state_file": "none",
+            "use_sim_time": True,
+            "imu.type": settings.imu.type,
+            "actuators.type": settings.actuators.type,
+        },
+        file=flight.parameter_file,
+        remappings={s.topic: streams[s.name] for s in STREAMS if s.name in streams},
+    )
 
 
 # --- command line -----------------------------------------------------------------------------
@@ -186,6 +163,7 @@ def run_demo(options: argparse.Namespace) -> int:
     folder = options.output / f"demo_{flight.name}"
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / "node.log"
+    log.unlink(missing_ok=True)
     print(
         f"{flight.name}: {flight.duration:.0f} s at {speed:g} times real time, ROS domain "
         f"{os.environ['ROS_DOMAIN_ID']}",

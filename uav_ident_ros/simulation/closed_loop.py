@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -25,6 +23,7 @@ import numpy as np
 
 from uav_ident_ros.control import Law
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.share import shared
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.errors import SimulationError
@@ -42,9 +41,6 @@ MODULES = {
     "simulated_plant": "uav_ident_ros.simulation.plant_node",
 }
 """The processes and what they run."""
-
-END_TIME = 10.0
-"""Seconds that a process may take to end."""
 
 WINDOWS = ((30.0, 0.0), (0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, math.inf))
 """Stretches that are judged: the first ends with the fault, the others are s after it."""
@@ -66,42 +62,37 @@ class Loop:
     files: Path = CONFIG  # Folder of ``AIRCRAFT.yaml`` and ``AIRCRAFT_coefficients.yaml``
     aircraft: str = "c172p"  # Name of the aircraft, and of its files there
     # More parameters, by process: ``{"simulated_plant": {"rate": "200.0"}}``
-    parameters: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
-    def arguments(
+    def parameters_of(
         self,
         process: str,  # One of `MODULES`
         record: Path,  # Where the plant leaves its record
-    ) -> list[str]:
-        """ROS arguments of a process."""
-        coefficients = str(self.files / f"{self.aircraft}_coefficients.yaml")
-        in_step = str(self.lock_step).lower()
-        own: dict[str, dict[str, str]] = {
-            "identifier": {"use_sim_time": in_step},
+    ) -> dict[str, object]:
+        """Parameters of a process that are not in its file."""
+        coefficients = self.files / f"{self.aircraft}_coefficients.yaml"
+        own: dict[str, dict[str, object]] = {
+            "identifier": {"use_sim_time": self.lock_step},
             "controller": {
                 "mode": self.mode,
                 "nominal_file": coefficients,
-                "heed_verdict": str(self.heed_verdict).lower(),
+                "heed_verdict": self.heed_verdict,
             },
-            "rate_reference": {"seed": str(self.seed)},
+            "rate_reference": {"seed": self.seed},
             "simulated_plant": {
-                "duration": str(float(self.duration)),
-                "seed": str(self.seed),
-                "lock_step": in_step,
-                "excite_at": str(float(self.excite)),
+                "duration": float(self.duration),
+                "seed": self.seed,
+                "lock_step": self.lock_step,
+                "excite_at": float(self.excite),
                 "faults": "[" + ", ".join(f"'{text}'" for text in (*self.faults, "")) + "]",
-                "record_file": str(record),
+                "record_file": record,
             },
         }
         if not self.cold:
             own["identifier"]["initial_coefficients_file"] = coefficients
         if not self.lock_step:
-            own["controller"] |= {"coefficients_delay": "0.0", "reference_delay": "0.0"}
-        values = {**own[process], **self.parameters.get(process, {})}
-        out = ["--ros-args", "--params-file", str(self.files / f"{self.aircraft}.yaml")]
-        for name, value in values.items():
-            out += ["-p", f"{name}:={value}"]
-        return out
+            own["controller"] |= {"coefficients_delay": 0.0, "reference_delay": 0.0}
+        return {**own[process], **self.parameters.get(process, {})}
 
 
 class ClosedLoop:
@@ -114,7 +105,7 @@ class ClosedLoop:
     ) -> None:
         self.loop, self.folder = loop, folder
         self.record_file = folder / "flight.npz"
-        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.processes: dict[str, NodeProcess] = {}
 
     def __enter__(self) -> ClosedLoop:
         for name in MODULES:
@@ -128,38 +119,21 @@ class ClosedLoop:
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
         for process in self.processes.values():
-            try:
-                process.wait(END_TIME)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            process.end()
 
     def start(self, name: str) -> None:
         """Start one of `MODULES`, or start it again."""
-        environment = {
-            **os.environ,
-            "ROS_HOME": str(self.folder),
-            "ROS_LOG_DIR": str(self.folder),
-            "RCUTILS_LOGGING_BUFFERED_STREAM": "0",
-        }
-        with self.log_file(name).open("ab") as log:
-            self.processes[name] = subprocess.Popen(
-                [
-                    sys.executable, "-m", MODULES[name],
-                    *self.loop.arguments(name, self.record_file),
-                ],
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env=environment,
-            )  # fmt: skip
-
-    def log_file(self, name: str) -> Path:
-        """Return the file of what a process prints."""
-        return self.folder / f"{name}.log"
+        self.processes[name] = NodeProcess(
+            MODULES[name],
+            self.folder / f"{name}.log",
+            self.loop.parameters_of(name, self.record_file),
+            file=self.loop.files / f"{self.loop.aircraft}.yaml",
+            home=self.folder,
+        )
 
     def log(self, name: str) -> str:
         """Everything that a process has printed so far."""
-        return self.log_file(name).read_text(encoding="utf-8", errors="replace")
+        return self.processes[name].log
 
     def wait(self, timeout: float) -> dict[str, FloatArray]:
         """Wait until the plant has landed, or the aircraft is lost; return its record.
