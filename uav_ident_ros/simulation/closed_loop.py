@@ -24,12 +24,11 @@ import numpy as np
 from uav_ident_ros.control import Law
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.process import NodeProcess
-from uav_ident_ros.share import shared
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
+from uav_ident_ros.simulation.preparation import CONFIG, prepare, write
 
-CONFIG = shared("config/closed_loop")
 ROOT = CONFIG.parents[1]
 PREPARED = ROOT / "build" / "aircraft"
 """Where aircraft that were identified for the loop are kept."""
@@ -199,8 +198,6 @@ def prepared_files(
 
     What has no files yet is trimmed, excited and identified.
     """
-    from uav_ident_ros.simulation.preparation import prepare, write
-
     if aircraft in shipped() and speed is None:
         return CONFIG, aircraft
     frame = airframe(aircraft, speed)

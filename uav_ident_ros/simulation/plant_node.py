@@ -11,6 +11,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -117,12 +118,12 @@ class PlantNode(Node):
             self._aircraft = LiveAircraft(name, sensors, delay, faults, seed, speed)
         self._lock_step: bool = self._value("lock_step")
         self._period_ns = round(NS_PER_S / rate)
-        self._start_ns = EPOCH_NS
-        self._now_ns = self._start_ns
+        self._now_ns = self._start_ns = EPOCH_NS
         self._samples: list[dict[str, Any]] = []
         self._estimates: list[tuple[float, Coefficients]] = []
-        self._commands: dict[int, FloatArray] = {}
-        self._reference: tuple[int, FloatArray] | None = None
+        # The newest command and reference: stamp, ns, and value
+        self._command: tuple[int, FloatArray | None] = (0, None)
+        self._reference = (0, np.full(3, np.nan))
         self._coefficients_ns = 0
         self._identifier_silent = not self._value("wait_for_identifier")
         self._controller_silent = False
@@ -130,15 +131,6 @@ class PlantNode(Node):
         self._excite_at: float = self._value("excite_at") or math.inf
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
-        self._connect()
-
-    def _value(self, name: str) -> Any:
-        return self.get_parameter(name).value
-
-    def _going(self) -> bool:
-        return rclpy.ok() and not self._ending.asked
-
-    def _connect(self) -> None:
         self._clock = StepClock(self, self._executor, self._period_ns, self._lock_step)
         self._imu = self.create_publisher(Imu, "imu/data", RELIABLE)
         self._actuators = self.create_publisher(JointState, "actuators", RELIABLE)
@@ -150,12 +142,18 @@ class PlantNode(Node):
         self._asked = Excitation(UNLIMITED)
         subscribe_excitation(self, self._asked)
 
+    def _value(self, name: str) -> Any:
+        return self.get_parameter(name).value
+
+    def _going(self) -> bool:
+        return rclpy.ok() and not self._ending.asked
+
     # -- messages in -----------------------------------------------------------------------
 
     def _on_command(self, message: JointState) -> None:
         surfaces = np.array(message.position[:3])
         if surfaces.shape == (3,) and np.isfinite(surfaces).all():
-            self._commands[header_ns(message)] = surfaces
+            self._command = max((header_ns(message), surfaces), self._command, key=itemgetter(0))
             self._controller_silent = False
         else:
             self.get_logger().error(
@@ -239,11 +237,9 @@ class PlantNode(Node):
 
     def _answer(self, sample: Sample) -> None:
         """Let the actuators follow the newest command, and say what they were told."""
-        newest = max(self._commands, default=0)
-        if newest < self._now_ns:
-            self.missed += 1
-        self._aircraft.command(self._commands[newest] if newest else None)
-        self._commands = {newest: self._commands[newest]} if newest else {}
+        t_ns, surfaces = self._command
+        self.missed += t_ns < self._now_ns
+        self._aircraft.command(surfaces)
         outputs = self._aircraft.outputs
         self._actuators.publish(
             JointState(
@@ -260,7 +256,7 @@ class PlantNode(Node):
                 "attitude": sample.attitude,
                 "surfaces": sample.surfaces,
                 "outputs": outputs,
-                "reference": self._reference[1] if self._reference else np.full(3, np.nan),
+                "reference": self._reference[1],
                 "excitation": self._asked.at(self._now_ns),
             }
         )
@@ -288,41 +284,37 @@ class PlantNode(Node):
 
     def _wait_for_everyone(self) -> None:
         """Listen until there is a controller, and an identifier if one is waited for."""
+        guided, identified = bool(self._value("wait_for_reference")), not self._identifier_silent
+        clock = self._clock.publisher
+        assert clock is not None, "only in step"
 
-        def listeners() -> int:
-            return int(self._imu.get_subscription_count())
+        def missing() -> list[str]:
+            there = {
+                "a controller on 'command'": self.count_publishers("command") > 0,
+                "a rate_reference": not guided or self.count_publishers("rate_reference") > 0,
+                "an identifier": not identified
+                or (
+                    self.count_publishers("identifier/coefficients_named") > 0
+                    and clock.get_subscription_count() > 0
+                ),
+                "listeners to 'imu/data'": self._imu.get_subscription_count() > guided + identified,
+            }
+            return [what for what, ready in there.items() if not ready]
 
-        def ready() -> bool:
-            guided = bool(self._value("wait_for_reference"))
-            commanded = self.count_publishers("command") > 0 and listeners() > guided
-            if guided:
-                commanded = commanded and self.count_publishers("rate_reference") > 0
-            if self._identifier_silent:
-                return commanded
-            identified = self.count_publishers("identifier/coefficients_named") > 0
-            clock = self._clock.publisher
-            heard = clock is not None and clock.get_subscription_count() > 0
-            return commanded and identified and heard and listeners() > 1 + guided
-
-        if not self._wait(ready, START_PATIENCE) and self._going():
+        if not self._wait(lambda: not missing(), START_PATIENCE) and self._going():
             raise SimulationError(
-                f"waited {START_PATIENCE:g} s in vain for a controller on 'command'"
-                + (" and a rate_reference" if self._value("wait_for_reference") else "")
-                + ("" if self._identifier_silent else " and an identifier")
+                f"waited {START_PATIENCE:g} s in vain for {' and '.join(missing())}"
             )
         self._wait(lambda: False, 1.0)  # until they know this node too
 
     def _wait_for_answers(self) -> None:
         """Listen until the newest sample is answered and the coefficients are not far behind."""
+        unguided = not self._value("wait_for_reference")
 
         def answered() -> bool:
-            if self._reference is None:
-                guided = not self._value("wait_for_reference")
-            else:
-                guided = self._reference[0] >= self._now_ns
-            if not guided:
-                return False
-            return self._now_ns in self._commands
+            referred_ns = self._reference[0]
+            guided = referred_ns >= self._now_ns or (unguided and not referred_ns)
+            return guided and self._command[0] >= self._now_ns
 
         if not self._controller_silent and not self._wait(answered, PATIENCE) and self._going():
             self._controller_silent = True

@@ -5,25 +5,31 @@ The identifier sees two minutes of multisines, as a first flight would give them
 coefficients become the nominal set of the controller and the start of the identifier in the loop.
 """
 
+import heapq
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from uav_ident_ros.files.coefficients_file import save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.share import shared
 from uav_ident_ros.simulation.airframe import Airframe, airframe
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.faults import SURFACE_NAMES
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, LiveAircraft
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.recording import parameter_text, parameters
+from uav_ident_ros.simulation.recording import parameters, yaml_text
+
+CONFIG = shared("config/closed_loop")
+"""Files of the aircraft that come identified."""
 
 EXCITED_TIME = 90.0
 """Length of the flight that identifies an aircraft, s."""
@@ -71,19 +77,21 @@ def prepare(
     return Prepared(name, frame, live.trim, live.aircraft.limits, widened(found))
 
 
-def identify(measurements: Measurements, **settings: Any) -> CoefficientSet:
+def identify(m: Measurements) -> CoefficientSet:
     """Run the identifier over a flight, online, and return what it has at the end."""
-    identifier = OnlineIdentifier(Settings.from_values({**parameters(measurements), **settings}))
-    m, told = measurements, 0
+    identifier = OnlineIdentifier(Settings.from_values(parameters(m)))
+    signals = np.hstack([m.rates, m.specific_force]).tolist()
+    messages = heapq.merge(  # at equal stamps the actuators come first
+        zip(m.actuator_t_ns.tolist(), repeat(False), m.actuators.tolist()),
+        zip(m.imu_t_ns.tolist(), repeat(True), signals),
+    )
     estimates: list[Estimate] = []
-    samples = zip(m.imu_t_ns.tolist(), m.rates.tolist(), m.specific_force.tolist(), strict=True)
-    upto = np.searchsorted(m.actuator_t_ns, m.imu_t_ns, side="right").tolist()
-    for (t_ns, rates, force), known in zip(samples, upto, strict=True):
-        for k in range(told, known):
-            identifier.add_actuators(int(m.actuator_t_ns[k]), m.actuators[k].tolist())
-        told = known
-        identifier.add_rates(t_ns, rates, force)
-        estimates += identifier.advance()
+    for t_ns, is_rates, values in messages:
+        if not is_rates:
+            identifier.add_actuators(t_ns, values)
+            continue
+        identifier.add_rates(t_ns, values[:3], values[3:])
+        estimates = list(identifier.advance()) or estimates
     if not estimates:
         raise SimulationError("the flight is too short to identify anything")
     last = estimates[-1]
@@ -106,44 +114,29 @@ def write(prepared: Prepared, folder: Path) -> None:
 
 
 def parameter_file(prepared: Prepared) -> str:
-    """Return the ROS parameter file of the loop's nodes."""
+    """Return the ROS parameter file of the loop's nodes: the c172p's with what is its own."""
     frame = prepared.airframe
     trim, least, largest = (v.tolist() for v in (prepared.trim, *prepared.limits))
     added = EXCITED_SHARE * 0.5 * (prepared.limits[1] - prepared.limits[0])
     added[INPUTS.index("dth")] = 0.0
-    sections: dict[str, dict[str, Any]] = {
+    own: dict[str, dict[str, Any]] = {
         "identifier": {
-            "use_sim_time": True,
-            "state_file": "none",  # every flight starts from the initial coefficients
-            "imu.convention": "flu",
-            "actuators.type": "sensor_msgs/msg/JointState",
-            "actuators.channels": list(SURFACE_NAMES),
-            "actuators.trim": trim,
-            "actuators.delay": 0.02,
             "structure": prepared.coefficients.structure,
+            "actuators.trim": trim,
             "airspeed.reference": float(frame.speed),
             "excitation.amplitude": added.tolist(),
-            "excitation.lead": 0.4,
-            "excitation.max_attitude": 1.0,
         },
         "controller": {
             "trim": trim,
             "least": least,
             "largest": largest,
             "excitation_limit": (1.2 * added).tolist(),
-            "delay": 0.02,
-            "coefficients_delay": 0.3,
-            "reference_delay": 0.02,
         },
+        "simulated_plant": {"aircraft": prepared.aircraft, "speed": float(frame.speed)},
         "rate_reference": {"airspeed": float(frame.speed)},
-        "simulated_plant": {
-            "aircraft": prepared.aircraft,
-            "wait_for_reference": True,
-            "speed": float(frame.speed),
-            "rate": 100.0,
-            "delay": 0.02,
-        },
     }
+    nodes = yaml.safe_load((CONFIG / "c172p.yaml").read_text(encoding="utf-8"))
+    for name, values in own.items():
+        nodes[f"/**/{name}"]["ros__parameters"] |= values
     where = f"{frame.name} at {frame.speed:.1f} m/s and {frame.altitude:.0f} m"
-    nodes = {f"/**/{node}": values for node, values in sections.items()}
-    return parameter_text(nodes, f"The closed loop of {where}.")
+    return yaml_text(nodes, f"The closed loop of {where}.")

@@ -70,7 +70,7 @@ def write_bag(
         for log, topic, message in heapq.merge(*streams, key=lambda entry: entry[0]):
             bag.write(topic, log, message)
     meaning = "What the topics of this bag mean: parameters for the identifier and for replay."
-    text = parameter_text({"/**": parameters(measurements)}, meaning)
+    text = yaml_text({"/**": {"ros__parameters": parameters(measurements)}}, meaning)
     (path / PARAMETER_FILE).write_text(text, encoding="utf-8")
     told = yaml_text(truth(measurements), "What is true of this flight, SI, aircraft axes.")
     (path / TRUTH_FILE).write_text(told, encoding="utf-8")
@@ -132,17 +132,10 @@ def yaml_text(content: Mapping[str, Any], comment: str) -> str:
 class _Dumper(yaml.SafeDumper):
     """Lists on one line, mappings an entry a line."""
 
-    def represent_list(self, data: Any) -> Any:
-        return self.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True)
 
-
-_Dumper.add_representer(list, _Dumper.represent_list)
-
-
-def parameter_text(sections: Mapping[str, Mapping[str, Any]], comment: str) -> str:
-    """Return a ROS parameter file: parameters by node."""
-    nodes = {node: {"ros__parameters": dict(values)} for node, values in sections.items()}
-    return yaml_text(nodes, comment)
+_Dumper.add_representer(
+    list, lambda to, data: to.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True)
+)
 
 
 def _rounded(value: Any) -> Any:
