@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from equations import matrix
 from estimates import as_message, estimate_of
+from parameter_docs import TABLES, full_tables, renew
 from programs import python
 from repository import ROOT, console_scripts, launch_arguments, launch_entries
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.client import Refusal
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.files.parameter_table import TABLES, full_tables, renew
 from uav_ident_ros.identification.settings import Settings, declarations
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline.run import choose_inputs

@@ -220,7 +220,7 @@ def test_pip_requirements_leave_ros_alone():
 
 
 def test_manifest_lists_what_is_imported():
-    folders = (ROOT / "test", ROOT / "benchmarks")
+    folders = (ROOT / "test", ROOT / "benchmarks", ROOT / "scripts")
     helpers = {path.stem for folder in folders for path in folder.rglob("*.py")}
     helpers |= {"test", "setuptools"}
     runtime = dependencies("depend", "exec_depend")

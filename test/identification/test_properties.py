@@ -18,10 +18,10 @@ from flying import give
 from hypothesis import example, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from parameter_docs import render
 
 from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.files.parameter_template import render
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier, State
 from uav_ident_ros.identification.intake import LARGEST_GYRO_RATE, LATEST_STAMP

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import parameter_docs
 import pytest
 import rclpy
 from node_process import ROOT
@@ -13,7 +14,6 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from uav_ident_ros.files import parameter_template
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Settings, declarations
 from uav_ident_ros.node.parameters import Changes, declare, settings_of
@@ -46,8 +46,8 @@ def make_node(context: Context, *arguments: str) -> Node:
 
 
 def test_shipped_file_is_in_step_with_the_declaration() -> None:
-    """On failure: python -m uav_ident_ros.files.parameter_template > config/identifier.yaml."""
-    assert SHIPPED.read_text(encoding="utf-8") == parameter_template.render()
+    """On failure: scripts/make_docs."""
+    assert SHIPPED.read_text(encoding="utf-8") == parameter_docs.render()
 
 
 def test_shipped_file_holds_the_defaults_by_either_reader(context: Context) -> None:

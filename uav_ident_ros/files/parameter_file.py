@@ -7,6 +7,7 @@ number and ``null`` for nothing. rcl (rcl_yaml_param_parser of ROS 2 Jazzy) does
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -123,6 +124,15 @@ def load_parameters(path: Path | str, node: str) -> dict[str, ParameterValue]:
         for name, value in ParameterFile.read(path).values_for(node).items()
         if name not in IGNORED and not name.startswith(IGNORED_PREFIXES)
     }
+
+
+def written(value: Any) -> str:
+    """Write a value so that rcl reads the right type: words in quotes, floats as floats."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(written, value))}]"
+    if isinstance(value, str):
+        return yaml.safe_dump(value, default_style='"', width=10_000).strip()
+    return json.dumps(value)
 
 
 def _absolute(name: str) -> str:

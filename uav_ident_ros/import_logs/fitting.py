@@ -8,8 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.files.parameter_template import written
+from uav_ident_ros.files.parameter_file import load_parameters, written
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError, printable

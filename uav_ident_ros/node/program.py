@@ -27,8 +27,7 @@ from rclpy.utilities import remove_ros_args
 
 from uav_ident_ros.commandline import USAGE_ERROR
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError
-from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError
-from uav_ident_ros.files.parameter_template import written
+from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError, written
 from uav_ident_ros.identification.settings import Setting, SettingsError, declarations
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.node.ending import Ending

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
-from uav_ident_ros.files.parameter_table import write_value
+from uav_ident_ros.files.parameter_file import written
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.offline.tables import NONE, Cell, Number, Row, Table, Words
@@ -112,7 +112,7 @@ def settings_tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     for setting in declarations():
         value = summary["settings"][setting.name]
         default = list(setting.default) if isinstance(setting.default, tuple) else setting.default
-        cells = [Words(write_value(value)), Words(setting.unit), Words(write_value(default))]
+        cells = [Words(written(value)), Words(setting.unit), Words(written(default))]
         if value == default:
             others.append(Row(setting.name, cells[:2]))
         else:

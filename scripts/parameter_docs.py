@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameter tables of the documentation, written from the declaration of the settings.
+"""What is written from the declaration of the settings: config/identifier.yaml, parameter tables.
 
-``python -m uav_ident_ros.files.parameter_table FILE...`` renews, in each file, what stands between
-the markers ``<!-- generated: NAME -->`` and ``<!-- end: NAME -->``. NAME is one of `TABLES`.
+``python scripts/parameter_docs.py FILE...`` renews config/identifier.yaml and, in each file, what
+stands between the markers ``<!-- generated: NAME -->`` and ``<!-- end: NAME -->``. NAME is one of
+`TABLES`.
 """
 
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from uav_ident_ros.identification.settings import Setting, Value, declarations
+from uav_ident_ros.files.parameter_file import written
+from uav_ident_ros.identification.settings import Setting, Settings, Value, declarations
 from uav_ident_ros.messages.types import ACTUATORS, RATES
+
+CONFIG = Path(__file__).resolve().parents[1] / "config" / "identifier.yaml"
 
 MAIN_PARAMETERS = (
     "structure",
@@ -152,6 +157,66 @@ def renew(text: str) -> str:
     return _BLOCK.sub(block, text)
 
 
+# --- config/identifier.yaml ---
+
+WIDTH = 96
+"""Width of the comment lines."""
+
+_HEADER = """\
+# SPDX-License-Identifier: Apache-2.0
+# Every parameter of the node `identifier` with its default. Generated from the declaration of
+# the settings by scripts/make_docs.
+# Copy it, keep the lines that differ, and pass it with --params-file to `identifier` (as
+# `--ros-args --params-file FILE`) or to `replay`. Numbers need a decimal point: 20.0, not 20.
+# `/**` means any node in any namespace; `identifier:` alone does not match /drone1/identifier.
+/**:
+  ros__parameters:
+"""
+
+
+def render(
+    settings: Settings | None = None,  # The values to write; the defaults if left out
+) -> str:
+    """Return the parameter file as text."""
+    values = (settings or Settings()).values()
+    return _HEADER + "\n".join(_lines(values)) + "\n"
+
+
+def _lines(values: Mapping[str, Value]) -> Iterator[str]:
+    open_groups: list[str] = []
+    for setting in declarations():
+        *groups, leaf = setting.name.split(".")
+        shared = 0
+        while shared < min(len(groups), len(open_groups)) and (
+            groups[shared] == open_groups[shared]
+        ):
+            shared += 1
+        for depth in range(shared, len(groups)):
+            yield f"{_indent(depth)}{groups[depth]}:"
+        open_groups = groups
+        indent = _indent(len(groups))
+        yield from textwrap.wrap(
+            _comment(setting),
+            WIDTH,
+            initial_indent=f"{indent}# ",
+            subsequent_indent=f"{indent}# ",
+            break_on_hyphens=False,
+        )
+        yield f"{indent}{leaf}: {written(values[setting.name])}"
+
+
+def _indent(depth: int) -> str:
+    return "  " * (depth + 2)
+
+
+def _comment(setting: Setting) -> str:
+    numeric = setting.type in ("float", "int", "float[]")
+    if setting.choices or (numeric and setting.bounded):
+        return f"{setting.description} ({setting.allowed()})"
+    return f"{setting.description} ({setting.unit})" if setting.unit else setting.description
+
+
 if __name__ == "__main__":
+    CONFIG.write_text(render(), encoding="utf-8")
     for file in map(Path, sys.argv[1:]):
         file.write_text(renew(file.read_text(encoding="utf-8")), encoding="utf-8")
