@@ -356,16 +356,16 @@ def cost(seeds: int, workers: int) -> list[Result]:
 def _update_times(case: cases.Case, estimator: str) -> tuple[FloatArray, FloatArray]:
     """Processor times, s: of each whole tick, and of the update of the estimator in it."""
     identifier = OnlineIdentifier(case.settings({"estimator": estimator}))
-    update, times, own = identifier._estimator.update, [], []
+    update, times, own = identifier.estimator.update, [], []
 
     def timed(samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray) -> None:
         began = time.thread_time()
         update(samples, rows, white, weight)
         own.append(time.thread_time() - began)
 
-    setattr(identifier._estimator, "update", timed)  # noqa: B010  (a method, to the type checker)
+    setattr(identifier.estimator, "update", timed)  # noqa: B010  (a method, to the type checker)
     for _ in cases.fed(case, identifier):
-        while (due := identifier.due()) is not None:
+        while (due := identifier.intake.due) is not None:
             began = time.thread_time()
             identifier.update(due)
             times.append(time.thread_time() - began)

@@ -220,9 +220,9 @@ def identify(
             break
         for estimate in identifier.advance():
             estimates.append(estimate)
-            learning.append(identifier.learning)
+            learning.append(identifier.supervisor.learning)
             delays.append(identifier.delay)
-            for change in identifier.changed[len(changes) :]:
+            for change in identifier.supervisor.changed[len(changes) :]:
                 changes.append((change.t - start * 1e-9, *identifier.structure.index(change.name)))
     t_ns = np.array([estimate.t_ns for estimate in estimates], dtype=np.int64)
     return Track(

@@ -66,7 +66,7 @@ def main() -> None:
             identifier.add_actuators(t, v)
             continue
         identifier.add_rates(t, v[:3], v[3:])
-        while (due := identifier.due()) is not None:
+        while (due := identifier.intake.due) is not None:
             began = time.thread_time()
             estimate = identifier.update(due)
             times.append(time.thread_time() - began)

@@ -202,7 +202,7 @@ def lose_a_motor(seed: int) -> dict[str, Any]:
             relearned = flight.estimate
         errors.append(flight.step()[5:])
     start = EPOCH_NS * 1e-9 + FAULT
-    changes = {c.name: c.t - start for c in flight.identifier.changed}
+    changes = {c.name: c.t - start for c in flight.identifier.supervisor.changed}
     out: dict[str, Any] = {"seed": seed, "run": flight.run.why, "changes": changes}
     share = (len(LiveQuadrotor.names) - 1 + LEFT) / len(LiveQuadrotor.names)
     for when, estimate, left in (("before", healthy, 1.0), ("after", relearned, share)):

@@ -111,7 +111,7 @@ def identify(flight: Flight, segments: Sequence[Segment], seed: int) -> list[Est
                 identifier.add_excitation(t, next(told).tolist())
             continue
         identifier.add_rates(t, v[:3], v[3:])
-        while (due := identifier.due()) is not None:
+        while (due := identifier.intake.due) is not None:
             estimate = identifier.update(due)
             assert estimate is not None
             estimates.append(estimate)

@@ -170,7 +170,7 @@ def _identify(
     for estimate in identifier.advance():
         source.add(message_of(identifier, estimate))
         outcome.usable.append(((estimate.t_ns - EPOCH_NS) * 1e-9, estimate.usable_rows))
-    for change in identifier.changed[len(outcome.changes) :]:
+    for change in identifier.supervisor.changed[len(outcome.changes) :]:
         outcome.changes.append((sample.time, change.name))
 
 

@@ -42,7 +42,7 @@ class TimedRun(OfflineRun):
     tick_time = 0.0
 
     def _tick(self) -> None:
-        if self.identifier.due() is not None:
+        if self.identifier.intake.due is not None:
             start = time.process_time()
             super()._tick()
             self.tick_time += time.process_time() - start

@@ -35,7 +35,10 @@ def main(bag: Path) -> None:
     values = load_parameters(bag / "identifier.yaml", "identifier")
     for words, parts in (("own", {"gates": [GATE]}), ("without", {})):
         run = run_over(bag, values, **parts)
-        shares = {name: f"{cost.share:.0%}" for name, cost in run.identifier.gate_costs().items()}
+        shares = {
+            name: f"{cost.share:.0%}"
+            for name, cost in run.identifier.supervisor.gates.costs().items()
+        }
         print(f"{words}: share of the flight that each gate cost: {shares}")
 
 

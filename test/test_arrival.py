@@ -54,7 +54,7 @@ def test_of_several_words_between_two_samples_the_last_counts(imu_ns: int) -> No
         flight.say(armed)
         flight.elapsed_ns += 1000
     assert "not armed" in flight.fly(0.3)
-    assert not +flight.identifier.drops[ARMED]
+    assert not +flight.identifier.intake.drops[ARMED]
 
 
 @CLOCKS
@@ -71,4 +71,4 @@ def test_bad_values_are_counted_once() -> None:
     assert flight.airspeeds.add(None, NODE_NS, math.nan) is Drop.NOT_FINITE
     flight.fly(0.5)
     assert flight.airspeeds.add(None, NODE_NS + STEP_NS, 20.0) is None
-    assert +flight.identifier.drops[AIRSPEED] == {Drop.NOT_FINITE: 1}
+    assert +flight.identifier.intake.drops[AIRSPEED] == {Drop.NOT_FINITE: 1}

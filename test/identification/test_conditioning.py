@@ -80,7 +80,7 @@ def test_late_duplicate_and_bad_samples_are_counted_and_change_nothing(
             dirty.append(message._replace(values=(float("nan"), *message.values[1:])))
     identifier = OnlineIdentifier(own)
     assert same(run(identifier, dirty), reference)
-    rates, actuators = identifier.drops[RATES], identifier.drops[ACTUATORS]
+    rates, actuators = identifier.intake.drops[RATES], identifier.intake.drops[ACTUATORS]
     for drops in (rates, actuators):
         assert drops[Drop.DUPLICATE] > 0
         assert drops[Drop.LATE] > 0
@@ -131,9 +131,9 @@ def test_a_gap_leaves_no_jump(calm_flight: Flight, gap: float, lost: str, limit:
 
 
 def held(identifier: OnlineIdentifier) -> int:
-    buffers = (identifier._sampler.rates, identifier._sampler.raw_inputs)
+    buffers = (identifier.sampler.rates, identifier.sampler.raw_inputs)
     waiting = sum(len(buffer._waiting_t) + len(buffer.t) for buffer in buffers)
-    return waiting + identifier._intake.waiting
+    return waiting + identifier.intake.waiting
 
 
 PAPER = {

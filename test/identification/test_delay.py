@@ -57,7 +57,7 @@ def late() -> OnlineIdentifier:
 @pytest.mark.parametrize(("delay", "lag"), [(0.15, 0.0), (0.02, 0.12)])
 def test_in_calm_air_delay_and_lag_are_found_together(delay: float, lag: float) -> None:
     """With the lag in use."""
-    estimate = found(plant_flight(32.0, delay=delay, time_constant=lag)).delay_estimate
+    estimate = found(plant_flight(32.0, delay=delay, time_constant=lag)).delays.estimate
     assert estimate.sure and estimate.delay == pytest.approx(delay, abs=0.015)
     assert estimate.total_sure and estimate.total == pytest.approx(delay + lag, abs=0.015)
 
@@ -91,7 +91,7 @@ def test_an_autopilot_that_answers_every_gust_leaves_the_delay_unknown() -> None
     noise = ColouredNoise(0.5, 0.3)
     flight = QuadrotorFlight(segments, 30.0, 500.0, delay=0.012, gusts=noise).fly()
     sensors = Sensors(rate=100.0, gyro_noise=0.01, channels="quadrotor")
-    estimate = found(flight, sensors).delay_estimate
+    estimate = found(flight, sensors).delays.estimate
     assert abs(estimate.delay - 0.012) < 1.5 * estimate.sigma
     assert not estimate.sure
 
@@ -134,7 +134,7 @@ def test_what_was_learned_with_the_wrong_delay_does_not_stay() -> None:
     assert identifier.delay == pytest.approx(0.06, abs=0.005)
     assert identifier.delay_confidence == "sure"
     names = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
-    a, flight = identifier._estimator.coefficients, plant_flight(1.0)
+    a, flight = identifier.estimator.coefficients, plant_flight(1.0)
     assert worst(errors(a, "throttle_coupled", flight, names)) < 0.05
 
 
@@ -155,7 +155,7 @@ def test_the_delay_survives_a_gap_and_a_new_time_base() -> None:
 
 
 def test_small_differences_are_left_alone() -> None:
-    estimate = late().delay_estimate
+    estimate = late().delays.estimate
     near = max(SMALLEST_MOVE, 2.0 * estimate.sigma)
     assert estimate.off(estimate.delay - 0.9 * near) == 0.0
     assert estimate.off(estimate.delay - 1.1 * near) == pytest.approx(1.1 * near)

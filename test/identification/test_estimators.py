@@ -159,10 +159,17 @@ def test_inputs_that_move_together_are_named() -> None:
         identify(m, structure=STRUCTURE)[0]
         for m in (measured(15.0, segments=together), measured(15.0))
     )
-    assert {("pdot/dr", "pdot/da"), ("rdot/dr", "rdot/da")} <= set(tied.collinear())
-    assert not free.collinear()
-    assert tied.excitation()[0] < 0.01 < 0.1 < free.excitation()[0]
-    assert (free.excitation() <= 1.0).all()
+    assert {("pdot/dr", "pdot/da"), ("rdot/dr", "rdot/da")} <= set(
+        tied.estimator.information.collinear()
+    )
+    assert not free.estimator.information.collinear()
+    assert (
+        tied.estimator.information.excitation()[0]
+        < 0.01
+        < 0.1
+        < free.estimator.information.excitation()[0]
+    )
+    assert (free.estimator.information.excitation() <= 1.0).all()
 
 
 def at_rest_and_last(forgetting_time: float) -> tuple[OnlineIdentifier, Flight, Estimate, Estimate]:

@@ -86,14 +86,14 @@ def test_a_control_check_on_the_ground_teaches_nothing_and_its_cost_is_told(
     assert not any(e.coefficients.any() for e in standing)
     assert all(e.adapting for e in since(estimates, 10.5, 45.0))
     assert estimates[-1].usable
-    costs = flown.gate_costs()
+    costs = flown.supervisor.gates.costs()
     resting = sum(e.reason.startswith("at rest") for e in estimates) / len(estimates)
     assert costs["rest"].share == pytest.approx(resting, abs=0.01) and 0.15 < resting < 0.25
     assert costs["rest"].setting == "supervision.min_motion, min_force_motion"
     assert "channel limit" not in costs
-    flown.adapt = False
+    flown.supervisor.adapt = False
     flown.update(stream[-1].t_ns + 10 * 10**9)
-    assert flown.gate_costs()["adaptation"].reason == "adaptation is switched off"
+    assert flown.supervisor.gates.costs()["adaptation"].reason == "adaptation is switched off"
     ungated = run(identifier(excited, supervision__min_motion=0.0), stream[: len(stream) // 3])
     assert since(ungated, 1.0, 9.0)[-1].coefficients.any()
 
@@ -225,7 +225,7 @@ def test_a_knock_is_kept_from_good_coefficients(excited: Measurements) -> None:
 def test_a_halved_elevator_is_named_and_not_usable_until_learned_anew() -> None:
     flown = identifier(halved())
     estimates = run(flown, messages(halved()))
-    (change,) = flown.changed
+    (change,) = flown.supervisor.changed
     noticed = change.t - estimates[0].t_ns * 1e-9
     assert (change.name, 40.0 < noticed < 47.0) == ("qdot/de", True)
     before = since(estimates, 35.0, 40.0)[-1]
@@ -246,7 +246,7 @@ def test_a_surface_lost_after_a_warm_start_is_learned_anew() -> None:
     sure = CoefficientSet(STRUCTURE, healthy().coefficients, 0.2 * healthy().sigma)
     flown = OnlineIdentifier(settings(halved(), structure=STRUCTURE), sure)
     last = run(flown, messages(halved()))[-1]
-    assert [change.name for change in flown.changed] == ["qdot/de"]
+    assert [change.name for change in flown.supervisor.changed] == ["qdot/de"]
     assert last.coefficients[1, 8] == pytest.approx(0.5 * sure.values[1, 8], rel=0.15)
 
 
@@ -271,7 +271,7 @@ def test_a_long_storm_under_an_autopilot_moves_nothing() -> None:
         last = run(hit, [m for m in stream if m.t_ns - stream[0].t_ns > 55e9])[-1]
         moved = np.abs(last.coefficients - before.coefficients)
         assert (moved <= 2.0 * before.sigma).all(), gusts
-        assert hit.changed == []
+        assert hit.supervisor.changed == []
 
 
 def test_a_pause_is_told_row_by_row() -> None:
@@ -285,8 +285,8 @@ def test_a_pause_is_told_row_by_row() -> None:
     )
     flown = identifier(part)
     run(flown, messages(part))
-    assert flown.pauses() == {"qdot": "too little excitation"}
-    assert flown.learning.tolist() == [True, False, True]
+    assert flown.supervisor.pauses() == {"qdot": "too little excitation"}
+    assert flown.supervisor.learning.tolist() == [True, False, True]
 
 
 def test_an_instant_out_of_range_costs_nothing(excited: Measurements) -> None:
@@ -301,7 +301,7 @@ def test_an_instant_out_of_range_costs_nothing(excited: Measurements) -> None:
     estimates = run(flown, stream)
     after = since(estimates, 34.0, 38.0)
     assert all(e.usable and e.adapting for e in after)
-    assert flown.drops["rates"][Drop.GLITCH] == 1
+    assert flown.intake.drops["rates"][Drop.GLITCH] == 1
     last = estimates[-1].coefficients
     np.testing.assert_allclose(last, healthy().coefficients, rtol=1e-2, atol=0.1)
 

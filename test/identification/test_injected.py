@@ -86,7 +86,7 @@ def identifier_over(stream: list[tuple[str, int, tuple[float, ...]]]) -> OnlineI
 
 def test_a_word_calls_off_what_was_said_of_a_later_time() -> None:
     identifier = OnlineIdentifier(Settings())
-    buffer = identifier._sampler.injected
+    buffer = identifier.sampler.injected
     for k in range(4):
         assert identifier.add_excitation((1000 + 50 * k) * MS, (0.1,) * 4) is None
     assert identifier.add_excitation(1060 * MS, (0.0,) * 4) is None
@@ -99,8 +99,8 @@ def test_a_late_word_counts_from_the_next_tick_on() -> None:
     stream = [("rates", int(t), (0.0, 0.0, 0.0)) for t in RATES_NS[:200]]
     stream.insert(100, ("excitation", 500 * MS, (0.1,) * 4))
     identifier = identifier_over(stream)
-    assert identifier.drops[EXCITATION][Drop.LATE] == 0
-    (stamp,) = identifier._sampler.injected.t.tolist()
+    assert identifier.intake.drops[EXCITATION][Drop.LATE] == 0
+    (stamp,) = identifier.sampler.injected.t.tolist()
     assert 900 * MS < stamp <= 1000 * MS
 
 
@@ -119,7 +119,7 @@ def test_bad_words_are_dropped_and_counted(
     identifier = OnlineIdentifier(Settings())
     identifier.add_rates(900 * MS, (0.0, 0.0, 0.0))
     assert identifier.add_excitation(t_ns, values) is drop
-    assert identifier.drops[EXCITATION] == {drop: 1}
+    assert identifier.intake.drops[EXCITATION] == {drop: 1}
 
 
 def test_nobody_who_injects_nothing_changes_the_estimate() -> None:

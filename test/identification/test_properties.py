@@ -220,7 +220,7 @@ class Command:
         elif self.name == "note saved":
             take.note_saved(take.coefficient_set(world.now_ns))
         else:
-            take.adapt = self.name == "adapt"
+            take.supervisor.adapt = self.name == "adapt"
 
 
 flights = st.builds(
@@ -309,7 +309,7 @@ def test_no_sequence_of_inputs_yields_nonsense(settings: Settings, history: list
     assert all(0 < t_ns <= LATEST_STAMP for t_ns in stamps)
     for estimate in world.estimates:
         check(estimate, settings)
-    assert np.isfinite(world.identifier.excitation()).all()
+    assert np.isfinite(world.identifier.estimator.information.excitation()).all()
     assert math.isfinite(world.identifier.delay)
     saved = world.identifier.coefficient_set()
     assert within(saved.values, LARGEST_COEFFICIENT)
@@ -357,7 +357,7 @@ def estimates_of(
             world.update()
             left = next(batches)
     world.update()
-    return world.estimates, world.identifier.drops
+    return world.estimates, world.identifier.intake.drops
 
 
 def exactly(estimate: Estimate) -> tuple[Any, ...]:

@@ -65,7 +65,7 @@ def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:
         assert identifier.add_actuators(t_ns, (0.0,) * 4) is Drop.BEYOND_STAMP
         assert identifier.add_airspeed(t_ns, 20.0) is Drop.BEYOND_STAMP
         assert identifier.add_armed(t_ns, True) is Drop.BEYOND_STAMP
-    assert identifier.due() is None
+    assert identifier.intake.due is None
 
 
 def test_ticks_end_with_the_last_stamp() -> None:

@@ -7,25 +7,18 @@ samples give the same estimates, bit for bit, however they were batched.
 
 from __future__ import annotations
 
-from collections import Counter
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from uav_ident_ros.identification.delay import (
-    KEPT_WEIGHT,
-    NO_ESTIMATE,
-    DelayBank,
-    DelayEstimate,
-)
+from uav_ident_ros.identification.delay import KEPT_WEIGHT, NO_ESTIMATE, DelayBank
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
-from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.frames import BodyFrame
-from uav_ident_ros.identification.gates import Cost, Gate, GlitchFilter
-from uav_ident_ros.identification.inputs import InputMap
+from uav_ident_ros.identification.gates import Gate, GlitchFilter
 from uav_ident_ros.identification.intake import (
     ACTUATORS,
     AIRSPEED,
@@ -36,10 +29,10 @@ from uav_ident_ros.identification.intake import (
     Drop,
     Intake,
 )
-from uav_ident_ros.identification.model import IdentifiedModel
 from uav_ident_ros.identification.noise import NoiseModel
 from uav_ident_ros.identification.paper import BackwardDifference
-from uav_ident_ros.identification.plausibility import Finding, Plausibility
+from uav_ident_ros.identification.parallel_model import ParallelModel
+from uav_ident_ros.identification.plausibility import Plausibility
 from uav_ident_ros.identification.prior import Start, resumed, start_from, without_flow
 from uav_ident_ros.identification.regression import (
     Regression,
@@ -48,12 +41,13 @@ from uav_ident_ros.identification.regression import (
     layout,
 )
 from uav_ident_ros.identification.running_fit import RunningFit
-from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
-from uav_ident_ros.identification.sampling import Block, Sampler, Stretch, edge_values, join
+from uav_ident_ros.identification.samples import NS, SampleBuffer
+from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
-from uav_ident_ros.identification.structure import ROWS, STRUCTURES, BoolArray, FloatArray
-from uav_ident_ros.identification.supervision import Change, State, Supervisor
+from uav_ident_ros.identification.stretches import Stretch, Stretches
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.identification.supervision import State, Supervisor
 
 STRETCH_TIME = 0.1
 """Time that is learned from at once, s: the cost of an update hardly depends on how many samples it
@@ -63,14 +57,6 @@ of recorded flights."""
 START_TIME = 20.0
 """Time of learning for which the coefficients of a cold start count as poor, s: the model leaks,
 and every tick is learned from at once."""
-
-JUDGED_FROM = 30.0
-"""Time of learning from which a cold start is judged, s. Lag, delay and saturation that nobody told
-have shown by then: after 10 to 28 s on two aircraft (benchmarks/false_usable.py, unmodelled), since
-`ModelError` needs more blocks of a second than the eleven coefficients that it solves for."""
-
-ANSWER_TIME = 2.0
-"""Time for which an aircraft still answers an input, s: a few periods of the short modes."""
 
 START_LEAK_TIME = 0.5
 """Leak of the model meanwhile, s: with poor coefficients its rate products would diverge."""
@@ -92,6 +78,20 @@ class OnlineIdentifier:
 
     Attributes
     ----------
+    settings : Settings
+        All settings, those that changed in flight included.
+    intake : Intake
+        What arrives: what was dropped, which tick is due.
+    sampler : Sampler
+        Rates and inputs on one grid; the map from raw channels to inputs, and the trim in use.
+    plausibility : Plausibility
+        What cannot be as the settings say.
+    supervisor : Supervisor
+        Whether it may learn, what has changed in flight.
+    estimator : Estimator
+        How the coefficients move, and what the flight has told.
+    delays : DelayBank
+        What the flight says about the delay, whether it is used or not.
     running_fit : RunningFit
         1-second prediction fit of the coefficients, of those saved, and of holding the rate.
 
@@ -115,12 +115,11 @@ class OnlineIdentifier:
         self._layout = layout(self.structure)
         self._initial = initial
         self._frame = BodyFrame(settings.imu)
-        self._arm = np.array(settings.imu.lever_arm)
-        self._sampler = Sampler(settings)
+        self.sampler = Sampler(settings)
         self._as_paper = settings.filter.method == "backward_difference"
         self._armed = SampleBuffer(1)
-        self._intake = Intake(settings, self.restart)
-        self._supervisor = Supervisor(settings, self.structure, gates)
+        self.intake = Intake(settings, self.restart)
+        self.supervisor = Supervisor(settings, self.structure, gates)
         self.reset()
 
     def reset(self) -> None:
@@ -166,46 +165,39 @@ class OnlineIdentifier:
                     setting.name, f"'{setting.name}' cannot change in flight: start anew"
                 )
         self.settings = settings
-        self._supervisor.settings = settings
+        self.supervisor.settings = settings
         self._warm = self._start.warm(settings.supervision.min_t_ratio)
         if any(setting.restarts for setting in changed):
             self._make_signals_anew("actuators.delay" in {setting.name for setting in changed})
         else:
-            self._estimator.reconfigure(settings)
+            self.estimator.reconfigure(settings)
         self._news = True
 
     def _begin(self, start: Start, delay: float) -> None:
         """Forget everything and start from what is known."""
         self._start = start
         self._warm = start.warm(self.settings.supervision.min_t_ratio)
-        self._estimator: Estimator = self._make_estimator(self.settings, self._start)
+        self.estimator: Estimator = self._make_estimator(self.settings, self._start)
         self._speed = SpeedScaling(self.settings.airspeed, self.structure)
-        self._sampler.delay = delay
+        self.sampler.delay = delay
         actuators = self.settings.actuators
-        self._delay = DelayBank(actuators.longest_delay, actuators.time_constant)
-        self._model = IdentifiedModel(self.structure, self._arm)
-        self._response = IdentifiedModel(self.structure, self._arm)
-        self._since_injected = ANSWER_TIME
-        self._flow: FlowObserver | None = None
+        self.delays = DelayBank(actuators.longest_delay, actuators.time_constant)
+        self._parallel = ParallelModel(self.settings, self.structure)
         self._has_accelerometer: bool | None = None
-        if self.structure.has_flow:
-            self._flow = FlowObserver(
-                self.structure, self.settings.filter.cutoff, self.settings.airspeed.reference
-            )
-        self.running_fit = RunningFit(self.structure, self._model)
+        self.running_fit = RunningFit(self.structure, self._parallel.model)
         self._saved: FloatArray | None = None
-        self._supervisor.reset()
-        self._plausibility = Plausibility(self.settings)
-        self._intake.fill(
+        self.supervisor.reset()
+        self.plausibility = Plausibility(self.settings)
+        self.intake.fill(
             {
-                RATES: self._sampler.rates,
-                ACTUATORS: self._sampler.raw_inputs,
+                RATES: self.sampler.rates,
+                ACTUATORS: self.sampler.raw_inputs,
                 AIRSPEED: self._speed.airspeed,
                 ARMED: self._armed,
-                EXCITATION: self._sampler.injected,
+                EXCITATION: self.sampler.injected,
             }
         )
-        self._intake.fault = ""
+        self.intake.fault = ""
         self._noise = NoiseModel(self._layout.rows)
         self._learned_time = 0.0
         self.restart()
@@ -214,168 +206,71 @@ class OnlineIdentifier:
         """Make the signals by the settings of now: a warm start from what was learned before."""
         learned, saved = self.coefficient_set(), self._saved
         delay = self.settings.actuators.delay if delay_is_given else self.delay
-        self._arm = np.array(self.settings.imu.lever_arm)
-        self._sampler = Sampler(self.settings)
+        self.sampler = Sampler(self.settings)
         self.resume(learned, delay)
         self._saved = saved
 
     def restart(self) -> None:
         """Start on a new time base: buffers and filters restart, the coefficients stay."""
-        self._sampler.restart()
+        self.sampler.restart()
         self._speed.airspeed.clear()
         self._armed.clear()
-        self._supervisor.restart()
-        self._plausibility.restart()
+        self.supervisor.restart()
+        self.plausibility.restart()
         self._glitches = GlitchFilter()
-        self._intake.restart()
+        self.intake.restart()
         self._filter: StateVariableFilter | None = None
-        self._stretch: list[Stretch] = []
-        self._stretch_time = 0.0
+        self._stretches = Stretches()
         self._news = True
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
         self._looked_ns = NO_TICK
         self._newest_rates: FloatArray | None = None
 
-    # -- supervision -----------------------------------------------------------------------
-
-    @property
-    def adapt(self) -> bool:
-        """Whether the coefficients may move; predictions go on while they may not."""
-        return self._supervisor.adapt
-
-    @adapt.setter
-    def adapt(self, on: bool) -> None:
-        self._supervisor.adapt = on
-
-    def pauses(self) -> dict[str, str]:
-        """Return why each row that does not learn pauses, row to reason."""
-        return self._supervisor.pauses()
-
-    def gate_costs(self) -> dict[str, Cost]:
-        """Return what each gate has cost since the start, the dearest first."""
-        return self._supervisor.gates.costs()
-
-    @property
-    def learning(self) -> BoolArray:
-        """Rows that learned at the last tick, shape (3,)."""
-        return self._supervisor.learning
-
-    @property
-    def changed(self) -> list[Change]:
-        """Changes found in flight, the oldest first."""
-        return list(self._supervisor.changed)
-
-    @property
-    def findings(self) -> list[Finding]:
-        """What cannot be as the settings say, faults first."""
-        return self._plausibility.findings
-
-    @property
-    def noted(self) -> list[Finding]:
-        """All of the kind that was found since the start."""
-        return list(self._plausibility.noted.values())
-
-    @property
-    def accelerometer(self) -> bool | None:
-        """Whether there is an accelerometer; None before that is known."""
-        return self._plausibility.accelerometer
-
     # -- the delay of the inputs -----------------------------------------------------------
 
     @property
     def delay(self) -> float:
         """Transport delay in use, s: the setting, or what the flight has shown it to be."""
-        return self._sampler.delay
-
-    @property
-    def delay_estimate(self) -> DelayEstimate:
-        """What the flight says about the delay, whether it is used or not."""
-        return self._delay.estimate
+        return self.sampler.delay
 
     @property
     def delay_sigma(self) -> float:
         """Standard deviation of the delay in use, s; inf where it is as set."""
-        return self.delay_estimate.sigma if self.settings.actuators.estimate_delay else np.inf
+        return self.delays.estimate.sigma if self.settings.actuators.estimate_delay else np.inf
 
     @property
     def delay_confidence(self) -> str:
         """Whether the flight shows the delay: ``none`` (as set), ``low`` or ``sure``."""
         estimated = self.settings.actuators.estimate_delay
-        return self.delay_estimate.confidence if estimated else NO_ESTIMATE.confidence
-
-    @property
-    def delay_curve(self) -> tuple[FloatArray, FloatArray]:
-        """Delays tried, (J,), s, and the squared prediction errors of p, q, r with them, (J, 3)."""
-        return self._delay.delays, self._delay.errors
+        return self.delays.estimate.confidence if estimated else NO_ESTIMATE.confidence
 
     def _heed_delay(self) -> None:
         """Pair rates and inputs anew where the flight shows another delay.
 
         What was learned with another delay is biased.
         """
-        if self.settings.actuators.estimate_delay and self.delay_estimate.off(self.delay):
-            self._sampler.delay = self.delay_estimate.delay
-            self._estimator.forget(KEPT_WEIGHT)
+        if self.settings.actuators.estimate_delay and self.delays.estimate.off(self.delay):
+            self.sampler.delay = self.delays.estimate.delay
+            self.estimator.forget(KEPT_WEIGHT)
             self._learned_time = 0.0
-
-    # -- what the flight has shown ---------------------------------------------------------
-
-    @property
-    def input_map(self) -> InputMap:
-        """From raw channels to inputs, with the trim in use."""
-        return self._sampler.input_map
-
-    def excitation(self) -> FloatArray:
-        """Scale-free excitation of each row, shape (3,), 0 ... 1: `Information.excitation`."""
-        return self._estimator.information.excitation()
-
-    def collinear(self) -> list[tuple[str, ...]]:
-        """Names of coefficients that the flight has not told apart, a group an entry."""
-        return [
-            tuple(f"{ROWS[i]}/{self.structure.regressors[j]}" for j in group)
-            for i, group in self._estimator.information.collinear()
-        ]
-
-    def correlations(self) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
-        """How the estimates of each moment row depend on one another.
-
-        Its regressors, m names, and the correlation of their coefficients, shape (m, m).
-        """
-        labels = self.structure.regressors
-        pairs = zip(ROWS, self._estimator.information.correlations(), strict=True)
-        return {row: (tuple(labels[j] for j in columns), m) for row, (columns, m) in pairs}
 
     def flying(self) -> Flying:
         """Return what is known of the flight, as of the last tick."""
-        roll, pitch = (None, None) if self._flow is None else self._flow.attitude
+        flow = self._parallel.flow
+        roll, pitch = (None, None) if flow is None else flow.attitude
         return Flying(
             self._newest_rates,
             roll,
             pitch,
             airspeed=self._speed.newest,
-            grounded=self._supervisor.grounded(self._speed.newest),
+            grounded=self.supervisor.grounded(self._speed.newest),
         )
 
     # -- samples in ------------------------------------------------------------------------
     #
     # Each returns why the sample was dropped, None if it was taken; a stamp is in ns, and what
     # it is about holds from then on.
-
-    @property
-    def drops(self) -> dict[str, Counter[Drop]]:
-        """For each stream, how many samples were dropped for which reason."""
-        return self._intake.drops
-
-    @property
-    def fault(self) -> str:
-        """What is wrong with the clocks, in a sentence; empty if nothing is."""
-        return self._intake.fault
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Newest stamp of the rates, ns: what time it is on the Imu's clock; None before any."""
-        return self._intake.newest_ns
 
     def add_rates(
         self, t_ns: int, pqr: Sequence[float], specific_force: Sequence[float] | None = None
@@ -392,19 +287,19 @@ class OnlineIdentifier:
             Specific force, m/s^2; taken as zero if not measured.
         """
         force = _NO_FORCE if specific_force is None else specific_force
-        return self._intake.add_rates(t_ns, pqr, force)
+        return self.intake.add_rates(t_ns, pqr, force)
 
     def add_actuators(self, t_ns: int, values: Sequence[float]) -> Drop | None:
         """Take one sample of the raw channels that ``actuators.channels`` names, in that order."""
-        return self._intake.add(ACTUATORS, t_ns, values)
+        return self.intake.add(ACTUATORS, t_ns, values)
 
     def add_airspeed(self, t_ns: int, airspeed: float) -> Drop | None:
         """Take one sample of the true airspeed, m/s."""
-        return self._intake.add(AIRSPEED, t_ns, (airspeed,))
+        return self.intake.add(AIRSPEED, t_ns, (airspeed,))
 
     def add_armed(self, t_ns: int, armed: bool) -> Drop | None:
         """Take word of whether the motors are armed; late word counts from the next tick on."""
-        return self._intake.add(ARMED, t_ns, (float(armed),))
+        return self.intake.add(ARMED, t_ns, (float(armed),))
 
     def add_excitation(self, t_ns: int, values: Sequence[float]) -> Drop | None:
         """Take word of what was, or will be, injected into the inputs on purpose.
@@ -416,32 +311,15 @@ class OnlineIdentifier:
         values : sequence of 4 floats
             de, dr, da, dth, in the units of the inputs.
         """
-        return self._intake.add(EXCITATION, t_ns, values)
-
-    def orderly(self, t_ns: TimeArray, values: FloatArray) -> bool:
-        """Say whether samples would all be taken at once: `Intake.orderly`."""
-        return self._intake.orderly(t_ns, values)
-
-    def add_orderly_rates(self, t_ns: Sequence[int], values: Sequence[Sequence[float]]) -> None:
-        """Take samples that `orderly` has accepted: `Intake.add_orderly_rates`."""
-        self._intake.add_orderly_rates(t_ns, values)
+        return self.intake.add(EXCITATION, t_ns, values)
 
     # -- ticks -----------------------------------------------------------------------------
 
-    def due(self) -> int | None:
-        """Time of the next tick that may be computed, ns; None if none is due."""
-        return self._intake.due
-
     def advance(self) -> Iterator[Estimate]:
         """Compute the ticks that are due, one by one; yield the estimate of each."""
-        while (t_ns := self.due()) is not None:
+        while (t_ns := self.intake.due) is not None:
             if (estimate := self.update(t_ns)) is not None:
                 yield estimate
-
-    @property
-    def next_due_ns(self) -> int:
-        """Stamp of the rates from which on the next tick is due, ns, after the first tick."""
-        return self._intake.next_due_ns
 
     def update(self, t_ns: int) -> Estimate | None:
         """Run every tick up to and including `t_ns`, due or not.
@@ -457,129 +335,135 @@ class OnlineIdentifier:
             The estimate of the last tick that was run, None if there was none.
         """
         estimate = None
-        for tick_ns in self._intake.ticks(t_ns):
+        for tick_ns in self.intake.ticks(t_ns):
             estimate = self._tick(tick_ns)
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
-        drops, rates = self._intake.drops, self._sampler.rates
+        drops, rates = self.intake.drops, self.sampler.rates
         drops[RATES][Drop.DUPLICATE] += rates.merge(t_ns)
-        drops[ACTUATORS][Drop.DUPLICATE] += self._sampler.raw_inputs.merge(t_ns)
+        drops[ACTUATORS][Drop.DUPLICATE] += self.sampler.raw_inputs.merge(t_ns)
         drops[AIRSPEED][Drop.DUPLICATE] += self._speed.update(t_ns)
         drops[ARMED][Drop.DUPLICATE] += self._armed.merge(t_ns)
-        self._sampler.injected.merge(t_ns)
+        self.sampler.injected.merge(t_ns)
         if self._as_paper:
-            self._look(t_ns, rates.v[:0], self._sampler.raw_inputs.v[:0])  # it knows no gates
+            self._look(t_ns, rates.v[:0], self.sampler.raw_inputs.v[:0])  # it knows no gates
             fed = self._paper_tick(t_ns)
         else:
-            self._look(t_ns, self._new_rates(), self._sampler.raw_inputs.v)
+            self._look(t_ns, self._new_rates(), self.sampler.raw_inputs.v)
             fed = self._filtered_tick()
-        return self._estimate(t_ns, fed)
+        return self._published(t_ns, fed)
 
     def _new_rates(self) -> FloatArray:
         """Rates and specific forces that came with this tick, without glitches, (k, 6)."""
-        rates = self._sampler.rates
+        rates = self.sampler.rates
         new, limit = rates.after(self._looked_ns), self.settings.supervision.max_rate
         if new < len(rates.t):
             before = rates.v[new - 1, :3] if new else None
             which = self._glitches.find(rates.v[new:, :3], before, limit)
             if which.any():
                 rates.leave_out(which)
-                self._intake.drops[RATES][Drop.GLITCH] += int(which.sum())
+                self.intake.drops[RATES][Drop.GLITCH] += int(which.sum())
         return rates.v[new:]
 
     def _look(self, t_ns: int, samples: FloatArray, channels: FloatArray) -> None:
         """Show the supervisor what came with this tick."""
         if len(self._armed.t):
-            self._supervisor.armed = bool(self._armed.v[-1, 0])
+            self.supervisor.armed = bool(self._armed.v[-1, 0])
             self._armed.trim(t_ns)
-        if len(self._sampler.rates.t):
-            self._newest_rates = self._frame.to_body(self._sampler.rates.v[-1, :3])
+        if len(self.sampler.rates.t):
+            self._newest_rates = self._frame.to_body(self.sampler.rates.v[-1, :3])
         if self.settings.supervision.plausibility:
-            fresh = channels[self._sampler.raw_inputs.after(self._looked_ns) :]
-            self._plausibility.look(t_ns * NS, samples, fresh)
+            fresh = channels[self.sampler.raw_inputs.after(self._looked_ns) :]
+            self.plausibility.look(t_ns * NS, samples, fresh)
         self._looked_ns = t_ns
-        fault = self._plausibility.signal_fault
-        self._supervisor.look(t_ns * NS, samples, channels, self._speed.newest, fault)
+        fault = self.plausibility.signal_fault
+        self.supervisor.look(t_ns * NS, samples, channels, self._speed.newest, fault)
 
     def _filtered_tick(self) -> bool:
-        """Follow the blocks that this tick completes; return whether there were any."""
+        """Learn from the blocks that this tick completes; return whether there were any."""
         fed = False
-        for block in self._sampler.blocks():
-            self._look_for_accelerometer(block)
-            part = self._follow(block)
-            if self._stretch and not self._stretch[-1].continued_by(part):
-                self._end_stretch()
-            self._stretch.append(part)
-            self._stretch_time += block.time
-            due = STRETCH_TIME if self._learned_time >= START_TIME else 0.0
-            if self._stretch_time >= due - 0.5 * block.h:
-                self._end_stretch()
+        for block in self.sampler.blocks():
             fed = True
+            self._look_for_accelerometer(block)
+            length = STRETCH_TIME if self._learned_time >= START_TIME else 0.0
+            for stretch in self._stretches.add(self._follow(block), length):
+                self._learn(stretch)
         return fed
 
     def _follow(self, block: Block) -> Stretch:
         """Run the model over a block."""
-        coefficients = self._coefficients()
-        if self._flow is not None:
-            speed = self._speed.newest if self._speed.enabled else None
-            block.flow = self._flow.follow(block, coefficients, speed)
         leak = self.settings.model.leak_time
         if leak > 0.0 and self._learned_time < START_TIME:
             leak = min(leak, START_LEAK_TIME)
-        states = self._model.run(coefficients, block, leak)
-        if injected := self._injected(block):
-            states = self._response.respond(coefficients, block, leak)
-        learns = self._speed.known and not self._supervisor.closed
-        return Stretch(block, states, learns, not self._supervisor.gates.unreadable, injected)
+        airspeed = self._speed.newest if self._speed.enabled else None
+        states, injected = self._parallel.follow(block, self._coefficients(), airspeed, leak)
+        learns = self._speed.known and not self.supervisor.closed
+        readable = not self.supervisor.gates.unreadable
+        return Stretch(block, states, learns, readable, injected)
 
-    def _end_stretch(self) -> None:
-        """Score the coefficients on the stretch that ends, then learn from it."""
-        parts, self._stretch, self._stretch_time = self._stretch, [], 0.0
+    def _learn(self, stretch: Stretch) -> None:
+        """Score the coefficients on a stretch, then learn from it: regress, gate, estimate."""
         self._news = True
-        block, alike, coefficients = join([p.block for p in parts]), parts[0], self._coefficients()
-        if alike.readable:
+        block, coefficients = stretch.block, self._coefficients()
+        if stretch.readable:
             saved = None if self._saved is None else self._saved * self._speed.scale
             self.running_fit.add(block, coefficients, saved)
         else:
             self.running_fit.restart()
+        regression = self._regress(stretch, coefficients)
+        if not stretch.learns:
+            return
+        self._estimate(regression.means(), int(block.t_ns[-1]) * NS, stretch.blocks)
+        if self.estimator.changes:
+            self.running_fit.forget()
+        if self.delays.add(block, self.sampler.delay):
+            self._heed_delay()
+
+    def _regress(self, stretch: Stretch, coefficients: FloatArray) -> Regression:
+        """Return the regression problem of a stretch."""
         if self._filter is None:
-            self._filter = StateVariableFilter(
-                self.structure, self.settings.filter.cutoff, block.h, self._arm
-            )
-        regression = self._filter.apply(
-            block,
-            edge_values([p.states for p in parts]),
+            settings, h = self.settings, stretch.block.h
+            arm = np.array(settings.imu.lever_arm)
+            self._filter = StateVariableFilter(self.structure, settings.filter.cutoff, h, arm)
+        return self._filter.apply(
+            stretch.block,
+            stretch.states,
             self._speed.scale[0] if self._speed.enabled else None,
             coefficients,
-            block.excitation if alike.injected else None,
+            stretch.block.excitation if stretch.injected else None,
         )
-        if not alike.learns:
-            return
-        self._update(regression.means(), int(block.t_ns[-1]) * NS, len(parts))
-        if self._estimator.changes:
-            self.running_fit.forget()
-        if self._delay.add(block, self._sampler.delay):
-            self._heed_delay()
+
+    def _estimate(self, samples: Regression, t: float, ticks: int) -> None:
+        """Update the coefficients with samples of some ticks that end at `t` s."""
+        estimator, supervisor = self.estimator, self.supervisor
+        self._learned_time += samples.time
+        residual = estimator.residual(samples)
+        rows = RowSamples.of(samples, residual, self._layout)
+        white = self._noise.whiten(rows, restarted=samples.restarted)
+        weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
+        supervisor.confirm(white, self._layout, self._noise.variance, estimator.inputs)
+        estimator.update(samples, rows, white, weight)
+        supervisor.follow(t, estimator, ticks)
 
     def _look_for_accelerometer(self, block: Block) -> None:
         """Leave out the flow angles while nothing tells of them."""
-        if self._flow is None or self._has_accelerometer:
+        if self._parallel.flow is None or self._has_accelerometer:
             return
         force, before = block.specific_force, self._has_accelerometer
         # A real one changes from sample to sample.
         self._has_accelerometer = bool((force[1:] != force[:-1]).any())
         if before is None and not self._has_accelerometer:
-            self._estimator.start = without_flow(self._start, self.structure)
+            self.estimator.start = without_flow(self._start, self.structure)
         elif before is False and self._has_accelerometer:
             # What was learned without flow angles took their moments for something else.
-            self._stretch, self._stretch_time = [], 0.0
-            self._estimator = self._make_estimator(self.settings, self._start)
+            self._stretches = Stretches()
+            self.estimator = self._make_estimator(self.settings, self._start)
             self._learned_time = 0.0
 
     def _coefficients(self) -> FloatArray:
         """Coefficients at the airspeed flown, shape (R, n)."""
-        return self._estimator.coefficients * self._speed.scale
+        return self.estimator.coefficients * self._speed.scale
 
     def coefficient_set(self, t_ns: int = 0) -> CoefficientSet:
         """Coefficients to save and to start from again: at the reference airspeed.
@@ -591,8 +475,8 @@ class OnlineIdentifier:
         """
         return CoefficientSet(
             self.structure.name,
-            self._estimator.coefficients.copy(),
-            self._estimator.sigma.copy(),
+            self.estimator.coefficients.copy(),
+            self.estimator.sigma.copy(),
             t_ns,
         )
 
@@ -601,53 +485,34 @@ class OnlineIdentifier:
         self._saved = saved.values
         self.running_fit.save()
 
-    def _update(self, samples: Regression, t: float, ticks: int) -> None:
-        """Update the coefficients with samples that end at `t` s."""
-        estimator, supervisor = self._estimator, self._supervisor
-        self._learned_time += samples.time
-        residual = estimator.residual(samples)
-        rows = RowSamples.of(samples, residual, self._layout)
-        white = self._noise.whiten(rows, restarted=samples.restarted)
-        weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
-        supervisor.confirm(white, self._layout, self._noise.variance, estimator.inputs)
-        estimator.update(samples, rows, white, weight)
-        supervisor.follow(t, estimator, ticks)
-
-    def _injected(self, block: Block) -> bool:
-        """Whether the aircraft still answers inputs that were injected on purpose."""
-        if block.excitation is not None and block.excitation.any():
-            self._since_injected = 0.0
-        else:
-            self._since_injected += block.time
-        return block.excitation is not None and self._since_injected < ANSWER_TIME
-
     def _paper_tick(self, t_ns: int) -> bool:
         """Learn as the paper does: backward differences of the rates at the ticks."""
-        held = self._sampler.held(t_ns)
+        held = self.sampler.held(t_ns)
         if held is None:
             return False
         x, u, force = held
         dt = 1.0 / self.settings.update_rate
         regression: Regression | None = self._paper.step(t_ns, x, u, force, dt)
         if regression is None:
-            self._model.restart(x)
+            self._parallel.model.restart(x)
             return False
-        self._model.euler(
-            self._estimator.coefficients, x, u, force, dt, self.settings.model.leak_time
+        self._parallel.model.euler(
+            self.estimator.coefficients, x, u, force, dt, self.settings.model.leak_time
         )
         self._news = True
-        if not self._supervisor.closed:
-            self._update(regression, t_ns * NS, 1)
+        if not self.supervisor.closed:
+            self._estimate(regression, t_ns * NS, 1)
         return True
 
-    def _estimate(self, t_ns: int, fed: bool) -> Estimate:
+    def _published(self, t_ns: int, fed: bool) -> Estimate:
+        """Judge the coefficients, and return all that is published of a tick."""
         newest = self._newest_rates if self._newest_rates is not None else np.zeros(3)
-        predicted = self._model.state[:3]
+        predicted, flow = self._parallel.model.state[:3], self._parallel.flow
         coefficients = self._coefficients()
-        sigma = self._estimator.sigma * self._speed.scale
+        sigma = self.estimator.sigma * self._speed.scale
         self._judge(t_ns, coefficients, sigma)
-        state, reason = self._waiting(fed) or self._supervisor.state(self._verdict)
-        sound = state is not State.FAULT and not self._plausibility.doubted
+        state, reason = self._waiting(fed) or self.supervisor.state(self._verdict)
+        sound = state is not State.FAULT and not self.plausibility.doubted
         usable = self._verdict.rows if sound else (False, False, False)
         rates = self._frame.to_imu(np.array((predicted, newest - predicted)))
         return Estimate(
@@ -656,9 +521,9 @@ class OnlineIdentifier:
             sigma=sigma,
             predicted_rates=rates[0],
             prediction_error=rates[1],
-            flow=None if self._flow is None else self._flow.state(coefficients, sigma),
+            flow=None if flow is None else flow.state(coefficients, sigma),
             fit=self.running_fit.fit.copy(),
-            adapting=fed and True in self._supervisor.learning.tolist(),
+            adapting=fed and True in self.supervisor.learning.tolist(),
             usable=all(usable),
             usable_rows=usable,
             state=state.value,
@@ -670,28 +535,26 @@ class OnlineIdentifier:
         if not self._news:
             return
         self._news = False
-        denied = ""
-        if not self._warm and self._learned_time < JUDGED_FROM:
-            learned = int(self._learned_time)
-            denied = f"learned from {learned} s, {JUDGED_FROM:g} s are needed to judge"
         # What was known beforehand stands against a delay that inputs seem to have which answer
         # gusts; and without flow angles every gust looks like a late input.
-        if self._flow is not None and not (self._warm and self._estimator.answers.any()):
-            denied = self._delay.estimate.contradiction(self._sampler.delay) or denied
-        self._verdict = self._supervisor.judge(
-            t_ns * NS, coefficients, sigma, self.running_fit, self._estimator.model_error,
-            denied,
+        denied = ""
+        if self.structure.has_flow and not (self._warm and self.estimator.answers.any()):
+            denied = self.delays.estimate.contradiction(self.delay)
+        learned_time = math.inf if self._warm else self._learned_time
+        self._verdict = self.supervisor.judge(
+            t_ns * NS, coefficients, sigma, self.running_fit, self.estimator.model_error,
+            denied, learned_time,
         )  # fmt: skip
         if self.settings.supervision.plausibility:
-            self._plausibility.judge(coefficients, sigma)
+            self.plausibility.judge(coefficients, sigma)
 
     def _waiting(self, fed: bool) -> tuple[State, str] | None:
         """Return state word and reason while something is wrong or missing; None if not."""
-        fault = self._intake.fault or self._estimator.problem or self._plausibility.fault
+        fault = self.intake.fault or self.estimator.problem or self.plausibility.fault
         if fault:
             return State.FAULT, fault
         if not fed:
-            return State.WAITING, f"waiting for {self._sampler.waiting_for or 'samples'}"
+            return State.WAITING, f"waiting for {self.sampler.waiting_for or 'samples'}"
         return None if self._speed.known else (State.WAITING, "waiting for airspeed")
 
 

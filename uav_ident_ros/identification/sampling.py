@@ -127,36 +127,6 @@ def edge_values(parts: Sequence[Edges]) -> Edges:
     return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
 
 
-@dataclass
-class Stretch:
-    """A block, and what the identifier made of it; those alike are learned from at once.
-
-    Parameters
-    ----------
-    block : Block
-        Measured signals over m cells.
-    states : (m + 1, 3 or 8) array
-        State of the identified model at the edges.
-    learns : bool
-        Whether the gates let it be learned from.
-    readable : bool
-        Whether it may be scored.
-    injected : bool
-        Whether the states are the response to what was injected on purpose alone.
-    """
-
-    block: Block
-    states: FloatArray
-    learns: bool
-    readable: bool
-    injected: bool
-
-    def continued_by(self, other: Stretch) -> bool:
-        """Whether another one may be joined to it."""
-        alike = (self.learns, self.readable, self.injected)
-        return not other.block.restarted and alike == (other.learns, other.readable, other.injected)
-
-
 class Sampler:
     """Brings rates and inputs together on the grid.
 

@@ -34,6 +34,11 @@ from uav_ident_ros.identification.structure import (
 MIN_PREDICTIONS = 5
 """Predictions before the running fit counts."""
 
+JUDGED_FROM = 30.0
+"""Time of learning from which a cold start is judged, s. Lag, delay and saturation that nobody told
+have shown by then: after 10 to 28 s on two aircraft (benchmarks/false_usable.py, unmodelled), since
+`ModelError` needs more blocks of a second than the eleven coefficients that it solves for."""
+
 AXES = ("p", "q", "r")
 
 LARGEST_MODEL_ERROR = 0.25
@@ -256,10 +261,18 @@ class Supervisor:
         sigma: FloatArray,
         running: RunningFit,
         model_error: FloatArray,
-        denied: str = "",
+        denied: str,
+        learned_time: float,
     ) -> Verdict:
-        """Give the verdict on the coefficients at `t` s; parameters as in `judge`."""
+        """Give the verdict on the coefficients at `t` s.
+
+        Parameters are those of `judge`, and how long it has learned since a cold start, s; inf
+        after a warm one.
+        """
         self._sigma = sigma
+        if not denied and learned_time < JUDGED_FROM:
+            learned = int(learned_time)
+            denied = f"learned from {learned} s, {JUDGED_FROM:g} s are needed to judge"
         for (i, j), change in list(self._relearning.items()):
             enough = max(
                 RELEARNED_SIGMA * change.sigma, abs(float(coefficients[i, j])) / RELEARNED_T_RATIO

@@ -43,7 +43,7 @@ class Arrivals(Generic[Values]):
         """Take values of a message; return why not, or None."""
         if stamp_ns is not None:
             return self._add(stamp_ns, values)
-        newest_ns = self._identifier.newest_ns
+        newest_ns = self._identifier.intake.newest_ns
         if newest_ns is not None:
             self.settle()
             return self._add(self._stamp(arrival_ns, newest_ns), values)
@@ -54,7 +54,7 @@ class Arrivals(Generic[Values]):
 
     def settle(self) -> None:
         """Place what came before the Imu did; to be called before a tick is computed."""
-        newest_ns = self._identifier.newest_ns
+        newest_ns = self._identifier.intake.newest_ns
         if self._early is None or newest_ns is None:
             return
         (arrival_ns, values), self._early = self._early, None

@@ -188,7 +188,7 @@ def estimate_values(estimate: Estimate) -> Iterator[tuple[str, str]]:
 
 def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
     """Yield what the flight has shown so far, and what it has not."""
-    for row, excitation in zip(ROWS, identifier.excitation(), strict=True):
+    for row, excitation in zip(ROWS, identifier.estimator.information.excitation(), strict=True):
         yield f"excitation {row} [0..1]", f"{excitation:.3f}"
     running = identifier.running_fit
     for label, fits in (("hold", running.hold), ("saved fit", running.saved)):
@@ -196,10 +196,10 @@ def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
             yield f"{label} {axis} [%]", f"{fit:.1f}"
     yield "delay [s]", f"{identifier.delay:.4f}"
     yield "delay confidence", identifier.delay_confidence
-    groups = identifier.collinear()
+    groups = identifier.estimator.information.collinear()
     yield "not told apart", "; ".join(", ".join(group) for group in groups) or "nothing"
-    costs = identifier.gate_costs().items()
+    costs = identifier.supervisor.gates.costs().items()
     gates = (f"{name} {100.0 * cost.share:.0f} ({cost.setting})" for name, cost in costs)
     yield "gates [% of the flight]", ", ".join(gates) or "nothing"
-    yield "implausible", "; ".join(f.text for f in identifier.findings) or "nothing"
-    yield "changed in flight", ", ".join(c.name for c in identifier.changed) or "nothing"
+    yield "implausible", "; ".join(f.text for f in identifier.plausibility.findings) or "nothing"
+    yield "changed in flight", ", ".join(c.name for c in identifier.supervisor.changed) or "nothing"

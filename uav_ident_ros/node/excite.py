@@ -100,7 +100,7 @@ class Excite:
         """Publish zero at once, and let that be the end of the run; without one, do nothing."""
         if not self._run.active:
             return
-        t_ns = self._identifier.newest_ns
+        t_ns = self._identifier.intake.newest_ns
         assert t_ns is not None  # a run has begun at a tick
         self._publish(self._run.abort(t_ns, why))
         self._say_end()

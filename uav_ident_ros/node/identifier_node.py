@@ -116,7 +116,7 @@ class IdentifierNode(Node):
         self._meter.called()
         self._inputs.empty()
         self._inputs.settle()
-        while (t_ns := self.identifier.due()) is not None:
+        while (t_ns := self.identifier.intake.due) is not None:
             start = time.perf_counter()
             estimate = self.identifier.update(t_ns)
             self._meter.ticked(time.perf_counter() - start)
@@ -179,7 +179,7 @@ class IdentifierNode(Node):
 
     def _on_adapt(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._inputs.empty()
-        self.identifier.adapt = bool(request.data)
+        self.identifier.supervisor.adapt = bool(request.data)
         response.success = True
         response.message = "adaptation is switched " + ("on" if request.data else "off")
         self.get_logger().info(response.message)
@@ -252,8 +252,8 @@ class IdentifierNode(Node):
     def _clocks_apart(self) -> str:
         """Return the fault of the identifier, or the overload that explains it."""
         seconds = self._meter.held_up()
-        if not self.identifier.fault or not seconds:
-            return self.identifier.fault
+        if not self.identifier.intake.fault or not seconds:
+            return self.identifier.intake.fault
         return (
             f"overload: the node was held up for {seconds:.1f} s, and messages without a stamp "
             "counted as late as that: give it more of the processor, or a type with stamps"
@@ -276,7 +276,7 @@ class IdentifierNode(Node):
             groups[""] += diagnostics.knowledge_values(self.identifier)
         for stream, monitor in self._inputs.monitors.items():
             if stream != EXCITATION or monitor.received:
-                groups[stream] = list(monitor.values(self.identifier.drops[stream]))
+                groups[stream] = list(monitor.values(self.identifier.intake.drops[stream]))
         groups["excite"] = list(self._excite.values())
         return groups
 

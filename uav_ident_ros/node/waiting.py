@@ -128,9 +128,9 @@ class Waiting:
         now = time.monotonic()
         if ticks != self._ticks[0]:
             self._ticks = (ticks, now)
-        self.imu_moves = self._identifier.newest_ns != self._stamp[0]
+        self.imu_moves = self._identifier.intake.newest_ns != self._stamp[0]
         if self.imu_moves:
-            self._stamp = (self._identifier.newest_ns, now)
+            self._stamp = (self._identifier.intake.newest_ns, now)
         self._lost = {stream: self._all_dropped(stream) for stream in self._monitors}
         if self._node.get_clock().ros_time_is_active and (standing := self._clock.silence()):
             return standing
@@ -163,7 +163,7 @@ class Waiting:
     def _all_dropped(self, stream: str) -> str:
         """Say why every message of the last seconds was dropped; empty if one was not."""
         monitor = self._monitors[stream]
-        drops = monitor.drops(self._identifier.drops[stream])
+        drops = monitor.drops(self._identifier.intake.drops[stream])
         history = self._before[stream]
         history.append((monitor.received, drops))
         if len(history) > 3:

@@ -87,7 +87,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Measure a replay that has at least one estimate."""
     part = max(run.stretches(), key=lambda stretch: len(stretch.ticks))
     result = run.result()
-    delays, delay_errors = run.identifier.delay_curve
+    delays, delay_errors = run.identifier.delays.delays, run.identifier.delays.errors
     return Evidence(
         settings=run.inputs.settings,
         structure=run.structure,
@@ -100,19 +100,19 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         input_spread=part.inputs.u.std(axis=0) if len(part.inputs.u) else np.zeros(len(INPUTS)),
         imu_rate=_rate(part.t_ns),
         actuator_rate=_rate(part.inputs.t_ns),
-        delay=run.identifier.delay_estimate,
+        delay=run.identifier.delays.estimate,
         delays=delays,
         delay_errors=delay_errors,
         delay_in_use=run.identifier.delay,
         force_share=_force_share(run, part),
-        collinear=tuple(run.identifier.collinear()),
-        correlations=run.identifier.correlations(),
+        collinear=tuple(run.identifier.estimator.information.collinear()),
+        correlations=run.identifier.estimator.information.correlations(),
         lost=lost_to(run.estimates),
         gate_settings={
             _NUMBER.sub("…", cost.reason): cost.setting
-            for cost in run.identifier.gate_costs().values()
+            for cost in run.identifier.supervisor.gates.costs().values()
         },
-        streams={name: run.refusals(name) for name in run.identifier.drops},
+        streams={name: run.refusals(name) for name in run.identifier.intake.drops},
     )
 
 

@@ -109,7 +109,7 @@ class Intake:
         self._newest_ns: int | None = None
         self._jump_ns = round(settings.time_jump * 1e9)
         self._received: Counter[str] = Counter()
-        self._refused: dict[str, Counter[str]] = {s: Counter() for s in identifier.drops}
+        self._refused: dict[str, Counter[str]] = {s: Counter() for s in identifier.intake.drops}
         self._stream_of = {topic: stream for stream, topic in inputs.streams.items()}
         self._arrivals = {
             name: Arrivals(identifier, partial(stream.add, identifier))
@@ -143,7 +143,7 @@ class Intake:
     def refusals(self, stream: str) -> Refusals:
         """Count what became of the messages of a stream."""
         dropped = Counter(self._refused[stream])
-        for drop, count in self._identifier.drops[stream].items():
+        for drop, count in self._identifier.intake.drops[stream].items():
             dropped[drop.value] += count
         kept = {reason: count for reason, count in sorted(dropped.items()) if count > 0}
         return Refusals(self._received[stream], kept)
@@ -177,7 +177,7 @@ class Intake:
         block = decode_imu_block(data)
         if block is None or block.frame_id != self.frame_id or self.fault:
             return None
-        return block if self._identifier.orderly(block.t_ns, block.values) else None
+        return block if self._identifier.intake.orderly(block.t_ns, block.values) else None
 
     def _take_orderly(
         self,
@@ -188,9 +188,9 @@ class Intake:
         tick: Callable[[], None],
     ) -> None:
         """Take samples `begin` to `end` of a block, with a halt at each that makes a tick due."""
-        add = self._identifier.add_orderly_rates
+        add = self._identifier.intake.add_orderly_rates
         while begin < end:
-            due_ns = self._identifier.next_due_ns
+            due_ns = self._identifier.intake.next_due_ns
             stop = min(bisect_left(stamps, due_ns, begin, end) + 1, end)
             add(stamps[begin:stop], values[begin:stop])
             if stamps[stop - 1] >= due_ns:

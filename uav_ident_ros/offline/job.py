@@ -153,7 +153,9 @@ def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun,
             run.run(bag, progress.messages)
             if run.fault:
                 warnings.append(f"fault: {run.fault}")
-            warnings += [f"implausible: {found.text}" for found in run.identifier.noted]
+            warnings += [
+                f"implausible: {found.text}" for found in run.identifier.plausibility.noted.values()
+            ]
             if not run.estimates:
                 raise BagError(f"bag '{job.bag}': no tick came due: {_why_nothing(run)}")
         except REFUSALS:

@@ -99,7 +99,7 @@ class OfflineRun:
     @property
     def fault(self) -> str:
         """How the messages contradict the settings; empty if they do not."""
-        return self.intake.fault or self.identifier.fault
+        return self.intake.fault or self.identifier.intake.fault
 
     def refusals(self, stream: str) -> Refusals:
         """Count what became of the messages of a stream, ``rates`` or ``actuators`` for two."""
@@ -145,7 +145,7 @@ class OfflineRun:
         actuators = self.inputs.settings.actuators
         delay = actuators.delay if delay is None else delay
         # The identifier's own map: it may have learned the trim in flight.
-        u = self.identifier.input_map.apply(raw)
+        u = self.identifier.sampler.input_map.apply(raw)
         return InputSignal(t_ns, u, delay, actuators.time_constant)
 
     def score(self) -> dict[str, PredictionFit]:
@@ -180,7 +180,7 @@ class OfflineRun:
         actuators = replace(settings.actuators, learn_trim_time=0.0)
         sampler = Sampler(replace(settings, actuators=actuators))
         sampler.delay = part.inputs.delay
-        sampler.input_map = self.identifier.input_map
+        sampler.input_map = self.identifier.sampler.input_map
         sampler.raw_inputs.t, sampler.raw_inputs.v = self.intake.actuators.of_era(part.era)
         t_ns, values = self.intake.rates.of_era(part.era)
         for first in range(0, len(t_ns), BLOCK):

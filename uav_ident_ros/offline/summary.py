@@ -83,8 +83,11 @@ class Replayed:
                 "usable": not self.doubt,
                 "doubt": self.doubt,
                 "usable_rows": dict(zip(ROWS, last.usable_rows, strict=True)),
-                "gates": {name: cost._asdict() for name, cost in identifier.gate_costs().items()},
-                "implausible": [found.text for found in identifier.noted],
+                "gates": {
+                    name: cost._asdict()
+                    for name, cost in identifier.supervisor.gates.costs().items()
+                },
+                "implausible": [found.text for found in identifier.plausibility.noted.values()],
                 "delay": identifier.delay,
                 "delay_sigma": identifier.delay_sigma,
                 "structure": run.structure.name,

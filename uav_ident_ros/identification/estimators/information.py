@@ -18,10 +18,12 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Layout, RowSamples
 from uav_ident_ros.identification.structure import (
+    ROWS,
     BoolArray,
     FloatArray,
     FlowRows,
@@ -513,8 +515,8 @@ class Information:
         inflation = np.abs(np.einsum("ijj->ij", inverse)).max(axis=1)
         return np.where(self.time[:3] > 0.0, 1.0 / np.maximum(inflation, 1.0), 0.0)
 
-    def collinear(self) -> list[tuple[int, tuple[int, ...]]]:
-        """Return the groups of regressors that were not told apart, (row, columns) of each.
+    def collinear(self) -> list[tuple[str, ...]]:
+        """Return the names of coefficients that were not told apart, a group an entry.
 
         A small eigenvalue of the scaled information is a direction without information; the
         columns with a large share in its eigenvector belong together.
@@ -525,22 +527,26 @@ class Information:
             for value, vector in zip(values[i], row.T, strict=True):
                 shares = (np.abs(vector) > COLLINEAR_SHARE) & self.free[i]
                 if value < COLLINEAR_EIGENVALUE and shares.sum() > 1:
-                    groups.append((i, tuple(int(j) for j in self._j[i, shares])))
+                    names = self._regressors(i, shares)
+                    groups.append(tuple(f"{ROWS[i]}/{name}" for name in names))
         return groups
 
-    def correlations(self) -> list[tuple[tuple[int, ...], FloatArray]]:
+    def correlations(self) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
         """Return how the estimates of each moment row depend on one another.
 
-        Its free columns (m,), and the correlation of their estimates (m, m), 1 on the diagonal.
+        Its free regressors, m names, and the correlation of their coefficients, (m, m).
         """
-        found = []
+        found = {}
         for i, inverse in enumerate(np.linalg.inv(self._correlation())):
             places = np.flatnonzero(self.free[i])
             covariance = inverse[np.ix_(places, places)]
             scale = 1.0 / np.sqrt(np.abs(np.diag(covariance)))
-            columns = tuple(int(j) for j in self._j[i, places])
-            found.append((columns, covariance * np.outer(scale, scale)))
+            found[ROWS[i]] = self._regressors(i, places), covariance * np.outer(scale, scale)
         return found
+
+    def _regressors(self, row: int, entries: BoolArray | NDArray[np.intp]) -> tuple[str, ...]:
+        """Names of the regressors at some entries of a row."""
+        return tuple(self._structure.regressors[j] for j in self._j[row, entries])
 
 
 @dataclass(frozen=True)

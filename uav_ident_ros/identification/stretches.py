@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blocks that are alike, joined: what is learned from at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from uav_ident_ros.identification.sampling import Block, edge_values, join
+from uav_ident_ros.identification.structure import FloatArray
+
+
+@dataclass
+class Stretch:
+    """Blocks that continue one another, and what the identifier made of them.
+
+    Parameters
+    ----------
+    block : Block
+        Measured signals over m cells.
+    states : (m + 1, 3 or 8) array
+        State of the identified model at the edges.
+    learns : bool
+        Whether the gates let it be learned from.
+    readable : bool
+        Whether it may be scored.
+    injected : bool
+        Whether the states are the response to what was injected on purpose alone.
+    blocks : int
+        Number of blocks, one a tick.
+    """
+
+    block: Block
+    states: FloatArray
+    learns: bool
+    readable: bool
+    injected: bool
+    blocks: int = 1
+
+    def continued_by(self, other: Stretch) -> bool:
+        """Whether another one may be joined to it."""
+        alike = (self.learns, self.readable, self.injected)
+        return not other.block.restarted and alike == (other.learns, other.readable, other.injected)
+
+
+class Stretches:
+    """Joins blocks to stretches."""
+
+    def __init__(self) -> None:
+        self._parts: list[Stretch] = []
+
+    def add(self, part: Stretch, length: float) -> Iterator[Stretch]:
+        """Take a block; yield the stretches that end with it or before it, at `length` s."""
+        if self._parts and not self._parts[-1].continued_by(part):
+            yield self._ended()
+        self._parts.append(part)
+        if sum(p.block.time for p in self._parts) >= length - 0.5 * part.block.h:
+            yield self._ended()
+
+    def _ended(self) -> Stretch:
+        """Join the parts so far."""
+        parts, self._parts = self._parts, []
+        block, states = join([p.block for p in parts]), edge_values([p.states for p in parts])
+        first = parts[0]
+        return Stretch(block, states, first.learns, first.readable, first.injected, len(parts))
