@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -13,11 +15,32 @@ from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as ReaderOfRos1
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from uav_ident_ros.bags.limits import LARGEST_DEFINITION, guard_rosbags, listed
 from uav_ident_ros.bags.salvage import SalvageError, SalvageReader
 
-SUFFIX = ".bag"
+METADATA_FILE, SUFFIX_OF_ROS_1 = "metadata.yaml", ".bag"
+STORAGE_SUFFIXES = (".mcap", ".db3", SUFFIX_OF_ROS_1)
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+"""First bytes of every MCAP file."""
+
+PARSERS: dict[MessageDefinitionFormat, Callable[[str, str], dict[str, Any]]] = {
+    MessageDefinitionFormat.MSG: get_types_from_msg,
+    MessageDefinitionFormat.IDL: lambda text, _: get_types_from_idl(text),
+}
+"""What reads the definition of a type, by its format, from the text and the name of the type."""
+
+
+def _learn(store: Typestore, connection: Connection) -> None:
+    """Make a bag's own definition of a type known, if there is one and the type is not."""
+    definition, parse = connection.msgdef, PARSERS.get(connection.msgdef.format)
+    if connection.msgtype in store.types or parse is None:
+        return
+    if len(definition.data) > LARGEST_DEFINITION:
+        raise ValueError("it is too long")
+    found = parse(definition.data, connection.msgtype)
+    store.register({name: one for name, one in found.items() if name not in store.types})
 
 
 class Ros1Reader:
@@ -48,27 +71,14 @@ class Ros1Reader:
     ) -> Iterator[tuple[Connection, int, bytes]]:
         """Yield connection, log time and bytes (CDR) of the messages of some connections."""
         for connection in connections:
-            self._learn(connection)
+            _learn(self._store, connection)
         for connection, log_ns, data in self._reader.messages(connections):
             yield connection, log_ns, bytes(self._store.ros1_to_cdr(data, connection.msgtype))
-
-    def _learn(self, connection: Connection) -> None:
-        """Make the bag's definition of a type known, if ROS 2 has no such type."""
-        known = self._store.types
-        if connection.msgtype in known or connection.msgdef.format != MessageDefinitionFormat.MSG:
-            return
-        found = get_types_from_msg(connection.msgdef.data, connection.msgtype)
-        self._store.register({name: one for name, one in found.items() if name not in known})
 
 
 guard_rosbags()
 
 AnyReader: TypeAlias = Reader | SalvageReader | Ros1Reader
-
-METADATA_FILE = "metadata.yaml"
-STORAGE_SUFFIXES = (".mcap", ".db3", SUFFIX)
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-"""First bytes of every MCAP file."""
 
 
 class BagError(Exception):
@@ -115,8 +125,11 @@ class Bag:
             for reader in _opened(self.path, self.damage):
                 self._stack.callback(reader.close)
                 self._readers.append(reader)
-            self.types = self._types()  # Message type of each topic, by name
-            self.counts = self._counts()  # Number of messages of each topic
+            self._connections = [c for reader in self._readers for c in reader.connections]
+            self.types: dict[str, str] = {}  # Message type of each topic, by name
+            self.counts: Counter[str] = Counter()  # Number of messages of each topic
+            for connection in sorted(self._connections, key=lambda connection: connection.topic):
+                self._add(connection)
         except BaseException:
             self._stack.close()
             raise
@@ -129,24 +142,14 @@ class Bag:
         """Close the files."""
         self._stack.close()
 
-    def _connections(self) -> list[Connection]:
-        return [c for reader in self._readers for c in reader.connections]
-
-    def _types(self) -> dict[str, str]:
-        types: dict[str, str] = {}
-        for connection in self._connections():
-            if types.setdefault(connection.topic, connection.msgtype) != connection.msgtype:
-                raise BagError(
-                    f"bag '{self.path}': topic '{connection.topic}' has two types, "
-                    f"{types[connection.topic]} and {connection.msgtype}"
-                )
-        return dict(sorted(types.items()))
-
-    def _counts(self) -> dict[str, int]:
-        counts = dict.fromkeys(self.types, 0)
-        for connection in self._connections():
-            counts[connection.topic] += connection.msgcount
-        return counts
+    def _add(self, connection: Connection) -> None:
+        topic, msgtype = connection.topic, connection.msgtype
+        if self.types.setdefault(topic, msgtype) != msgtype:
+            raise BagError(
+                f"bag '{self.path}': topic '{topic}' has two types, {self.types[topic]} and "
+                f"{msgtype}"
+            )
+        self.counts[topic] += connection.msgcount
 
     @property
     def start_ns(self) -> int:
@@ -200,16 +203,14 @@ class Bag:
                 for connection, log_ns, data in reader.messages(connections):
                     count += 1
                     yield Message(connection.topic, log_ns, data)
-                continue
             except Exception as error:
                 # Damaged bytes make the parser fail in many ways: struct, zstd, reader errors.
-                reason = _reason(error)
-            yield from self._saved(reader, topics, count, reason)
+                yield from islice(self._saved(reader, topics, count, _reason(error)), count, None)
 
     def _saved(
         self, reader: AnyReader, topics: Collection[str], count: int, reason: str
     ) -> Iterator[Message]:
-        """Yield what else can be saved where reading has failed after `count` messages."""
+        """Yield all that can be saved of what has failed after `count` messages."""
         files = _files_of(reader)
         try:
             if not files:
@@ -229,9 +230,7 @@ class Bag:
         for part in saved:
             chosen = [c for c in part.connections if c.topic in topics]
             for connection, log_ns, data in part.messages(chosen):
-                count -= 1
-                if count < 0:
-                    yield Message(connection.topic, log_ns, data)
+                yield Message(connection.topic, log_ns, data)
 
     def _note(self, damage: str) -> None:
         """Remember some damage; reading again finds it again."""
@@ -250,45 +249,30 @@ class Bag:
             that are not such a message.
         """
         msgtype = self.type_of(topic)
+        for connection in self._connections:
+            if connection.msgtype == msgtype:
+                try:
+                    _learn(self._store, connection)
+                except Exception as error:
+                    raise BagError(
+                        f"bag '{self.path}': the definition of {msgtype} of topic '{topic}' cannot "
+                        f"be read: {_reason(error)}"
+                    ) from error
         if msgtype not in self._store.types:
-            self._register(topic, msgtype)
-        deserialize = self._store.deserialize_cdr
+            raise BagError(
+                f"bag '{self.path}': topic '{topic}' is of the unknown type {msgtype}, and the bag "
+                "does not define it"
+            )
 
         def decode(data: bytes) -> Any:
             try:
-                return deserialize(data, msgtype)
+                return self._store.deserialize_cdr(data, msgtype)
             except Exception as error:
                 raise BagError(
                     f"bag '{self.path}': a message on '{topic}' is no {msgtype}: {_reason(error)}"
                 ) from error
 
         return decode
-
-    def _register(self, topic: str, msgtype: str) -> None:
-        """Make the bag's own definition of a type known."""
-        parsers = {
-            MessageDefinitionFormat.MSG: lambda text: get_types_from_msg(text, msgtype),
-            MessageDefinitionFormat.IDL: get_types_from_idl,
-        }
-        for connection in self._connections():
-            parse = parsers.get(connection.msgdef.format)
-            if connection.msgtype != msgtype or parse is None:
-                continue
-            try:
-                if len(connection.msgdef.data) > LARGEST_DEFINITION:
-                    raise BagError("it is too long")
-                found = parse(connection.msgdef.data)
-                self._store.register({n: d for n, d in found.items() if n not in self._store.types})
-            except Exception as error:
-                raise BagError(
-                    f"bag '{self.path}': the definition of {msgtype} of topic '{topic}' cannot be "
-                    f"read: {_reason(error)}"
-                ) from error
-            return
-        raise BagError(
-            f"bag '{self.path}': topic '{topic}' is of the unknown type {msgtype}, and the bag "
-            "does not define it"
-        )
 
 
 def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
@@ -318,7 +302,7 @@ def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
 
 def _open(storage: Path) -> Reader | Ros1Reader:
     """Open a file, or a folder with metadata."""
-    if storage.suffix == SUFFIX and storage.is_file():
+    if storage.suffix == SUFFIX_OF_ROS_1 and storage.is_file():
         return Ros1Reader(storage)
     reader = Reader(storage)
     reader.open()
