@@ -14,7 +14,6 @@ from excerpts import decoded
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.import_logs.cli import main
 from uav_ident_ros.messages.types import header_ns
-from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
@@ -125,24 +124,3 @@ class Importer:
         line = programs.refusal(main, arguments, self._capsys)
         assert line.startswith("import_log: ")
         return line
-
-
-@dataclass
-class Result:
-    """Coefficients at the end of a replay, their sigma, (3, n), and what was dropped."""
-
-    values: np.ndarray
-    sigma: np.ndarray
-    dropped: dict[str, int]
-    names: tuple[str, ...]
-    free: np.ndarray
-
-
-def replayed(path: Path, values: dict[str, Any]) -> Result:
-    """What the identifier makes of a bag with these parameters."""
-    offline = run_over(path, values)
-    last = offline.estimates[-1]
-    dropped = offline.refusals("rates").dropped | offline.refusals("actuators").dropped
-    return Result(
-        last.coefficients, last.sigma, dropped, offline.structure.names, offline.structure.free
-    )

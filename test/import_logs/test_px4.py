@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from excerpts import decoded
-from imported import Imported, Importer, mixing, replayed
+from imported import Imported, Importer, mixing
 from pyulog import ULog
 from pyulog.ulog2csv import convert_ulog2csv
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
@@ -400,7 +400,7 @@ def test_gaps_and_dropouts_are_told(importer: Importer) -> None:
 @pytest.mark.skipif(not SAMPLE.exists(), reason="../shared/logs/px4_quad_sample.ulg is not there")
 def test_a_recorded_log(importer: Importer) -> None:
     """One of 2016, in the old format. The vehicle was moved about by hand, disarmed."""
-    bag, values, said = importer(SAMPLE)
+    bag, _, said = importer(SAMPLE)
     log = ULog(str(SAMPLE))
     gyro = log.get_dataset("sensor_combined").data
     controls = log.get_dataset("actuator_controls_0").data
@@ -413,12 +413,6 @@ def test_a_recorded_log(importer: Importer) -> None:
     assert "never armed" in said
     assert "SENS_BOARD_ROT 0, none, fine offsets -1.50 1.19 0.00 deg" in said
     assert "the logger lost messages 4 times" in said
-    # motors that stand still turn nothing: every control derivative must admit it
-    found = replayed(importer.folder / "bag_1", values | {"actuators.estimate_delay": False})
-    assert not found.dropped
-    powers = [found.names.index(name) for name in ("pdot/da", "qdot/de", "rdot/dr")]
-    where = tuple(np.array([found.free[i] for i in powers]).T)
-    assert (np.abs(found.values[where]) < 3.0 * found.sigma[where]).all()
     options = ("--actuators-topic", "actuator_outputs", "--trim", "neutral")
     bag, values, said = importer(SAMPLE, *options)
     assert "a quadrotor in X" in said

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated flight written into a log of each kind and imported back: the same samples, to what
-the format can hold, and the same coefficients."""
+"""A simulated flight written into a log of each kind and imported back: the same samples and the
+same inputs, to what the format can hold."""
 
 import dataclasses
 import math
@@ -10,14 +10,11 @@ import numpy as np
 import pytest
 from dataflash_writing import DataflashWriter
 from excerpts import BAGS, excerpt, summary
-from imported import Contents, Imported, Importer, Result, contents, flight, mixing, replayed
+from imported import Contents, Imported, Importer, contents, flight, mixing
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
 from uav_ident_ros.offline import main as replay
-from uav_ident_ros.simulation.channels import PWM
 from uav_ident_ros.simulation.noise import Measurements
-from uav_ident_ros.simulation.recording import parameters as original_parameters
-from uav_ident_ros.simulation.recording import write_bag
 
 PUBLICATION_DELAY = 300
 """us."""
@@ -64,76 +61,45 @@ def allocated(measured: Measurements) -> dict:
     )
 
 
-def same_inputs(values: dict, trim: dict[str, float]) -> dict:
-    """Generated parameters, with the simulation's own trim in place of the flight's median."""
-    values["actuators.trim"] = [trim[name] for name in values["actuators.channels"]]
-    values["actuators.estimate_delay"] = False
-    values["structure"] = "augmented"  # the plant has no aerodynamic forces
-    return values
+def assert_same(measured: Measurements, it: Imported, dtype: type, inputs_off: float) -> None:
+    """Rates to the bit of a type, inputs about their trim in flight within a tolerance."""
+    bag = it.bag
+    np.testing.assert_array_equal(bag.imu_t_ns, measured.imu_t_ns)
+    np.testing.assert_array_equal(bag.rates, measured.rates.astype(dtype))
+    np.testing.assert_array_equal(bag.force, measured.specific_force.astype(dtype))
+    assert bag.frame_ids == {measured.frame_id} == {"base_link_frd"}
+    np.testing.assert_array_equal(bag.actuator_t_ns, measured.actuator_t_ns)
+    expected = measured.actuators - np.median(measured.actuators, axis=0)
+    np.testing.assert_allclose(inputs(it), expected, rtol=0.0, atol=inputs_off)
 
 
-def original(measured: Measurements, folder: Path) -> Result:
-    write_bag(measured, folder)
-    return replayed(folder, original_parameters(measured))
-
-
-@pytest.fixture(scope="module")
-def expected(measured: Measurements, tmp_path_factory: pytest.TempPathFactory) -> Result:
-    """What the flight itself gives, without a log."""
-    return original(measured, tmp_path_factory.mktemp("original") / "bag")
-
-
-def assert_same_rates(measured: Measurements, imported, dtype: type) -> None:
-    np.testing.assert_array_equal(imported.imu_t_ns, measured.imu_t_ns)
-    np.testing.assert_array_equal(imported.rates, measured.rates.astype(dtype))
-    np.testing.assert_array_equal(imported.force, measured.specific_force.astype(dtype))
-    assert imported.frame_ids == {measured.frame_id} == {"base_link_frd"}
-
-
-def assert_same_coefficients(
-    found, expected, tolerance: float, sigma_tolerance: float = 1e-3
-) -> None:
-    """Values within a fraction of their sigma."""
-    assert not found.dropped
-    free = expected.sigma > 0.0
-    difference = np.abs(found.values - expected.values)[free] / expected.sigma[free]
-    assert difference.max() < tolerance
-    np.testing.assert_allclose(found.sigma[free], expected.sigma[free], rtol=sigma_tolerance)
+def inputs(it: Imported) -> np.ndarray:
+    """Elevator, rudder, aileron and throttle as the identifier makes them of the channels."""
+    columns = [it.bag.names.index(name) for name in it.values["actuators.channels"]]
+    off_trim = it.bag.actuators[:, columns] - it.values["actuators.trim"]
+    return (off_trim * it.values["actuators.scale"]) @ mixing(it.values).T
 
 
 TO_FRD = np.array([1.0, -1.0, -1.0])
-TRIM_MOTOR = {"motor_1": 0.5, "elevator": 0.0, "rudder": 0.0, "aileron": 0.0}
 
 
-def test_new_px4_log(
-    tmp_path: Path, measured: Measurements, expected: Result, importer: Importer
-) -> None:
-    log = write_ulog(tmp_path / "new.ulg", allocated(measured), FIXED_WING)
-    imported, values, said = importer(log)
-    assert_same_rates(measured, imported, np.float32)
-    np.testing.assert_array_equal(imported.actuator_t_ns, measured.actuator_t_ns)
-    assert imported.names == ["motor_1", "elevator", "rudder", "aileron"]
+def test_new_px4_log(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
+    it = importer(write_ulog(tmp_path / "new.ulg", allocated(measured), FIXED_WING))
+    assert_same(measured, it, np.float32, 1e-7)
+    assert it.bag.names == ["motor_1", "elevator", "rudder", "aileron"]
     raw = (measured.actuators * PLAIN_SIGNS).astype(np.float32)
-    np.testing.assert_array_equal(imported.actuators, raw[:, [3, 0, 1, 2]])
-    assert "0.30 ms after the gyro sample" in said
-    found = replayed(importer.folder / "bag_1", same_inputs(values, TRIM_MOTOR))
-    assert_same_coefficients(found, expected, 1e-3)
+    np.testing.assert_array_equal(it.bag.actuators, raw[:, [3, 0, 1, 2]])
+    assert "0.30 ms after the gyro sample" in it.said
 
 
-def test_old_px4_log(
-    tmp_path: Path, measured: Measurements, expected: Result, importer: Importer
-) -> None:
+def test_old_px4_log(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
     values = (measured.actuators * PLAIN_SIGNS)[:, [2, 0, 1, 3]]
     controls = np.hstack([values, np.zeros((len(values), 4))])
     topics = px4_topics(measured, ("actuator_controls_0", controls, "control"))
-    log = write_ulog(tmp_path / "old.ulg", topics, {})
-    imported, values, _ = importer(log)
-    assert_same_rates(measured, imported, np.float32)
-    np.testing.assert_array_equal(imported.actuators, controls.astype(np.float32))
-    assert values["actuators.channels"] == ["roll", "pitch", "yaw", "thrust"]
-    trim = {"roll": 0.0, "pitch": 0.0, "yaw": 0.0, "thrust": 0.5}
-    found = replayed(importer.folder / "bag_1", same_inputs(values, trim))
-    assert_same_coefficients(found, expected, 1e-3)
+    it = importer(write_ulog(tmp_path / "old.ulg", topics, {}))
+    assert_same(measured, it, np.float32, 1e-7)
+    np.testing.assert_array_equal(it.bag.actuators, controls.astype(np.float32))
+    assert it.values["actuators.channels"] == ["roll", "pitch", "yaw", "thrust"]
 
 
 @pytest.mark.parametrize(
@@ -166,40 +132,25 @@ def test_px4_setpoints_stand_in_for_thinned_out_actuators(
     )
 
 
-def test_ardupilot_log(tmp_path: Path, importer: Importer) -> None:
+def test_ardupilot_log(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
     """Rates are single floats, commands whole microseconds: of 1000 for the whole range."""
-    measured = flight(channels="pwm")
     writer = DataflashWriter(tmp_path)
     writer.add("MSG", 0, b"ArduPlane V4.5.0 (test)".ljust(64, b"\0"))
     writer.add_parameters(PLANE)
-    pulses = np.rint(measured.actuators)
+    signs = PLAIN_SIGNS * [1.0, -1.0, 1.0, 1.0]  # the rudder is reversed
+    pulses = np.rint([1500, 1500, 1500, 1000] + [500, 500, 500, 1000] * measured.actuators * signs)
     writer.add_rows(
         [(int(t), "IMU", (0, *pqr, *force)) for t, pqr, force in
          zip(stamps(measured.imu_t_ns), measured.rates, measured.specific_force, strict=True)]
         + [(int(t), "RCOU", tuple(int(v) for v in row)) for t, row in
            zip(stamps(measured.actuator_t_ns), pulses, strict=True)]
     )  # fmt: skip
-    log = writer.write(tmp_path / "plane.bin")
-    imported, values, said = importer(log)
-    assert "ArduPlane V4.5.0" in said
-    assert "low-passed at 20 Hz (INS_GYRO_FILTER)" in said
-    assert_same_rates(measured, imported, np.float32)
-    np.testing.assert_array_equal(imported.actuator_t_ns, measured.actuator_t_ns)
-    assert imported.names == ["elevator", "rudder", "aileron", "throttle"]
-    np.testing.assert_array_equal(imported.actuators, pulses)
-
-    trim = dict(zip(imported.names, measured.channel_trim, strict=True))
-    values = same_inputs(values, trim)
-    # One unit of a surface is its full deflection here, 500 us, and 0.5 rad in the simulation.
-    full = 500.0 * np.abs(PWM.mixing).sum(axis=1)
-    for row, name in enumerate(("de", "dr", "da")):
-        weights = np.array(values[f"actuators.mixing.{name}"])
-        values[f"actuators.mixing.{name}"] = (weights * full[row]).tolist()
-    found = replayed(importer.folder / "bag_1", values)
-    exact = dataclasses.replace(measured, actuators=pulses)
-    assert_same_coefficients(found, original(exact, tmp_path / "whole_microseconds"), 1e-3)
-    # The rounding itself, 0.3 us rms of 50, costs less than the noise of the gyro does.
-    assert_same_coefficients(found, original(measured, tmp_path / "original"), 1.0, 0.25)
+    it = importer(writer.write(tmp_path / "plane.bin"))
+    assert_same(measured, it, np.float32, 2.0 / 1000.0)
+    assert "ArduPlane V4.5.0" in it.said
+    assert "low-passed at 20 Hz (INS_GYRO_FILTER)" in it.said
+    assert it.bag.names == ["elevator", "rudder", "aileron", "throttle"]
+    np.testing.assert_array_equal(it.bag.actuators, pulses)
 
 
 def csv_of(measured: Measurements, path: Path) -> Path:
@@ -225,27 +176,20 @@ axes: frd
 rates: {columns: [p, q, r], unit: rad/s}
 specific_force: {columns: [ax, ay, az]}
 channels:
-  elevator: {trim: 0.0, de: 1.0}
-  rudder: {trim: 0.0, dr: 1.0}
-  aileron: {trim: 0.0, da: 1.0}
-  throttle: {trim: 0.5, dth: 1.0}
+  elevator: {de: 1.0}
+  rudder: {dr: 1.0}
+  aileron: {da: 1.0}
+  throttle: {dth: 1.0}
 """
 
 
-def test_table(
-    tmp_path: Path, measured: Measurements, expected: Result, importer: Importer
-) -> None:
+def test_table(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
     """Decimals hold everything: the same to the bit, nanoseconds since 1970 included."""
     table = csv_of(measured, tmp_path / "flight.csv")
     (tmp_path / "columns.yaml").write_text(COLUMNS, encoding="utf-8")
-    imported, values, _ = importer(table, "--columns", str(tmp_path / "columns.yaml"))
-    assert_same_rates(measured, imported, np.float64)
-    np.testing.assert_array_equal(imported.actuator_t_ns, measured.actuator_t_ns)
-    np.testing.assert_array_equal(imported.actuators, measured.actuators)
-    trim = {"elevator": 0.0, "rudder": 0.0, "aileron": 0.0, "throttle": 0.5}
-    found = replayed(importer.folder / "bag_1", same_inputs(values, trim))
-    np.testing.assert_array_equal(found.values, expected.values)
-    np.testing.assert_array_equal(found.sigma, expected.sigma)
+    it = importer(table, "--columns", str(tmp_path / "columns.yaml"))
+    assert_same(measured, it, np.float64, 0.0)
+    np.testing.assert_array_equal(it.bag.actuators, measured.actuators)
 
 
 def test_tables_of_other_units(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
@@ -355,13 +299,6 @@ def test_the_whole_way_from_a_log_to_a_verdict(
         # 2 ms of delay cost 8 % of the damping in yaw; control derivatives are within 3 %:
         # a little is left for what else may change.
         assert found == pytest.approx(expected, rel=0.05 if "/d" in coefficient else 0.1)
-
-
-def inputs(log: Imported) -> np.ndarray:
-    """Elevator, rudder, aileron and throttle as the identifier makes them of the channels."""
-    values, scale = log.values, np.array(log.values.get("actuators.scale") or 1.0)
-    assert log.bag.names == values["actuators.channels"]
-    return scale * (log.bag.actuators - values["actuators.trim"]) @ mixing(values).T
 
 
 def test_an_ardupilot_log_of_the_flight_says_what_a_px4_log_does(
