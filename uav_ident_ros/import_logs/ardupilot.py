@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ArduPilot dataflash logs (`.bin`): rates, outputs, airspeed and what the log says of them."""
+"""ArduPilot dataflash logs (`.bin`): rates, outputs, airspeed and what the log says of them.
+
+`RCOU` (and `RCO2`, `RCO3`) are the pulse widths at the pins, whose functions are the parameters
+``SERVOn_FUNCTION``. Before the mixers are `AETR` (Plane) and `RATE` (Copter, QuadPlane).
+"""
 
 import re
 from pathlib import Path
@@ -7,11 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.import_logs.ardupilot_outputs import PINS, READERS, name_as_today, read_outputs
-from uav_ident_ros.import_logs.autopilot import Import, table
+from uav_ident_ros.import_logs.autopilot import Actuators, ActuatorsReader, Import, table
+from uav_ident_ros.import_logs.channels import (
+    PWM_MAX,
+    PWM_MIN,
+    PWM_TRIM,
+    demands,
+    effect_of,
+    effects_of_arms,
+    named_once,
+    over_range,
+)
 from uav_ident_ros.import_logs.dataflash import read_dataflash
 from uav_ident_ros.import_logs.flight_log import (
+    NO_EFFECT,
+    Channel,
     Choice,
+    Effect,
     FlightLog,
     ImportLogError,
     Stream,
@@ -19,6 +35,21 @@ from uav_ident_ros.import_logs.flight_log import (
 )
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.stamps import Stretches, intervals
+
+KNOWN = table("ardupilot")
+SURFACES, THROTTLES, MOTORS = KNOWN["surfaces"], KNOWN["throttles"], KNOWN["motors"]
+FRAMES = {
+    (frame["class"], frame["type"]): (name, frame["arms"])
+    for name, frame in KNOWN["frames"].items()
+}
+"""Name and arms by FRAME_CLASS and FRAME_TYPE."""
+
+OFF_CENTRE = 0.02
+"""A trim further from the middle than this part of the range is worth a word."""
+
+PINS = ("RCOU", "RCO2", "RCO3")
+
+UNNAMED = "no SERVOn_FUNCTION names a surface or a motor of a known frame"
 
 RAW, FILTERED = "GYR", "IMU"
 
@@ -31,7 +62,7 @@ EVENT_ARMED, EVENT_DISARMED = 10, 11
 NORMALISED = 10.0
 """Demands beyond this are in the units before Copter 3.4, thousands: none is above one since."""
 
-TYPES = {RAW, *OLD_INSTANCES, *PINS, *READERS, "ACC", "CTUN", "ARM", "EV", "STAT", "DSF"}
+TYPES = {RAW, *OLD_INSTANCES, *PINS, "RATE", "AETR", "ACC", "CTUN", "ARM", "EV", "STAT", "DSF"}
 """The messages that are read, beside the table's streams."""
 
 
@@ -48,17 +79,16 @@ def read_ardupilot(
     """
     if choice.actuators_instance:
         raise ImportLogError(f"log '{path}': ArduPilot logs one set of actuators, instance 0")
-    known = table("ardupilot")
-    log = read_dataflash(path, TYPES | {t for types in known["streams"].values() for t in types})
+    log = read_dataflash(path, TYPES | {t for types in KNOWN["streams"].values() for t in types})
     log.title = next((text for text in log.texts if _firmware(text)), "ArduPilot")
     firmware = _firmware(log.title)
-    it = Import(log, known | _of_firmware(log, firmware), choice)
+    it = Import(log, KNOWN | _of_firmware(log, firmware), choice)
     it.refuse_others("firmware", firmware, "it calls itself")
-    name_as_today(log, firmware)
+    _name_as_today(log, firmware)
     it.take_flight("STAT", "isFlying", lambda flying: flying > 0, _armed(log), "ARM, EV")
     readers = dict.fromkeys((RAW, FILTERED), _rates)
     rates = it.read_rates(readers, lambda name, unit: _gyro(log, name, unit))
-    actuators = read_outputs(it)
+    actuators = _outputs(it)
     statistics = log.messages("DSF")
     lost = statistics.columns["Dp"].max() if statistics and statistics.has("Dp") else 0
     if lost:
@@ -69,24 +99,24 @@ def read_ardupilot(
 
 def _firmware(text: str) -> str:
     """Return which vehicle a firmware's name is of, as 'Copter' of 'APM:Copter V3.4'; or ''."""
-    kinds = [*table("ardupilot")["aircraft"], *table("ardupilot")["not_aircraft"]["firmware"]]
+    kinds = [*KNOWN["aircraft"], *KNOWN["not_aircraft"]["firmware"]]
     found = re.match(rf"(?:Ardu|APM:|Antenna)?({'|'.join(kinds)})\b.*\bV?\d", text)
     return found[1] if found else ""
 
 
 def _of_firmware(log: Log, firmware: str) -> dict[str, Any]:
     """Return what differs by the firmware: modes, logging options, units."""
-    known, rate = table("ardupilot"), log.messages("RATE")
+    rate = log.messages("RATE")
     result = {
-        "modes": known["modes"].get(firmware, {}),
-        "logging": known["logging"].get(firmware, {"parameter": "LOG_BITMASK", "options": []}),
-        "setpoint_unit": np.radians(known["setpoint_unit"]),
+        "modes": KNOWN["modes"].get(firmware, {}),
+        "logging": KNOWN["logging"].get(firmware, {"parameter": "LOG_BITMASK", "options": []}),
+        "setpoint_unit": np.radians(KNOWN["setpoint_unit"]),
     }
-    controls = [rate.columns[f] for f in known["controls"]["RATE"] if rate and rate.has(f)]
+    controls = [rate.columns[f] for f in KNOWN["controls"]["RATE"] if rate and rate.has(f)]
     if any(np.abs(asked[np.isfinite(asked)]).max(initial=0.0) > NORMALISED for asked in controls):
-        old = known["old_units"]
+        old = KNOWN["old_units"]
         result["setpoint_unit"] *= old["setpoint_unit"]
-        result |= {key: known[key] | old[key] for key in ("controls", "said")}
+        result |= {key: KNOWN[key] | old[key] for key in ("controls", "said")}
     return result
 
 
@@ -114,7 +144,7 @@ def _gyro(log: Log, name: str, unit: int) -> Messages | None:
     messages = log.messages(name, unit)
     if messages is None and name == FILTERED and unit < len(OLD_INSTANCES):
         messages = log.messages(OLD_INSTANCES[unit])
-    return messages if messages and messages.has(*table("ardupilot")["gyro"]) else None
+    return messages if messages and messages.has(*KNOWN["gyro"]) else None
 
 
 def _rates(it: Import, messages: Messages) -> Stream:
@@ -126,3 +156,198 @@ def _rates(it: Import, messages: Messages) -> Stream:
         force = it.force_at(messages, it.choice.rates_instance)
     rates = messages.values(*it.table["gyro"])
     return rates_stream(messages.name, messages.sample_ns, rates, force)
+
+
+# --- outputs ------------------------------------------------------------------------------------
+
+
+def _outputs(it: Import) -> Actuators:
+    """Read the commands from the messages asked for, or from the best there are."""
+    found = it.find("actuators", READERS, it.log.messages)
+    usable = dict(found)
+    if it.choice.actuators_topic is None and "RCOU" in found and not _explained(it.log):
+        del usable["RCOU"]
+        it.findings.lost += [f"RCOU is passed over: {UNNAMED}"] if usable else []
+    name = it.choose(usable or found)
+    commands, channels = READERS[name](it, found[name])
+    it.findings.say(f"actuators: {commands.source}, stamped when logged")
+    if not any(any(channel.effect) for channel in channels):
+        raise it.log.refusal(f": {UNNAMED}")
+    return commands, channels
+
+
+def _explained(log: Log) -> bool:
+    functions = {
+        v for name, v in log.parameters.items() if re.fullmatch(r"SERVO\d+_FUNCTION", name)
+    }
+    return bool(functions & {*SURFACES, *THROTTLES}) or (
+        bool(functions & set(MOTORS)) and _frame(log) in FRAMES
+    )
+
+
+def _frame(log: Log) -> tuple[int, int]:
+    return int(log.parameter("FRAME_CLASS")), int(log.parameter("FRAME_TYPE", -1))
+
+
+def _pin_fields(messages: Messages, first: int = 1) -> dict[int, str]:
+    """Return the fields of the pins by number: ``C1`` ..., in old logs ``Ch1`` ..."""
+    fields = [name for name in messages.columns if re.fullmatch(r"C(h|han)?\d+", name)]
+    numbered = {int(re.sub(r"\D", "", name)): name for name in fields}
+    return {number: name for number, name in sorted(numbered.items()) if number >= first}
+
+
+def _pins(it: Import, first: Messages) -> Actuators:
+    """Pulse widths and the functions of the servo outputs."""
+    log, fields = it.log, _pin_fields(first)
+    widths, pins = Stream(first.name, first.stamp_ns, first.values(*fields.values())), [*fields]
+    for name in PINS[1:]:
+        if (more := log.messages(name)) is not None:
+            added = _pin_fields(more, len(pins) + 1)
+            widths = widths.joined(Stream(name, more.stamp_ns, more.values(*added.values())))
+            pins += added
+    functions = [int(log.parameter(f"SERVO{pin}_FUNCTION")) for pin in pins]
+    used = [i for i, f in enumerate(functions) if f or np.any(widths.values[:, i] > 0)]
+    every = [functions[i] for i in used]
+    rotors = _rotors(log, every)
+    channels = [_channel(log, pins[i], functions[i], every, rotors) for i in used]
+    log.findings.say(
+        "functions, ranges, directions from SERVOn_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
+    )
+    return Stream(widths.source, widths.t_ns, widths.values[:, used]), named_once(channels)
+
+
+def _channel(
+    log: Log, pin: int, function: int, every: list[int], rotors: dict[int, Effect]
+) -> Channel:
+    """Return what a pin is, by its function and those of every pin."""
+    prefix, trim = f"SERVO{pin}_", None
+    low, high = log.parameter(f"{prefix}MIN", PWM_MIN), log.parameter(f"{prefix}MAX", PWM_MAX)
+    name, effect = f"output_{pin}", NO_EFFECT
+    if function in SURFACES:
+        # Two servos of one function: their mean.
+        effect = effect_of(SURFACES[function], 1.0 / every.count(function))
+        name, trim = SURFACES[function]["name"], log.parameter(f"{prefix}TRIM", PWM_TRIM)
+    elif function in THROTTLES:
+        name = THROTTLES[function]
+        effect = effect_of({"thrust": 1.0 / sum(other in THROTTLES for other in every)})
+    elif function in MOTORS:
+        name, effect = f"motor_{MOTORS[function]}", rotors.get(MOTORS[function], NO_EFFECT)
+        if log.parameter("MOT_PWM_MAX") > 0.0:
+            low, high = log.parameter("MOT_PWM_MIN", low), log.parameter("MOT_PWM_MAX")
+    channel = Channel(name, effect, f"{prefix}FUNCTION {function}", unit="us")
+    if function not in {*SURFACES, *THROTTLES, *MOTORS}:
+        return channel
+    if trim is not None and abs(trim - (low + high) / 2.0) > OFF_CENTRE * (high - low):
+        log.findings.assume(
+            f"{name}: one unit is half of {low:g} to {high:g} us to either side, although its "
+            f"trim, {trim:g} us, is off the middle"
+        )
+    turned = log.parameter(f"{prefix}REVERSED") != 0.0
+    return over_range(channel, low, high, centre=trim, turned=turned)
+
+
+def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
+    """Effects of each motor by its number, from the frame."""
+    if not any(function in MOTORS for function in functions):
+        return {}
+    if any(function in SURFACES for function in functions):
+        log.findings.assume(
+            "a QuadPlane: the surfaces and the forward throttle count, its lift motors are only "
+            "recorded"
+        )
+        return {}
+    key = _frame(log)
+    if key not in FRAMES:
+        raise log.refusal(
+            f": FRAME_CLASS {key[0]} and FRAME_TYPE {key[1]} are not known here "
+            f"({', '.join(name for name, _ in FRAMES.values())}); try --actuators-topic RATE"
+        )
+    name, arms = FRAMES[key]
+    log.findings.say(
+        f"{name} with ArduPilot's motor order and senses of rotation (FRAME_CLASS {key[0]}, "
+        f"FRAME_TYPE {key[1]})"
+    )
+    log.findings.assume(
+        "thrust is taken as proportional to the pulse width about its trim (MOT_THST_EXPO bends it)"
+    )
+    return dict(enumerate(effects_of_arms(arms), 1))
+
+
+READERS: dict[str, ActuatorsReader] = {"RCOU": _pins, "RATE": demands, "AETR": demands}
+"""Readers by message type, nearest to the actuators first."""
+
+
+# --- before SERVOn_FUNCTION ---------------------------------------------------------------------
+
+
+def _name_as_today(log: Log, firmware: str) -> None:
+    """Add parameters to an old log, under today's names, as far as they follow from its own.
+
+    Before Copter 3.5 and Plane 3.8 no parameter said what pins 1 to 4 of a plane or the motors'
+    pins of a copter move: the firmware knew, from ``FRAME`` and the sticks' channels (``RCMAP_*``).
+    Ranges and directions were those of the radio's channels, ``RCn_MIN, TRIM, MAX, REV``.
+    """
+    parameters = log.parameters
+    if any(name.startswith("SERVO") and name.endswith("_FUNCTION") for name in parameters):
+        return
+    if "FRAME" in parameters and firmware in ("Copter", ""):
+        _old_copter(log)
+    elif firmware == "Plane" or (not firmware and "LIM_ROLL_CD" in parameters):
+        _old_plane(log)
+
+
+def _name_pin(log: Log, pin: int, function: int, stick: int) -> None:
+    """Give a pin its function, and the range and direction of a channel of the radio."""
+    today = {f"SERVO{pin}_FUNCTION": float(function)}
+    for end in ("MIN", "TRIM", "MAX"):
+        if (reach := log.parameters.get(f"RC{stick}_{end}")) is not None:
+            today[f"SERVO{pin}_{end}"] = reach
+    log.parameters.update(today | log.parameters)
+
+
+def _old_copter(log: Log) -> None:
+    """Motors on the first pins, in the order of the frame, and in the range of the throttle."""
+    said = [match[1] for text in log.texts if (match := re.fullmatch(r"Frame: (\w+)", text))]
+    if said:
+        frame_class = KNOWN["old_frames"].get(said[0])
+    else:
+        pulses = log.messages("RCOU")
+        fields = _pin_fields(pulses).values() if pulses else ()
+        moving = [bool(np.ptp(pulses.columns[field])) for field in fields] if pulses else []
+        used = [*moving, False].index(False)
+        frame_class = KNOWN["old_motor_counts"].get(used)
+        log.findings.assume(f"{used} pins carry pulses: they are its motors")
+    log.parameters.setdefault("FRAME_CLASS", float(frame_class or 0))
+    log.parameters.setdefault("FRAME_TYPE", log.parameters["FRAME"])
+    _, arms = FRAMES.get(_frame(log), ("", []))
+    functions = {number: function for function, number in MOTORS.items()}
+    for number in range(1, len(arms) + 1):
+        _name_pin(log, number, functions[number], KNOWN["throttle_stick"])
+    if arms:
+        log.findings.assume(
+            "a log without SERVOn_FUNCTION: the motors are on the pins of their numbers, their "
+            f"range is the throttle's (RC{KNOWN['throttle_stick']}_MIN, MAX)"
+        )
+
+
+def _old_plane(log: Log) -> None:
+    """Surfaces on the pins of the sticks' channels, and what RCn_FUNCTION says of the others."""
+    parameters = log.parameters
+    if paired := [name for name in KNOWN["old_pairs"] if parameters.get(name)]:
+        log.findings.doubt(
+            f"{paired[0]} is {parameters[paired[0]]:g}: how such pairs turn is not known here"
+        )
+        return
+    sticks = enumerate(KNOWN["old_plane"].items(), 1)
+    pins = {int(parameters.get(stick, i)): function for i, (stick, function) in sticks}
+    for name, value in parameters.items():
+        if found := re.fullmatch(r"RC(\d+)_FUNCTION", name):
+            pins.setdefault(int(found[1]), int(value))
+    for pin, function in pins.items():
+        _name_pin(log, pin, function, pin)
+        turned = float(log.parameter(f"RC{pin}_REV", 1.0) < 0)
+        parameters.setdefault(f"SERVO{pin}_REVERSED", turned)
+    log.findings.assume(
+        "a log without SERVOn_FUNCTION: aileron, elevator, throttle, rudder are on the pins of "
+        "their sticks (RCMAP_*), ranges and directions are those of RCn_MIN, TRIM, MAX, REV"
+    )

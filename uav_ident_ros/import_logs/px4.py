@@ -1,20 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PX4 logs (`.ulg`): rates, commands, airspeed and what the log says of them."""
+"""PX4 logs (`.ulg`): rates, commands, airspeed and what the log says of them.
 
+Commands. Newer logs (v1.13 on, control allocation): `actuator_motors` and `actuator_servos`, whose
+meaning is in the parameters ``CA_*``, and before the allocation `vehicle_torque_setpoint` and
+`vehicle_thrust_setpoint`. Older ones (mixer files): `actuator_controls_0`, before the mixer,
+and `actuator_outputs`, behind it.
+"""
+
+from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
 
 from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import Import, RatesReader, table
-from uav_ident_ros.import_logs.flight_log import Choice, FlightLog, Stream, rates_stream
+from uav_ident_ros.import_logs.autopilot import (
+    Actuators,
+    ActuatorsReader,
+    Import,
+    RatesReader,
+    table,
+)
+from uav_ident_ros.import_logs.channels import (
+    PWM_MAX,
+    PWM_MIN,
+    demands,
+    effect_of,
+    effects_of_arms,
+    named_once,
+    over_range,
+    rotor_effects,
+)
+from uav_ident_ros.import_logs.flight_log import (
+    NO_EFFECT,
+    Channel,
+    Choice,
+    FlightLog,
+    Stream,
+    rates_stream,
+)
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.px4_actuators import COMMANDS, hovers, read_actuators
-from uav_ident_ros.import_logs.px4_folder import read_folder
-from uav_ident_ros.import_logs.px4_log import read_ulog
+from uav_ident_ros.import_logs.px4_log import read_folder, read_ulog
 from uav_ident_ros.import_logs.stamps import intervals
 from uav_ident_ros.messages.types import PX4_ARMING_STATE_ARMED, PX4_RELATIVE_TIMESTAMP_INVALID
+
+KNOWN = table("px4")
+MULTIROTOR, FIXED_WING = 0, 1
+"""CA_AIRFRAME."""
+
+QUADROTOR = 2
+"""MAV_TYPE."""
+
+MOTOR_FUNCTION, SERVO_FUNCTION, FUNCTIONS_OF_A_KIND = 101, 201, 16
+"""Output functions of the first motor and servo (PWM_MAIN_FUNCn), and how many there are."""
+
+CONTROLS = "actuator_controls_"
+SETPOINTS = ("vehicle_torque_setpoint", "vehicle_thrust_setpoint")
+ALLOCATED = {"actuator_motors": "CA_ROTOR_COUNT", "actuator_servos": "CA_SV_CS_COUNT"}
+"""Topics behind the control allocation, and the parameters that say how many of them there are."""
 
 LANDED = "vehicle_land_detected"
 
@@ -32,13 +76,12 @@ def read_px4(
     ImportLogError
         If the file cannot be read, or has no rates or no actuators.
     """
-    known = table("px4")
     if path.is_dir():
-        streams = {kind for kinds in known["streams"].values() for kind in kinds}
-        log = read_folder(path, {*RATES_READERS, *COMMANDS, *streams, *known["force"], LANDED})
+        streams = {kind for kinds in KNOWN["streams"].values() for kind in kinds}
+        log = read_folder(path, {*RATES_READERS, *COMMANDS, *streams, *KNOWN["force"], LANDED})
     else:
         log = read_ulog(path)
-    it = Import(log, known, choice)
+    it = Import(log, KNOWN, choice)
     for name in ("CA_AIRFRAME", "MAV_TYPE"):
         it.refuse_others(name, log.parameters.get(name), name)
     armed, status = None, log.messages("vehicle_status")
@@ -52,8 +95,8 @@ def read_px4(
         LANDED, "landed", lambda landed: landed == 0, armed, "vehicle_status.arming_state"
     )
     rates = it.read_rates(RATES_READERS, log.messages, "sensor_gyro")
-    hovering = hovers(log, choice.actuators_instance)
-    return it.flight_log(rates, read_actuators(it), hovers=hovering)
+    hovering = _hovers(log, choice.actuators_instance)
+    return it.flight_log(rates, _actuators(it), hovers=hovering)
 
 
 def _from_sensor_combined(it: Import, topic: Messages) -> Stream:
@@ -129,3 +172,249 @@ def _gyro_offset(log: Log, topic: Messages) -> FloatArray:
             return np.array([log.parameter(f"CAL_GYRO{i}_{axis}OFF") for axis in "XYZ"])
     log.findings.assume("no CAL_GYROi_ID is this gyro's: its offset is taken as zero")
     return np.zeros(3)
+
+
+# --- commands -----------------------------------------------------------------------------------
+
+
+def _actuators(it: Import) -> Actuators:
+    """Read the commands from the topic asked for, or from the best there is."""
+    wanted = it.choice.actuators_topic
+
+    def find(name: str, instance: int) -> Messages | None:
+        if not name.startswith(CONTROLS):
+            return it.log.messages(name, instance)
+        # The sets of a VTOL of old are topics of their own.
+        return it.log.messages(name) if wanted or name == f"{CONTROLS}{instance}" else None
+
+    usable = it.find("actuators", READERS, find)
+    name = _choose(it, usable)
+    commands, channels = READERS[name](it, usable[name])
+    it.findings.say(f"actuators: {commands.source}")
+    if usable[name].has("timestamp_sample"):
+        delays = usable[name].stamp_ns - usable[name].sample_ns
+        it.findings.say(
+            "commands count from their publication (timestamp), in the median "
+            f"{np.median(delays) * 1e-6:.2f} ms after the gyro sample they answer "
+            "(timestamp_sample)"
+        )
+    return commands, channels
+
+
+def _choose(it: Import, usable: dict[str, Messages]) -> str:
+    """Name the best topic: nearest to the actuators, of those that say what they move."""
+    if sets := _sets_of_a_hybrid(it.log):
+        it.findings.assume(
+            f"a VTOL: {sets[0]} are the commands of hover, {sets[1]} those of forward flight "
+            f"(--actuators-instance); {it.choice.actuators_instance} is taken"
+        )
+        if SETPOINTS[0] in sets[0] and SETPOINTS[0] in usable:
+            return SETPOINTS[0]
+    counts = {name: it.log.parameter(count) for name, count in ALLOCATED.items()}
+    explained = {name: m for name, m in usable.items() if counts.get(name, 1.0) > 0}
+    streams = explained or dict(usable)
+    if set(ALLOCATED) <= set(streams):  # they count as one: what is slower decides
+        del streams[max(reversed(ALLOCATED), key=lambda name: streams[name].rate)]
+    return it.choose(streams)
+
+
+def _sets_of_a_hybrid(log: Log) -> tuple[str, str] | None:
+    """Name the commands of a VTOL's hover and of its forward flight; None for any other."""
+    if log.parameters.get("CA_AIRFRAME") in KNOWN["hybrid_airframes"]:
+        return f"{SETPOINTS[0]} of instance 0", "of instance 1"
+    if log.parameters.get("MAV_TYPE") in KNOWN["hybrid_types"]:
+        return f"{CONTROLS}0", f"{CONTROLS}1"
+    return None
+
+
+def _hovers(log: Log, instance: int) -> bool:
+    """Whether the commands are those of a multirotor: of one, or of a VTOL's hover."""
+    if _sets_of_a_hybrid(log):
+        return instance == 0
+    airframe = log.parameters.get("CA_AIRFRAME")
+    if airframe is not None:
+        return airframe == MULTIROTOR
+    return log.parameters.get("MAV_TYPE") in KNOWN["multirotor_types"]
+
+
+# --- control allocation -----------------------------------------------------------------------
+
+
+def _allocated(it: Import, _: Messages) -> Actuators:
+    """Motors and servos behind the control allocation."""
+    parts: list[Stream] = []
+    channels: list[Channel] = []
+    for name, describe in zip(ALLOCATED, (_motors, _servos), strict=True):
+        if (topic := it.log.messages(name, it.choice.actuators_instance)) is not None:
+            values = topic.array("control")
+            in_use = np.flatnonzero(~np.isnan(values).all(axis=0))
+            every = describe(it.log, values.shape[1])
+            channels += [every[i] for i in in_use]
+            parts.append(Stream(topic.name, topic.stamp_ns, values[:, in_use]))
+    commands = reduce(Stream.joined, parts)
+    if not channels:
+        raise it.log.refusal(f": {commands.source} hold no value throughout: the motors were never "
+                             "on")  # fmt: skip
+    if not any(any(channel.effect) for channel in channels):
+        raise it.log.refusal(
+            f": no parameter (CA_ROTOR*, CA_SV_CS*) says what {commands.source} move; try "
+            "--actuators-topic vehicle_torque_setpoint"
+        )
+    return commands, channels
+
+
+def _motors(log: Log, count: int) -> list[Channel]:
+    """Meaning of the entries of actuator_motors: first the rotors."""
+    rotors = min(int(log.parameter("CA_ROTOR_COUNT")), count)
+    airframe = log.parameters.get("CA_AIRFRAME")
+    effects = [NO_EFFECT] * count
+    if rotors and airframe == MULTIROTOR:
+
+        def of_all(what: str, default: float = 0.0) -> list[float]:
+            return [log.parameter(f"CA_ROTOR{i}_{what}", default) for i in range(rotors)]
+
+        positions = np.column_stack([of_all("PX"), of_all("PY")])
+        effects[:rotors] = rotor_effects(positions, of_all("KM", 0.05), of_all("CT", 6.5))
+        log.findings.say(
+            f"{rotors} rotors: positions, senses of rotation and thrusts from CA_ROTORi_PX, PY, "
+            "KM, CT"
+        )
+        log.findings.assume(
+            "thrust is taken as proportional to the command about its trim: a constant factor if "
+            "THR_MDL_FAC is not"
+        )
+    elif rotors and airframe == FIXED_WING:
+        effects[:rotors] = [(0.0, 0.0, 0.0, 1.0 / rotors)] * rotors
+        log.findings.say(f"{rotors} motor(s) of a fixed wing (CA_AIRFRAME 1): dth is their mean")
+    elif rotors:
+        log.findings.assume(
+            f"CA_AIRFRAME {airframe}: what the motors turn is not known here, they are only "
+            "recorded"
+        )
+    return [Channel(f"motor_{i}", e, f"motor {i}, 0 to 1") for i, e in enumerate(effects, 1)]
+
+
+def _servos(log: Log, count: int) -> list[Channel]:
+    """Meaning of the entries of actuator_servos: first the control surfaces."""
+    surfaces = min(int(log.parameter("CA_SV_CS_COUNT")), count)
+    channels = []
+    for i in range(surfaces):
+        prefix = f"CA_SV_CS{i}_"
+        kind = int(log.parameter(f"{prefix}TYPE"))
+        torques = {
+            a: log.parameter(f"{prefix}TRQ_{a[0].upper()}") for a in ("roll", "pitch", "yaw")
+        }
+        words = ", ".join(f"{axis} {torque:g}" for axis, torque in torques.items() if torque)
+        effect = NO_EFFECT if kind in KNOWN["without_torque"] else effect_of(torques)
+        name = KNOWN["surfaces"].get(kind, f"surface_type_{kind}")
+        meaning = f"{prefix}TYPE {kind}, torques {words or 'none'}"
+        channels.append(Channel(name, effect, meaning, neutral=log.parameter(f"{prefix}TRIM")))
+    channels += [Channel(f"servo_{i + 1}", NO_EFFECT, "servo") for i in range(surfaces, count)]
+    channels = named_once(channels)
+    if surfaces:
+        log.findings.say(
+            f"{surfaces} control surfaces, types and torques from CA_SV_CSi_TYPE and _TRQ_R, _P, "
+            f"_Y: {', '.join(channel.name for channel in channels[:surfaces])}"
+        )
+    return channels
+
+
+# --- before the allocation, and behind the mixer ------------------------------------------------
+
+
+def _setpoints(it: Import, torque: Messages) -> Actuators:
+    """Torque and thrust asked of the control allocation."""
+    commands, channels = demands(it, torque)
+    thrust = it.log.messages(SETPOINTS[1], it.choice.actuators_instance)
+    if thrust is None:
+        it.findings.doubt("there is no vehicle_thrust_setpoint: dth is zero throughout")
+        return commands, channels
+    forces, axes = demands(it, thrust)
+    acting = (0.0, 0.0, -1.0) if _lifts(it.log, forces.values) else (1.0, 0.0, 0.0)
+    for axis, share in zip(axes, acting, strict=True):
+        channels.append(replace(axis, effect=effect_of({"thrust": share})))
+    return commands.joined(forces), channels
+
+
+def _lifts(log: Log, forces: FloatArray) -> bool:
+    """Whether the thrust that counts points up rather than forward."""
+    airframe = log.parameters.get("CA_AIRFRAME")
+    if airframe in (MULTIROTOR, FIXED_WING):
+        return airframe == MULTIROTOR
+    up, ahead = (float(np.nanmean(np.abs(forces[:, axis]))) for axis in (2, 0))
+    log.findings.assume(f"dth is the {'upward' if up >= ahead else 'forward'} thrust: it is larger")
+    return up >= ahead
+
+
+def _outputs(it: Import, topic: Messages) -> Actuators:
+    """Pulse widths at the pins, with functions from PWM_*_FUNCn, or a quadrotor's old mixer."""
+    log, instance = it.log, it.choice.actuators_instance
+    values = topic.array("output")
+    count = int(np.max(topic.columns["noutputs"])) or values.shape[1]
+    prefix = "PWM_AUX" if instance else "PWM_MAIN"
+    functions = [int(log.parameter(f"{prefix}_FUNC{i + 1}")) for i in range(count)]
+    if any(functions):
+        channels = _by_function(log, functions, prefix)
+        log.findings.assume(f"instance {instance} of actuator_outputs are the pins {prefix}")
+    elif log.parameters.get("MAV_TYPE") == QUADROTOR:
+        channels = _quad_x(log, count)
+    else:
+        raise log.refusal(
+            f": no parameter {prefix}_FUNCn says what the actuator_outputs move; "
+            "try --actuators-topic actuator_controls_0"
+        )
+    return Stream(topic.name, topic.stamp_ns, values[:, :count]), channels
+
+
+def _by_function(log: Log, functions: list[int], prefix: str) -> list[Channel]:
+    motors = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
+    servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
+    reversed_pins = int(log.parameter(f"{prefix}_REV"))
+    channels = []
+    for i, function in enumerate(functions):
+        low = log.parameter(f"{prefix}_MIN{i + 1}", PWM_MIN)
+        high = log.parameter(f"{prefix}_MAX{i + 1}", PWM_MAX)
+        plain = Channel(f"output_{i + 1}", NO_EFFECT, "")
+        channel = replace(
+            {**motors, **servos}.get(function, plain),
+            meaning=f"{prefix}_FUNC{i + 1} {function}",
+            neutral=0.0,
+            unit="us",
+        )
+        if channel.name != plain.name:
+            centre = (low + high) / 2.0 if function in servos else None
+            turned = bool(reversed_pins >> i & 1)
+            channel = over_range(channel, low, high, centre=centre, turned=turned)
+        channels.append(channel)
+    return named_once(channels)
+
+
+def _quad_x(log: Log, count: int) -> list[Channel]:
+    """Take a quadrotor in X: the mixer file is not in an old log."""
+    low, high = log.parameter("PWM_MIN", PWM_MIN), log.parameter("PWM_MAX", PWM_MAX)
+    log.findings.assume(
+        "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear right) "
+        "on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
+    )
+    log.findings.say(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
+    channels = [
+        over_range(Channel(f"motor_{i}", effect, "output of quad x", unit="us"), low, high)
+        for i, effect in enumerate(effects_of_arms(KNOWN["quad_x"]), 1)
+    ]
+    for i in range(len(channels) + 1, count + 1):
+        channels.append(Channel(f"output_{i}", NO_EFFECT, "", unit="us"))
+    return channels[:count]
+
+
+READERS: dict[str, ActuatorsReader] = {
+    **dict.fromkeys(ALLOCATED, _allocated),
+    SETPOINTS[0]: _setpoints,
+    f"{CONTROLS}0": demands,
+    f"{CONTROLS}1": demands,
+    "actuator_outputs": _outputs,
+}
+"""Readers by topic, nearest to the actuators first; the pulse widths, whose meaning is the least
+certain, last."""
+
+COMMANDS = (*READERS, SETPOINTS[1])
+"""Topics of commands."""

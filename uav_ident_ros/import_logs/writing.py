@@ -121,9 +121,11 @@ def _imu(log: FlightLog) -> Make:
         turns = turned_at(rates.t_ns, attitude.t_ns, attitude.values).tolist()
     turned = iter(turns)
 
+    has_force = log.has_force
+
     def make(t_ns: int, value: Any) -> Any:
         values = value.tolist()
-        force = values[3:] if log.has_force else None
+        force = values[3:] if has_force else None
         return imu(t_ns, values[:3], force, frame_id, next(turned))
 
     return make
