@@ -27,11 +27,13 @@ from typing import Any
 
 import bench
 import numpy as np
+from loop import Loop
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Excitation, Fallback
 from uav_ident_ros.control import RateController
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.identification.excitation_run import Asked, ExcitationRun
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.excitation_run import ExcitationRun
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
@@ -41,7 +43,7 @@ from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
 from uav_ident_ros.simulation.live import Live
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
-from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
+from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.quadrotor import Body
 from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
 
@@ -92,60 +94,52 @@ class Flight:
     """One flight, a sample at a time."""
 
     def __init__(self, severity: int, seed: int, name: str = AIRCRAFT) -> None:
-        values = load_parameters(CONFIG / f"{name}.yaml", "identifier")
-        values |= {"excitation.lead": LEAD, "excitation.duration": LONGEST}
-        guided = load_parameters(CONFIG / f"{name}.yaml", "rate_reference")
-        controller = load_parameters(CONFIG / f"{name}.yaml", "controller")
-        delay = values["actuators.delay"]
+        identified, guided, controlled = (
+            load_parameters(CONFIG / f"{name}.yaml", node)
+            for node in ("identifier", "rate_reference", "controller")
+        )
+        identified |= {
+            "excitation.lead": LEAD, "excitation.duration": LONGEST, "imu.convention": "frd"
+        }  # fmt: skip
+        delay = identified["actuators.delay"]
         self.aircraft: Live
         if name == AIRCRAFT:
             self.aircraft = LiveAircraft(name, SENSORS, delay, (), seed)
             self.aircraft.apply(Fault("turbulence", value=float(severity)))
-            values |= {"airspeed.reference": AIRSPEED}
+            identified |= {"airspeed.reference": AIRSPEED}
             guide = (0.5, 0.1)
         else:
             self.aircraft = LiveQuadrotor(SENSORS, delay, (), seed)
             guide = (guided["bank"], guided["pitch"])
-        self.settings = Settings.from_values(values)
+        self.settings = Settings.from_values(identified)
         self.identifier = OnlineIdentifier(self.settings)
         known = Coefficients.from_file(CONFIG / f"{name}_coefficients.yaml")
-        self.trim = np.array(controller["trim"])
-        limits = np.array([controller["least"], controller["largest"]]) - self.trim
+        trim = np.array(controlled["trim"])
+        limits = np.array([controlled["least"], controlled["largest"]]) - trim
         source = CoefficientSource(Fallback.NOMINAL, known)
-        self.controller = RateController(source, known, limits, controller["delay"], adaptive=False)
-        self.excitation = Excitation(controller["excitation_limit"])
-        self.manoeuvres = Manoeuvres(*guide, (2.0, 4.0), guided["airspeed"], seed)
+        controller = RateController(source, known, limits, controlled["delay"], adaptive=False)
+        excitation = Excitation(controlled["excitation_limit"])
         self.run = ExcitationRun(self.identifier.structure)
-        self.reference: FloatArray = np.zeros(3)
 
-    @property
-    def now_ns(self) -> int:
-        """Stamp of the next sample, ns."""
-        return EPOCH_NS + round(self.aircraft.time * 1e9)
+        def heard(estimate: Estimate) -> None:
+            """Let controller and identifier know what is asked for."""
+            self.estimate = estimate
+            asked = self.run.step(self.identifier.flying(), estimate)
+            if asked is not None:
+                excitation.add(asked.t_ns, list(INPUTS), asked.values.tolist())
+                self.identifier.add_excitation(asked.t_ns, asked.values.tolist())
+
+        self.loop = Loop(
+            self.aircraft, trim, Manoeuvres(*guide, (2.0, 4.0), guided["airspeed"], seed),
+            controller, self.identifier,
+            lambda t_ns, u: controller.inject(t_ns, u, excitation.at(t_ns)), heard,
+        )  # fmt: skip
 
     def step(self) -> FloatArray:
         """Fly one sample; return rates (3), attitude (2) and tracking error (3)."""
-        sample, t_ns = self.aircraft.sample(), self.now_ns
-        force = (sample.measured_force * FRD_TO_FLU).tolist()
-        self.identifier.add_rates(t_ns, (sample.measured_rates * FRD_TO_FLU).tolist(), force)
-        for estimate in self.identifier.advance():
-            self.estimate = estimate
-            self.hear(self.run.step(self.identifier.flying(), estimate))
-        roll, pitch = sample.attitude[:2].tolist()
-        self.reference = self.manoeuvres.rates(sample.time, roll, pitch, 1.0 / SENSORS.rate)
-        u = self.controller.update(t_ns, sample.measured_rates, self.reference)
-        u = self.controller.inject(t_ns, u, self.excitation.at(t_ns))
-        self.aircraft.command((self.trim + u)[:3])
-        self.identifier.add_actuators(t_ns, self.aircraft.outputs.tolist())
+        sample, reference = self.loop.answer()
         self.aircraft.advance()
-        return np.array([*sample.rates, roll, pitch, *(sample.rates - self.reference)])
-
-    def hear(self, asked: Asked | None) -> None:
-        """Let controller and identifier know what is asked for."""
-        if asked is not None:
-            values = asked.values.tolist()
-            self.excitation.add(asked.t_ns, list(INPUTS), values)
-            self.identifier.add_excitation(asked.t_ns, values)
+        return np.array([*sample.rates, *sample.attitude[:2], *(sample.rates - reference)])
 
 
 def fly(job: tuple[str, int, bool]) -> Found:

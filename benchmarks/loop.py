@@ -23,7 +23,7 @@ from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
-from uav_ident_ros.simulation.live import Sample
+from uav_ident_ros.simulation.live import Live, Sample
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared
@@ -114,6 +114,36 @@ def message_of(identifier: OnlineIdentifier, estimate: Estimate) -> Coefficients
     )
 
 
+@dataclass(eq=False)
+class Loop:
+    """A vehicle, who guides it, who controls it and who identifies it."""
+
+    live: Live
+    trim: FloatArray  # (4,) What the controller's inputs are deviations from
+    guide: Manoeuvres
+    controller: Controller
+    identifier: OnlineIdentifier | None = None
+    # What is added to the controller's inputs at a stamp, ns, and who hears each estimate
+    inject: Callable[[int, FloatArray], FloatArray] = lambda _, u: u
+    heard: Callable[[Estimate], object] = lambda _: None
+
+    def answer(self) -> tuple[Sample, FloatArray]:
+        """Answer the newest sample; return it and the rates wanted, (3,), rad/s."""
+        live, sample = self.live, self.live.sample()
+        t_ns = EPOCH_NS + round(sample.time * 1e9)
+        roll, pitch = map(float, sample.attitude[:2])
+        reference = self.guide.rates(sample.time, roll, pitch, live.period)
+        u = self.controller.update(t_ns, sample.measured_rates, reference)
+        live.command((self.trim + self.inject(t_ns, u))[:3])
+        if self.identifier is not None:
+            force = sample.measured_force.tolist()
+            self.identifier.add_actuators(t_ns, live.outputs.tolist())
+            self.identifier.add_rates(t_ns, sample.measured_rates.tolist(), force)
+            for estimate in self.identifier.advance():
+                self.heard(estimate)
+        return sample, reference
+
+
 def fly_loop(
     prepared: Prepared,  # The aircraft
     mission: Mission,  # The flight
@@ -130,23 +160,28 @@ def fly_loop(
     guide = Manoeuvres(airspeed=frame.speed, seed=mission.seed, **MANOEUVRES)  # type: ignore[arg-type]
     source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(prepared))
     controller = make(source)
-    rows: list[tuple[Sample, FloatArray, FloatArray]] = []
     nothing: FloatArray = np.empty(0)
     outcome = Outcome(nothing, nothing, nothing, nothing)
-    dt = 1.0 / mission.sensors.rate
-    reference = np.zeros(3)
+
+    def heard(estimate: Estimate) -> None:
+        assert identifier is not None
+        source.add(message_of(identifier, estimate))
+        outcome.usable.append(((estimate.t_ns - EPOCH_NS) * 1e-9, estimate.usable_rows))
+
+    loop = Loop(live, prepared.trim, guide, controller, identifier, heard=heard)
+    rows: list[tuple[Sample, FloatArray, FloatArray]] = []
     try:
-        for k in range(round(mission.duration * mission.sensors.rate)):
-            sample = live.sample()
-            t_ns = EPOCH_NS + round(k * dt * 1e9)
-            roll, pitch = map(float, sample.attitude[:2])
-            reference = guide.rates(sample.time, roll, pitch, dt)
-            u = controller.update(t_ns, sample.measured_rates, reference)
-            live.command((prepared.trim + u)[:3])
+        for _ in range(round(mission.duration * mission.sensors.rate)):
+            sample, reference = loop.answer()
             rows.append((sample, reference, live.outputs))
-            if identifier is not None:
-                _identify(identifier, source, outcome, t_ns, sample, live.outputs)
-            _note_sources(outcome, sample.time, controller)
+            for change in (
+                identifier.supervisor.changed[len(outcome.changes) :] if identifier else ()
+            ):
+                outcome.changes.append((sample.time, change.name))
+            if isinstance(controller, RateController):
+                now = controller.effect.sources
+                if not outcome.sources or outcome.sources[-1][1] != now:
+                    outcome.sources.append((sample.time, now))
             live.advance()
     except SimulationError:
         outcome.lost = live.time
@@ -155,30 +190,6 @@ def fly_loop(
     outcome.reference = np.array([wanted for _, wanted, _ in rows])
     outcome.outputs = np.array([outputs for _, _, outputs in rows])
     return outcome
-
-
-def _identify(
-    identifier: OnlineIdentifier,
-    source: CoefficientSource,
-    outcome: Outcome,
-    t_ns: int,
-    sample: Sample,
-    outputs: FloatArray,
-) -> None:
-    identifier.add_actuators(t_ns, outputs.tolist())
-    identifier.add_rates(t_ns, sample.measured_rates.tolist(), sample.measured_force.tolist())
-    for estimate in identifier.advance():
-        source.add(message_of(identifier, estimate))
-        outcome.usable.append(((estimate.t_ns - EPOCH_NS) * 1e-9, estimate.usable_rows))
-    for change in identifier.supervisor.changed[len(outcome.changes) :]:
-        outcome.changes.append((sample.time, change.name))
-
-
-def _note_sources(outcome: Outcome, time: float, controller: Controller) -> None:
-    if isinstance(controller, RateController):
-        now = controller.effect.sources
-        if not outcome.sources or outcome.sources[-1][1] != now:
-            outcome.sources.append((time, now))
 
 
 def rate_controller(

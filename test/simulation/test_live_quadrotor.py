@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loop import Loop
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
@@ -17,13 +18,20 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
-from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
+from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.quadrotor import Body
 from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
 
 FILES = Path(__file__).resolve().parents[2] / "config" / "closed_loop"
 SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
 START_NS = 1_700_000_000 * 10**9
+
+
+class Level:
+    """Levels it."""
+
+    def rates(self, _: float, roll: float, pitch: float, _dt: float) -> FloatArray:
+        return np.array([-roll, -pitch, 0.0])
 
 
 def flown(seconds: float, *faults: str, identifier: OnlineIdentifier | None = None) -> FloatArray:
@@ -39,20 +47,10 @@ def flown(seconds: float, *faults: str, identifier: OnlineIdentifier | None = No
     law = RateController(source, known, limits, controller["delay"], chosen, adaptive=False)
     craft = LiveQuadrotor(SENSORS, 0.01, [parse_fault(text) for text in faults])
     guide = Manoeuvres(bank=0.2, pitch=0.2, hold=(2.0, 4.0), airspeed=1000.0, seed=0)
+    loop = Loop(craft, craft.trim, guide if identifier else Level(), law, identifier)
     errors = []
     while craft.time < seconds:
-        sample = craft.sample()
-        t_ns = START_NS + round(sample.time * 1e9)
-        roll, pitch = map(float, sample.attitude[:2])
-        reference = np.array([-roll, -pitch, 0.0])  # level it
-        if identifier is not None:
-            reference = guide.rates(sample.time, roll, pitch, 1.0 / SENSORS.rate)
-        craft.command(law.update(t_ns, sample.measured_rates, reference)[:3])
-        if identifier is not None:
-            measured = (sample.measured_rates * FRD_TO_FLU, sample.measured_force * FRD_TO_FLU)
-            identifier.add_actuators(t_ns, craft.outputs.tolist())
-            identifier.add_rates(t_ns, *(part.tolist() for part in measured))
-            list(identifier.advance())
+        sample, reference = loop.answer()
         craft.advance()
         errors.append(sample.rates - reference)
     assert np.ptp(craft.outputs) < 1.0
@@ -69,7 +67,7 @@ def test_the_law_flies_it_and_stands_a_weak_motor() -> None:
 def test_a_weak_motor_is_a_step_of_the_constant_moments_and_relearned_within_five_seconds() -> None:
     """The controller answers it with a step of its inputs: no control derivative has changed."""
     values = load_parameters(FILES / "quadrotor.yaml", "identifier")
-    settings = Settings.from_values(values)
+    settings = Settings.from_values({**values, "imu.convention": "frd"})
     identifier = OnlineIdentifier(
         settings, load_coefficients(FILES / "quadrotor_coefficients.yaml")
     )

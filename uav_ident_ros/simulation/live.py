@@ -238,6 +238,11 @@ class Live:
         """Time of the newest sample, s after the first."""
         return self._step / self.rate
 
+    @property
+    def period(self) -> float:
+        """Time from one sample to the next, s."""
+        return 1.0 / self._sensors.rate
+
     def sample(self) -> Sample:
         """Measure it as it is; to be called once for each sample."""
         rates, force, attitude, surfaces = self._state()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cost of `replay`, in parts that add up; and what a gyro sample passes on its way."""
+"""What a gyro sample passes on its way."""
 
 import pytest
 import sample_walk
