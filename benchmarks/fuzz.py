@@ -104,7 +104,7 @@ def _ulog(folder: Path, t_ns: np.ndarray, values: np.ndarray) -> Path:
 
 
 def _dataflash(folder: Path, t_ns: np.ndarray, values: np.ndarray) -> Path:
-    writer = DataflashWriter(folder)
+    writer = DataflashWriter()
     writer.add_parameters({"SERVO1_FUNCTION": 4, "SERVO2_FUNCTION": 19, "SERVO1_MIN": 1100})
     rows: list[tuple[int, str, tuple[float, ...]]] = [
         (int(t) // 1000, "IMU", (0, *v, *v)) for t, v in zip(t_ns, values, strict=True)

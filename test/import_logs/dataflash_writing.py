@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ArduPilot logs for the tests, encoded by pymavlink: its formats, its own message writer."""
+"""ArduPilot logs for the tests, as its documentation says; pymavlink reads them, too."""
 
 import struct
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-import pytest
+FMT, HEADER = 0x80, b"\xa3\x95"
 
 # Type, format characters, columns: as ArduPilot declares them.
 FORMATS: dict[str, tuple[str, str]] = {
     "PARM": ("QNff", "TimeUS,Name,Value,Default"),
     "MSG": ("QZ", "TimeUS,Message"),
-    "UNIT": ("QbZ", "TimeUS,Id,Label"),
-    "MULT": ("Qbd", "TimeUS,Id,Mult"),
-    "FMTU": ("QBNN", "TimeUS,FmtType,UnitIds,MultIds"),
     "IMU": ("QBffffffIIfBBHH", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"),
     "GYR": ("QBQfff", "TimeUS,I,SampleUS,GyrX,GyrY,GyrZ"),
     "ACC": ("QBQfff", "TimeUS,I,SampleUS,AccX,AccY,AccZ"),
@@ -40,10 +37,8 @@ OLD_FORMATS: dict[str, tuple[str, str]] = {
 }
 """As of 2014: milliseconds, no instances, no units."""
 
-INSTANCES = {"IMU": "s#EEEooo--O--zz", "GYR": "s#sEEE", "ACC": "s#sooo"}
-"""Units of the messages with a field of their instance."""
-
-Row = tuple[str, tuple[float, ...]]
+STRUCTURE = {"n": "4s", "N": "16s", "Z": "64s", "M": "B", "c": "h", "C": "H", "e": "i", "E": "I"}
+"""How a format character is packed, where not as `struct` has it; c, C, e, E are hundredths."""
 
 
 class DataflashWriter:
@@ -51,49 +46,37 @@ class DataflashWriter:
 
     def __init__(
         self,
-        # Where a file with nothing but its own format is put first: the library's writer is part of
-        # its reader, which needs one
-        folder: Path,
         # Type, format characters and columns of every message
         formats: Mapping[str, tuple[str, str]] = FORMATS,
     ) -> None:
-        reader_module = pytest.importorskip("pymavlink.DFReader", reason="pymavlink is missing")
-        self._format_class = reader_module.DFFormat
-        seed = folder / "seed.bin"
-        header = struct.pack(
-            "<BBBBB4s16s64s", 0xA3, 0x95, 0x80, 0x80, 89, b"FMT", b"BBnNZ",
-            b"Type,Length,Name,Format,Columns",
-        )  # fmt: skip
-        seed.write_bytes(header * 2)
-        self._writer = reader_module.DFReader_binary(str(seed))
-        self._formats = {}
-        self._chunks = [self._writer.make_format_msgbuf(self._writer.formats[0x80])]
-        for name, (characters, columns) in formats.items():
-            size = 3 + struct.calcsize(self._structure(characters))
-            declared = self._writer.add_format(
-                self._format_class(0, name, size, characters, columns)
-            )
-            self._formats[name] = declared
-            self._chunks.append(self._writer.make_format_msgbuf(declared))
-        for name, units in INSTANCES.items() if "FMTU" in formats else ():
-            self.add("FMTU", 0, self._formats[name].type, units.encode(), b"F".ljust(16, b"-"))
+        self._formats = {"FMT": (FMT, "BBnNZ")}
+        self._content = bytearray()
+        self.add("FMT", FMT, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
+        for number, (name, (kinds, columns)) in enumerate(formats.items(), 1):
+            self._formats[name] = number, kinds
+            size = len(self._packed(name, ()))
+            self.add("FMT", number, size, name.encode(), kinds.encode(), columns.encode())
 
-    def _structure(self, characters: str) -> str:
-        return str(self._format_class(0, "X", 0, characters, "").msg_struct)
+    def _packed(self, name: str, values: tuple[float | bytes, ...]) -> bytes:
+        number, kinds = self._formats[name]
+        packed = HEADER + bytes([number])
+        for i, kind in enumerate(kinds):
+            empty = b"" if kind in "nNZ" else 0
+            value = values[i] if i < len(values) else empty
+            if isinstance(value, int | float) and kind not in "fd":
+                value = int(value)
+            packed += struct.pack(f"<{STRUCTURE.get(kind, kind)}", value)
+        return packed
 
     def add(self, name: str, *values: float | bytes) -> None:
         """Add one message; what is left out at its end is zero."""
-        declared = self._formats[name]
-        missing = len(declared.columns) - len(values)
-        self._chunks.append(self._writer.make_msgbuf(declared, [*values, *[0] * missing]))
+        self._content += self._packed(name, values)
 
     def add_parameters(self, parameters: Mapping[str, float]) -> None:
         """Add the parameters, as at the start of a log."""
+        stamp = (0,) if self._formats["PARM"][1].startswith("Q") else ()
         for name, value in parameters.items():
-            if "TimeUS" in self._formats["PARM"].columns:
-                self.add("PARM", 0, name.encode(), float(value), float("nan"))
-            else:
-                self.add("PARM", name.encode(), float(value))
+            self.add("PARM", *stamp, name.encode(), float(value))
 
     def add_rows(self, rows: Iterable[tuple[int, str, tuple[float, ...]]]) -> None:
         """Add messages in the order of their times (us)."""
@@ -102,6 +85,5 @@ class DataflashWriter:
 
     def write(self, path: Path) -> Path:
         """Write the file."""
-        self._writer.close()
-        path.write_bytes(b"".join(self._chunks))
+        path.write_bytes(self._content)
         return path

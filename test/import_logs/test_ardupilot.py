@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ArduPilot logs of different vehicles mean. All are encoded by pymavlink's own writer."""
+"""What ArduPilot logs of different vehicles mean."""
 
 from pathlib import Path
 
@@ -42,7 +42,7 @@ PLANE = servos(4, 19, 70, 21, AHRS_ORIENTATION=8)
 
 
 def write(folder: Path, rows: list, values: dict[str, float]) -> Path:
-    writer = DataflashWriter(folder)
+    writer = DataflashWriter()
     writer.add_parameters(values)
     writer.add_rows(rows)
     return writer.write(folder / "flight.bin")
@@ -241,7 +241,7 @@ def old_log(
     folder: Path, firmware: str, values: dict[str, float], texts: tuple = (), scale: float = 4500
 ) -> Path:
     """Milliseconds, no functions of pins, demands in thousands."""
-    writer = DataflashWriter(folder, OLD_FORMATS)
+    writer = DataflashWriter(OLD_FORMATS)
     writer.add_parameters(values)
     for text in (firmware, *texts):
         writer.add("MSG", text.encode())

@@ -35,7 +35,7 @@ Make = Callable[[Path], list[str]]
 
 
 def plane_log(tmp_path: Path, *left_out: str, servos: tuple[int, ...] = (4, 19)) -> Path:
-    writer = DataflashWriter(tmp_path)
+    writer = DataflashWriter()
     writer.add_parameters({f"SERVO{i}_FUNCTION": function for i, function in enumerate(servos, 1)})
     rows = [(int(t) // 1000, "IMU", (0, *v, *v)) for t, v in zip(IMU_NS, VALUES, strict=True)]
     rows += [(int(t) // 1000, "RCOU", (1500, 1500 + i % 9)) for i, t in enumerate(IMU_NS[::4])]
@@ -210,7 +210,7 @@ def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
     """An undamaged one, that is: its reader is the reference for fields and units."""
     from pymavlink.DFReader import DFReader_binary
 
-    writer = DataflashWriter(tmp_path)
+    writer = DataflashWriter()
     writer.add_parameters({"SERVO1_FUNCTION": 4, "INS_POS1_X": 0.1})
     numbers = np.random.default_rng(3)
     for t in range(50):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataflash_writing import DataflashWriter
-from excerpts import BAGS, excerpt, summary
+from excerpts import BAGS, summary
 from imported import Contents, Imported, Importer, contents, flight, mixing
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
@@ -134,7 +134,7 @@ def test_px4_setpoints_stand_in_for_thinned_out_actuators(
 
 def test_ardupilot_log(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
     """Rates are single floats, commands whole microseconds: of 1000 for the whole range."""
-    writer = DataflashWriter(tmp_path)
+    writer = DataflashWriter()
     writer.add("MSG", 0, b"ArduPlane V4.5.0 (test)".ljust(64, b"\0"))
     writer.add_parameters(PLANE)
     signs = PLAIN_SIGNS * [1.0, -1.0, 1.0, 1.0]  # the rudder is reversed
@@ -264,25 +264,6 @@ def px4_example(recorded: Contents, folder: Path) -> Path:
     return write_ulog(folder / "c172p.ulg", topics, FIXED_WING)
 
 
-def ardupilot_example(recorded: Contents, folder: Path) -> Path:
-    """The same as an ArduPilot log: 500 us of a servo are 0.5 rad."""
-    values = recorded.actuators * PLAIN_SIGNS * [1.0, -1.0, 1.0, 1.0]  # the rudder is reversed
-    pulses = np.rint([1500, 1500, 1500, 1000] + 1000.0 * values).astype(int)
-    imu = np.hstack([recorded.rates * TO_FRD, recorded.force * TO_FRD])
-    rows = [
-        (int(t) // 1000, "IMU", (0, *row))
-        for t, row in zip(recorded.imu_t_ns, imu.tolist(), strict=True)
-    ]
-    for t, row in zip(recorded.actuator_t_ns, pulses.tolist(), strict=True):
-        rows.append((int(t) // 1000, "RCOU", tuple(row)))
-        rows.append((int(t) // 1000, "GPS", (SPEED,)))
-    writer = DataflashWriter(folder)
-    writer.add_parameters(PLANE)
-    writer.add("MSG", 0, b"ArduPlane V4.5.7 (0358a9c2)")
-    writer.add_rows(rows)
-    return writer.write(folder / "c172p.bin")
-
-
 def test_the_whole_way_from_a_log_to_a_verdict(
     tmp_path: Path, importer: Importer, replayed_example: Path
 ) -> None:
@@ -299,21 +280,3 @@ def test_the_whole_way_from_a_log_to_a_verdict(
         # 2 ms of delay cost 8 % of the damping in yaw; control derivatives are within 3 %:
         # a little is left for what else may change.
         assert found == pytest.approx(expected, rel=0.05 if "/d" in coefficient else 0.1)
-
-
-def test_an_ardupilot_log_of_the_flight_says_what_a_px4_log_does(
-    tmp_path: Path, importer: Importer
-) -> None:
-    """The same samples, and the same is asked of `replay`: so is the verdict."""
-    flown = delayed(excerpt(tmp_path / "first_part", 15.0, "c172p"))
-    px4, plane = (importer(write(flown, tmp_path)) for write in (px4_example, ardupilot_example))
-    for name in ("imu_t_ns", "rates", "force", "actuator_t_ns"):
-        np.testing.assert_array_equal(getattr(plane.bag, name), getattr(px4.bag, name))
-    # one unit of a surface is its full deflection here, 500 us; a pulse is a whole microsecond
-    np.testing.assert_allclose(inputs(plane), inputs(px4) * [2.0, 2.0, 2.0, 1.0], atol=2.1e-3)
-    asked = [
-        {k: v for k, v in log.values.items() if not k.startswith("actuators.")}
-        | {"delay": log.values["actuators.estimate_delay"]}
-        for log in (px4, plane)
-    ]
-    assert asked[0] == asked[1] and asked[0]["delay"]
