@@ -54,9 +54,8 @@ setup(
         "import_log": ["pyyaml", "rosbags"],
         "jsbsim": ["jsbsim"],
         "monitor": ["rich"],
-        "replay": ["bokeh", "jinja2", "pyyaml", "matplotlib", "mcap", "rosbags", "tqdm"],
-        # replay of fleets: the table of results as Parquet too, and a Dask cluster
-        "parquet": ["pyarrow"],
+        "replay": ["bokeh", "jinja2", "pyyaml", "matplotlib", "mcap", "pyarrow", "rosbags", "tqdm"],
+        # replay on a Dask cluster
         "cluster": ["distributed"],
         # colcon decides by this extra whether `colcon test` runs pytest
         "test": [
@@ -68,6 +67,7 @@ setup(
             "pyyaml",
             "matplotlib",
             "mcap",
+            "pyarrow",
             "rosbags",
         ],
     },

@@ -19,7 +19,7 @@ from repository import ROOT
 from test_docs import DOCS, README, code_blocks, page_id, text_of
 from ulog_writing import commands, sensor_combined, write_ulog
 
-from uav_ident_ros.offline.status import NOT_USABLE
+from uav_ident_ros.offline import NOT_USABLE
 
 SECONDS = 12.0
 """Length of the flights: that a model is usable is not asked for."""

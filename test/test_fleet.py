@@ -23,7 +23,6 @@ from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline import fleet_command, main
-from uav_ident_ros.offline.done import DONE_FILE
 from uav_ident_ros.offline.fleet import (
     BASELINE,
     FALSE_NAMES,
@@ -33,7 +32,8 @@ from uav_ident_ros.offline.fleet import (
     pool,
     standard,
 )
-from uav_ident_ros.offline.flights_table import FlightRow, read_flights
+from uav_ident_ros.offline.flights_table import CSV_FILE, FlightRow, read_flights, write_flights
+from uav_ident_ros.offline.parallel import DONE_FILE
 
 NAMES = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
 
@@ -163,9 +163,7 @@ def test_aircraft_and_structures_are_kept_apart() -> None:
 
 
 def test_the_command_writes_page_and_coefficients(tmp_path: Path, capsys: Capture) -> None:
-    from uav_ident_ros.offline.flights_table import CSV_FILE
-
-    write_csv(tmp_path / CSV_FILE, synthetic(0, loss=0.02))
+    write_flights(tmp_path, synthetic(0, loss=0.02))
     assert fleet_command.main([str(tmp_path)]) == 1
     said = capsys.readouterr().out
     assert re.search(r"change: rdot/dr has changed since flight_3\d: \+", said)
@@ -178,19 +176,9 @@ def test_the_command_writes_page_and_coefficients(tmp_path: Path, capsys: Captur
     assert 0.1 < pooled.sigma[structure.index("pdot/p")] < 0.4  # scatter of 0.2 and more
     assert np.isinf(pooled.sigma[structure.index("pdot/pq")])  # no flight knows it
 
-    write_csv(tmp_path / CSV_FILE, synthetic(0))
+    write_flights(tmp_path, synthetic(0))
     assert fleet_command.main([str(tmp_path / CSV_FILE), "--output", str(tmp_path / "x")]) == 0
     assert "change:" not in capsys.readouterr().out
-
-
-def write_csv(path: Path, rows: list[FlightRow]) -> None:
-    import csv
-    from dataclasses import asdict
-
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(asdict(rows[0])))
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
 
 
 @pytest.mark.parametrize("content", [None, "", "a,b\n1,2\n", "aircraft\nx\n"])

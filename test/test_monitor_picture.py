@@ -4,11 +4,13 @@
 import io
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from uav_ident_ros.client import Coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME, entry_names
 from uav_ident_ros.monitor.heard import TREND_TIME, Coefficient, Heard
@@ -40,6 +42,20 @@ class Watch:
         return self.now
 
 
+def published(
+    t_ns: int, structure: str, values: dict[str, float], sigma: float = 0.5
+) -> Coefficients:
+    """What a controller would read of a message with some entries; the others are zero."""
+    names = entry_names(STRUCTURES[structure])
+    stamp = SimpleNamespace(sec=t_ns // SECOND_NS, nanosec=t_ns % SECOND_NS)
+    position, effort = [values.get(name, 0.0) for name in names], [sigma] * len(names)
+    if len(values) == len(names):
+        effort[:2] = 0.0, math.inf
+    header = SimpleNamespace(stamp=stamp)
+    message = SimpleNamespace(header=header, name=names, position=position, effort=effort)
+    return Coefficients.from_message(message)
+
+
 def heard(
     structure: str = "augmented", *, usable: bool = True, scale: float = 1.0
 ) -> tuple[Heard, Watch]:
@@ -47,17 +63,11 @@ def heard(
     watch = Watch()
     result = Heard("/drone1/identifier", watch)
     names = entry_names(STRUCTURES[structure])
-    count = len(names)
-    values = scale * np.linspace(-60.0, 60.0, count)
-    for name, value in zip(FIT_NAMES, (84.0, 20.0, 86.0), strict=True):
-        values[names.index(name)] = value
-    for i, name in enumerate(names):
-        if name.startswith(USABLE_NAME):
-            values[i] = float(usable)
-    sigmas = np.full(count, 0.5)
-    sigmas[0], sigmas[1] = 0.0, math.inf
+    values = dict(zip(names, (scale * np.linspace(-60.0, 60.0, len(names))).tolist(), strict=True))
+    values |= dict(zip(FIT_NAMES, (84.0, 20.0, 86.0), strict=True))
+    values |= {name: float(usable) for name in names if name.startswith(USABLE_NAME)}
     for t_ns in (SECOND_NS, SECOND_NS + 50_000_000):
-        result.coefficients_named(t_ns, names, list(values), list(sigmas))
+        result.take(published(t_ns, structure, values))
     result.diagnosed("learning: the 1-second fit of q is 20 %", STATUS)
     return result, watch
 
@@ -150,9 +160,8 @@ def test_a_verdict_of_the_past_is_not_usable() -> None:
     assert not result.usable
 
     latched = Heard("/identifier")
-    names = entry_names(STRUCTURES["baseline"])
     for _ in range(2):  # the same tick twice is still one tick
-        latched.coefficients_named(SECOND_NS, names, [1.0] * len(names), [0.1] * len(names))
+        latched.take(published(SECOND_NS, "baseline", {USABLE_NAME: 1.0}))
     latched.diagnosed("converged", {})
     assert not latched.usable
 
@@ -182,21 +191,27 @@ def fed(*ticks: tuple[float, float]) -> Heard:
     """A node whose `pdot/p` took these values at these times, s."""
     result = Heard("/identifier")
     for t, value in ticks:
-        result.coefficients_named(round(t * 1e9), ["pdot/p"], [value], [0.01])
+        result.take(published(round(t * 1e9), "baseline", {"pdot/p": value}, 0.01))
     return result
+
+
+def damping(result: Heard) -> Coefficient:
+    """The coefficient `pdot/p`, as it is shown."""
+    (found,) = [c for c in result.rows()["pdot"] if c.name == "pdot/p"]
+    return found
 
 
 def test_a_trend_looks_back_ten_seconds_and_no_further() -> None:
     rising = [(1.0 + 0.05 * k, 0.05 * k) for k in range(1000)]
-    (coefficient,) = fed(*rising).coefficients()
+    coefficient = damping(fed(*rising))
     assert coefficient.trend == 1
     assert coefficient.value - coefficient.past[0] == pytest.approx(TREND_TIME, abs=0.5)
     steady = [*rising, *((60.0 + 0.05 * k, rising[-1][1]) for k in range(300))]
-    assert fed(*steady).coefficients()[0].trend == 0
+    assert damping(fed(*steady)).trend == 0
 
 
 def test_a_trend_begins_anew_when_time_goes_back() -> None:
-    (coefficient,) = fed((50.0, 9.0), (51.0, 9.0), (1.0, 0.0)).coefficients()
+    coefficient = damping(fed((50.0, 9.0), (51.0, 9.0), (1.0, 0.0)))
     assert coefficient.past == (0.0, 0.0)
 
 
@@ -221,28 +236,28 @@ def test_modes_are_those_of_the_published_coefficients() -> None:
         "pdot/p": -9.0, "pdot/beta": -25.0, "qdot/q": -6.0, "qdot/alpha": -40.0, "rdot/r": -1.8,
         "rdot/beta": 12.0, "ay/beta": -12.0, "az/alpha": -100.0, "state/airspeed": 20.0,
     }  # fmt: skip
-    result, names = Heard("/identifier"), entry_names(structure)
-    values = [known.get(name, 0.0) for name in names]
-    result.coefficients_named(SECOND_NS, names, values, [0.0] * len(names))
-    assert result.modes() == []  # the structure is not known yet
-    result.diagnosed("converged", {"structure": structure.name})
+    result = fed()
+    result.take(published(SECOND_NS, structure.name, known, 0.0))
     # the characteristic polynomial of q and alpha: s^2 + (6 + 5) s + 6 * 5 + 40
     assert "modes     short period 8.4 ζ.66, " in text(result)
     assert result.modes()[0].frequency == pytest.approx(math.sqrt(70.0), rel=1e-3)
-    result.coefficients_named(2 * SECOND_NS, names, [0.0] * len(names), [0.0] * len(names))
+    result.take(published(2 * SECOND_NS, structure.name, {}))
     assert "modes" not in text(result)
 
 
-def test_states_are_shown_and_are_no_coefficients() -> None:
+def test_states_and_the_rows_of_forces_and_kinematics_are_shown() -> None:
     result = Heard("/identifier")
-    names = ["pdot/da", "ay/beta", "ay/dr", "betadot/1"]
-    others = ["state/alpha", "state/airspeed", "verdict/usable/pdot"]
-    values = [45.0, -16.0, 5.0, 0.2, 0.1, 19.5, 1.0]
+    values = {
+        "ay/beta": -16.0, "betadot/1": 0.2, "state/alpha": 0.1, "state/airspeed": 19.5,
+        "verdict/usable/pdot": 1.0,
+    }  # fmt: skip
     for t_ns in (SECOND_NS, SECOND_NS + 50_000_000):
-        result.coefficients_named(t_ns, names + others, values, [0.1] * len(values))
-    assert [c.name for c in result.coefficients()] == names
-    shown = text(result)
-    assert "state     alpha +5.7°, airspeed 19.5 m/s" in shown
-    row = r"^ay +kinematics\nbeta  -16.000 0.100 .*betadot/1  +\+0.200"
-    assert re.search(row, shown, re.MULTILINE)
-    assert re.search(r"^pdot ✓ +qdot  +rdot$", shown, re.MULTILINE)
+        result.take(published(t_ns, "flight_dynamics", values, 0.1))
+    names = [c.name for row in result.rows().values() for c in row]
+    assert names == list(STRUCTURES["flight_dynamics"].names)
+    shown = text(result, 120)
+    assert "state     alpha +5.7°, beta +0.0°, roll +0.0°, pitch +0.0°, airspeed 19.5 m/s" in shown
+    assert re.search(r"^ay .*az .*kinematics$", shown, re.MULTILINE)
+    assert re.search(r"beta  -16.000 0.100", shown)
+    assert re.search(r"betadot/1  +\+0.200", shown)
+    assert re.search(r"^pdot ✓ +qdot ✗ +rdot ✗$", shown, re.MULTILINE)

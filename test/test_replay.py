@@ -36,10 +36,9 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import entry_names
 from uav_ident_ros.messages.types import header_ns
-from uav_ident_ros.offline import main
+from uav_ident_ros.offline import NOT_USABLE, main
 from uav_ident_ros.offline.estimates_bag import write_estimates
 from uav_ident_ros.offline.run import Refusals, choose_inputs
-from uav_ident_ros.offline.status import NOT_USABLE
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
 
@@ -319,7 +318,7 @@ BAD_INPUT = {
     "field": (["BAG", "--params-file", "@actuators.field: x"], "'actuators.field' is 'x'"),
     "other node": (["BAG", "--params-file", "@update_rate: 20.0", "--node", "/a b"],
      "nothing for node '/a b'"),
-    "output": (["BAG", "--output", "text.txt"], "cannot write to 'text.txt'"),
+    "output": (["BAG", "--output", "text.txt"], "cannot write 'text.txt/summary.json'"),
     "option": (["BAG", "--nonsense"], "unrecognized arguments: --nonsense"),
     "no bag named": ([], "required: BAG"),
 }  # fmt: skip

@@ -16,11 +16,10 @@ from node_process import PATIENCE, wait_for
 from programs import Capture, python, refusal
 
 from uav_ident_ros.bags.reading import BagError
-from uav_ident_ros.offline import main
+from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE, main
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.job import Job, Outcome, replay
 from uav_ident_ros.offline.overview import WORST_FIT, mean_fit, overview, percent, ranked, ranking
-from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
 
 
 def parameter_file(path: Path, **values: object) -> Path:

@@ -17,8 +17,7 @@ from programs import Capture
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.salvage import SalvageReader
 from uav_ident_ros.bags.writing import BagWriter
-from uav_ident_ros.offline import main
-from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
+from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE, main
 
 SECONDS, MESSAGES = 12, 12 * 250 + 2
 COMPRESSIONS = [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4]

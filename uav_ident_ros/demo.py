@@ -23,11 +23,11 @@ from uav_ident_ros.files.parameter_file import ParameterFileError, load_paramete
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import ACTUATORS, MessageTypeError, import_type
-from uav_ident_ros.monitor.listener import Listener
-from uav_ident_ros.monitor.view import View
+from uav_ident_ros.monitor.cli import Listener
+from uav_ident_ros.monitor.picture import View
+from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.run import Inputs, choose_inputs
-from uav_ident_ros.offline.status import NO_RESULT
 from uav_ident_ros.player import Player, PlayerError
 from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.share import shared
@@ -216,7 +216,7 @@ def play(
         player.play(flight.messages, speed=speed, on_time=show, in_step=True)
         listener.spin_for(1.0)
         view.show(heard)
-        return heard.tick is not None
+        return heard.newest is not None
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -15,8 +15,8 @@ from rclpy.parameter import Parameter
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.messages.types import import_type
+from uav_ident_ros.offline import NOT_USABLE, USABLE
 from uav_ident_ros.offline import main as replay
-from uav_ident_ros.offline.status import NOT_USABLE, USABLE
 from uav_ident_ros.player import Outputs, Player
 from uav_ident_ros.ros import stamp_ns
 

@@ -17,7 +17,6 @@ from scipy import signal
 from uav_ident_ros.files.truth_file import Truth, read_truth
 from uav_ident_ros.identification.identifier import State
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.offline.picture import with_sigma
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.report.analysis import SAMPLE_RATE, autocorrelation, spectra, welch
 from uav_ident_ros.report.charts import (
@@ -29,6 +28,7 @@ from uav_ident_ros.report.charts import (
 )
 from uav_ident_ros.report.flight import Flight, Predictions, collect, predict
 from uav_ident_ros.report.page import _embed
+from uav_ident_ros.report.picture import with_sigma
 from uav_ident_ros.report.style import COLORS, REGRESSORS, SERIES
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
 

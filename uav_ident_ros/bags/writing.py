@@ -37,6 +37,23 @@ class BagWriteError(Exception):
     """A bag cannot be written; the message names the path or topic and why."""
 
 
+def write_file(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all; its folder is made.
+
+    Raises
+    ------
+    BagWriteError
+        If it cannot be written.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        raise BagWriteError(f"cannot write '{path}': {error.strerror}") from None
+
+
 def qos(
     depth: int = 10,  # Depth of the history
     *,

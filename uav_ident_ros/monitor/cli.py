@@ -9,8 +9,22 @@ import sys
 from contextlib import closing
 from typing import NoReturn
 
+from diagnostic_msgs.msg import DiagnosticArray
+
+from uav_ident_ros.client import CoefficientSource, Fallback, subscribe
 from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c
-from uav_ident_ros.monitor.listener import Listener
+from uav_ident_ros.guest import Guest
+from uav_ident_ros.monitor.heard import Heard
+
+OUTPUT = "coefficients_named"
+OUTPUT_TYPE = "sensor_msgs/msg/JointState"
+
+STATUS_DEPTH = 50
+"""Depth of the queue of /diagnostics, which a whole robot shares."""
+
+SETTLE = 3.5
+"""Seconds after the first identifier is found in which others may turn up: what misses the first
+announcement of a Fast DDS participant hears the next one after 3 s."""
 
 USABLE = 0
 NOT_USABLE = 1
@@ -30,6 +44,50 @@ NO_RICH = (
 )
 
 
+class Listener(Guest):
+    """A node of its own that listens, and publishes nothing."""
+
+    def __init__(self) -> None:
+        super().__init__("uav_ident_monitor", start_parameter_services=False)
+
+    def identifiers(self) -> list[str]:
+        """Return the full names of the identifiers that publish now, sorted."""
+        return sorted(
+            topic.removesuffix(f"/{OUTPUT}")
+            for topic, types in self.node.get_topic_names_and_types()
+            if topic.endswith(f"/{OUTPUT}")
+            and OUTPUT_TYPE in types
+            and self.node.count_publishers(topic) > 0
+        )
+
+    def find(
+        self,
+        timeout: float,  # Seconds to look at most; the list is empty if there is none by then
+    ) -> list[str]:
+        """Look for identifiers until some have been found, and those beside them."""
+        if not self.spin_for(timeout, lambda: bool(self.identifiers())):
+            return []
+        self.spin_for(SETTLE)
+        return self.identifiers()
+
+    def listen(
+        self,
+        node: str,  # Its full name
+    ) -> Heard:
+        """Begin to listen to an identifier."""
+        heard, topic = Heard(node), f"{node}/{OUTPUT}"
+
+        def take_status(message: DiagnosticArray) -> None:
+            for status in message.status:
+                if status.name == node:
+                    heard.diagnosed(status.message, {v.key: v.value for v in status.values})
+                    heard.publishers = self.node.count_publishers(topic)
+
+        subscribe(self.node, CoefficientSource(Fallback.REFUSE), topic, heard.take)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", take_status, STATUS_DEPTH)
+        return heard
+
+
 class MonitorError(Exception):
     """There is not exactly one identifier to watch; the message says what there is."""
 
@@ -43,23 +101,13 @@ def parser() -> argparse.ArgumentParser:
         epilog="--once exits with 0 if the coefficients may be used, 1 if not, 3 if no "
         "identifier was heard.",
     )
-    result.add_argument(
-        "--node",
-        type=_full_name,
-        help="full name of the node, like /drone1/identifier (the only one there is)",
-    )
-    result.add_argument(
-        "--plain",
-        action="store_true",
-        help="a block of text every second, as where there is no terminal",
-    )
+    result.add_argument("--node", type=_full_name,
+        help="full name of the node, like /drone1/identifier (the only one there is)")  # fmt: skip
+    result.add_argument("--plain", action="store_true",
+        help="a block of text every second, as where there is no terminal")  # fmt: skip
     result.add_argument("--once", action="store_true", help="print one block and exit")
-    result.add_argument(
-        "--timeout",
-        type=_seconds,
-        default=TIMEOUT,
-        help=f"seconds that --once waits for the node at most ({TIMEOUT:g})",
-    )
+    result.add_argument("--timeout", type=_seconds, default=TIMEOUT,
+        help=f"seconds that --once waits for the node at most ({TIMEOUT:g})")  # fmt: skip
     return result
 
 
@@ -89,7 +137,7 @@ def _the_one(found: list[str]) -> str:
 
 def once(listener: Listener, node: str | None, timeout: float) -> int:
     """Print one block; return the exit status that tells what a controller may do."""
-    from uav_ident_ros.monitor.view import View  # before it listens: what it hears grows old
+    from uav_ident_ros.monitor.picture import View  # before it listens: what it hears grows old
 
     if node is None:
         found = listener.find(timeout)
@@ -99,7 +147,7 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
         node = _the_one(found)
     heard = listener.listen(node)
     listener.spin_for(timeout, lambda: heard.fresh and bool(heard.status.state))
-    if heard.tick is None and not heard.status.state:
+    if heard.newest is None and not heard.status.state:
         print(f"monitor: nothing was heard of '{node}' for {timeout:g} s", file=sys.stderr)
         return NOTHING_HEARD
     View(plain=True).show(heard)
@@ -108,7 +156,7 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
 
 def watch(listener: Listener, node: str | None, plain: bool) -> NoReturn:
     """Show an identifier for as long as this runs; wait for one if there is none."""
-    from uav_ident_ros.monitor.view import View
+    from uav_ident_ros.monitor.picture import View
 
     if node is None:
         print("monitor: looking for an identifier (Ctrl-C ends it)", file=sys.stderr)

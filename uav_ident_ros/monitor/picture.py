@@ -1,23 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What has been heard as one picture of `rich`: the same for a terminal and for a pipe.
+"""How the monitor looks: what has been heard, drawn with rich.
 
 The coefficients stand in columns, a row of the model each, side by side where the width allows:
 on 80 columns and 24 lines the moment equations are in sight.
 """
 
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
 from uav_ident_ros.identification.linearisation import Mode
 from uav_ident_ros.identification.settings import SupervisionSettings
-from uav_ident_ros.identification.structure import KINEMATIC_ROWS
-from uav_ident_ros.monitor.heard import AXIS_OF, Coefficient, Heard
+from uav_ident_ros.identification.structure import KINEMATIC_ROWS, ROWS
+from uav_ident_ros.messages.published import STATE_FIELDS
+from uav_ident_ros.messages.types import NS_PER_S
+from uav_ident_ros.monitor.heard import Coefficient, Heard
 
 COLUMN_WIDTH = 26
 """Characters of a column: name, value, sigma, t-ratio, trend."""
@@ -33,9 +38,6 @@ LONGEST_NAME = 10
 
 AXES = 3
 """Columns that should fit side by side."""
-
-AIRSPEED = "airspeed"
-"""The state that is no angle."""
 
 SPARKS = 10
 """Characters of the line of past values, where the terminal is wide enough for it."""
@@ -57,19 +59,58 @@ CONFIDENCE = {"none": "as set", "low": "estimated, not sure yet", "sure": "estim
 class Glyphs:
     """Characters that the terminal can show."""
 
-    # up, down, level: Trends
-    up: str = "↗"
-    down: str = "↘"
-    level: str = "→"
+    trends: str = "→↗↘"  # By `Coefficient.trend`: level, up, down
     sparks: str = "▁▂▃▄▅▆▇█"  # Levels of the line of past values, lowest first
-    # usable, unusable: Verdict on a row
-    usable: str = "✓"
-    unusable: str = "✗"
+    verdicts: str = "✗✓"  # On a row: not usable, usable
     damping: str = "ζ"
 
 
-ASCII = Glyphs("/", "\\", "-", "_.-~^", "+", "x", "z")
+ASCII = Glyphs("-/\\", "_.-~^", "x+", "z")
 """For terminals without UTF-8."""
+
+
+class _Plain(Console):
+    """A console that leaves a reader who has gone to its caller; rich's own exits with 1."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
+class View:
+    """Shows what has been heard: on the whole terminal, or in plain lines where there is none."""
+
+    def __init__(
+        self,
+        plain: bool = False,  # Plain lines on a terminal too
+    ) -> None:
+        self.period = 1.0  # Seconds between two pictures
+        self._screen: Live | None = None
+        self._gap = ""
+        self._console: Console
+        if plain or not sys.stdout.isatty():
+            self._console = _Plain(force_terminal=False, color_system=None, highlight=False)
+        else:
+            self._console, self.period = Console(), 0.5
+            self._screen = Live(
+                console=self._console, screen=True, auto_refresh=False, vertical_overflow="crop"
+            )
+            self._screen.start()
+
+    def show(self, heard: Heard) -> None:
+        """Show the newest: drawn anew, in the size that the terminal has now, or in a block."""
+        shown = picture(heard, self._console)
+        if self._screen is not None:
+            self._screen.update(shown, refresh=True)
+            return
+        self._console.print(self._gap, end="")
+        self._console.print(shown)
+        self._console.file.flush()
+        self._gap = "\n"  # blocks are an empty line apart
+
+    def close(self) -> None:
+        """Leave the terminal as it was."""
+        if self._screen is not None:
+            self._screen.stop()
 
 
 def picture(heard: Heard, console: Console) -> RenderableType:
@@ -77,26 +118,22 @@ def picture(heard: Heard, console: Console) -> RenderableType:
     glyphs = ASCII if console.options.ascii_only else Glyphs()
     sparks = console.width >= AXES * (COLUMN_WIDTH + SPARKS + GAP) - GAP
     width = COLUMN_WIDTH + SPARKS if sparks else COLUMN_WIDTH
-    rows = [_row(heard, row, glyphs, sparks) for row in heard.rows() if row not in KINEMATIC_ROWS]
-    if set(KINEMATIC_ROWS) & set(heard.rows()):
-        rows.append(_kinematics(heard))
-    return Group(
-        *_head(heard),
-        "",
-        _side_by_side(rows, width, console.width),
-        *_inputs(heard),
-        *_foot(heard, glyphs),
-    )
-
-
-def _side_by_side(parts: Sequence[RenderableType], width: int, whole: int) -> Table:
-    """Return parts of a width beside one another, as many as go into the whole one."""
-    count = max(1, min(AXES, (whole + GAP) // (width + GAP)))
-    table = Table.grid(padding=(0, GAP, 0, 0))
-    for _ in range(count):
-        table.add_column(width=width, no_wrap=True)
+    rows = heard.rows()
+    angles = [c for row in KINEMATIC_ROWS for c in rows.pop(row, ())]
+    parts = [_row(heard, row, found, glyphs, sparks) for row, found in rows.items()]
+    count = max(1, min(AXES, (console.width + GAP) // (width + GAP)))
+    table = _grid([width] * count, numbers=False)
+    parts += [_kinematics(angles)] if angles else []
     for first in range(0, len(parts), count):
         table.add_row(*parts[first : first + count])
+    return Group(*_head(heard), "", table, *_inputs(heard), *_foot(heard, glyphs))
+
+
+def _grid(widths: Sequence[int], numbers: bool = True) -> Table:
+    table = Table.grid(padding=(0, GAP, 0, 0))
+    for cell, width in enumerate(widths):
+        side: Literal["left", "right"] = "right" if cell and numbers else "left"
+        table.add_column(justify=side, width=width, no_wrap=True)
     return table
 
 
@@ -105,18 +142,18 @@ def _side_by_side(parts: Sequence[RenderableType], width: int, whole: int) -> Ta
 
 def _head(heard: Heard) -> Iterator[Text]:
     """Yield name, state, verdict and tick, then what is wrong or lacking."""
-    state = heard.status.state
-    tick = ("no tick yet", "yellow")
-    if heard.tick is not None:
-        tick = (f"tick {heard.tick:.2f} s", "")
+    state, tick = heard.status.state, Text("no tick yet", "yellow")
+    if heard.newest is not None:
+        tick = Text(f"tick {heard.newest.t_ns / NS_PER_S:.2f} s")
         if not heard.fresh:
-            tick = (f"last {tick[0]}, none since", "bold red")
+            tick = Text(f"last {tick}, none since", "bold red")
+    verdict = ("usable", "bold green") if heard.usable else ("not usable", "bold yellow")
     yield Text("  ").join(
         [
             Text(heard.node, "bold"),
             Text(state or "?", STATE_STYLES.get(state, OTHER_STATE)),
-            _verdict(heard.usable),
-            Text(*tick),
+            Text(*verdict),
+            tick,
         ]
     )
     if heard.publishers > 1:
@@ -125,51 +162,40 @@ def _head(heard: Heard) -> Iterator[Text]:
         yield Text(heard.status.reason)
 
 
-def _verdict(usable: bool) -> Text:
-    return Text("usable", "bold green") if usable else Text("not usable", "bold yellow")
-
-
 # --- coefficients -----------------------------------------------------------------------------
 
 
-def _row(heard: Heard, row: str, glyphs: Glyphs, sparks: bool) -> RenderableType:
+def _row(
+    heard: Heard, row: str, coefficients: Sequence[Coefficient], glyphs: Glyphs, sparks: bool
+) -> RenderableType:
     """Return a row of the model: its excitation, fit and coefficients."""
+    head, fit = Text(row, "bold"), []
+    if row in ROWS:
+        k = ROWS.index(row)
+        if heard.newest is not None:
+            usable = heard.newest.usable_rows[k] and heard.fresh
+            head.append(f" {glyphs.verdicts[usable]}", "green" if usable else "yellow")
+        fit.append(_fit(*heard.fit_of(k)))
     excitation = heard.status.number(f"excitation {row} [0..1]")
-    head, usable = Text(row, "bold"), heard.usable_row(row)
-    if usable is not None:
-        verdict = (glyphs.usable, "green") if usable else (glyphs.unusable, "yellow")
-        head.append(f" {verdict[0]}", verdict[1])
     if excitation is not None:
         head.append(f"   excited {excitation:.2f}", "not bold dim")
     table = _grid(CELL_WIDTHS)
     table.add_column(no_wrap=True)
-    for coefficient in heard.coefficients():
-        if coefficient.row == row:
-            table.add_row(*_cells(coefficient, glyphs, sparks))
-    fit = [_fit(heard, row)] if row in AXIS_OF else []
+    for coefficient in coefficients:
+        table.add_row(*_cells(coefficient, glyphs, sparks))
     return Group(head, *fit, table)
 
 
-def _grid(widths: Sequence[int]) -> Table:
-    table = Table.grid(padding=(0, GAP, 0, 0))
-    for cell, width in enumerate(widths):
-        table.add_column(justify="right" if cell else "left", width=width, no_wrap=True)
-    return table
-
-
-def _kinematics(heard: Heard) -> Table:
+def _kinematics(coefficients: Sequence[Coefficient]) -> Table:
     table = _grid((LONGEST_NAME, *CELL_WIDTHS[1:3]))
     table.add_row(Text("kinematics", "bold"))
-    for coefficient in heard.coefficients():
-        if coefficient.row in KINEMATIC_ROWS:
-            value, sigma = _value(coefficient.value), _sigma(coefficient.sigma)
-            table.add_row(coefficient.name, value, sigma)
+    for coefficient in coefficients:
+        table.add_row(coefficient.name, _value(coefficient.value), _sigma(coefficient.sigma))
     return table
 
 
-def _fit(heard: Heard, row: str) -> Text:
+def _fit(fit: float | None, hold: float | None) -> Text:
     """Return the fit of a moment equation beside that of holding the rate."""
-    fit, hold = heard.fit_of(row)
     if fit is None:
         return Text("no fit yet", "dim")
     better = fit > (0.0 if hold is None else hold)
@@ -187,9 +213,8 @@ def _cells(coefficient: Coefficient, glyphs: Glyphs, sparks: bool) -> Iterator[T
         yield Text(text, style)
     if coefficient.sigma > 0.0:
         trend = coefficient.trend
-        glyph = (glyphs.level, glyphs.up, glyphs.down)[trend]
         past = f" {_spark_line(coefficient, glyphs.sparks)}" if sparks else ""
-        yield Text(f"{glyph}{past}", "cyan" if trend else "dim")
+        yield Text(f"{glyphs.trends[trend]}{past}", "cyan" if trend else "dim")
 
 
 def _value(value: float) -> str:
@@ -222,20 +247,23 @@ def _spark_line(coefficient: Coefficient, levels: str) -> str:
     return "".join(levels[min(top, int((value - bottom) / span * top + 0.5))] for value in chosen)
 
 
-# --- inputs -----------------------------------------------------------------------------------
+# --- inputs and the rest ----------------------------------------------------------------------
+
+
+def _line(label: str, *parts: str | tuple[str, str]) -> Text:
+    return Text.assemble(f"{label:<10}", *parts, no_wrap=True)
 
 
 def _inputs(heard: Heard) -> Iterator[RenderableType]:
     """Yield what arrives on every input, and what was dropped for which reason."""
     for stream, values in heard.status.inputs().items():
         age, dropped = values.get("age [s]", "?"), values.get("dropped", "0")
-        yield Text.assemble(
-            f"{stream:<10}",
+        yield _line(
+            stream,
             (f"{values['topic']:<20}", "bold"),
             f"  {values.get('rate [Hz]', '?')} Hz",
             f"  age {age} s" if age[:1].isdigit() else f"  {age}",
             (f"  dropped {dropped}", "" if dropped == "0" else "yellow"),
-            no_wrap=True,
         )
         reasons = ", ".join(
             f"{label.removeprefix('dropped: ')} {count}"
@@ -244,12 +272,6 @@ def _inputs(heard: Heard) -> Iterator[RenderableType]:
         )
         if reasons:
             yield Padding(Text(f"dropped: {reasons}", "yellow", no_wrap=True), (0, 0, 0, 10))
-
-
-def _state(name: str, value: float) -> str:
-    if name == AIRSPEED:
-        return f"{name} {value:.1f} m/s"
-    return f"{name} {math.degrees(value):+.1f}°"
 
 
 def _mode(mode: Mode, glyphs: Glyphs) -> str:
@@ -262,24 +284,22 @@ def _mode(mode: Mode, glyphs: Glyphs) -> str:
 
 def _foot(heard: Heard, glyphs: Glyphs) -> Iterator[Text]:
     """Yield the state of the model, its modes, the delay, the ticks and what is collinear."""
-    status = heard.status
-    if heard.states:
-        shown = ", ".join(_state(name, value) for name, value in heard.states.items())
-        yield Text.assemble(f"{'state':<10}", shown, no_wrap=True)
+    status, flow = heard.status, heard.newest and heard.newest.flow
+    if flow:
+        angles = [f"{a} {math.degrees(getattr(flow, a)):+.1f}°" for a in STATE_FIELDS[:-1]]
+        yield _line("state", ", ".join([*angles, f"airspeed {flow.airspeed:.1f} m/s"]))
     if modes := heard.modes():
-        shown = ", ".join(_mode(mode, glyphs) for mode in modes)
-        yield Text(f"{'modes':<10}{shown}", no_wrap=True)
+        yield _line("modes", ", ".join(_mode(mode, glyphs) for mode in modes))
     yield from _excitation(status.group("excite"))
-    delay = status.number("delay [s]")
-    ticks = status.group("ticks")
+    delay, ticks = status.number("delay [s]"), status.group("ticks")
     line = Text(no_wrap=True)
     if delay is not None:
         confidence = status.values.get("delay confidence", "")
-        line.append(f"{'delay':<10}").append(f"{1e3 * delay:.0f} ms", "bold")
-        line.append(f"  {CONFIDENCE.get(confidence, confidence)}  ")
+        words = f"  {CONFIDENCE.get(confidence, confidence)}  "
+        line += _line("delay", (f"{1e3 * delay:.0f} ms", "bold"), words)
     if "count" in ticks:
         cost = ticks.get("update time p99 [ms]")
-        line.append(f"{'ticks':<10}{ticks['count']}{f'  update {cost} ms (p99)' if cost else ''}")
+        line += _line("ticks", ticks["count"], f"  update {cost} ms (p99)" if cost else "")
     if line:
         yield line
     apart = status.values.get("not told apart", "nothing")
@@ -293,13 +313,11 @@ def _excitation(values: Mapping[str, str]) -> Iterator[Text]:
     if "remaining [s]" in values:
         left = values.get("until known [s]", "?")
         known = f"known in {left} s" if left.isdigit() else "not yet told when known"
-        yield Text.assemble(
-            f"{'excite':<10}",
+        yield _line(
+            "excite",
             (values.get("state", "?"), "bold magenta"),
             f"  {values.get('elapsed [s]', '?')} s, at most {values['remaining [s]']} s left",
             f"  {known}: {values.get('not known yet', '?')}",
-            no_wrap=True,
         )
     elif ended != "none yet":
-        style = "yellow" if ended.startswith("aborted") else ""
-        yield Text.assemble(f"{'excite':<10}", (ended, style), no_wrap=True)
+        yield _line("excite", (ended, "yellow" if ended.startswith("aborted") else ""))

@@ -3,6 +3,11 @@
 
 import sys
 
+NODE_NAME = "/identifier"
+
+USABLE, NOT_USABLE, NO_RESULT = 0, 1, 2
+"""Exit status: what scripts are told."""
+
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; the return value is the exit status, see `replay --help`."""
@@ -11,7 +16,7 @@ def main(args: list[str] | None = None) -> int:
     command_line = parser()
     options = command_line.parse_args(args)  # help needs none of what follows
     try:
-        from uav_ident_ros.offline import command
+        from uav_ident_ros.offline.command import run
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         print(
@@ -20,8 +25,5 @@ def main(args: list[str] | None = None) -> int:
             "pip install rosbags mcap",
             file=sys.stderr,
         )
-        return 2
-    return command.run(command_line, options)
-
-
-__all__ = ["main"]
+        return NO_RESULT
+    return run(command_line, options)

@@ -208,10 +208,8 @@ def many_drops(e: Evidence) -> Iterator[str]:
     for stream, refusals in e.streams.items():
         dropped = sum(refusals.dropped.values())
         if dropped > DROPPED_SHARE * refusals.received:
-            reasons = ", ".join(f"{count} {why}" for why, count in refusals.dropped.items())
-            yield (
-                f"{dropped} of {refusals.received} messages of the {stream} were dropped: {reasons}"
-            )
+            of = f"{dropped} of {refusals.received} messages of the {stream}"
+            yield f"{of} were dropped: {refusals.words}"
 
 
 def assumed_airspeed(e: Evidence) -> Iterator[str]:

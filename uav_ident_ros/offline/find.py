@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which bags are meant: files, rosbag2 folders, and folders with any number of them."""
 
+import hashlib
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -24,7 +25,11 @@ def is_collection(path: Path) -> bool:
     """
     if not path.is_dir() or (path / METADATA_FILE).exists():
         return False
-    return not _is_recording(_storage_files(path)) or bool(_below(path))
+    files = storage_files(path)
+    recordings = {SPLIT_NUMBER.sub("", file.stem) for file in files}
+    numbered = all(SPLIT_NUMBER.search(file.stem) for file in files)
+    is_recording = len(files) == 1 or (len(recordings) == 1 and numbered)
+    return not is_recording or bool(_below(path))
 
 
 def find_bags(path: Path) -> list[Path]:
@@ -44,55 +49,56 @@ def find_bags(path: Path) -> list[Path]:
     return found
 
 
+def storage_files(folder: Path) -> list[Path]:
+    """Return the files of a folder that hold messages."""
+    return sorted(p for p in folder.iterdir() if p.is_file() and p.suffix in STORAGE_SUFFIXES)
+
+
 def _found_in(folder: Path) -> list[Path]:
-    if not is_collection(folder):
-        return [folder]
-    return sorted([*_storage_files(folder), *_below(folder)])
+    return sorted([*storage_files(folder), *_below(folder)]) if is_collection(folder) else [folder]
 
 
 def _below(folder: Path) -> list[Path]:
-    return [
-        bag
-        for entry in sorted(folder.iterdir())
-        if entry.is_dir() and not entry.name.startswith(".") and not _is_result(entry)
-        for bag in (_found_in(entry) if _holds_anything(entry) else [])
+    """Return the bags in the folders of a folder, but for hidden ones and results."""
+    folders = [
+        entry
+        for entry in folder.iterdir()
+        if entry.is_dir()
+        and not entry.name.startswith(".")
+        and not (entry.name == RESULT_BAG and (folder / RESULT_FILE).exists())
     ]
-
-
-def _holds_anything(folder: Path) -> bool:
-    return any(
-        path.suffix in STORAGE_SUFFIXES or path.name == METADATA_FILE for path in folder.rglob("*")
-    )
-
-
-def _is_result(folder: Path) -> bool:
-    return folder.name == RESULT_BAG and (folder.parent / RESULT_FILE).exists()
-
-
-def _storage_files(folder: Path) -> list[Path]:
-    return [p for p in folder.iterdir() if p.is_file() and p.suffix in STORAGE_SUFFIXES]
-
-
-def _is_recording(files: Sequence[Path]) -> bool:
-    """Whether storage files are those of one recording."""
-    if len(files) == 1:
-        return True
-    stems = {SPLIT_NUMBER.sub("", file.stem) for file in files}
-    return len(stems) == 1 and all(SPLIT_NUMBER.search(file.stem) for file in files)
+    return [bag for entry in folders for bag in _found_in(entry)]
 
 
 def names_of(bags: Sequence[Path]) -> list[str]:
     """Return a name for each bag that no other has: its own, with its folder's where needed."""
-    resolved = [bag.resolve() for bag in bags]
-    names = [path.stem for path in resolved]
-    taken = Counter(names)
-    names = [
-        f"{path.parent.name}_{name}" if taken[name] > 1 else name
-        for path, name in zip(resolved, names, strict=True)
-    ]
+    paths = [bag.resolve() for bag in bags]
+    taken = Counter(path.stem for path in paths)
     seen: Counter[str] = Counter()
-    unique = []
-    for name in names:
+    names = []
+    for path in paths:
+        name = f"{path.parent.name}_{path.stem}" if taken[path.stem] > 1 else path.stem
         seen[name] += 1
-        unique.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
-    return unique
+        names.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+    return names
+
+
+def bag_files(bag: Path) -> list[tuple[str, int, str]]:
+    """Return name, size in bytes and SHA-256 of every file with messages of a bag.
+
+    Raises
+    ------
+    BagError
+        If a file cannot be read.
+    """
+    return [name_size_hash(file) for file in (storage_files(bag) if bag.is_dir() else [bag])]
+
+
+def name_size_hash(file: Path) -> tuple[str, int, str]:
+    """Return name, size in bytes and SHA-256 of a file; raises `BagError`."""
+    try:
+        with file.open("rb") as content:
+            digest = hashlib.file_digest(content, "sha256").hexdigest()
+        return file.name, file.stat().st_size, digest
+    except OSError as error:
+        raise BagError(f"bag '{file}' cannot be read: {error.strerror}") from None

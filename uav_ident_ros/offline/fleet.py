@@ -10,16 +10,16 @@ Venkatraman 1995).
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import groupby
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
-from uav_ident_ros.offline.flights_table import VERDICTS, FlightRow
-from uav_ident_ros.offline.status import USABLE
+from uav_ident_ros.offline import USABLE
+from uav_ident_ros.offline.flights_table import FlightRow
+from uav_ident_ros.offline.job import VERDICTS
 from uav_ident_ros.offline.tables import Number, Row, Table
 
 FALSE_NAMES = 1e-5
@@ -76,6 +76,11 @@ def pool(values: FloatArray, sigmas: FloatArray) -> Pooled:
     weight = 1.0 / (sigmas**2 + scatter**2)
     mean = float((weight * values).sum() / weight.sum())
     return Pooled(mean, float(weight.sum()) ** -0.5, scatter, len(values))
+
+
+def is_clear(values: FloatArray, sigmas: FloatArray) -> bool:
+    """Whether half of the flights know a coefficient well; NaN where one does not know it."""
+    return bool(np.nanmedian(np.abs(values) / sigmas) >= CLEAR)
 
 
 @dataclass(frozen=True)
@@ -175,28 +180,16 @@ class Aircraft:
     @property
     def main(self) -> list[str]:
         """Derivatives worth a chart: those that most flights know well; controls first."""
-        clear = [name for name in self.pooled if self._is_clear(name)]
+        clear = [name for name in self.pooled if is_clear(self.values[name], self.sigmas[name])]
         return sorted(clear, key=lambda name: name.rpartition("/")[2] not in INPUTS)
-
-    def _is_clear(self, name: str) -> bool:
-        value, sigma = self.values[name], self.sigmas[name]
-        known = np.isfinite(value)
-        return bool(np.median(np.abs(value[known]) / sigma[known]) >= CLEAR)
 
     @property
     def table(self) -> Table:
         """The pooled coefficients."""
-        rows = [
-            Row(
-                name,
-                [
-                    *(Number(v, s) for v, s in zip(p, (".4g", ".2g", ".2g"), strict=False)),
-                    Number(p.next_sigma, ".2g"),
-                    Number(p.flights, "d"),
-                ],
-            )
-            for name, p in self.pooled.items()
-        ]
+        rows = []
+        for name, p in self.pooled.items():
+            sigmas = [Number(sigma, ".2g") for sigma in (p.sigma, p.scatter, p.next_sigma)]
+            rows.append(Row(name, [Number(p.value), *sigmas, Number(p.flights, "d")]))
         head = ("coefficient", "pooled", "sigma", "scatter", "sigma of the next flight", "flights")
         return Table(f"Pooled, SI, structure {self.structure}", head, rows)
 
@@ -222,57 +215,48 @@ def fleet_of(rows: Iterable[FlightRow]) -> list[Aircraft]:
     flights: dict[tuple[str, str], list[FlightRow]] = {}
     for row in rows:
         flights.setdefault((row.aircraft, row.flight), []).append(row)
-    names = sorted({aircraft for aircraft, _ in flights})
-    return [found for name in names for found in _aircraft(name, flights)]
+    ordered = sorted(flights.values(), key=lambda own: (own[0].start_ns, own[0].flight))
+    fleet = []
+    for name in sorted({aircraft for aircraft, _ in flights}):
+        unusable: list[tuple[str, str]] = []
+        usable: dict[str, list[list[FlightRow]]] = {}
+        for own in ordered:
+            first = own[0]
+            if first.aircraft == name and first.verdict == VERDICTS[USABLE]:
+                usable.setdefault(first.structure, []).append(own)
+            elif first.aircraft == name:
+                why = f"{first.verdict}: {first.reason}".rstrip(": ")
+                unusable.append((first.flight, why))
+        fleet += [
+            _judged(Aircraft(name, structure, unusable=tuple(unusable)), usable.get(structure, []))
+            for structure in sorted(usable) or [""]
+        ]
+    return fleet
 
 
-def _aircraft(name: str, flights: Mapping[tuple[str, str], Sequence[FlightRow]]) -> list[Aircraft]:
-    own = [rows for (aircraft, _), rows in flights.items() if aircraft == name]
-    own.sort(key=lambda rows: (rows[0].start_ns, rows[0].flight))
-    usable = [rows for rows in own if rows[0].verdict == VERDICTS[USABLE]]
-    unusable = tuple(
-        (rows[0].flight, f"{rows[0].verdict}: {rows[0].reason}".rstrip(": "))
-        for rows in own
-        if rows[0].verdict != VERDICTS[USABLE]
-    )
-    by_structure = sorted(usable, key=lambda rows: rows[0].structure)
-    found = [
-        _judged(name, structure, list(group), unusable)
-        for structure, group in groupby(by_structure, key=lambda rows: rows[0].structure)
-    ]
-    return found or [Aircraft(name, "", unusable=unusable)]
-
-
-def _judged(
-    name: str,
-    structure: str,
-    flights: list[Sequence[FlightRow]],
-    unusable: tuple[tuple[str, str], ...],
-) -> Aircraft:
-    names = tuple(rows[0].flight for rows in flights)
+def _judged(aircraft: Aircraft, flights: Sequence[Sequence[FlightRow]]) -> Aircraft:
+    """Return the aircraft with its usable flights, pooled, and what has changed in them."""
+    names = [rows[0].flight for rows in flights]
     values: dict[str, FloatArray] = {}
     sigmas: dict[str, FloatArray] = {}
-    for k, rows in enumerate(flights):
-        for row in rows:
-            if row.value is None or not row.sigma:
-                continue  # fixed, or unknown
+    for k, row in ((k, row) for k, rows in enumerate(flights) for row in rows):
+        if row.value is not None and row.sigma:  # neither fixed nor unknown
             for kept, number in ((values, row.value), (sigmas, row.sigma)):
                 kept.setdefault(row.coefficient, np.full(len(flights), np.nan))[k] = number
     pooled: dict[str, Pooled] = {}
     findings: list[Finding] = []
-    for coefficient, value in values.items():
-        known = np.flatnonzero(np.isfinite(value))
-        sigma = sigmas[coefficient]
-        t_ratio = np.median(np.abs(value[known]) / sigma[known])
-        given = [names[k] for k in known]
-        new = changes(coefficient, given, value[known], sigma[known]) if t_ratio >= CLEAR else []
+    for coefficient in values:
+        known = np.flatnonzero(np.isfinite(values[coefficient]))
+        value, sigma = values[coefficient][known], sigmas[coefficient][known]
+        given, new = [names[k] for k in known], []
+        if is_clear(value, sigma):
+            new = changes(coefficient, given, value, sigma)
         findings += new
-        lasting = [given.index(f.since) for f in new if f.lasting]
+        begin = max((given.index(f.since) for f in new if f.lasting), default=0)
         single = {f.since for f in new if not f.lasting}
-        chosen = [
-            k
-            for j, k in enumerate(known)
-            if j >= max(lasting, default=0) and names[k] not in single
-        ]
+        chosen = [k for k in range(begin, len(given)) if given[k] not in single]
         pooled[coefficient] = pool(value[chosen], sigma[chosen])
-    return Aircraft(name, structure, names, values, sigmas, pooled, tuple(findings), unusable)
+    return replace(
+        aircraft, flights=tuple(names), values=values, sigmas=sigmas, pooled=pooled,
+        findings=tuple(findings),
+    )  # fmt: skip

@@ -11,11 +11,11 @@ from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, save_coefficients
+from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.fleet import Aircraft, fleet_of
 from uav_ident_ros.offline.flights_table import read_flights
-from uav_ident_ros.offline.picture import PictureError
-from uav_ident_ros.offline.status import NO_RESULT
 from uav_ident_ros.offline.tables import columns
+from uav_ident_ros.report import PictureError
 
 DESCRIPTION = """\
 Put the flights of each aircraft together: pooled coefficients with their scatter from flight to
@@ -51,9 +51,8 @@ def main(args: list[str] | None = None) -> int:
         metavar="TABLE",
         help="flights.csv or flights.parquet of a replay of many bags, or its folder",
     )
-    parser.add_argument(
-        "--output", type=Path, metavar="DIR", help="folder of the results (default: of the table)"
-    )
+    folder_help = "folder of the results (default: of the table)"
+    parser.add_argument("--output", type=Path, metavar="DIR", help=folder_help)
     options = parser.parse_args(args)
     first: Path = options.tables[0]
     folder: Path = options.output or (first if first.is_dir() else first.parent)
@@ -80,10 +79,6 @@ def write_fleet(folder: Path, fleet: Sequence[Aircraft]) -> list[Path]:
     """
     from uav_ident_ros.report.fleet_page import write_fleet_page
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BagWriteError(f"cannot write to '{folder}': {error.strerror}") from None
     files = [folder / "fleet.html"]
     write_fleet_page(files[0], fleet)
     several = {a.name for a in fleet if sum(b.name == a.name for b in fleet) > 1}

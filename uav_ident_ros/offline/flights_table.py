@@ -1,28 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The results of many replays as one table: a row for each flight and coefficient."""
+"""The table of many replayed flights, as CSV and as Parquet: a row for each coefficient of each."""
 
 from __future__ import annotations
 
-import csv
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import pyarrow
+from pyarrow import csv, parquet
+
 import uav_ident_ros
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.identification.samples import NS
-from uav_ident_ros.offline.evidence import FIT_WINDOWS
-from uav_ident_ros.offline.job import Outcome
-from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE, USABLE
+from uav_ident_ros.offline.job import VERDICTS, Outcome
 
 CSV_FILE = "flights.csv"
 PARQUET_FILE = "flights.parquet"
-
-VERDICTS = {USABLE: "usable", NOT_USABLE: "not usable", NO_RESULT: "no result"}
-"""Words for the status of a replay."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +55,13 @@ class FlightRow:
     version: str = uav_ident_ros.__version__
 
 
+KINDS = {"str": pyarrow.string(), "int": pyarrow.int64()}
+SCHEMA = pyarrow.schema(
+    [(f.name, KINDS.get(str(f.type), pyarrow.float64())) for f in fields(FlightRow)]
+)
+"""The columns as they are on the disk."""
+
+
 def rows_of(outcome: Outcome) -> Iterator[FlightRow]:
     """Yield the rows of a replay."""
     job, summary = outcome.job, outcome.summary
@@ -67,61 +70,44 @@ def rows_of(outcome: Outcome) -> Iterator[FlightRow]:
         "aircraft": job.aircraft,
         "flight": job.name,
         "verdict": VERDICTS[outcome.status],
+        "reason": outcome.reason,
         "bag": str(job.bag),
         "bag_hash": bag_hash,
         "settings_hash": settings_hash,
     }
     if not summary:
-        reason = outcome.warnings[-1].splitlines()[0] if outcome.warnings else ""
-        yield FlightRow(**common, reason=reason)
+        yield FlightRow(**common)
         return
-    fit = summary["prediction_fit"][FIT_WINDOWS]
-    for name, key in (("fit", "model"), ("hold", "hold")):
-        common |= {f"{name}_{axis}": value for axis, value in fit[key].items()}
+    for name, kind in (("fit", "model"), ("hold", "hold")):
+        common |= {f"{name}_{axis}": value for axis, value in outcome.fit(kind).items()}
     common |= {
         "start_ns": summary["first_tick_ns"],
         "duration": (summary["last_tick_ns"] - summary["first_tick_ns"]) * NS,
-        "reason": summary["reason"] if outcome.status == NOT_USABLE else "",
         "structure": summary["structure"],
     }
     for name, entry in summary["coefficients"].items():
-        yield FlightRow(**common, coefficient=name, value=entry["value"], sigma=entry["sigma"])
+        yield FlightRow(**common, coefficient=name, **entry)
 
 
-def write_flights(folder: Path, outcomes: Sequence[Outcome]) -> list[Path]:
-    """Write the table as CSV, and as Parquet where pyarrow is installed; return the files.
+def write_flights(folder: Path, rows: Sequence[FlightRow]) -> list[Path]:
+    """Write the table as CSV and as Parquet; return the files.
 
     Raises
     ------
     BagWriteError
         If it cannot be written.
     """
-    rows = [asdict(row) for outcome in outcomes for row in rows_of(outcome)]
-    path, part = folder / CSV_FILE, folder / f".{CSV_FILE}.part"
-    try:
-        with part.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, [f.name for f in fields(FlightRow)])
-            writer.writeheader()
-            writer.writerows(rows)
-        os.replace(part, path)
-        return [path, *_write_parquet(folder / PARQUET_FILE, rows)]
-    except OSError as error:
-        raise BagWriteError(f"cannot write '{path}': {error.strerror}") from None
-
-
-def _write_parquet(path: Path, rows: list[dict[str, Any]]) -> Iterator[Path]:
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError:
-        path.unlink(missing_ok=True)  # that of an earlier run would contradict the CSV
-        return
-    types = {"str": pyarrow.string(), "int": pyarrow.int64()}
-    schema = pyarrow.schema(
-        (f.name, types.get(str(f.type), pyarrow.float64())) for f in fields(FlightRow)
-    )
-    parquet.write_table(pyarrow.Table.from_pylist(rows, schema), path)
-    yield path
+    table = pyarrow.Table.from_pylist([asdict(row) for row in rows], SCHEMA)
+    files = {folder / CSV_FILE: csv.write_csv, folder / PARQUET_FILE: parquet.write_table}
+    for path, write in files.items():
+        part = path.with_name(f".{path.name}.part")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write(table, part)
+            part.replace(path)
+        except OSError as error:
+            raise BagWriteError(f"cannot write '{path}': {error.strerror}") from None
+    return [*files]
 
 
 def read_flights(path: Path) -> list[FlightRow]:
@@ -132,30 +118,15 @@ def read_flights(path: Path) -> list[FlightRow]:
     BagError
         If it cannot be read or is no such table.
     """
-    if path.is_dir():
-        path = path / CSV_FILE
+    path = path / CSV_FILE if path.is_dir() else path
+    columns = csv.ConvertOptions(column_types=SCHEMA, include_columns=SCHEMA.names)
     try:
         if path.suffix == ".parquet":
-            from pyarrow import parquet
-
-            return [FlightRow(**row) for row in parquet.read_table(path).to_pylist()]
-        with path.open(encoding="utf-8", newline="") as file:
-            return [_row(entry) for entry in csv.DictReader(file)]
-    except ImportError:
-        raise BagError(f"'{path}': Parquet needs pyarrow (pip install pyarrow)") from None
+            table = parquet.read_table(path, columns=SCHEMA.names)
+        else:
+            table = csv.read_csv(path, convert_options=columns)
+        return [FlightRow(**row) for row in table.to_pylist()]
     except OSError as error:
         raise BagError(f"'{path}' cannot be read: {error.strerror or error}") from None
-    except (TypeError, ValueError, KeyError, csv.Error) as error:
+    except (TypeError, pyarrow.ArrowException) as error:
         raise BagError(f"'{path}' is no table of flights: {error}") from None
-
-
-def _row(entry: dict[str, str]) -> FlightRow:
-    kinds: dict[str, Any] = {"str": str, "int": int, "float": float}
-    values: dict[str, Any] = {}
-    for column in fields(FlightRow):
-        text, kind = entry[column.name], str(column.type)
-        if kind.endswith("| None"):
-            values[column.name] = float(text) if text else None
-        else:
-            values[column.name] = kinds[kind](text)
-    return FlightRow(**values)

@@ -82,6 +82,11 @@ class Refusals:
     received: int  # Messages read
     dropped: dict[str, int]  # How many of them were not used, for each reason
 
+    @property
+    def words(self) -> str:
+        """What was dropped, and why."""
+        return ", ".join(f"{count} {reason}" for reason, count in self.dropped.items())
+
 
 class Intake:
     """Takes the messages of a bag."""

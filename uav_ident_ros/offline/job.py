@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One bag replayed with one configuration: what is asked for, and what came of it."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.bags.writing import BagWriteError
+from uav_ident_ros.bags.writing import BagWriteError, write_file
 from uav_ident_ros.files.coefficients_file import (
     CoefficientsFileError,
     initial_coefficients,
@@ -17,17 +19,18 @@ from uav_ident_ros.files.coefficients_file import (
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
+from uav_ident_ros.offline import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 from uav_ident_ros.offline.estimates_bag import write_estimates
-from uav_ident_ros.offline.evidence import measure
+from uav_ident_ros.offline.evidence import FIT_WINDOWS, measure
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.notes import notes_on
-from uav_ident_ros.offline.picture import PictureError, write_picture
 from uav_ident_ros.offline.progress import Progress
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.offline.status import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 from uav_ident_ros.offline.summary import Replayed
-from uav_ident_ros.offline.tables import write_table
+from uav_ident_ros.offline.tables import AXES, write_table
+from uav_ident_ros.report import PictureError
 from uav_ident_ros.report.page import write_report
+from uav_ident_ros.report.picture import write_picture
 
 REFUSALS = (
     BagError,
@@ -39,6 +42,9 @@ REFUSALS = (
     SettingsError,
 )
 """What bad input raises."""
+
+VERDICTS = {USABLE: "usable", NOT_USABLE: "not usable", NO_RESULT: "no result"}
+"""Words for the status of a replay."""
 
 
 @dataclass(frozen=True)
@@ -58,33 +64,50 @@ class Job:
     aircraft: str = ""  # The aircraft that flew
     again: bool = False  # Whether to do it even if its result is there already
 
+    def parameters(self) -> dict[str, Any]:
+        """Return the parameters by name; raises `ParameterFileError`."""
+        values: dict[str, Any] = {}
+        for file in self.params_files:
+            values.update(load_parameters(file, self.node))
+        return values
+
 
 @dataclass(frozen=True)
 class Outcome:
     """What came of a job."""
 
-    job: Job  # The job
+    job: Job
     status: int  # `USABLE`, `NOT_USABLE` or `NO_RESULT`
     warnings: tuple[str, ...] = ()  # What is wrong with the input; if there is no result, why
     table: str = ""  # Results in words and columns; empty if there are none
     # Content of summary.json; empty if there is none
     summary: Mapping[str, Any] = field(default_factory=dict)
-    identity: str = ""  # What the result is of (`identity_of`); empty if that is not known
+    identity: str = ""  # What the result is of (`parallel.identity_of`); empty if that is unknown
     kept: bool = False  # Whether nothing was done, since the result is there already
 
+    @property
+    def named_warnings(self) -> list[str]:
+        """The warnings, each with the name of the job."""
+        return [f"{self.job.name}: {warning}" for warning in self.warnings]
 
-def parameters_of(job: Job) -> dict[str, Any]:
-    """Return the parameters by name; those of a later file win.
+    @property
+    def reason(self) -> str:
+        """Why it is not usable, or there is no result; empty if it is usable."""
+        if self.status == NO_RESULT:
+            return self.warnings[-1].splitlines()[0] if self.warnings else ""
+        return str(self.summary["reason"]) if self.status == NOT_USABLE else ""
 
-    Raises
-    ------
-    ParameterFileError
-        If a file cannot be used.
-    """
-    values: dict[str, Any] = {}
-    for file in job.params_files:
-        values.update(load_parameters(file, job.node))
-    return values
+    @property
+    def verdict(self) -> str:
+        """The status in words, with the reason if it is not a good one."""
+        return f"{VERDICTS[self.status]}: {self.reason}" if self.reason else VERDICTS[self.status]
+
+    def fit(self, kind: str = "model") -> Mapping[str, float | None]:
+        """1-second fit of p, q, r over the last 40 %, percent, of the ``model`` or of ``hold``."""
+        if not self.summary:
+            return dict.fromkeys(AXES)
+        fit: Mapping[str, float | None] = self.summary["prediction_fit"][FIT_WINDOWS][kind]
+        return fit
 
 
 SILENT = Progress(shown=False)
@@ -129,33 +152,26 @@ def write_results(
         If something cannot be written.
     """
     run, table = replayed.run, write_table(replayed.summary)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(replayed.summary, indent=2, allow_nan=False) + "\n"
-        (folder / "summary.json").write_text(text, encoding="utf-8")
-        (folder / "table.txt").write_text(f"{table}\n", encoding="utf-8")
-    except OSError as error:
-        raise BagWriteError(f"cannot write to '{folder}': {error.strerror}") from None
-    write_estimates(
-        folder / "estimates", run.estimates, run.structure, node, run.intake.frame_id or ""
-    )
+    summary = json.dumps(replayed.summary, indent=2, allow_nan=False)
+    write_file(folder / "summary.json", f"{summary}\n")
+    write_file(folder / "table.txt", f"{table}\n")
+    frame_id = run.intake.frame_id or ""
+    write_estimates(folder / "estimates", run.estimates, run.structure, node, frame_id)
     save_coefficients(run.result(), folder / "coefficients.yaml")
     return table
 
 
 def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:
     """Run the identifier over the bag; return it, and what the bag is like."""
-    values = parameters_of(job)
+    values = job.parameters()
     with Bag(job.bag) as bag:
         try:
             inputs = choose_inputs(bag, values, job.topics)
             run = OfflineRun(inputs, initial_coefficients(inputs.settings))
             run.run(bag, progress.messages)
-            if run.fault:
-                warnings.append(f"fault: {run.fault}")
-            warnings += [
-                f"implausible: {found.text}" for found in run.identifier.plausibility.noted.values()
-            ]
+            warnings += [f"fault: {run.fault}"] if run.fault else []
+            noted = run.identifier.plausibility.noted.values()
+            warnings += [f"implausible: {found.text}" for found in noted]
             if not run.estimates:
                 raise BagError(f"bag '{job.bag}': no tick came due: {_why_nothing(run)}")
         except REFUSALS:
@@ -165,9 +181,7 @@ def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun,
 
 
 def _why_nothing(run: OfflineRun) -> str:
-    rates = run.refusals("rates")
-    topic = run.inputs.streams["rates"]
+    rates, topic = run.refusals("rates"), run.inputs.streams["rates"]
     if not rates.dropped:
         return f"'{topic}' has {rates.received} messages, too few for one tick"
-    reasons = ", ".join(f"{count} {reason}" for reason, count in rates.dropped.items())
-    return f"of {rates.received} messages on '{topic}' were dropped: {reasons}"
+    return f"of {rates.received} messages on '{topic}' were dropped: {rates.words}"

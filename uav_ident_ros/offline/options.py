@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from uav_ident_ros.commandline import OneLineParser
-from uav_ident_ros.offline.status import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
+from uav_ident_ros.offline import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 
 DESCRIPTION = """\
 Run the identifier over recorded flights, as the node would have run, and score its predictions.

@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several replays, a line each: of many bags, or of many configurations on one, best first."""
+"""Several replays beside one another: of many bags, or of many configurations of one."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-from uav_ident_ros.offline.evidence import FIT_WINDOWS
-from uav_ident_ros.offline.flights_table import VERDICTS
-from uav_ident_ros.offline.job import Outcome
-from uav_ident_ros.offline.status import NO_RESULT, NOT_USABLE
+from uav_ident_ros.offline.job import VERDICTS, Outcome
 from uav_ident_ros.offline.tables import AXES, NONE, Cell, Number, Row, Table, Words, columns
 
 WORST_FIT = -100.0
@@ -26,17 +23,9 @@ def percent(value: float | None) -> Cell:
     return Number(value, ".1f")
 
 
-def fit_cells(outcome: Outcome, kind: str = "model") -> list[Cell]:
-    """Return the 1-second prediction fit of p, q, r over the last windows, or that of holding."""
-    fit: Mapping[str, float | None] = dict.fromkeys(AXES)
-    if outcome.summary:
-        fit = outcome.summary["prediction_fit"][FIT_WINDOWS][kind]
-    return [percent(fit[axis]) for axis in AXES]
-
-
 def overview(outcomes: Sequence[Outcome]) -> str:
     """Return a table of several replays."""
-    rows = [Row(o.job.name, [*fit_cells(o), Words(verdict(o))]) for o in outcomes]
+    rows = [Row(o.job.name, [*map(percent, o.fit().values()), Words(o.verdict)]) for o in outcomes]
     counts = Counter(outcome.status for outcome in outcomes)
     counted = ", ".join(f"{counts[s]} {word}" for s, word in VERDICTS.items() if counts[s])
     kept = sum(outcome.kept for outcome in outcomes)
@@ -45,20 +34,9 @@ def overview(outcomes: Sequence[Outcome]) -> str:
     return "\n".join([*lines, "", f"{len(outcomes)} bags: {counted}{before}"])
 
 
-def verdict(outcome: Outcome) -> str:
-    """Return the verdict on a replay, and the reason where it is not a good one."""
-    word = VERDICTS[outcome.status]
-    if outcome.status == NO_RESULT:
-        return f"{word}: {outcome.warnings[-1].splitlines()[0]}"
-    reason = outcome.summary["reason"]
-    return f"{word}: {reason}" if outcome.status == NOT_USABLE and reason else word
-
-
 def mean_fit(outcome: Outcome) -> float:
     """Return the mean over the axes of the 1-second prediction fit, percent."""
-    if not outcome.summary:
-        return WORST_FIT
-    fits = outcome.summary["prediction_fit"][FIT_WINDOWS]["model"].values()
+    fits = outcome.fit().values()
     return sum(WORST_FIT if f is None else max(f, WORST_FIT) for f in fits) / len(fits)
 
 
@@ -76,12 +54,11 @@ def ranking(
     for place, outcome in enumerate(ranked(outcomes), start=1):
         mean = Number(mean_fit(outcome) if outcome.summary else None, ".1f")
         delay = Number(outcome.summary.get("delay"), ".3f")
-        cells = [*fit_cells(outcome), mean, delay, Words(verdict(outcome))]
+        cells = [*map(percent, outcome.fit().values()), mean, delay, Words(outcome.verdict)]
         rows.append(Row(f"{place:>2} {outcome.job.name}", cells))
-    with_fit = next((o for o in outcomes if o.summary), None)
-    if with_fit is not None:
-        blank = [NONE, NONE, Words("")]
-        rows.append(Row("   holding the rates", [*fit_cells(with_fit, "hold"), *blank]))
+    for with_fit in [o for o in outcomes if o.summary][:1]:
+        hold = [*map(percent, with_fit.fit("hold").values()), NONE, NONE, Words("")]
+        rows.append(Row("   holding the rates", hold))
     head = ("   configuration", *HEAD, "mean", "delay", Words("verdict"))
     title = (
         f"{bag}: {len(outcomes)} configurations, by their 1-second prediction fit over the last "

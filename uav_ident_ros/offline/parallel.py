@@ -1,6 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several replays at once: on this machine's processes, or on a Dask cluster."""
+"""Many replays: in processes of this machine or on a Dask cluster, and none twice.
 
+Two replays are the same if the bag's bytes, the settings and the package's version are. What says
+so is written last: a replay that was cut off is done again, one that was finished is not.
+"""
+
+import hashlib
+import json
 import multiprocessing
 import signal
 import traceback
@@ -10,16 +16,24 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import replace
 from multiprocessing import resource_tracker
+from pathlib import Path
 
+import uav_ident_ros
 from uav_ident_ros.bags.reading import BagError
-from uav_ident_ros.offline.done import forget, identity_of, recalled, remember
+from uav_ident_ros.bags.writing import write_file
+from uav_ident_ros.offline import NO_RESULT
+from uav_ident_ros.offline.find import bag_files, name_size_hash
 from uav_ident_ros.offline.job import REFUSALS, Job, Outcome, replay
 from uav_ident_ros.offline.progress import bar
-from uav_ident_ros.offline.status import NO_RESULT
+
+DONE_FILE = "replayed.json"
 
 ATTEMPTS = 3
 """How often a flight is begun whose worker of the cluster has gone: a bag that ends every worker
 must not end all of them."""
+
+Outcomes = Iterator[tuple[int, Outcome | None]]
+"""Numbers of jobs and what came of them, as they come; None for a job whose process has gone."""
 
 
 def replay_all(
@@ -41,36 +55,42 @@ def replay_all(
             lost = f"bag '{jobs[k].bag}': the process that read it was ended"
             outcomes[k] = outcome or Outcome(jobs[k], NO_RESULT, (lost,))
             shown.update()
-            shown.refresh()
     return [outcomes[k] for k in range(len(jobs))]
 
 
-def _there(jobs: Sequence[Job], scheduler: str) -> Iterator[tuple[int, Outcome | None]]:
-    """Yield the outcomes of a cluster as they come; None for a job whose workers have gone."""
-    with _cluster(scheduler) as executor:
+def _there(jobs: Sequence[Job], scheduler: str) -> Outcomes:
+    """Yield the outcomes of a cluster."""
+    try:
+        from distributed import Client
+    except ImportError:
+        raise BagError("--scheduler needs Dask: pip install distributed") from None
+    try:
+        client = Client(scheduler)
+    except (OSError, ValueError) as error:
+        raise BagError(f"no Dask scheduler answers at '{scheduler}': {error}") from None
+    with client, client.get_executor(pure=False, retries=ATTEMPTS) as executor:
         yield from _do(executor, dict(enumerate(jobs)))
 
 
-def _here(jobs: Sequence[Job], workers: int) -> Iterator[tuple[int, Outcome | None]]:
-    """Yield the outcomes of processes of this machine; None for a job whose process has gone.
+def _here(jobs: Sequence[Job], workers: int) -> Outcomes:
+    """Yield the outcomes of processes of this machine.
 
     The end of one process breaks the pool. What it leaves is done one by one, each in a pool of its
     own: then it is known which flight ends its process, and it ends no other.
     """
-    left: list[int] = []
-    with _pool(max(1, min(workers, len(jobs)))) as executor:
+    left: dict[int, Job] = {}
+    with _pool(min(workers, len(jobs))) as executor:
         for k, outcome in _do(executor, dict(enumerate(jobs))):
             if outcome is None:
-                left.append(k)
+                left[k] = jobs[k]
             else:
                 yield k, outcome
-    for k in left:
+    for k, job in left.items():
         with _pool(1) as executor:
-            yield from _do(executor, {k: jobs[k]})
+            yield from _do(executor, {k: job})
 
 
-def _do(executor: Executor, jobs: dict[int, Job]) -> Iterator[tuple[int, Outcome | None]]:
-    """Yield outcomes as they come; None for a job whose process has gone."""
+def _do(executor: Executor, jobs: dict[int, Job]) -> Outcomes:
     # The processes must not hear of Ctrl-C: this one ends them.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -79,10 +99,8 @@ def _do(executor: Executor, jobs: dict[int, Job]) -> Iterator[tuple[int, Outcome
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     for future in as_completed(futures):
         error = future.exception()
-        if isinstance(error, BrokenProcessPool) or type(error).__name__ == "KilledWorker":
-            yield futures[future], None
-        else:
-            yield futures[future], future.result()
+        gone = isinstance(error, BrokenProcessPool) or type(error).__name__ == "KilledWorker"
+        yield futures[future], None if gone else future.result()
 
 
 @contextmanager
@@ -101,32 +119,20 @@ def _pool(workers: int) -> Iterator[Executor]:
         pool.shutdown(cancel_futures=True)
 
 
-@contextmanager
-def _cluster(scheduler: str) -> Iterator[Executor]:
-    try:
-        from distributed import Client
-    except ImportError:
-        raise BagError("--scheduler needs Dask: pip install distributed") from None
-    try:
-        client = Client(scheduler)
-    except (OSError, ValueError) as error:
-        raise BagError(f"no Dask scheduler answers at '{scheduler}': {error}") from None
-    with client, client.get_executor(pure=False, retries=ATTEMPTS) as executor:
-        yield executor
-
-
 def work(job: Job) -> Outcome:
     """Do a job, unless it was done before with the same bag and settings; never raises."""
+    done = job.folder / DONE_FILE
     try:
         try:
             identity = identity_of(job)
         except REFUSALS:
             return replay(job)  # which says what is wrong
-        outcome = None if job.again else recalled(job, identity)
+        outcome = None if job.again else _recalled(job, identity)
         if outcome is None:
-            forget(job)
+            write_file(done, "")  # the results are about to be written anew
             outcome = replace(replay(job), identity=identity)
-            remember(outcome)
+            keys = ("identity", "status", "warnings")
+            write_file(done, json.dumps({key: getattr(outcome, key) for key in keys}) + "\n")
         return outcome
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (str(error),))
@@ -135,3 +141,42 @@ def work(job: Job) -> Outcome:
         traceback.print_exc()
         last = traceback.format_exc().strip().splitlines()[-1]
         return Outcome(job, NO_RESULT, (f"bag '{job.bag}': {last}",))
+
+
+def _recalled(job: Job, identity: str) -> Outcome | None:
+    """Return the outcome that a job had before; None if there is none of this identity."""
+    try:
+        entry = json.loads((job.folder / DONE_FILE).read_text(encoding="utf-8"))
+        if entry["identity"] != identity:
+            return None
+        status, warnings, summary = entry["status"], tuple(entry["warnings"]), {}
+        if status != NO_RESULT:
+            summary = json.loads((job.folder / "summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return Outcome(job, status, warnings, summary=summary, identity=identity, kept=True)
+
+
+def identity_of(job: Job) -> str:
+    """Return the hashes of a job's bag and settings, ``BAG:SETTINGS``.
+
+    Raises
+    ------
+    BagError, ParameterFileError
+        If the bag or a parameter file cannot be read.
+    """
+    values = job.parameters()
+    initial = values.get("initial_coefficients_file")
+    settings = {
+        "version": uav_ident_ros.__version__,
+        "values": values,
+        "initial": name_size_hash(Path(str(initial))) if initial else None,
+        "node": job.node,
+        "topics": dict(job.topics),
+        "plot": job.plot,
+        "report": job.report,
+    }
+    parts = (
+        json.dumps(part, sort_keys=True, default=repr) for part in (bag_files(job.bag), settings)
+    )
+    return ":".join(hashlib.sha256(part.encode()).hexdigest() for part in parts)

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.offline.fleet import Aircraft, Pooled
-from uav_ident_ros.offline.picture import PictureError
 from uav_ident_ros.offline.tables import Row, Table, Words
-from uav_ident_ros.report.page import NO_BOKEH, render, write_page
+from uav_ident_ros.report import PictureError
+from uav_ident_ros.report.page import NO_BOKEH, render
 
 MOST_CHARTS = 24
 """Charts of an aircraft: its control derivatives first."""
@@ -46,7 +47,7 @@ def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
         advice=findings,
         notes=[],
     )
-    write_page(path, page)
+    write_file(path, page)
 
 
 def _section(section: Any, k: int, aircraft: Aircraft) -> Any:

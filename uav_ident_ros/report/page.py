@@ -9,11 +9,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uav_ident_ros.bags.writing import BagWriteError
+from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.identification.samples import NS
-from uav_ident_ros.offline.picture import PictureError
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import Words
+from uav_ident_ros.report import PictureError
 from uav_ident_ros.report.flight import collect
 
 if TYPE_CHECKING:  # needs Bokeh
@@ -59,15 +59,7 @@ def write_report(
         advice=[entry["text"] for entry in summary["advice"]],
         notes=summary["notes"],
     )
-    write_page(path, text)
-
-
-def write_page(path: Path, text: str) -> None:
-    """Write a page; raises `BagWriteError` if it cannot be written."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BagWriteError(f"cannot write '{path}': {error.strerror}") from None
+    write_file(path, text)
 
 
 def render(sections: Sequence[Any], **content: Any) -> str:

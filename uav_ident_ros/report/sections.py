@@ -9,8 +9,8 @@ from typing import Any
 
 import uav_ident_ros
 from uav_ident_ros.files.truth_file import read_truth
-from uav_ident_ros.offline.done import bag_files
 from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
+from uav_ident_ros.offline.find import bag_files
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import (
     AXES,

@@ -12,6 +12,7 @@ from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import AXES
+from uav_ident_ros.report import PictureError
 from uav_ident_ros.report.flight import Flight, Predictions, collect, predict
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 
@@ -31,10 +32,6 @@ HEADROOM = 1.3
 
 BAND = 2.0
 """Half width of the band around a coefficient, standard deviations."""
-
-
-class PictureError(Exception):
-    """A picture cannot be made; the message says why."""
 
 
 def write_picture(
