@@ -35,11 +35,11 @@ ROSDEP_KEYS = {"yaml": "python3-yaml"} | {
 # Development extras without a rosdep key: allowed only inside a function, so that the module
 # loads without them. lz4 and zstandard come with mcap.
 OPTIONAL = {
-    "PIL", "distributed", "jsbsim", "lz4", "orangebox", "padasip", "pyarrow", "pymavlink",
+    "PIL", "distributed", "jsbsim", "lz4", "orangebox", "padasip", "pymavlink",
     "pyulog", "zstandard",
 }  # fmt: skip
 # What the tools for the ground need and apt does not have: extras of setup.py, never package.xml.
-PIP_ONLY = {"bokeh", "mcap", "rosbags"}
+PIP_ONLY = {"bokeh", "mcap", "pyarrow", "rosbags"}
 # What a companion computer need not have: the node must never import these. PyYAML is not
 # among them: rclpy itself imports it.
 OFFLINE_ONLY = {"jinja2", "markupsafe", "matplotlib", "rich", "scipy", "tqdm"} | PIP_ONLY | OPTIONAL

@@ -12,11 +12,15 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.messages.feed import Feed
+from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.node.diagnostics import TickMeter
-from uav_ident_ros.node.graph import Wanted, why_silent
+from uav_ident_ros.node.graph import why_silent
+from uav_ident_ros.node.inputs import InputMonitor
 
 IMU = "sensor_msgs/msg/Imu"
-TYPES = (IMU, "px4_msgs/msg/SensorCombined")
 ARRAY = "std_msgs/msg/Float64MultiArray"
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -33,13 +37,13 @@ def graph() -> Iterator[tuple[Node, Node]]:
     rclpy.shutdown(context=context)
 
 
-def wanted(name: str = "imu/data", type_name: str = IMU) -> Wanted:
-    types = TYPES if type_name == IMU else (ARRAY, "sensor_msgs/msg/JointState")
-    parameter = "imu.type" if type_name == IMU else "actuators.type"
-    return Wanted(name, f"/{name}", type_name, parameter, types)
+def wanted(name: str = "imu/data", type_name: str = IMU) -> InputMonitor:
+    (stream,) = [stream for stream in STREAMS if stream.topic == name]
+    settings = Settings.from_values({stream.setting: type_name})
+    return InputMonitor(Feed(stream, OnlineIdentifier(settings), bytes), f"/{name}")
 
 
-def says(node: Node, input_: Wanted, words: str) -> bool:
+def says(node: Node, input_: InputMonitor, words: str) -> bool:
     return wait_for(lambda: words in why_silent(node, input_))
 
 

@@ -3,7 +3,7 @@
 
 import math
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
@@ -11,7 +11,6 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import Drop
 from uav_ident_ros.identification.structure import ROWS
 
 TICKS_KEPT = 1200
@@ -30,70 +29,6 @@ _LEVELS = {
     "paused": DiagnosticStatus.WARN,
     "fault": DiagnosticStatus.ERROR,
 }
-
-
-class InputMonitor:
-    """Counts the messages of one input."""
-
-    def __init__(
-        self,
-        topic: str,  # Resolved name of the topic
-        type_name: str,  # Message type, as in the parameter
-    ) -> None:
-        self.topic = topic
-        self.type_name = type_name
-        self.received = 0
-        self.refused: Counter[str] = Counter()
-        """Messages that never reached the identifier, by reason."""
-        self.details: dict[str, str] = {}
-        """What was wrong with the last of them, by reason."""
-        self.publishers: list[str] = []
-        """Nodes that publish it."""
-        self.last_arrival: float | None = None
-        self._rate_from = (time.monotonic(), 0)
-
-    def arrived(self) -> None:
-        """Count a message, good or bad."""
-        self.received += 1
-        self.last_arrival = time.monotonic()
-
-    def refuse(self, reason: str, detail: str) -> None:
-        """Count a message that never reaches the identifier, and why."""
-        self.refused[reason] += 1
-        self.details[reason] = detail
-
-    def rate(self) -> float:
-        """Messages per second since the last call, Hz."""
-        since, count = self._rate_from
-        now = time.monotonic()
-        self._rate_from = (now, self.received)
-        return (self.received - count) / max(now - since, 1e-3)
-
-    def age(self) -> float | None:
-        """Seconds since the last message arrived; None before the first."""
-        return None if self.last_arrival is None else time.monotonic() - self.last_arrival
-
-    def drops(self, dropped: Mapping[Drop, int]) -> Counter[str]:
-        """Return what was refused here or dropped by the identifier, by reason."""
-        return self.refused + Counter({drop.value: n for drop, n in dropped.items()})
-
-    def values(
-        self,
-        # Samples that the identifier dropped, by reason; added to those refused here
-        dropped: Mapping[Drop, int],
-    ) -> Iterator[tuple[str, str]]:
-        """Yield what is to be shown, each with its label."""
-        drops = self.drops(dropped)
-        age = self.age()
-        yield "topic", self.topic
-        yield "type", self.type_name
-        yield "publishers", ", ".join(self.publishers) or "none"
-        yield "messages", str(self.received)
-        yield "rate [Hz]", f"{self.rate():.1f}"
-        yield "age [s]", "no message yet" if age is None else f"{age:.2f}"
-        yield "dropped", str(sum(drops.values()))
-        for reason, count in sorted(drops.items()):
-            yield f"dropped: {reason}", str(count)
 
 
 class TickMeter:

@@ -3,26 +3,15 @@
 
 import difflib
 import os
-from collections.abc import Collection
-from dataclasses import dataclass
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from uav_ident_ros.node.inputs import InputMonitor
+
 OWN_OUTPUT = "coefficients_named"
 """Where a node publishes this, its other topics are an identifier's outputs: nobody's inputs."""
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """An input as the node wants it."""
-
-    name: str  # As in the code: what a remapping begins with
-    topic: str  # Resolved name
-    type_name: str
-    parameter: str  # Setting that names the type; empty if there is none
-    types: Collection[str]  # Every type that the setting may name
 
 
 def publishers(node: Node, topic: str) -> list[str]:
@@ -36,12 +25,12 @@ def namesakes(node: Node) -> int:
     return int(node.get_node_names_and_namespaces().count(own))
 
 
-def why_silent(node: Node, wanted: Wanted) -> str:
+def why_silent(node: Node, wanted: InputMonitor) -> str:
     """Return why nothing arrives on a topic, and what to do about it."""
     ends = node.get_publishers_info_by_topic(wanted.topic)
     if not ends:
         return f"nobody publishes '{wanted.topic}': {_instead(node, wanted)}"
-    fitting = [end for end in ends if end.topic_type == wanted.type_name]
+    fitting = [end for end in ends if end.topic_type == wanted.feed.type_name]
     if not fitting:
         return _other_type(node, wanted, ends[0])
     own = (
@@ -61,14 +50,12 @@ def why_silent(node: Node, wanted: Wanted) -> str:
     return f"'{wanted.topic}' has a publisher, {_owner(fitting[0])}, which sends nothing"
 
 
-def _other_type(node: Node, wanted: Wanted, end: TopicEndpointInfo) -> str:
+def _other_type(node: Node, wanted: InputMonitor, end: TopicEndpointInfo) -> str:
     """Say that a topic carries another type; which setting, or which topic, would be right."""
-    said = (
-        f"'{wanted.topic}' of {_owner(end)} carries {end.topic_type}, but {wanted.type_name} is "
-        "expected"
-    )
-    if end.topic_type in wanted.types:
-        return f"{said}: set '{wanted.parameter}' to {end.topic_type}"
+    carried = f"'{wanted.topic}' of {_owner(end)} carries {end.topic_type}"
+    said = f"{carried}, but {wanted.feed.type_name} is expected"
+    if end.topic_type in wanted.feed.stream.types:
+        return f"{said}: set '{wanted.feed.stream.setting}' to {end.topic_type}"
     return f"{said}: {_instead(node, wanted)}"
 
 
@@ -85,19 +72,19 @@ def _mismatch(offered: QoSProfile, asked: QoSProfile | None) -> tuple[str, str, 
     return None
 
 
-def _instead(node: Node, wanted: Wanted) -> str:
+def _instead(node: Node, wanted: InputMonitor) -> str:
     """Say which topic may be meant, or that there is none."""
-    found = _published(node)
-    same = [topic for topic, types in found.items() if wanted.type_name in types]
+    found, stream, kind = _published(node), wanted.feed.stream, wanted.feed.type_name
+    same = [topic for topic, types in found.items() if kind in types]
     if same:
         best = _nearest(wanted.topic, same)
-        return f"'{best}' carries {wanted.type_name}: start with -r {wanted.name}:={best}"
-    able = {topic: types[0] for topic, types in found.items() if types[0] in wanted.types}
+        return f"'{best}' carries {kind}: start with -r {stream.topic}:={best}"
+    able = {topic: types[0] for topic, types in found.items() if types[0] in stream.types}
     if able:
         best = _nearest(wanted.topic, list(able))
         return (
-            f"'{best}' carries {able[best]}: start with -r {wanted.name}:={best} "
-            f"-p {wanted.parameter}:={able[best]}"
+            f"'{best}' carries {able[best]}: start with -r {stream.topic}:={best} "
+            f"-p {stream.setting}:={able[best]}"
         )
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     return f"no other topic fits: does its source run, with ROS_DOMAIN_ID {domain}?"

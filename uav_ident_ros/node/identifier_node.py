@@ -67,7 +67,8 @@ class IdentifierNode(Node):
         warnings = Throttle(self._say_warning)
         self._inputs = Inputs(self, self.identifier, warnings, self._guard)
         self._clock_watch = ClockWatch(settings.time_jump, settings.update_rate)
-        self._waiting = Waiting(self, self.identifier, self._inputs.monitors, self._clock_watch)
+        monitors = self._inputs.monitors.values()
+        self._waiting = Waiting(self, self.identifier, monitors, self._clock_watch)
         self._outputs = Outputs(self, self.identifier.structure)
         self._excite = Excite(self, self.identifier, self._injection_is_told)
         self._estimate: Estimate | None = None
@@ -275,8 +276,8 @@ class IdentifierNode(Node):
             groups[""] += diagnostics.estimate_values(self._estimate)
             groups[""] += diagnostics.knowledge_values(self.identifier)
         for stream, monitor in self._inputs.monitors.items():
-            if stream != EXCITATION or monitor.received:
-                groups[stream] = list(monitor.values(self.identifier.intake.drops[stream]))
+            if stream != EXCITATION or monitor.feed.received:
+                groups[stream] = list(monitor.values())
         groups["excite"] = list(self._excite.values())
         return groups
 

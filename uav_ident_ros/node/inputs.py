@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node's subscriptions: messages to samples of the identifier, and what is refused."""
+"""Subscriptions of the node: from a topic to the identifier, and what became of the messages."""
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.node import Node
@@ -10,12 +11,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import RATES, Drop
-from uav_ident_ros.messages.arrival import Arrivals
-from uav_ident_ros.messages.imu import IMU_TYPE, decode_imu_cdr
+from uav_ident_ros.identification.intake import RATES
+from uav_ident_ros.messages.feed import Feed
 from uav_ident_ros.messages.streams import STREAMS, Stream
-from uav_ident_ros.messages.types import ChannelError, RatesReader, Reading, import_type
-from uav_ident_ros.node.diagnostics import InputMonitor
+from uav_ident_ros.messages.types import ChannelError, RatesReader, import_type
 from uav_ident_ros.node.notices import Guard, Throttle, without_sources
 
 LARGEST_INBOX = 200
@@ -24,16 +23,51 @@ LARGEST_INBOX = 200
 QUEUE_DEPTH = 500
 """Messages kept while the node is busy: half a second at 1 kHz. A depth of 5 loses some."""
 
-LARGEST_MESSAGE = 65_536
-"""Bytes of a message beyond which it is none of these: an Imu takes 350, a hundred named channels
-4000. Its names or its frame would fill the log and /diagnostics, and take a second to read."""
-
 _OVERRIDABLE = (
     QoSPolicyKind.HISTORY,
     QoSPolicyKind.DEPTH,
     QoSPolicyKind.RELIABILITY,
     QoSPolicyKind.DURABILITY,
 )
+
+
+class InputMonitor:
+    """Watches the subscription to one input."""
+
+    def __init__(
+        self,
+        feed: Feed,  # Takes its messages
+        topic: str,  # Resolved name of the topic
+    ) -> None:
+        self.feed, self.topic = feed, topic
+        self.publishers: list[str] = []  # Nodes that publish it
+        self._last_arrival: float | None = None
+        self._rate_from = (time.monotonic(), 0)
+
+    def take(self, data: bytes, arrival_ns: int) -> None:
+        """Take a message that arrived at a time by the node's clock, ns."""
+        self._last_arrival = time.monotonic()
+        self.feed.take(data, arrival_ns)
+
+    def age(self) -> float | None:
+        """Seconds since the last message arrived; None before the first."""
+        return None if self._last_arrival is None else time.monotonic() - self._last_arrival
+
+    def values(self) -> Iterator[tuple[str, str]]:
+        """Yield what is to be shown, each with its label; the rate is that since the last time."""
+        (since, count), now = self._rate_from, time.monotonic()
+        received = self.feed.received
+        self._rate_from = (now, received)
+        drops, age = self.feed.drops(), self.age()
+        yield "topic", self.topic
+        yield "type", self.feed.type_name
+        yield "publishers", ", ".join(self.publishers) or "none"
+        yield "messages", str(received)
+        yield "rate [Hz]", f"{(received - count) / max(now - since, 1e-3):.1f}"
+        yield "age [s]", "no message yet" if age is None else f"{age:.2f}"
+        yield "dropped", str(drops.total())
+        for reason, n in sorted(drops.items()):
+            yield f"dropped: {reason}", str(n)
 
 
 class Inputs:
@@ -52,14 +86,18 @@ class Inputs:
         warnings: Throttle,  # Takes what was refused, and why
         guard: Guard,  # Takes errors that nobody foresaw
     ) -> None:
-        self._node, self._identifier, self._warnings = node, identifier, warnings
+        self._node, self._warnings, self._guard = node, warnings, guard
         self._waiting: list[tuple[Callable[[bytes, int], object], bytes, int]] = []
-        self._arrivals: list[Arrivals[Any]] = []
-        self.monitors: dict[str, InputMonitor] = {}  # Counts, by stream
-        self.rates = RatesReader(identifier.settings.imu)  # Knows the frame of the rates
+        self.monitors: dict[str, InputMonitor] = {}  # Of each stream that is read
         for stream in STREAMS:
-            if type_name := stream.type_of(identifier.settings):
-                self._subscribe(stream, type_name, guard)
+            if stream.type_of(identifier.settings):
+                self.monitors[stream.name] = self._subscribe(stream, identifier)
+
+    @property
+    def rates(self) -> RatesReader:
+        """What reads the rates: it knows their frame."""
+        reader: RatesReader = self.monitors[RATES].feed.reader
+        return reader
 
     def empty(self) -> None:
         """Hand out all messages that wait."""
@@ -69,75 +107,23 @@ class Inputs:
 
     def settle(self) -> None:
         """Place what came before the Imu did; to be called before a tick is computed."""
-        for arrivals in self._arrivals:
-            arrivals.settle()
+        for monitor in self.monitors.values():
+            monitor.feed.settle()
 
-    def _subscribe(self, stream: Stream, type_name: str, guard: Guard) -> None:
-        read, add = self._reader(stream, import_type(type_name)), self._adder(stream)
+    def _subscribe(self, stream: Stream, identifier: OnlineIdentifier) -> InputMonitor:
         clock, timed = self._node.get_clock(), stream.name != RATES
-
-        def take(data: bytes, arrival_ns: int) -> None:
-            monitor.arrived()
-            try:
-                drop = add(*read(data), arrival_ns)
-            except ChannelError as error:
-                monitor.refuse(error.reason, str(error))
-                self._warn(monitor, error.reason, str(error))
-                return
-            if drop is not None:
-                self._warn(monitor, drop.value, drop.value)
-
-        def put(data: bytes) -> None:
-            self._waiting.append((guarded, data, clock.now().nanoseconds if timed else 0))
-            if len(self._waiting) >= LARGEST_INBOX:
-                self.empty()
-
-        guarded = guard(take)
-        subscription = self._node.create_subscription(
-            import_type(type_name),
-            stream.topic,
-            put,
-            QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
-            qos_overriding_options=QoSOverridingOptions(_OVERRIDABLE),
-            raw=True,
-        )
-        monitor = self.monitors[stream.name] = InputMonitor(subscription.topic_name, type_name)
-
-    def _reader(self, stream: Stream, kind: type) -> Callable[[bytes], Reading]:
-        """Return what reads the bytes of a stream's messages; it may raise `ChannelError`."""
-        settings = self._identifier.settings
-        read = self.rates if stream.name == RATES else stream.reader(settings)
-
-        def decoded(data: bytes) -> Reading:
-            if len(data) > LARGEST_MESSAGE:
-                name = stream.type_of(settings)
-                raise ChannelError(f"it takes {len(data)} bytes: is it {name} at all?", "too large")
-            try:
-                message = deserialize_message(data, kind)
-            except (RuntimeError, UnicodeDecodeError) as error:
-                said = f"it cannot be decoded ({without_sources(str(error))})"
-                raise ChannelError(said, "not decodable") from None
-            return read(message)
-
-        def decoded_imu(data: bytes) -> Reading:
-            # Decoding an Imu here costs a fraction of making a message object of it.
-            reading = decode_imu_cdr(data) if len(data) <= LARGEST_MESSAGE else None
-            return decoded(data) if reading is None else self.rates.checked(reading)
-
-        return decoded_imu if stream.type_of(settings) == IMU_TYPE else decoded
-
-    def _adder(self, stream: Stream) -> Callable[[int | None, Any, int], Drop | None]:
-        """Return what takes stamp, values and time of arrival; returns why it did not, or None."""
-
-        def add(stamp_ns: int, values: Any) -> Drop | None:
-            return stream.add(self._identifier, stamp_ns, values)
-
-        def on_arrival(stamp_ns: int | None, values: Any, arrival_ns: int) -> Drop | None:
-            return add(arrival_ns if stamp_ns is None else stamp_ns, values)
-
-        if not stream.any_clock:
-            return on_arrival
         topic = self._node.resolve_topic_name(stream.topic)
+        kind = import_type(stream.type_of(identifier.settings))
+
+        def decode(data: bytes) -> Any:
+            try:
+                return deserialize_message(data, kind)
+            except (RuntimeError, UnicodeDecodeError) as error:
+                words = f"it cannot be decoded ({without_sources(str(error))})"
+                raise ChannelError(words, "not decodable") from None
+
+        def warn(reason: str, words: str) -> None:
+            self._warnings.notice((topic, reason), lambda: f"'{topic}': message dropped: {words}")
 
         def say(seconds: float) -> None:
             self._node.get_logger().info(
@@ -145,9 +131,19 @@ class Inputs:
                 "stamps: each counts from the newest of them"
             )
 
-        self._arrivals.append(arrivals := Arrivals(self._identifier, add, say))
-        return lambda stamp_ns, values, arrival_ns: arrivals.add(stamp_ns, arrival_ns, values)
+        def put(data: bytes) -> None:
+            self._waiting.append((take, data, clock.now().nanoseconds if timed else 0))
+            if len(self._waiting) >= LARGEST_INBOX:
+                self.empty()
 
-    def _warn(self, monitor: InputMonitor, reason: str, detail: str) -> None:
-        topic = monitor.topic
-        self._warnings.notice((topic, reason), lambda: f"'{topic}': message dropped: {detail}")
+        monitor = InputMonitor(Feed(stream, identifier, decode, warn, say), topic)
+        take = self._guard(monitor.take)
+        self._node.create_subscription(
+            kind,
+            stream.topic,
+            put,
+            QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
+            qos_overriding_options=QoSOverridingOptions(_OVERRIDABLE),
+            raw=True,
+        )
+        return monitor

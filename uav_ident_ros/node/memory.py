@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node remembers between flights: the state file, when it is written and believed."""
+"""The state file: what the node has learned, kept from one flight to the next."""
 
 import json
 import os
 import sys
 import threading
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -32,6 +31,25 @@ FINISH_WITHIN = 10.0
 ASIDE = ".refused"
 """Added to the name of a file that could not be used, before another takes its place."""
 
+SHORTEST_PERIOD = 1.0
+"""Shortest interval between two files that are written by themselves, s."""
+
+MEANING = (
+    "imu.convention",
+    "imu.rpy",
+    "actuators.type",
+    "actuators.field",
+    "actuators.channels",
+    "actuators.scale",
+    "actuators.mixing.de",
+    "actuators.mixing.dr",
+    "actuators.mixing.da",
+    "actuators.mixing.dth",
+    "airspeed.reference",
+)
+"""Settings that say what a coefficient means: with others it is a coefficient of something
+else."""
+
 
 class Saver:
     """Writes coefficients to a file, one at a time."""
@@ -47,48 +65,38 @@ class Saver:
         # Whether somebody else wrote the file since this saver looked at it or wrote it
         self.shared = False
         self._seen = self._state()
-        self._thread: threading.Thread | None = None
+        self._thread = threading.Thread()
         self._problem = ""
 
-    def save(self, coefficients: CoefficientSet, notes: Notes) -> tuple[bool, str]:
-        """Begin to write `coefficients`.
+    def save(
+        self, coefficients: CoefficientSet, notes: Notes, *, last: bool = False
+    ) -> tuple[bool, str]:
+        """Begin to write `coefficients`; at the end of the program, the `last` ones, wait for it.
 
         Returns
         -------
         (bool, str)
             Whether they are written or being written, and a line that says which.
         """
-        if self._busy():
-            return False, f"still writing '{self.path}'"
+        if last and self._thread.is_alive():
+            self._thread.join(FINISH_WITHIN)
+        if self._thread.is_alive():
+            hangs = f"the disk does not answer: '{self.path}' keeps what it held"
+            return False, hangs if last else f"still writing '{self.path}'"
         self._thread = threading.Thread(target=self._write, args=(coefficients, notes))
         self._thread.start()
-        self._thread.join(ANSWER_WITHIN)
-        if self._busy():
+        self._thread.join(None if last else ANSWER_WITHIN)
+        if self._thread.is_alive():
             return True, f"writing '{self.path}'"
-        return self._outcome()
-
-    def finish(self, coefficients: CoefficientSet, notes: Notes) -> tuple[bool, str]:
-        """Write `coefficients` at the end of the program; values as of `save`."""
-        if self._thread is not None:
-            self._thread.join(FINISH_WITHIN)
-        if self._busy():
-            return False, f"the disk does not answer: '{self.path}' keeps what it held"
-        self._write(coefficients, notes)
-        return self._outcome()
+        problem = self.problem()
+        return (False, problem) if problem else (True, f"saved to '{self.path}'")
 
     def problem(self) -> str:
         """Return what went wrong with the last file, once; empty if nothing did."""
-        if self._busy():
+        if self._thread.is_alive():
             return ""
         problem, self._problem = self._problem, ""
         return problem
-
-    def _busy(self) -> bool:
-        return self._thread is not None and self._thread.is_alive()
-
-    def _outcome(self) -> tuple[bool, str]:
-        problem = self.problem()
-        return (False, problem) if problem else (True, f"saved to '{self.path}'")
 
     def _write(self, coefficients: CoefficientSet, notes: Notes) -> None:
         self._problem = ""
@@ -115,26 +123,6 @@ class Saver:
         return status.st_ino, status.st_mtime_ns
 
 
-MEANING = (
-    "imu.convention",
-    "imu.rpy",
-    "actuators.type",
-    "actuators.field",
-    "actuators.channels",
-    "actuators.scale",
-    "actuators.mixing.de",
-    "actuators.mixing.dr",
-    "actuators.mixing.da",
-    "actuators.mixing.dth",
-    "airspeed.reference",
-)
-"""Settings that say what a coefficient means: with others it is a coefficient of something
-else."""
-
-SHORTEST_PERIOD = 1.0
-"""Shortest interval between two files that are written by themselves, s."""
-
-
 def state_path(
     settings: Settings,  # ``state_file`` may name the place
     node_name: str,  # Full name of the node: two vehicles never share a file by themselves
@@ -148,56 +136,43 @@ def state_path(
     return home / "uav_ident_ros" / f"{node_name.strip('/').replace('/', '.')}.yaml"
 
 
-@dataclass(frozen=True)
-class Recalled:
-    """What a state file held."""
-
-    coefficients: CoefficientSet  # As they were saved
-    notes: Notes  # What was noted with them
-    # Time since they were saved, by the computer's clock; negative if that was set back
-    age: timedelta
-
-
 def recall(
     path: Path,  # The file
     settings: Settings,  # What it must fit
     # Time of the computer, with its zone. Message time may be simulated: it tells no age
     now: datetime,
-) -> Recalled | None:
+) -> tuple[CoefficientSet, Notes, timedelta]:
     """Read a state file and check that it is of this aircraft and not too old.
 
     Returns
     -------
-    Recalled or None
-        None if there is no file.
+    (CoefficientSet, Notes, timedelta)
+        What it holds, and how long ago that was saved, by the computer's clock; negative if that
+        was set back.
 
     Raises
     ------
-    CoefficientsFileError
-        If it cannot be used; the message names it and why.
+    FileNotFoundError
+        If there is no file.
+    OSError, CoefficientsFileError
+        If it cannot be used; the message says why.
     """
-    try:
-        modified = path.stat().st_mtime
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise CoefficientsFileError(f"state file '{path}': {error.strerror}") from None
+    modified = path.stat().st_mtime
     coefficients, notes = load_with_notes(path, settings.structure)
     # A file that was made by hand, or by replay, tells no time: that of the disk then.
     age = now - (notes.saved or datetime.fromtimestamp(modified, UTC))
     if 0.0 < settings.state_max_age < age.total_seconds():
         raise CoefficientsFileError(
-            f"state file '{path}': it was saved {in_words(age)} ago, and 'state_max_age' is "
+            f"it was saved {in_words(age)} ago, and 'state_max_age' is "
             f"{in_words(timedelta(seconds=settings.state_max_age))}"
         )
     meaning = _meaning(settings)
     for name, value in notes.learned_with.items():
         if meaning.get(name, value) != value:
             raise CoefficientsFileError(
-                f"state file '{path}': it was learned with '{name}' {value}, which is now "
-                f"{meaning[name]}"
+                f"it was learned with '{name}' {value}, which is now {meaning[name]}"
             )
-    return Recalled(coefficients, notes, age)
+    return coefficients, notes, age
 
 
 def _meaning(settings: Settings) -> dict[str, str]:
@@ -227,14 +202,11 @@ class Memory:
         node_name: str,  # Full name of the node
         log: RcutilsLogger,  # Takes what is read, refused and written
     ) -> None:
-        self._identifier = identifier
-        self._log = log
+        self._identifier, self._log = identifier, log
         path = state_path(identifier.settings, node_name)
         self._saver = Saver(path) if path is not None else None
-        self._holds_usable = False
-        self._known = identifier.coefficient_set()
-        """What needs no saving: what the file holds, or what is there at a cold start."""
         self._last_save: float | None = None
+        self.forget()
 
     def start(self, now: datetime | None = None) -> None:
         """Start warm if there is a good state file; if there is a bad one, say why not."""
@@ -243,36 +215,35 @@ class Memory:
         path = self._saver.path
         try:
             remove_leftovers(path)
-            recalled = recall(path, self._identifier.settings, now or datetime.now(UTC))
-            if recalled is None:
-                return self._check_place(path)
-            self._identifier.resume(recalled.coefficients, recalled.notes.delay)
+            held, notes, age = recall(path, self._identifier.settings, now or datetime.now(UTC))
+            self._identifier.resume(held, notes.delay)
+        except FileNotFoundError:
+            # Say before the flight, not after it, that nothing can be written there.
+            place = next(folder for folder in path.parents if folder.exists())
+            if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+                self._log.warning(f"cannot write '{path}': nothing can be written in '{place}'")
+            return
         except (CoefficientsFileError, SettingsError, OSError) as error:
             self._saver.set_aside = True
-            self._log.warning(f"starting cold: {_named(error, path)}")
-            return None
-        self._holds_usable = bool(recalled.notes.usable)
-        self._known = recalled.coefficients
-        if recalled.age < timedelta(0):
+            line = error.strerror or str(error) if isinstance(error, OSError) else str(error)
+            line = line if str(path) in line else f"state file '{path}': {line}"
+            self._log.warning(f"starting cold: {line}")
+            return
+        self._holds_usable, self._known = bool(notes.usable), held
+        if age < timedelta(0):
             self._log.warning(
-                f"the computer's clock is {in_words(-recalled.age)} behind the state file "
-                f"'{path}': its age cannot be judged"
+                f"the computer's clock is {in_words(-age)} behind the state file '{path}': its age "
+                "cannot be judged"
             )
-        self._log.info(f"started from '{path}', saved {in_words(recalled.age)} ago")
-        return None
-
-    def _check_place(self, path: Path) -> None:
-        """Say before the flight, not after it, that nothing can be written there."""
-        place = next(folder for folder in path.parents if folder.exists())
-        if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
-            self._log.warning(f"cannot write '{path}': nothing can be written in '{place}'")
+        self._log.info(f"started from '{path}', saved {in_words(age)} ago")
 
     def forget(self) -> None:
         """After a reset, let whatever is learned from now on replace the file."""
         self._holds_usable = False
+        # what needs no saving: what the file holds, or what is there at a cold start
         self._known = self._identifier.coefficient_set()
 
-    def save(self, estimate: Estimate | None) -> tuple[bool, str]:
+    def save(self, estimate: Estimate | None, *, last: bool = False) -> tuple[bool, str]:
         """Write the coefficients now, whatever they are worth.
 
         Returns
@@ -284,10 +255,18 @@ class Memory:
             return False, f"there is no file to save to: 'state_file' is '{NO_FILE}'"
         if estimate is None:
             return False, "there is no estimate to save yet"
-        done, line = self._saver.save(*self._content(estimate))
+        notes = Notes(
+            saved=datetime.now(UTC),
+            usable=estimate.usable,
+            delay=self._identifier.delay,
+            learned_with=_meaning(self._identifier.settings),
+        )
+        coefficients = self._identifier.coefficient_set(estimate.t_ns)
+        done, line = self._saver.save(coefficients, notes, last=last)
         if done:
             self._holds_usable = estimate.usable
-        self.look()
+        if not last:
+            self._look()
         return done, line
 
     def attend(
@@ -296,24 +275,23 @@ class Memory:
         now: float,  # Monotonic time, s
     ) -> None:
         """Save usable coefficients when it is time; to be called about once a second."""
-        self.look()
+        self._look()
         period = self._identifier.settings.save_period
-        if self._saver is None or period == 0.0 or estimate is None or not estimate.usable:
+        if period == 0.0 or estimate is None or not estimate.usable:
             return
         if self._last_save is not None and now - self._last_save < max(period, SHORTEST_PERIOD):
             return
         self._last_save = now
-        if self._changed(estimate):
+        if self._saver is not None and self._changed(estimate):
             done, line = self.save(estimate)
             if not done:
                 self._log.error(line)
 
-    def look(self) -> None:
+    def _look(self) -> None:
         """Take note of what the thread has written, or could not write."""
         if self._saver is None:
             return
-        problem = self._saver.problem()
-        if problem:
+        if problem := self._saver.problem():
             self._log.error(problem)
         if self._saver.shared:
             self._saver.shared = False
@@ -332,25 +310,10 @@ class Memory:
             return
         if self._holds_usable and not estimate.usable:
             return
-        _, line = self._saver.finish(*self._content(estimate))
+        _, line = self.save(estimate, last=True)
         # The context is gone: no /rosout any more.
         print(f"identifier: {line}", file=sys.stderr)
 
     def _changed(self, estimate: Estimate) -> bool:
         values = self._identifier.coefficient_set(estimate.t_ns).values
         return not np.array_equal(values, self._known.values)
-
-    def _content(self, estimate: Estimate) -> tuple[CoefficientSet, Notes]:
-        identifier = self._identifier
-        notes = Notes(
-            saved=datetime.now(UTC),
-            usable=estimate.usable,
-            delay=identifier.delay,
-            learned_with=_meaning(identifier.settings),
-        )
-        return identifier.coefficient_set(estimate.t_ns), notes
-
-
-def _named(error: Exception, path: Path) -> str:
-    line = error.strerror or str(error) if isinstance(error, OSError) else str(error)
-    return line if str(path) in line else f"state file '{path}': {line}"

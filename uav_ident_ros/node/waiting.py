@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Why there is no estimate: what does not arrive, and what arrives and cannot be used."""
 
+import itertools
 import time
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Iterable
 
 from rclpy.node import Node
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.intake import ARMED, RATES, Drop
 from uav_ident_ros.identification.speed import unmeasured
-from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import NS_PER_S
-from uav_ident_ros.node.diagnostics import InputMonitor
-from uav_ident_ros.node.graph import Wanted, namesakes, publishers, why_silent
+from uav_ident_ros.node.graph import namesakes, publishers, why_silent
+from uav_ident_ros.node.inputs import InputMonitor
 
 STANDS_AFTER = 2.0
 """Seconds without progress of /clock that are worth a word."""
@@ -78,6 +78,9 @@ SILENT_AFTER = 2.0
 DISCOVERY_TIME = 1.5
 """Seconds from the start in which the graph is not complete yet."""
 
+LOOKS = 3
+"""Looks, a second apart, over which that is judged."""
+
 ENOUGH = 5
 """Messages that must be dropped, and none taken, before it is said of all of them."""
 
@@ -93,9 +96,6 @@ CURES: dict[str, str] = {
 """What to do about messages that are all dropped for one reason, where what read them says nothing
 of its own."""
 
-_AWAITED = {stream.name: stream for stream in STREAMS if stream.setting}
-"""The streams that are waited for."""
-
 
 class Waiting:
     """Looks once a second for what keeps the node from an estimate."""
@@ -103,98 +103,79 @@ class Waiting:
     def __init__(
         self,
         node: Node,  # Knows the graph
-        identifier: OnlineIdentifier,  # Knows the drops, and the newest stamp
-        monitors: Mapping[str, InputMonitor],  # Counts of the subscriptions, by stream
+        identifier: OnlineIdentifier,  # Knows the newest stamp
+        monitors: Iterable[InputMonitor],  # Counts of the subscriptions
         clock: ClockWatch,  # Knows whether /clock moves
     ) -> None:
-        self._node = node
-        self._identifier = identifier
-        self._clock = clock
-        self._monitors = {s: monitor for s, monitor in monitors.items() if s in _AWAITED}
-        self._before: dict[str, list[tuple[int, Counter[str]]]] = {s: [] for s in self._monitors}
-        self._ticks = (0, time.monotonic())
-        self._stamp: tuple[int | None, float] = (None, time.monotonic())
+        self._node, self._identifier, self._clock = node, identifier, clock
+        self._monitors = [m for m in monitors if m.feed.stream.setting]  # others need not come
+        self._looks: dict[str, deque[tuple[int, Counter[str]]]] = {
+            m.topic: deque(maxlen=LOOKS) for m in self._monitors
+        }
         self._began = time.monotonic()
+        self._ticks = (0, self._began)
+        self._stamp: tuple[int | None, float] = (None, self._began)
         # Whether the stamps of the rates went on until the last look. Where they do not, those of
         # the actuators are soon far from them: that is no fault of the actuators
         self.imu_moves = False
-        self._lost = dict.fromkeys(self._monitors, "")
 
     def reason(
         self,
         ticks: int,  # Ticks computed since the start
     ) -> str:
         """Return what is missed, and what to do; empty if nothing is."""
-        now = time.monotonic()
+        now, newest_ns = time.monotonic(), self._identifier.newest_ns
         if ticks != self._ticks[0]:
             self._ticks = (ticks, now)
-        self.imu_moves = self._identifier.intake.newest_ns != self._stamp[0]
+        self.imu_moves = newest_ns != self._stamp[0]
         if self.imu_moves:
-            self._stamp = (self._identifier.intake.newest_ns, now)
-        self._lost = {stream: self._all_dropped(stream) for stream in self._monitors}
+            self._stamp = (newest_ns, now)
+        lost = [self._all_dropped(monitor) for monitor in self._monitors]
         if self._node.get_clock().ros_time_is_active and (standing := self._clock.silence()):
             return standing
-        for stream, monitor in self._monitors.items():
-            if silent := self._silent(stream, monitor):
-                return silent
-        if lost := next(filter(None, self._lost.values()), ""):
-            return lost
+        silent = (self._silent(monitor) for monitor in self._monitors)
+        if found := next(filter(None, itertools.chain(silent, lost)), ""):
+            return found
         if ticks and now - self._ticks[1] <= SILENT_AFTER:
             return ""
-        return self._standing() or self._early(ticks)
+        early = "no tick is due any more" if ticks else "the first tick is not due yet"
+        return self._standing(now) or early
 
-    def _silent(self, stream: str, monitor: InputMonitor) -> str:
+    def _silent(self, monitor: InputMonitor) -> str:
         """Say why no message of a stream arrives; empty if they do."""
         age = monitor.age()
         # Whether it is armed, some say only when it changes.
-        if age is not None and (age <= SILENT_AFTER or stream == ARMED):
+        if age is not None and (age <= SILENT_AFTER or monitor.feed.stream.name == ARMED):
             return ""
-        missed = (
-            f"no message on '{monitor.topic}' yet"
-            if age is None
-            else f"no message on '{monitor.topic}' for more than {SILENT_AFTER:g} s"
-        )
+        since = "yet" if age is None else f"for more than {SILENT_AFTER:g} s"
+        missed = f"no message on '{monitor.topic}' {since}"
         if time.monotonic() - self._began < DISCOVERY_TIME:
             return missed
-        row = _AWAITED[stream]
-        wanted = Wanted(row.topic, monitor.topic, monitor.type_name, row.setting, row.types)
-        return f"{missed}: {why_silent(self._node, wanted)}"
+        return f"{missed}: {why_silent(self._node, monitor)}"
 
-    def _all_dropped(self, stream: str) -> str:
+    def _all_dropped(self, monitor: InputMonitor) -> str:
         """Say why every message of the last seconds was dropped; empty if one was not."""
-        monitor = self._monitors[stream]
-        drops = monitor.drops(self._identifier.intake.drops[stream])
-        history = self._before[stream]
-        history.append((monitor.received, drops))
-        if len(history) > 3:
-            history.pop(0)
-        received = monitor.received - history[0][0]
-        dropped = drops - history[0][1]
+        drops, looks = monitor.feed.drops(), self._looks[monitor.topic]
+        looks.append((monitor.feed.received, drops))
+        received_before, drops_before = looks[0]
+        received, dropped = monitor.feed.received - received_before, drops - drops_before
         if received < ENOUGH or dropped.total() < received:
             return ""
         reason = dropped.most_common(1)[0][0]
-        what = monitor.details.get(reason) or CURES.get(reason) or reason
+        what = monitor.feed.details.get(reason) or CURES.get(reason) or reason
         return f"every message on '{monitor.topic}' is dropped: {what}"
 
-    def _standing(self) -> str:
+    def _standing(self, now: float) -> str:
         """Say that the stamps of the rates stand still; empty if they move."""
         newest_ns, since = self._stamp
-        monitor = self._monitors[RATES]
-        age = monitor.age()
-        if newest_ns is None or age is None or age > SILENT_AFTER or self._lost[RATES]:
-            return ""
         # `since` is the time of a look, and so is this: two are about `SILENT_AFTER` apart.
-        if time.monotonic() - since <= 0.75 * SILENT_AFTER:
+        if newest_ns is None or now - since <= 0.75 * SILENT_AFTER:
             return ""
-        topic = monitor.topic
+        rates = next(m for m in self._monitors if m.feed.stream.name == RATES)
         return (
-            f"the stamps on '{topic}' stand still at {newest_ns / NS_PER_S:.3f} s: let the source "
-            "stamp each message"
+            f"the stamps on '{rates.topic}' stand still at {newest_ns / NS_PER_S:.3f} s: let the "
+            "source stamp each message"
         )
-
-    @staticmethod
-    def _early(ticks: int) -> str:
-        return "no tick is due any more" if ticks else "the first tick is not due yet"
 
     def warnings(self) -> list[str]:
         """Return what does not keep it from learning and is wrong all the same, a line each."""
@@ -205,7 +186,7 @@ class Waiting:
                 f"{same} nodes are called '{self._node.get_fully_qualified_name()}': their outputs "
                 "mix, and they write the same state file; give each a namespace, -r __ns:=/drone1"
             )
-        for monitor in self._monitors.values():
+        for monitor in self._monitors:
             names = monitor.publishers = publishers(self._node, monitor.topic)
             if len(names) > 1:
                 lines.append(

@@ -2,11 +2,8 @@
 """Estimates as a bag: the node's own output topics, log time = tick time."""
 
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
-
-from rosbags.interfaces import Qos
 
 from uav_ident_ros.bags.messages import (
     ARRAY,
@@ -18,41 +15,12 @@ from uav_ident_ros.bags.messages import (
 )
 from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.structure import FloatArray, Structure
+from uav_ident_ros.identification.structure import Structure
 from uav_ident_ros.messages.published import (
     coefficients_layout,
     dense_coefficients,
     named_entries,
 )
-
-
-class _Topic(NamedTuple):
-    name: str
-    msgtype: str
-    profile: Qos
-    message: Callable[[Estimate], Any]
-
-
-def _topics(structure: Structure, frame_id: str) -> tuple[_Topic, ...]:
-    """Return the outputs of the node, and how an estimate becomes a message of each."""
-    layout = coefficients_layout(structure)
-
-    def named(estimate: Estimate) -> Any:
-        return joint_state(estimate.t_ns, *named_entries(estimate, structure))
-
-    def dense(estimate: Estimate) -> Any:
-        return array(dense_coefficients(estimate, structure), layout)
-
-    def rates(estimate: Estimate, values: FloatArray) -> Any:
-        return vector_stamped(estimate.t_ns, values.tolist(), frame_id)
-
-    latched, reliable = qos(1, transient_local=True), qos(10)
-    return (
-        _Topic("coefficients_named", JOINT_STATE, latched, named),
-        _Topic("coefficients", ARRAY, latched, dense),
-        _Topic("predicted_rates", VECTOR, reliable, lambda e: rates(e, e.predicted_rates)),
-        _Topic("prediction_error", VECTOR, reliable, lambda e: rates(e, e.prediction_error)),
-    )
 
 
 def write_estimates(
@@ -71,17 +39,31 @@ def write_estimates(
     """
     if path.exists() and not _is_bag(path):
         raise BagWriteError(f"'{path}' exists and is no bag: it is left alone")
+    latched, reliable = qos(1, transient_local=True), qos(10)
+    topics = {
+        "coefficients_named": (JOINT_STATE, latched),
+        "coefficients": (ARRAY, latched),
+        "predicted_rates": (VECTOR, reliable),
+        "prediction_error": (VECTOR, reliable),
+    }
+    layout = coefficients_layout(structure)
     working = path.parent / f".{path.name}.part"
     shutil.rmtree(working, ignore_errors=True)
-    topics = _topics(structure, frame_id)
     try:
         working.mkdir()
         with BagWriter(working / path.name) as bag:
-            for topic in topics:
-                bag.topic(f"{node}/{topic.name}", topic.msgtype, topic.profile)
-            for estimate in estimates:
-                for topic in topics:
-                    bag.write(f"{node}/{topic.name}", estimate.t_ns, topic.message(estimate))
+            for topic, (msgtype, profile) in topics.items():
+                bag.topic(f"{node}/{topic}", msgtype, profile)
+            for e in estimates:
+                rates, errors = e.predicted_rates.tolist(), e.prediction_error.tolist()
+                messages = (
+                    joint_state(e.t_ns, *named_entries(e, structure)),
+                    array(dense_coefficients(e, structure), layout),
+                    vector_stamped(e.t_ns, rates, frame_id),
+                    vector_stamped(e.t_ns, errors, frame_id),
+                )
+                for topic, message in zip(topics, messages, strict=True):
+                    bag.write(f"{node}/{topic}", e.t_ns, message)
         if path.exists():
             shutil.rmtree(path)
         (working / path.name).rename(path)

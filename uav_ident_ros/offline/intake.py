@@ -7,7 +7,6 @@ all other messages, one by one. What the identifier is told is the same.
 
 from array import array
 from bisect import bisect_left
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,10 +19,10 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.intake import ACTUATORS, EXCITATION, RATES
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.messages.arrival import Arrivals
-from uav_ident_ros.messages.imu import IMU_TYPE, ImuBlock, decode_imu_block, decode_imu_cdr
+from uav_ident_ros.messages.feed import Feed
+from uav_ident_ros.messages.imu import IMU_TYPE, ImuBlock, decode_imu_block
 from uav_ident_ros.messages.streams import STREAMS
-from uav_ident_ros.messages.types import ChannelError, RatesReader
+from uav_ident_ros.messages.types import ChannelError
 from uav_ident_ros.offline.inputs import Inputs
 
 UNREADABLE = "unreadable"
@@ -97,13 +96,14 @@ class Intake:
         identifier: OnlineIdentifier,  # Who gets the samples
     ) -> None:
         settings = inputs.settings
-        self._inputs = inputs
-        self._identifier = identifier
-        self._axes = RatesReader(settings.imu)
-        self._streams = {stream.name: stream for stream in STREAMS}
-        self._readers = {
-            name: self._streams[name].reader(settings) for name in inputs.streams if name != RATES
+        self._inputs, self._identifier = inputs, identifier
+        self._feeds = {
+            stream.name: Feed(stream, identifier, partial(self._decoded, stream.name))
+            for stream in STREAMS
+            if stream.name in inputs.streams
         }
+        self._stream_of = {topic: stream for stream, topic in inputs.streams.items()}
+        self._decoders: dict[str, Callable[[bytes], object]] = {}
         # What was taken: in the sensor's axes, as raw channels, and de, dr, da, dth of excitation
         self.rates = Record(6)
         self.actuators = Record(len(settings.actuators.channels))
@@ -113,25 +113,17 @@ class Intake:
         self.frame_ids: set[str] = set()  # Every frame the rates have come in
         self._newest_ns: int | None = None
         self._jump_ns = round(settings.time_jump * 1e9)
-        self._received: Counter[str] = Counter()
-        self._refused: dict[str, Counter[str]] = {s: Counter() for s in identifier.intake.drops}
-        self._stream_of = {topic: stream for stream, topic in inputs.streams.items()}
-        self._arrivals = {
-            name: Arrivals(identifier, partial(stream.add, identifier))
-            for name, stream in self._streams.items()
-            if stream.any_clock
-        }
-        self._decode: dict[str, Callable[[bytes], object]] = {}
 
     @property
     def frame_id(self) -> str | None:
         """Newest frame of the rates."""
-        return self._axes.frame_id
+        frame_id: str | None = self._feeds[RATES].reader.frame_id
+        return frame_id
 
     @property
     def fault(self) -> str:
         """How their axes contradict the settings; empty if they do not."""
-        return self._axes.fault if self._received[RATES] else ""
+        return str(self._feeds[RATES].reader.fault) if self._feeds[RATES].received else ""
 
     def read_with(self, bag: Bag) -> None:
         """Read the messages that follow by the definitions in a bag.
@@ -141,17 +133,21 @@ class Intake:
         BagError
             If a topic is missing, or its type unknown.
         """
-        self._decode = {
-            stream: bag.decoder(topic) for stream, topic in self._inputs.streams.items()
-        }
+        topics = self._inputs.streams.items()
+        self._decoders = {stream: bag.decoder(topic) for stream, topic in topics}
+
+    def _decoded(self, stream: str, data: bytes) -> object:
+        try:
+            return self._decoders[stream](data)
+        except BagError as error:
+            raise ChannelError(str(error), UNREADABLE) from None
 
     def refusals(self, stream: str) -> Refusals:
         """Count what became of the messages of a stream."""
-        dropped = Counter(self._refused[stream])
-        for drop, count in self._identifier.intake.drops[stream].items():
-            dropped[drop.value] += count
-        kept = {reason: count for reason, count in sorted(dropped.items()) if count > 0}
-        return Refusals(self._received[stream], kept)
+        if stream not in self._feeds:
+            return Refusals(0, {})
+        feed = self._feeds[stream]
+        return Refusals(feed.received, {reason: n for reason, n in sorted(feed.drops().items())})
 
     def take(self, messages: Sequence[Message], tick: Callable[[], None]) -> None:
         """Take messages in their order; `tick` is called whenever ticks may have come due."""
@@ -162,7 +158,7 @@ class Intake:
                 self._take_one(message)
                 tick()
             return
-        self._received[RATES] += len(imu)
+        self._feeds[RATES].received += len(imu)
         self.rates.extend(block.t_ns, block.values, self.era)
         self._newest_ns = int(block.t_ns[-1])
         stamps, values = block.t_ns.tolist(), block.values.tolist()
@@ -204,49 +200,26 @@ class Intake:
 
     def _take_one(self, message: Message) -> None:
         stream = self._stream_of[message.topic]
-        self._received[stream] += 1
-        try:
-            if stream == RATES:
-                self._take_rates(message)
-            else:
-                self._take_other(stream, message)
-        except BagError:
-            self._refused[stream][UNREADABLE] += 1
-        except ChannelError as error:
-            self._refused[stream][error.reason] += 1
-
-    def _take_rates(self, message: Message) -> None:
-        t_ns, (rates, force) = self._rates_of(message)
-        if self._identifier.add_rates(t_ns, rates, force) is None:
-            if self._newest_ns is not None and abs(t_ns - self._newest_ns) > self._jump_ns:
-                self.era += 1
-                self._newest_ns = t_ns
-            self._newest_ns = max(t_ns, self._newest_ns or t_ns)
-            self.rates.append(t_ns, (*rates, *(force or _NO_FORCE)), self.era)
-            for arrivals in self._arrivals.values():
-                arrivals.settle()
-
-    def _rates_of(self, message: Message) -> tuple[int, Any]:
-        is_imu = self._inputs.settings.imu.type == IMU_TYPE
-        reading = decode_imu_cdr(message.data) if is_imu else None
-        try:
-            if reading is not None:
-                t_ns, values = self._axes.checked(reading)
-            else:
-                t_ns, values = self._axes(self._decode[RATES](message.data))
-        finally:
-            self.frame_ids |= {self.frame_id} if self.frame_id is not None else set()
-        assert t_ns is not None  # every type of the rates is stamped
-        return t_ns, values
-
-    def _take_other(self, stream: str, message: Message) -> None:
-        stamp_ns, values = self._readers[stream](self._decode[stream](message.data))
-        if stream in self._arrivals:
-            self._arrivals[stream].add(stamp_ns, message.log_ns, values)
+        taken = self._feeds[stream].take(message.data, message.log_ns)
+        if stream == RATES and self.frame_id is not None:
+            self.frame_ids.add(self.frame_id)
+        if taken is None:
             return
-        t_ns = message.log_ns if stamp_ns is None else stamp_ns
-        if self._streams[stream].add(self._identifier, t_ns, values) is None:
+        if stream == RATES:
+            self._keep_rates(*taken)
+        elif stream in self._records:
+            t_ns, values = taken
             self._records[stream].append(t_ns, values, self.era)
+
+    def _keep_rates(self, t_ns: int, values: Any) -> None:
+        if self._newest_ns is not None and abs(t_ns - self._newest_ns) > self._jump_ns:
+            self.era += 1
+            self._newest_ns = t_ns
+        self._newest_ns = max(t_ns, self._newest_ns or t_ns)
+        rates, force = values
+        self.rates.append(t_ns, (*rates, *(force or _NO_FORCE)), self.era)
+        for feed in self._feeds.values():
+            feed.settle()
 
 
 def _others(count: int, chosen: Sequence[int]) -> list[int]:

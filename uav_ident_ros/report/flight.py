@@ -132,7 +132,7 @@ def collect(name: str, run: OfflineRun) -> Flight:
     parts = list(run.stretches())
     clock = Clock({part.era: (int(part.t_ns[0]), int(part.t_ns[-1])) for part in parts})
     tick_t = np.concatenate([clock.seconds(part.era, part.ticks.stamps()) for part in parts])
-    places = np.concatenate([part.ticks.places for part in parts])
+    first, *others = (part.ticks for part in parts)
     # A delay that moves and comes back makes stretches that overlap.
     order = np.argsort(tick_t, kind="stable")
     return Flight(
@@ -141,7 +141,7 @@ def collect(name: str, run: OfflineRun) -> Flight:
         settings=run.inputs.settings,
         stretches=parts,
         clock=clock,
-        estimates=run.estimates.chosen(places[order]),
+        estimates=first.joined(others).chosen(order),
         tick_t=tick_t[order],
     )
 

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One input on its way from bytes to the identifier, live and offline, and what became of it."""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.messages.arrival import Arrivals
+from uav_ident_ros.messages.imu import IMU_TYPE, decode_imu_cdr
+from uav_ident_ros.messages.streams import Stream
+from uav_ident_ros.messages.types import ChannelError, Reading
+
+LARGEST_MESSAGE = 65_536
+"""Bytes of a message beyond which it is none of these: an Imu takes 350, a hundred named channels
+4000. Its names or its frame would fill the log and /diagnostics, and take a second to read."""
+
+
+class Feed:
+    """Gives an identifier the messages of one stream, and counts those that it does not get."""
+
+    def __init__(
+        self,
+        stream: Stream,  # What the messages are
+        identifier: OnlineIdentifier,  # Takes what is in them
+        decode: Callable[[bytes], Any],  # Bytes to a message; it may raise `ChannelError`
+        # Told the reason, as it is counted, and the words, where a message is not used
+        warn: Callable[[str, str], object] = lambda reason, words: None,
+        # Told once, in s, how far messages that carry no time arrive from the Imu's stamps
+        say: Callable[[float], None] | None = None,
+    ) -> None:
+        self.stream = stream
+        self.type_name = stream.type_of(identifier.settings)
+        self.reader: Any = stream.reader(identifier.settings)
+        self.received = 0  # Messages, good or bad
+        self.details: dict[str, str] = {}  # What was wrong with the last one of each reason
+        self._identifier, self._decode, self._warn = identifier, decode, warn
+        self._refused: Counter[str] = Counter()
+        self._arrivals = Arrivals(identifier, self._add, say) if stream.any_clock else None
+
+    def take(
+        self,
+        data: bytes,  # A message
+        arrival_ns: int,  # When it arrived, by the clock of the node or of the recorder, ns
+    ) -> tuple[int, Any] | None:
+        """Give the identifier a message; return stamp, ns, and values if it took them."""
+        self.received += 1
+        try:
+            stamp_ns, values = self._read(data)
+        except ChannelError as error:
+            self._refused[error.reason] += 1
+            self.details[error.reason] = str(error)
+            self._warn(error.reason, str(error))
+            return None
+        t_ns = arrival_ns if stamp_ns is None else stamp_ns
+        if self._arrivals is None:
+            drop = self._add(t_ns, values)
+        else:
+            drop = self._arrivals.add(stamp_ns, arrival_ns, values)
+        if drop is None:
+            return t_ns, values
+        self._warn(drop.value, drop.value)
+        return None
+
+    def _add(self, stamp_ns: int, values: Any) -> Any:
+        return self.stream.add(self._identifier, stamp_ns, values)
+
+    def _read(self, data: bytes) -> Reading:
+        if len(data) > LARGEST_MESSAGE:
+            words = f"it takes {len(data)} bytes: is it {self.type_name} at all?"
+            raise ChannelError(words, "too large")
+        # Decoding an Imu here costs a fraction of making a message object of it.
+        imu = decode_imu_cdr(data) if self.type_name == IMU_TYPE else None
+        read: Reading = self.reader.checked(imu) if imu else self.reader(self._decode(data))
+        return read
+
+    def settle(self) -> None:
+        """Place what came before the Imu did; to be called before a tick is computed."""
+        if self._arrivals is not None:
+            self._arrivals.settle()
+
+    def drops(self) -> Counter[str]:
+        """Return what was refused here or dropped by the identifier, by reason."""
+        dropped = self._identifier.drops[self.stream.name]
+        return self._refused + Counter({drop.value: n for drop, n in dropped.items()})
