@@ -5,6 +5,7 @@ There is no estimation logic here: messages go in, due ticks are asked for, esti
 """
 
 import time
+from functools import partial
 from typing import TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -62,9 +63,9 @@ class IdentifierNode(Node):
         settings = settings_of(self, [stream.topic for stream in STREAMS])
         self.identifier = OnlineIdentifier(settings, initial_coefficients(settings))
         declare(self, settings)
-        self._guard = Guard(Throttle(self._say_error))
+        self._guard = Guard(Throttle(partial(self._log, DiagnosticStatus.ERROR)))
         self._changes = Changes(self, settings, self.identifier.reconfigure)
-        warnings = Throttle(self._say_warning)
+        warnings = Throttle(partial(self._log, DiagnosticStatus.WARN))
         self._inputs = Inputs(self, self.identifier, warnings, self._guard)
         self._clock_watch = ClockWatch(settings.time_jump, settings.update_rate)
         monitors = self._inputs.monitors.values()
@@ -84,11 +85,13 @@ class IdentifierNode(Node):
         return bool(self.count_publishers(self._inputs.monitors[EXCITATION].topic) > 0)
 
     def _offer_services(self) -> None:
-        guard = self._guard
-        self.create_service(Trigger, "~/reset", guard(self._on_reset, self._failed))
-        self.create_service(Trigger, "~/save", guard(self._on_save, self._failed))
-        self.create_service(SetBool, "~/adapt", guard(self._on_adapt, self._failed))
-        self.create_service(SetBool, "~/excite", guard(self._on_excite, self._failed))
+        for kind, name, answer in (
+            (Trigger, "~/reset", self._on_reset),
+            (Trigger, "~/save", self._on_save),
+            (SetBool, "~/adapt", self._on_adapt),
+            (SetBool, "~/excite", self._on_excite),
+        ):
+            self.create_service(kind, name, self._guard(answer, self._failed))
 
     def _watch_time(self, settings: Settings) -> None:
         """Ticks on the node's clock; diagnostics on one that never stops; jumps of /clock."""
@@ -171,11 +174,8 @@ class IdentifierNode(Node):
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = self._memory.save(self._estimate)
-        # rclpy allows one severity for a line of the source.
-        if response.success:
-            self.get_logger().info(response.message)
-        else:
-            self.get_logger().error(response.message)
+        level = DiagnosticStatus.OK if response.success else DiagnosticStatus.ERROR
+        self._log(level, response.message)
         return response
 
     def _on_adapt(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -204,36 +204,27 @@ class IdentifierNode(Node):
         warnings = self._waiting.warnings()
         for line in warnings:
             if line not in self._warnings:
-                self._say_warning(line)
+                self._log(DiagnosticStatus.WARN, line)
         self._warnings = warnings
         state, reason = self._state()
         line = f"{state}: {reason}" if reason else state
         if self._said.changed(line):
-            self._log_state(state, line)
+            self._log(diagnostics.level_of(state), line)
         message = DiagnosticArray(header=Header(stamp=self.get_clock().now().to_msg()))
         message.status.append(
             diagnostics.status(self.get_fully_qualified_name(), state, reason, self._groups())
         )
         self._diagnostics.publish(message)
 
-    # rclpy allows one severity for a line of the source: each needs one of its own.
-
-    def _say_warning(self, line: str) -> None:
-        self.get_logger().warning(line)
-
-    def _say_error(self, line: str) -> None:
-        self.get_logger().error(line)
-
-    def _log_state(self, state: str, line: str) -> None:
+    def _log(self, level: bytes, line: str) -> None:
         log = self.get_logger()
         # rclpy allows one severity for a line of the source.
-        match diagnostics.level_of(state):
-            case DiagnosticStatus.OK:
-                log.info(line)
-            case DiagnosticStatus.WARN:
-                log.warning(line)
-            case _:
-                log.error(line)
+        if level == DiagnosticStatus.OK:
+            log.info(line)
+        elif level == DiagnosticStatus.WARN:
+            log.warning(line)
+        else:
+            log.error(line)
 
     def _state(self) -> tuple[str, str]:
         """State word and reason: what the inputs say first, then what the estimate says."""

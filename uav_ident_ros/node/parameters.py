@@ -8,7 +8,6 @@ belongs, arrays of the wrong length, ranges of array entries.
 import difflib
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -72,8 +71,9 @@ def settings_of(
     for name, value in given_values(node).items():
         if name in known:
             values[name] = value
-        elif name == "use_sim_time":
-            _check_use_sim_time(value)
+        elif name == "use_sim_time" and not isinstance(value, bool):
+            words = f"'use_sim_time' is {value!r}: write true or false, without quotes"
+            raise SettingsError(name, words)
         elif name.startswith(_QOS_PREFIX):
             _check_qos(name, value, [node.resolve_topic_name(topic) for topic in topics])
         elif name not in _OTHERS:
@@ -87,13 +87,6 @@ def given_values(node: Node) -> dict[str, object]:
     # automatically fails on an empty list.
     overrides: dict[str, Parameter] = node._parameter_overrides
     return {name: parameter.value for name, parameter in overrides.items()}
-
-
-def _check_use_sim_time(value: object) -> None:
-    if not isinstance(value, bool):
-        raise SettingsError(
-            "use_sim_time", f"'use_sim_time' is {value!r}: write true or false, without quotes"
-        )
 
 
 def _check_qos(name: str, value: object, topics: Sequence[str]) -> None:
@@ -120,34 +113,25 @@ def declare(node: Node, settings: Settings) -> None:
     """Declare every setting as a parameter of `node`, with its present value."""
     values = settings.values()
     for setting in declarations():
-        _declare_one(node, setting, values[setting.name])
-
-
-def _declare_one(node: Node, setting: Setting, value: Any) -> None:
-    """Declare, set, then seal: an empty list has no type that rclpy could infer."""
-    plain = value
-    if isinstance(value, tuple):
-        plain = list(value)
-    parameter_type = PARAMETER_TYPES.get(setting.type)
-    final = descriptor(setting)
-    if parameter_type is None:
-        node.declare_parameter(setting.name, plain, final, ignore_override=True)
-        return
-    node.declare_parameter(
-        setting.name,
-        parameter_type,
-        ParameterDescriptor(description=final.description),
-        ignore_override=True,
-    )
-    node.set_parameters([Parameter(setting.name, parameter_type, plain)])
-    node.set_descriptor(setting.name, final)
+        name, value, final = setting.name, values[setting.name], descriptor(setting)
+        plain = list(value) if isinstance(value, tuple) else value
+        kind = PARAMETER_TYPES.get(setting.type)
+        if kind is None:
+            node.declare_parameter(name, plain, final, ignore_override=True)
+            continue
+        # Declare, set, then seal: an empty list has no type that rclpy could infer.
+        open_ = ParameterDescriptor(description=final.description)
+        node.declare_parameter(name, kind, open_, ignore_override=True)
+        node.set_parameters([Parameter(name, kind, plain)])
+        node.set_descriptor(name, final)
 
 
 def descriptor(setting: Setting) -> ParameterDescriptor:
     """Describe a setting to ``ros2 param describe`` and rqt_reconfigure."""
+    unit = f" [{setting.unit}]" if setting.unit else ""
     result = ParameterDescriptor(
         name=setting.name,
-        description=_described(setting),
+        description=setting.description + unit,
         additional_constraints=_constraints(setting),
         read_only=setting.read_only,
         dynamic_typing=setting.type not in PARAMETER_TYPES,
@@ -163,10 +147,6 @@ def descriptor(setting: Setting) -> ParameterDescriptor:
             IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)
         ]
     return result
-
-
-def _described(setting: Setting) -> str:
-    return f"{setting.description} [{setting.unit}]" if setting.unit else setting.description
 
 
 def _constraints(setting: Setting) -> str:
