@@ -15,7 +15,7 @@ from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.fleet import Aircraft, fleet_of
 from uav_ident_ros.offline.flights_table import read_flights
 from uav_ident_ros.offline.tables import columns
-from uav_ident_ros.report import PictureError
+from uav_ident_ros.report import PictureError, drawing
 
 DESCRIPTION = """\
 Put the flights of each aircraft together: pooled coefficients with their scatter from flight to
@@ -77,10 +77,8 @@ def write_fleet(folder: Path, fleet: Sequence[Aircraft]) -> list[Path]:
     BagWriteError, CoefficientsFileError, PictureError
         If something cannot be written.
     """
-    from uav_ident_ros.report.fleet_page import write_fleet_page
-
     files = [folder / "fleet.html"]
-    write_fleet_page(files[0], fleet)
+    drawing("fleet_page").write_fleet_page(files[0], fleet)
     several = {a.name for a in fleet if sum(b.name == a.name for b in fleet) > 1}
     for aircraft in fleet:
         if aircraft.pooled:

@@ -28,9 +28,7 @@ from uav_ident_ros.offline.progress import Progress
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import AXES, write_table
-from uav_ident_ros.report import PictureError
-from uav_ident_ros.report.page import write_report
-from uav_ident_ros.report.picture import write_picture
+from uav_ident_ros.report import PictureError, drawing
 
 REFUSALS = (
     BagError,
@@ -130,9 +128,9 @@ def replay(job: Job, progress: Progress = SILENT) -> Outcome:
         table = write_results(job.folder, replayed, NODE_NAME)
         progress.enter("drawing")
         if job.plot:
-            write_picture(job.folder / "replay.png", replayed)
+            drawing("picture").write_picture(job.folder / "replay.png", replayed)
         if job.report:
-            write_report(job.folder / "report.html", replayed)
+            drawing("page").write_report(job.folder / "report.html", replayed)
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (*warnings, str(error)))
     status = NOT_USABLE if replayed.doubt else USABLE

@@ -3,15 +3,17 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 
 from uav_ident_ros.bags.writing import write_file
-from uav_ident_ros.offline.fleet import Aircraft, Pooled
+from uav_ident_ros.offline.fleet import Aircraft
 from uav_ident_ros.offline.tables import Row, Table, Words
-from uav_ident_ros.report import PictureError
-from uav_ident_ros.report.page import NO_BOKEH, render
+from uav_ident_ros.report.page import render
+from uav_ident_ros.report.sections import Section
+from uav_ident_ros.report.style import COLORS
+from uav_ident_ros.report.timeline import Chart, hover, plain_figure, value_range
 
 MOST_CHARTS = 24
 """Charts of an aircraft: its control derivatives first."""
@@ -24,14 +26,8 @@ def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
     ------
     BagWriteError
         If the file cannot be written.
-    PictureError
-        If Bokeh or Jinja2 is missing.
     """
-    try:
-        from uav_ident_ros.report.sections import Section
-    except ImportError as error:
-        raise PictureError(NO_BOKEH.format(error)) from None
-    sections = [_section(Section, k, aircraft) for k, aircraft in enumerate(fleet)]
+    sections = [_section(k, aircraft) for k, aircraft in enumerate(fleet)]
     findings = [f"{a.name}: {finding.text}" for a in fleet for finding in a.findings]
     flights = sum(len(a.flights) for a in fleet)
     others = sum(len({flight for flight, _ in a.unusable}) for a in fleet)
@@ -50,7 +46,7 @@ def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
     write_file(path, page)
 
 
-def _section(section: Any, k: int, aircraft: Aircraft) -> Any:
+def _section(k: int, aircraft: Aircraft) -> Section:
     tables = [aircraft.table] if aircraft.pooled else []
     others = [Row(flight, [Words(why)]) for flight, why in aircraft.unusable]
     if others:
@@ -62,20 +58,15 @@ def _section(section: Any, k: int, aircraft: Aircraft) -> Any:
         "Orange flights are where a coefficient changed, or stands out."
     )
     charts = [*_charts(k, aircraft)]
-    return section(f"aircraft-{k}", aircraft.name or "no name", [text], tables, charts)
+    return Section(f"aircraft-{k}", aircraft.name or "no name", [text], tables, charts)
 
 
-def _charts(k: int, aircraft: Aircraft) -> Iterator[Any]:
-    from bokeh.models import BoxAnnotation, ColumnDataSource, Span
-
-    from uav_ident_ros.report.style import COLORS
-    from uav_ident_ros.report.timeline import Chart, hover, plain_figure, value_range
-
+def _charts(k: int, aircraft: Aircraft) -> Iterator[Chart]:
     for name in aircraft.main[:MOST_CHARTS]:
         value, sigma = aircraft.values[name], aircraft.sigmas[name]
-        pooled: Pooled = aircraft.pooled[name]
-        marked = {f.since for f in aircraft.findings if f.coefficient == name}
-        marked |= {f.named for f in aircraft.findings if f.coefficient == name}
+        pooled = aircraft.pooled[name]
+        own = [f for f in aircraft.findings if f.coefficient == name]
+        marked = {flight for f in own for flight in (f.since, f.named)}
         colors = [COLORS["ahead" if f in marked else "tick"] for f in aircraft.flights]
         source = ColumnDataSource(
             {

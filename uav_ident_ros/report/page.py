@@ -1,25 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """`report.html`: one file that any browser opens, from a memory stick, without a network."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from bokeh.core.json_encoder import serialize_json
+from bokeh.document import Document
+from bokeh.resources import Resources
+from jinja2 import Environment, PackageLoader
 
 from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import Words
-from uav_ident_ros.report import PictureError
 from uav_ident_ros.report.flight import collect
-
-if TYPE_CHECKING:  # needs Bokeh
-    from uav_ident_ros.report.timeline import Chart
-
-NO_BOKEH = "the page needs bokeh and jinja2 (pip install bokeh jinja2): {}"
+from uav_ident_ros.report.sections import Section, sections
+from uav_ident_ros.report.style import COLORS
+from uav_ident_ros.report.tables import cell
+from uav_ident_ros.report.timeline import Chart
 
 EARLIEST_DATE_NS = 946_684_800_000_000_000
 """The year 2000, ns: earlier stamps count from the start of a computer and say no date."""
@@ -40,13 +41,7 @@ def write_report(
         If the bag cannot be read again, for its hash.
     BagWriteError
         If the file cannot be written.
-    PictureError
-        If Bokeh or Jinja2 is missing.
     """
-    try:
-        from uav_ident_ros.report.sections import sections
-    except ImportError as error:
-        raise PictureError(NO_BOKEH.format(error)) from None
     summary, doubt = replayed.summary, replayed.doubt
     state = f" ({summary['reason']})" if summary["reason"] and not doubt else ""
     text = render(
@@ -62,13 +57,8 @@ def write_report(
     write_file(path, text)
 
 
-def render(sections: Sequence[Any], **content: Any) -> str:
+def render(sections: Sequence[Section], **content: Any) -> str:
     """Return a page with sections and their charts; `content` is what else it is to show."""
-    from jinja2 import Environment, PackageLoader
-
-    from uav_ident_ros.report.style import COLORS
-    from uav_ident_ros.report.tables import cell
-
     loader = PackageLoader("uav_ident_ros.report")
     page = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     page.filters |= {"cell": cell, "sentence": _sentence}
@@ -78,7 +68,7 @@ def render(sections: Sequence[Any], **content: Any) -> str:
         sections=sections,
         colors=COLORS,
         style=page.get_template("style.css").render(),
-        library=_library(),
+        library="\n".join(Resources(mode="inline", components=["bokeh"]).js_raw),
         script=page.get_template("charts.js").render(),
         drawn=drawn,
         names=names,
@@ -88,9 +78,6 @@ def render(sections: Sequence[Any], **content: Any) -> str:
 
 def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
     """Return the charts as JSON, and the name of each in it; both are the same in every run."""
-    from bokeh.core.json_encoder import serialize_json
-    from bokeh.document import Document
-
     document, roots = Document(), {chart.identity: chart.model for chart in charts}
     for model in roots.values():
         document.add_root(model)
@@ -102,12 +89,6 @@ def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
     text = serialize_json(document.to_json(deferred=False))
     text = _NAMES.sub(lambda found: named(found.group()), text)
     return text.replace("</", "<\\/"), {name: named(model.id) for name, model in roots.items()}
-
-
-def _library() -> str:
-    from bokeh.resources import Resources
-
-    return "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
 
 
 def _facts(summary: Mapping[str, Any]) -> list[str]:

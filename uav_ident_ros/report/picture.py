@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.structure import ROWS
@@ -43,12 +44,8 @@ def write_picture(
     Raises
     ------
     PictureError
-        If matplotlib is missing or the file cannot be written.
+        If the file cannot be written.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise PictureError("pictures need matplotlib (python3-matplotlib)") from None
     flight = collect(replayed.name, replayed.run)
     ahead, fit = predict(flight, HORIZON), replayed.fits[FIT_WINDOWS]
     truth = read_truth(replayed.bag, flight.structure).values

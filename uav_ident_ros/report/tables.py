@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tables that only the report has, and how a cell looks on the page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -13,13 +11,11 @@ from markupsafe import Markup
 from uav_ident_ros.files.parameter_file import written
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.offline.evidence import Evidence
 from uav_ident_ros.offline.tables import NONE, Cell, Number, Row, Table, Words
 from uav_ident_ros.report.analysis import SIGNALS, Spectra, signals
 from uav_ident_ros.report.charts import AXIS_WORDS, UNITS
 from uav_ident_ros.report.flight import Flight
-
-if TYPE_CHECKING:  # replay imports the report
-    from uav_ident_ros.offline.evidence import Evidence
 
 
 class Code(Words):
