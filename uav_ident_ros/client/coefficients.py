@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from uav_ident_ros.identification.structure import (
 from uav_ident_ros.messages.published import (
     FIT_NAMES,
     ROW_USABLE_NAMES,
+    STATE_FIELDS,
     STATE_NAMES,
     USABLE_NAME,
 )
@@ -43,19 +44,10 @@ class MessageError(ValueError):
     """A message does not hold coefficients; the text says what is wrong."""
 
 
-class _Stamp(Protocol):
-    sec: int
-    nanosec: int
-
-
-class _Header(Protocol):
-    stamp: _Stamp
-
-
 class NamedMessage(Protocol):
     """What is read of a sensor_msgs/msg/JointState, whoever decoded it."""
 
-    header: _Header
+    header: Any
     name: Sequence[str]
     position: Sequence[float]
     effort: Sequence[float]
@@ -120,12 +112,13 @@ class Coefficients:
         values, sigmas = (_matrix(structure, entries) for entries in (value, sigma))
         if not (np.isfinite(values).all() and (sigmas >= 0.0).all()):
             raise MessageError("a coefficient is not finite, or its sigma is negative or NaN")
+        p, q, r = (value[name] for name in ROW_USABLE_NAMES)
         return cls(
             structure=structure,
             values=values,
             sigma=sigmas,
             usable=value[USABLE_NAME] == 1.0,
-            usable_rows=_three(value[name] == 1.0 for name in ROW_USABLE_NAMES),
+            usable_rows=(p == 1.0, q == 1.0, r == 1.0),
             flow=_flow(value, sigma) if structure.has_flow else None,
             fit=np.array([value[name] for name in FIT_NAMES]),
             t_ns=header_ns(message),
@@ -188,21 +181,9 @@ def _structure_of(names: set[str]) -> Structure:
     )
 
 
-def _three(flags: Iterable[bool]) -> tuple[bool, bool, bool]:
-    first, second, third = flags
-    return first, second, third
-
-
 def _flow(value: dict[str, float], sigma: dict[str, float]) -> FlowState:
-    return FlowState(
-        beta=value["state/beta"],
-        alpha=value["state/alpha"],
-        beta_sigma=sigma["state/beta"],
-        alpha_sigma=sigma["state/alpha"],
-        roll=value["state/roll"],
-        pitch=value["state/pitch"],
-        airspeed=value["state/airspeed"],
-    )
+    states = {field: value[f"state/{field}"] for field in STATE_FIELDS}
+    return FlowState(**states, beta_sigma=sigma["state/beta"], alpha_sigma=sigma["state/alpha"])
 
 
 def _matrix(structure: Structure, entries: dict[str, float]) -> FloatArray:
