@@ -224,11 +224,11 @@ def test_a_second_writer_of_the_file_is_noticed(tmp_path: Path) -> None:
     mine, other = Saver(path), Saver(path)
     notes = Notes(saved=NOW, usable=True, delay=0.0, learned_with={})
     for value in (1.0, 2.0):
-        assert mine.finish(coefficients(value), notes)[0]
+        assert mine.save(coefficients(value), notes, last=True)[0]
         assert not mine.shared, "what it wrote itself is no surprise"
-    assert other.finish(coefficients(3.0), notes)[0]
+    assert other.save(coefficients(3.0), notes, last=True)[0]
     assert other.shared
-    assert mine.finish(coefficients(4.0), notes)[0]
+    assert mine.save(coefficients(4.0), notes, last=True)[0]
     assert mine.shared
 
 
