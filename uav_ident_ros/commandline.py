@@ -2,11 +2,16 @@
 """What the commands have in common: complaints of one line, and an end by a signal."""
 
 import argparse
+import os
 import signal
+import sys
 from typing import NoReturn
 
 USAGE_ERROR = 2
 """Exit status for a wrong command line or bad input."""
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -24,3 +29,8 @@ def _interrupt(*_: object) -> NoReturn:
 def end_as_on_ctrl_c() -> None:
     """Let SIGTERM do what Ctrl-C does: children and the terminal must not be left behind."""
     signal.signal(signal.SIGTERM, _interrupt)
+
+
+def reader_has_gone() -> None:
+    """Give what is still to be printed nowhere to go: Python would complain of it at the exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from uav_ident_ros.bags.reading import Bag, BagError, Message
-from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c
+from uav_ident_ros.commandline import INTERRUPTED, USAGE_ERROR, OneLineParser, end_as_on_ctrl_c
 from uav_ident_ros.domain import own_domain
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.settings import SettingsError
@@ -25,17 +25,14 @@ from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import ACTUATORS, MessageTypeError, import_type
 from uav_ident_ros.monitor.cli import Listener
 from uav_ident_ros.monitor.picture import View
-from uav_ident_ros.offline import NO_RESULT
+from uav_ident_ros.offline import NO_RESULT, NODE_NAME
 from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.run import Inputs, choose_inputs
 from uav_ident_ros.player import Player, PlayerError
 from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.share import shared
 
-NODE_NAME = "/identifier"
-
 FAILED = 1
-INTERRUPTED = 130
 
 DEFAULT_BAG = shared("bags/multisine")
 DEFAULT_SPEED = 2.0

@@ -5,7 +5,7 @@ import os
 import secrets
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 HIGHEST_DOMAIN = 101
 """Highest ROS domain whose ports are free of the system's ephemeral ones."""
@@ -26,7 +26,7 @@ def own_domain(
     int
         The domain.
     """
-    with _claimed() if domain is None else _given(domain) as chosen:
+    with _claimed() if domain is None else nullcontext(domain) as chosen:
         own = {"ROS_DOMAIN_ID": str(chosen), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         before = {name: os.environ.get(name) for name in own}
         os.environ.update(own)
@@ -38,11 +38,6 @@ def own_domain(
                     os.environ.pop(name)
                 else:
                     os.environ[name] = value
-
-
-@contextmanager
-def _given(domain: int) -> Iterator[int]:
-    yield domain
 
 
 @contextmanager

@@ -4,7 +4,6 @@
 import argparse
 import importlib.util
 import math
-import os
 import sys
 from contextlib import closing
 from typing import NoReturn
@@ -12,7 +11,7 @@ from typing import NoReturn
 from diagnostic_msgs.msg import DiagnosticArray
 
 from uav_ident_ros.client import CoefficientSource, Fallback, subscribe
-from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c
+from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c, reader_has_gone
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.monitor.heard import Heard
 
@@ -188,8 +187,7 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 0
     except BrokenPipeError:
-        # Whoever read this has gone; what Python would flush at the end has nowhere to go.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        reader_has_gone()
         return 0
     finally:
         listener.close()

@@ -9,15 +9,13 @@ from pathlib import Path
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import BagWriteError
+from uav_ident_ros.commandline import INTERRUPTED, reader_has_gone
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.job import Job, replay
 from uav_ident_ros.offline.overview import overview, ranked, ranking
 from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.progress import Progress
-
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
 
 
 def run(command_line: argparse.ArgumentParser, options: argparse.Namespace) -> int:
@@ -117,5 +115,4 @@ def _print(text: str) -> None:
     try:
         print(text, flush=True)
     except BrokenPipeError:
-        # The reader has gone; there is nobody left to tell, not at the exit either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        reader_has_gone()

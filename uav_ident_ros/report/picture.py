@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from uav_ident_ros.files.truth_file import read_truth
+from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
@@ -21,9 +22,6 @@ SIZE = (13.0, 8.0)
 """Inches."""
 
 DPI = 110
-
-HORIZON = 1.0
-"""How far ahead the predictions are, s: that of the score of record."""
 
 DETAIL = 25.0
 """Length of the rates' panels, s: a longer one hides the measurement behind the prediction."""
@@ -47,7 +45,7 @@ def write_picture(
         If the file cannot be written.
     """
     flight = collect(replayed.name, replayed.run)
-    ahead, fit = predict(flight, HORIZON), replayed.fits[FIT_WINDOWS]
+    ahead, fit = predict(flight, HORIZONS[0]), replayed.fits[FIT_WINDOWS]
     truth = read_truth(replayed.bag, flight.structure).values
     figure = Figure(figsize=SIZE, layout="constrained")
     panels = figure.subplots(3, 2, sharex="col", width_ratios=(1.1, 1.0))

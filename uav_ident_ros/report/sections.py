@@ -9,6 +9,7 @@ from typing import Any
 
 import uav_ident_ros
 from uav_ident_ros.files.truth_file import read_truth
+from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
 from uav_ident_ros.offline.find import bag_files
 from uav_ident_ros.offline.summary import Replayed
@@ -31,9 +32,6 @@ from uav_ident_ros.report.charts import (
 from uav_ident_ros.report.flight import Flight, predict
 from uav_ident_ros.report.timeline import Chart, Timeline
 
-HORIZON = 1.0
-"""How far ahead the score of record predicts, s."""
-
 
 @dataclass(frozen=True)
 class Section:
@@ -51,7 +49,7 @@ def sections(replayed: Replayed, flight: Flight) -> Iterator[Section]:
     """Yield the sections of a replay; the flight is that of its run."""
     summary, evidence = replayed.summary, replayed.evidence
     line = Timeline(flight.span, flight.clock.restarts)
-    second, tick = predict(flight, HORIZON), predict(flight, 1.0 / flight.settings.update_rate)
+    second, tick = predict(flight, HORIZONS[0]), predict(flight, 1.0 / flight.settings.update_rate)
     ahead = f"one tick ({tick.horizon:g} s) ahead", "holding the rates for one tick"
     fits = zip(ahead, tick.fit(flight.span[1]), strict=True)
     more = {FIT_WINDOWS: [fit_row(name, values.tolist()) for name, values in fits]}
