@@ -78,11 +78,11 @@ SILENT_AFTER = 2.0
 DISCOVERY_TIME = 1.5
 """Seconds from the start in which the graph is not complete yet."""
 
-LOOKS = 3
-"""Looks, a second apart, over which that is judged."""
-
 ENOUGH = 5
 """Messages that must be dropped, and none taken, before it is said of all of them."""
+
+LOOKS = 3
+"""Looks, a second apart, between which these are counted."""
 
 CURES: dict[str, str] = {
     Drop.NOT_FINITE: "their values are not finite numbers: look at the source",

@@ -20,10 +20,10 @@ from uav_ident_ros.offline.progress import Progress
 
 def run(command_line: argparse.ArgumentParser, options: argparse.Namespace) -> int:
     """Run the command with its options; return the exit status, see `replay --help`."""
-    several = len(options.bags) > 1 or is_collection(options.bags[0])
-    if options.compare and several:
-        command_line.error("--compare takes one bag")
     try:
+        several = len(options.bags) > 1 or is_collection(options.bags[0])
+        if options.compare and several:
+            command_line.error("--compare takes one bag")
         if options.compare:
             return _compare(options)
         return _many(options) if several else _one(options)
@@ -66,8 +66,10 @@ def _one(options: argparse.Namespace) -> int:
 
 
 def _many(options: argparse.Namespace) -> int:
-    from uav_ident_ros.offline.flights_table import rows_of, write_flights  # needs pyarrow
-
+    try:
+        from uav_ident_ros.offline.flights_table import rows_of, write_flights
+    except ImportError:
+        raise BagError("the table of several bags needs pyarrow: pip install pyarrow") from None
     bags = [bag for path in options.bags for bag in _bags_of(path, len(options.bags) > 1)]
     where, folder = options.output or Path(), "{}" if options.output else "replay_{}"
     named = zip(bags, names_of(bags), strict=True)
@@ -102,8 +104,8 @@ def _compare(options: argparse.Namespace) -> int:
     outcomes = replay_all(jobs, options.jobs, options.scheduler)
     _warn(*(warning for outcome in outcomes for warning in outcome.named_warnings))
     _print(f"{ranking(name, outcomes)}\n\nwritten to {folder}{os.sep}")
-    best, *_, last = ranked(outcomes) * 2
-    return NO_RESULT if last.status == NO_RESULT else best.status
+    best, failed = ranked(outcomes)[0], any(o.status == NO_RESULT for o in outcomes)
+    return NO_RESULT if failed else best.status
 
 
 def _warn(*warnings: str) -> None:
