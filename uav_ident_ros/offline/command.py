@@ -12,6 +12,7 @@ from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.commandline import INTERRUPTED, reader_has_gone
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
+from uav_ident_ros.offline.flights_table import arrow, rows_of, write_flights
 from uav_ident_ros.offline.job import Job, replay
 from uav_ident_ros.offline.overview import overview, ranked, ranking
 from uav_ident_ros.offline.parallel import replay_all
@@ -66,10 +67,7 @@ def _one(options: argparse.Namespace) -> int:
 
 
 def _many(options: argparse.Namespace) -> int:
-    try:
-        from uav_ident_ros.offline.flights_table import rows_of, write_flights
-    except ImportError:
-        raise BagError("the table of several bags needs pyarrow: pip install pyarrow") from None
+    arrow()  # without it there would be no table of what is about to take hours
     bags = [bag for path in options.bags for bag in _bags_of(path, len(options.bags) > 1)]
     where, folder = options.output or Path(), "{}" if options.output else "replay_{}"
     named = zip(bags, names_of(bags), strict=True)

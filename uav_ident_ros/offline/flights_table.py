@@ -8,9 +8,6 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import pyarrow
-from pyarrow import csv, parquet
-
 import uav_ident_ros
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import BagWriteError
@@ -55,11 +52,22 @@ class FlightRow:
     version: str = uav_ident_ros.__version__
 
 
-KINDS = {"str": pyarrow.string(), "int": pyarrow.int64()}
-SCHEMA = pyarrow.schema(
-    [(f.name, KINDS.get(str(f.type), pyarrow.float64())) for f in fields(FlightRow)]
-)
-"""The columns as they are on the disk."""
+def arrow() -> tuple[Any, Any]:
+    """Return the package pyarrow and the columns as it writes them.
+
+    Raises
+    ------
+    BagError
+        If it is missing.
+    """
+    try:
+        import pyarrow.csv
+        import pyarrow.parquet
+    except ImportError:
+        raise BagError("a table of flights needs pyarrow: pip install pyarrow") from None
+    kinds = {"str": pyarrow.string(), "int": pyarrow.int64()}
+    named = [(f.name, kinds.get(str(f.type), pyarrow.float64())) for f in fields(FlightRow)]
+    return pyarrow, pyarrow.schema(named)
 
 
 def rows_of(outcome: Outcome) -> Iterator[FlightRow]:
@@ -97,8 +105,9 @@ def write_flights(folder: Path, rows: Sequence[FlightRow]) -> list[Path]:
     BagWriteError
         If it cannot be written.
     """
-    table = pyarrow.Table.from_pylist([asdict(row) for row in rows], SCHEMA)
-    files = {folder / CSV_FILE: csv.write_csv, folder / PARQUET_FILE: parquet.write_table}
+    pa, schema = arrow()
+    table = pa.Table.from_pylist([asdict(row) for row in rows], schema)
+    files = {folder / CSV_FILE: pa.csv.write_csv, folder / PARQUET_FILE: pa.parquet.write_table}
     for path, write in files.items():
         part = path.with_name(f".{path.name}.part")
         try:
@@ -118,15 +127,16 @@ def read_flights(path: Path) -> list[FlightRow]:
     BagError
         If it cannot be read or is no such table.
     """
+    pa, schema = arrow()
     path = path / CSV_FILE if path.is_dir() else path
-    columns = csv.ConvertOptions(column_types=SCHEMA, include_columns=SCHEMA.names)
+    columns = pa.csv.ConvertOptions(column_types=schema, include_columns=schema.names)
     try:
         if path.suffix == ".parquet":
-            table = parquet.read_table(path, columns=SCHEMA.names)
+            table = pa.parquet.read_table(path, columns=schema.names)
         else:
-            table = csv.read_csv(path, convert_options=columns)
+            table = pa.csv.read_csv(path, convert_options=columns)
         return [FlightRow(**row) for row in table.to_pylist()]
     except OSError as error:
         raise BagError(f"'{path}' cannot be read: {error.strerror or error}") from None
-    except (TypeError, pyarrow.ArrowException) as error:
+    except (TypeError, pa.ArrowException) as error:
         raise BagError(f"'{path}' is no table of flights: {error}") from None
