@@ -7,6 +7,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import ParamSpec, TypeVar
 
 import rclpy
@@ -15,21 +16,16 @@ REPEAT_AFTER = 5.0
 """Seconds until the same notice may be given again."""
 
 
+@dataclass
 class Throttle:
     """Passes a repeated notice on at once, then at most every few seconds, with its count."""
 
-    def __init__(
-        self,
-        say: Callable[[str], object],  # Takes the line, ``logger.warning`` for example
-        repeat_after: float = REPEAT_AFTER,  # Seconds until the same notice may be given again
-        # Monotonic seconds; not the node's clock, which may stand still
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._say = say
-        self._repeat_after = repeat_after
-        self._clock = clock
-        self._said: dict[tuple[str, ...], float] = {}
-        self._kept: Counter[tuple[str, ...]] = Counter()
+    say: Callable[[str], object]  # Takes the line, ``logger.warning`` for example
+    repeat_after: float = REPEAT_AFTER  # Seconds until the same notice may be given again
+    # Monotonic seconds; not the node's clock, which may stand still
+    clock: Callable[[], float] = time.monotonic
+    _said: dict[tuple[str, ...], float] = field(default_factory=dict)
+    _kept: Counter[tuple[str, ...]] = field(default_factory=Counter)
 
     def notice(
         self,
@@ -37,14 +33,14 @@ class Throttle:
         line: Callable[[], str],  # Makes the line; called only if it is said
     ) -> None:
         """Give the notice `key`, or count it."""
-        now = self._clock()
+        now = self.clock()
         last = self._said.get(key)
-        if last is not None and now - last < self._repeat_after:
+        if last is not None and now - last < self.repeat_after:
             self._kept[key] += 1
             return
         self._said[key] = now
         kept = self._kept.pop(key, 0)
-        self._say(f"{line()} ({kept} more like it before)" if kept else line())
+        self.say(f"{line()} ({kept} more like it before)" if kept else line())
 
 
 class OnChange:

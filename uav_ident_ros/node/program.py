@@ -5,7 +5,7 @@ import itertools
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import rclpy
@@ -53,48 +53,6 @@ REFUSALS = (
     rclpy_implementation.UnknownROSArgsError,
 )
 """What a wrong command line, parameter or file raises before the node runs."""
-
-
-def start(
-    argv: Sequence[str],  # Program name and arguments
-) -> None:
-    """Initialise ROS with the command line; signals stay with the program's `Ending`.
-
-    Raises
-    ------
-    UsageError
-        If there is an argument that is not for ROS.
-    RCLError
-        If ROS refuses its arguments or a parameter file.
-    """
-    stray = remove_ros_args(list(argv))[1:]
-    if stray:
-        raise UsageError(
-            f"unknown argument '{stray[0]}': parameters are given as "
-            "--ros-args --params-file FILE, or --ros-args -p NAME:=VALUE"
-        )
-    # rcl logs that it failed, without saying why: `explain` says it, once.
-    rclpy.logging.set_logger_level("rcl", LoggingSeverity.FATAL)
-    rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-    rclpy.logging.set_logger_level("rcl", LoggingSeverity.UNSET)
-
-
-def parameter_sources(
-    argv: Sequence[str],  # The command line
-    node: str,  # Full name of the node
-) -> Iterator[str]:
-    """Yield a line for each parameter file of the command line: which sections are for `node`.
-
-    Raises
-    ------
-    ParameterFileError
-        If a file has nothing for the node: it would run on its defaults without a word.
-    """
-    for option, path in itertools.pairwise(argv):
-        if option == "--params-file":
-            sections = ParameterFile.read(path).sections_for(node)
-            if sections:
-                yield f"parameters of '{path}', section {', '.join(sections)}"
 
 
 def explain(
@@ -162,10 +120,17 @@ def run(
         print(usage)
         return 0
     try:
-        start(argv)
+        if stray := remove_ros_args(list(argv))[1:]:
+            raise UsageError(
+                f"unknown argument '{stray[0]}': parameters are given as "
+                "--ros-args --params-file FILE, or --ros-args -p NAME:=VALUE"
+            )
+        # rcl logs that it failed, without saying why: `explain` says it, once.
+        rclpy.logging.set_logger_level("rcl", LoggingSeverity.FATAL)
+        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.logging.set_logger_level("rcl", LoggingSeverity.UNSET)
         node = make()
-        for line in parameter_sources(argv, node.get_fully_qualified_name()):
-            node.get_logger().info(line)
+        _log_sources(node, argv)
     except REFUSALS as error:
         print(f"{name}: {explain(error, argv)}", file=sys.stderr)
         rclpy.try_shutdown()
@@ -178,6 +143,15 @@ def run(
         node.destroy_node()
         rclpy.try_shutdown()
         ending.close()
+
+
+def _log_sources(node: Node, argv: Sequence[str]) -> None:
+    """Log which sections of which parameter files are for a node; refuse a file with none."""
+    for option, path in itertools.pairwise(argv):
+        if option == "--params-file":
+            sections = ParameterFile.read(path).sections_for(node.get_fully_qualified_name())
+            if sections:
+                node.get_logger().info(f"parameters of '{path}', section {', '.join(sections)}")
 
 
 def spin(node: Node, ending: Ending) -> int:

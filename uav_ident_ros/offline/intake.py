@@ -163,7 +163,8 @@ class Intake:
         self._newest_ns = int(block.t_ns[-1])
         stamps, values = block.t_ns.tolist(), block.values.tolist()
         taken = begin = 0
-        for place in [*_others(len(messages), imu), len(messages)]:
+        others = np.setdiff1d(np.arange(len(messages)), imu).tolist()
+        for place in [*others, len(messages)]:
             # the rates that were logged before this other message
             end = begin + place - taken
             self._take_orderly(stamps, values, begin, end, tick)
@@ -220,10 +221,3 @@ class Intake:
         self.rates.append(t_ns, (*rates, *(force or _NO_FORCE)), self.era)
         for feed in self._feeds.values():
             feed.settle()
-
-
-def _others(count: int, chosen: Sequence[int]) -> list[int]:
-    """Return the numbers below `count` that are not among the chosen ones."""
-    flags = np.ones(count, dtype=bool)
-    flags[chosen] = False
-    return [int(i) for i in np.flatnonzero(flags)]
