@@ -38,6 +38,19 @@ class Number:
         text = f"{self.value:{self.style}}"
         return text if self.sigma is None else f"{text} +- {self.sigma:.2g}"
 
+    @property
+    def share(self) -> float:
+        """Its magnitude; 0 if there is none."""
+        return abs(self.value) if self.value is not None and math.isfinite(self.value) else 0.0
+
+    def __html__(self) -> str:
+        """Return it for a page, with the exact numbers in the ``data`` elements around it."""
+        exact = zip(
+            (self.value, self.sigma), str(self).replace("-", "−").split(" +− "), strict=False
+        )
+        tags = (f'<data value="{value}">{text}</data>' for value, text in exact)
+        return "–" if str(self) == NONE else " ± ".join(tags)
+
 
 class Words(str):
     """A cell of words, or a heading of such: it stands on the left."""

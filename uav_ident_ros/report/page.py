@@ -19,7 +19,6 @@ from uav_ident_ros.offline.tables import Words
 from uav_ident_ros.report.flight import collect
 from uav_ident_ros.report.sections import Section, sections
 from uav_ident_ros.report.style import COLORS
-from uav_ident_ros.report.tables import cell
 from uav_ident_ros.report.timeline import Chart
 
 EARLIEST_DATE_NS = 946_684_800_000_000_000
@@ -61,7 +60,7 @@ def render(sections: Sequence[Section], **content: Any) -> str:
     """Return a page with sections and their charts; `content` is what else it is to show."""
     loader = PackageLoader("uav_ident_ros.report")
     page = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    page.filters |= {"cell": cell, "sentence": _sentence}
+    page.filters["sentence"] = _sentence
     page.tests["words"] = lambda heading: isinstance(heading, Words)
     drawn, names = _embed([chart for section in sections for chart in section.charts])
     return page.get_template("page.html").render(

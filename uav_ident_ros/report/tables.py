@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
+from markupsafe import escape
 
 from uav_ident_ros.files.parameter_file import written
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.offline.evidence import Evidence
-from uav_ident_ros.offline.tables import NONE, Cell, Number, Row, Table, Words
+from uav_ident_ros.offline.tables import Cell, Number, Row, Table, Words
 from uav_ident_ros.report.analysis import SIGNALS, Spectra, signals
 from uav_ident_ros.report.charts import AXIS_WORDS, UNITS
 from uav_ident_ros.report.flight import Flight
@@ -21,30 +21,9 @@ from uav_ident_ros.report.flight import Flight
 class Code(Words):
     """A cell that is broken anywhere: a hash."""
 
-
-def number(found: Number) -> Markup:
-    """Return a number to read, with the exact ones in the ``data`` elements around it."""
-    if str(found) == NONE:
-        return Markup("–")
-    values = (found.value,) if found.sigma is None else (found.value, found.sigma)
-    texts = [text.replace("-", "−") for text in str(found).split(" +- ")]
-    tag = Markup('<data value="{}">{}</data>')
-    return Markup(" ± ").join(tag.format(v, text) for v, text in zip(values, texts, strict=True))
-
-
-def cell(content: Cell) -> Markup:
-    """Return a cell of a table."""
-    if isinstance(content, Code):
-        return Markup('<td class="words"><span class="hash">{}</span></td>').format(content)
-    if isinstance(content, Words):
-        return Markup('<td class="words">{}</td>').format(content)
-    if isinstance(content, str):
-        return Markup("<td>{}</td>").format(content)
-    if content.shaded:
-        share = abs(content.value or 0.0) if math.isfinite(content.value or 0.0) else 0.0
-        tag = Markup('<td class="shaded" style="--share:{:.2f}">{}</td>')
-        return tag.format(share, number(content))
-    return Markup("<td>{}</td>").format(number(content))
+    def __html__(self) -> str:
+        """Return it for a page."""
+        return f'<span class="hash">{escape(str(self))}</span>'
 
 
 def gates_table(lost: Mapping[str, float]) -> Table:
@@ -138,11 +117,11 @@ def card(fit: Mapping[str, Any], axis: str) -> dict[str, Any]:
     """Return the fit of an axis over a bar, and that of holding the rate beside it."""
     model, hold = fit["model"][axis], fit["hold"][axis]
     share, mark = (min(max(value or 0.0, 0.0), 100.0) for value in (model, hold))
-    diverges = model is not None and model < LOWEST_SHOWN
     return {
         "axis": f"{AXIS_WORDS[axis].lower()}, {axis}",
-        "value": "diverges" if diverges else number(Number(model, ".1f")) + " %",
+        "value": Number(model, ".1f"),
+        "diverges": model is not None and model < LOWEST_SHOWN,
         "share": f"{share:.1f}",
         "mark": f"{mark:.1f}",
-        "beside": "holding: " + number(Number(hold, ".1f")) + " %",
+        "hold": Number(hold, ".1f"),
     }
