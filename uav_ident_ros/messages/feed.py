@@ -81,5 +81,5 @@ class Feed:
 
     def drops(self) -> Counter[str]:
         """Return what was refused here or dropped by the identifier, by reason."""
-        dropped = self._identifier.drops[self.stream.name]
+        dropped = self._identifier.intake.drops[self.stream.name]
         return self._refused + Counter({drop.value: n for drop, n in dropped.items()})

@@ -124,7 +124,7 @@ class Waiting:
         ticks: int,  # Ticks computed since the start
     ) -> str:
         """Return what is missed, and what to do; empty if nothing is."""
-        now, newest_ns = time.monotonic(), self._identifier.newest_ns
+        now, newest_ns = time.monotonic(), self._identifier.intake.newest_ns
         if ticks != self._ticks[0]:
             self._ticks = (ticks, now)
         self.imu_moves = newest_ns != self._stamp[0]
