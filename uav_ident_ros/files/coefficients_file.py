@@ -28,14 +28,20 @@ import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from uav_ident_ros.files.strict_yaml import UNUSABLE, EntryError, StrictLoader, mapping, problem
+from uav_ident_ros.files.strict_yaml import (
+    UNUSABLE,
+    EntryError,
+    StrictLoader,
+    mapping,
+    nanoseconds,
+    problem,
+)
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
 from uav_ident_ros.identification.structure import STRUCTURES
@@ -46,6 +52,9 @@ VERSION = "1"
 
 LARGEST_FILE = 1_000_000
 """Size beyond which it is some other file, bytes: ours have a few thousand."""
+
+LATEST_NS = 2**63
+"""What counts the nanoseconds of a stamp is a signed integer of 64 bits."""
 
 _TOP_KEYS = ("format", "version", "structure", "stamp", "coefficients")
 _NOTE_KEYS = ("saved", "usable", "delay", "learned_with")
@@ -246,20 +255,14 @@ def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:
         raise EntryError("it is empty")
     top = mapping(content, "the file", _TOP_KEYS, _NOTE_KEYS)
     name = top["structure"]
-    for wrong, reason in (
-        (top["format"] != FORMAT, f"the format is '{top['format']}', not '{FORMAT}'"),
-        (top["version"] != VERSION, f"version {top['version']} is not known, only {VERSION} is"),
-        (
-            name not in [*STRUCTURES],
-            f"structure '{name}' is unknown, known are {', '.join(STRUCTURES)}",
-        ),
-        (
-            wanted is not None and name != wanted,
-            f"it is for structure '{name}', but 'structure' is '{wanted}'",
-        ),
-    ):
-        if wrong:
-            raise EntryError(reason)
+    if top["format"] != FORMAT:
+        raise EntryError(f"the format is '{top['format']}', not '{FORMAT}'")
+    if top["version"] != VERSION:
+        raise EntryError(f"version {top['version']} is not known, only {VERSION} is")
+    if name not in [*STRUCTURES]:
+        raise EntryError(f"structure '{name}' is unknown, known are {', '.join(STRUCTURES)}")
+    if wanted is not None and name != wanted:
+        raise EntryError(f"it is for structure '{name}', but 'structure' is '{wanted}'")
     structure = STRUCTURES[name]
     entries = mapping(top["coefficients"], "coefficients", structure.names)
     values, sigma = np.zeros(structure.mask.shape), np.zeros(structure.mask.shape)
@@ -270,7 +273,8 @@ def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:
         sigma[index] = math.inf if unknown else _number(entry["sigma"], f"the sigma of {name}")
         if sigma[index] < 0.0:
             raise EntryError(f"the sigma of {name} is negative")
-    return CoefficientSet(structure.name, values, sigma, _stamp(top["stamp"]))
+    t_ns = nanoseconds(top["stamp"], NS_PER_S, LATEST_NS, "stamp")
+    return CoefficientSet(structure.name, values, sigma, t_ns)
 
 
 def _notes(content: Mapping[str, Any]) -> Notes:
@@ -294,17 +298,6 @@ def _number(text: Any, what: str) -> float:
     if not math.isfinite(number):
         raise EntryError(f"{what} is '{text}', not a finite number")
     return number
-
-
-def _stamp(text: Any) -> int:
-    try:
-        # Decimal, as seconds since 1970 do not keep their nanoseconds in a float.
-        t_ns = int(Decimal(text) * NS_PER_S)
-    except (InvalidOperation, ValueError, OverflowError, TypeError):
-        raise EntryError(f"stamp is '{text}', not a number of seconds") from None
-    if t_ns < 0:
-        raise EntryError("stamp is negative")
-    return t_ns
 
 
 def _time(text: Any) -> datetime:

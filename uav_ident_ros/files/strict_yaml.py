@@ -5,9 +5,12 @@ import difflib
 import errno
 import math
 from collections.abc import Collection, Mapping
+from decimal import Decimal
 from typing import Any
 
 import yaml
+
+from uav_ident_ros.messages.types import NS_PER_S
 
 
 class EntryError(Exception):
@@ -71,6 +74,29 @@ def mapping(
     if missing := [key for key in needed if key not in content]:
         raise EntryError(f"{owner} has no {', '.join(missing)}")
     return dict(content)
+
+
+def nanoseconds(
+    text: Any,
+    unit_ns: int,  # Unit of the text, ns
+    latest_ns: int,  # First time that is too late, ns
+    what: str,
+    cure: str = "",  # What to do if it is too late
+) -> int:
+    """Return a stamp as whole ns: decimals keep those of one since 1970, a float does not.
+
+    Raises
+    ------
+    EntryError
+        If it is no number, negative or too late.
+    """
+    try:
+        t_ns = Decimal(text) * unit_ns
+        if 0 <= t_ns < latest_ns:  # before it becomes an int, which may have a million digits
+            return int(t_ns.to_integral_value())
+    except (ArithmeticError, ValueError, TypeError):
+        raise EntryError(f"{what} is '{text}', which is no number") from None
+    raise EntryError(f"{what} is '{text}': a stamp holds 0 to {latest_ns // NS_PER_S} s{cure}")
 
 
 def meant(name: str, known: Collection[str]) -> str:

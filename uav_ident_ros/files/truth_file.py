@@ -7,6 +7,7 @@ from pathlib import Path
 
 import yaml
 
+from uav_ident_ros.files.strict_yaml import UNUSABLE
 from uav_ident_ros.identification.structure import Structure
 
 TRUTH_FILE = "truth.yaml"
@@ -53,13 +54,5 @@ def read_truth(
             for change in content.get("changes") or ()
         )
         return Truth({name: float(value) for name, value in values.items()}, changes)
-    except (
-        OSError,
-        UnicodeDecodeError,
-        yaml.YAMLError,
-        AttributeError,
-        TypeError,
-        ValueError,
-        KeyError,
-    ):
+    except (*UNUSABLE, AttributeError, TypeError, ValueError, KeyError):
         return Truth()  # not a file of the simulation's

@@ -5,14 +5,21 @@ import csv
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from uav_ident_ros.files.strict_yaml import UNUSABLE, EntryError, finite, mapping, meant, problem
+from uav_ident_ros.files.strict_yaml import (
+    UNUSABLE,
+    EntryError,
+    finite,
+    mapping,
+    meant,
+    nanoseconds,
+    problem,
+)
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.import_logs.flight_log import (
@@ -24,7 +31,6 @@ from uav_ident_ros.import_logs.flight_log import (
 )
 from uav_ident_ros.import_logs.log import IN_NS, Column, Log, Messages
 from uav_ident_ros.import_logs.stamps import LATEST_NS
-from uav_ident_ros.messages.types import NS_PER_S
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
@@ -159,6 +165,8 @@ def _three(value: Any, name: str, what: str) -> list[Any]:
     return value
 
 
+TOO_LATE = "; shift the column, or say its unit in the column map"
+
 COMMENT = "#"
 """Lines that begin with it are skipped."""
 
@@ -258,13 +266,14 @@ def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str
             listed = ", ".join(header)
             raise EntryError(f"it has no column '{name}'; it has {listed}: {meant(name, header)}")
     place, *places = (header.index(name) for name in columns.columns)
-    unit_ns = Decimal(int(columns.quantities["time"].factor))
+    unit_ns = int(columns.quantities["time"].factor)
     t_ns, values, short = [], [], []
     for line, cells in rows:
         if len(cells) <= max(place, *places):
             short.append(line)
             continue
-        t_ns.append(_stamp(line, cells[place], unit_ns))
+        where = f"line {line}: the time"
+        t_ns.append(nanoseconds(cells[place], unit_ns, LATEST_NS, where, TOO_LATE))
         values.append([_number(line, cells[other]) for other in places])
     if not values:
         raise EntryError("it has no complete row below its header")
@@ -274,21 +283,6 @@ def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str
         )
     named = zip(columns.columns[1:], np.array(values).T, strict=True)
     return {IN_NS: np.array(t_ns, dtype=np.int64), **dict(named)}
-
-
-def _stamp(line: int, cell: str, unit_ns: Decimal) -> int:
-    """Return a time, ns: decimals keep the nanoseconds of one since 1970, a float does not."""
-    where = f"line {line}: the time is '{cell}'"
-    try:
-        t_ns = Decimal(cell) * unit_ns
-        if 0 <= t_ns < LATEST_NS:
-            return int(t_ns.to_integral_value())
-    except (InvalidOperation, ValueError, OverflowError):
-        raise EntryError(f"{where}, which is no number") from None
-    raise EntryError(
-        f"{where}: a stamp holds 0 to {LATEST_NS // NS_PER_S} s; shift the column, or say its "
-        "unit in the column map"
-    )
 
 
 def _number(line: int, cell: str) -> float:

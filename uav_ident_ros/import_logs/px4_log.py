@@ -304,13 +304,7 @@ def _table(file: Path) -> dict[str, Column]:
 
 def _parameters(file: Path) -> dict[str, float]:
     """Return the parameters of lines such as ``CA_AIRFRAME,1``."""
-    found = re.findall(
-        r"(?m)^\s*(\w+)[,:\s]+([-+0-9.eE]+)\s*(?:,|$)", file.read_text("utf-8", errors="replace")
-    )
-    result = {}
-    for name, value in found:
-        try:
-            result[name] = float(value)
-        except ValueError:
-            continue
-    return result
+    text = file.read_text("utf-8", errors="replace")
+    number = r"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?"
+    found = re.findall(rf"(?m)^\s*(\w+)[,:\s]+({number})\s*(?:,|$)", text)
+    return {name: float(value) for name, value in found}

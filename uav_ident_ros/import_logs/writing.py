@@ -31,8 +31,37 @@ FRAME_IDS = {"frd": "base_link_frd", "flu": "base_link"}
 ARMED_STEP_NS = 1_000_000_000
 """Time between two messages that say the same of whether it is armed, ns: the type has no stamp."""
 
+STRING, BOOL = "std_msgs/msg/String", "std_msgs/msg/Bool"
+
 IMU_STREAMS = ("rates", "attitude")
 """What the messages of the Imu are made of."""
+
+
+Make = Callable[[int, Any], Any]
+"""Makes a message from a stamp, ns, and a sample."""
+
+
+def _imu(log: FlightLog) -> Make:
+    frame_id, rates, attitude = FRAME_IDS[log.convention], *map(log.streams.get, IMU_STREAMS)
+    assert rates is not None
+    turns = [None] * len(rates.t_ns)
+    if attitude is not None:
+        turns = turned_at(rates.t_ns, attitude.t_ns, attitude.values).tolist()
+    turned = iter(turns)
+
+    has_force = log.has_force
+
+    def make(t_ns: int, value: Any) -> Any:
+        values = value.tolist()
+        force = values[3:] if has_force else None
+        return imu(t_ns, values[:3], force, frame_id, next(turned))
+
+    return make
+
+
+def _joint_state(log: FlightLog) -> Make:
+    names = [channel.name for channel in log.channels]
+    return lambda t_ns, value: joint_state(t_ns, names, value)
 
 
 class Topic(NamedTuple):
@@ -40,16 +69,23 @@ class Topic(NamedTuple):
 
     name: str
     msgtype: str
+    maker: Callable[[FlightLog], Make]  # Gives what makes its messages
     depth: int = 10
 
 
 TOPICS = {
-    "actuators": Topic("/actuators", JOINT_STATE),
-    "rates": Topic("/imu/data", IMU, 500),
-    "airspeed": Topic("/airspeed", TWIST),
-    "setpoint": Topic("/setpoint/rates", VECTOR),
-    "mode": Topic("/mode", "std_msgs/msg/String"),
-    "armed": Topic("/armed", "std_msgs/msg/Bool"),
+    "actuators": Topic("/actuators", JOINT_STATE, _joint_state),
+    "rates": Topic("/imu/data", IMU, _imu, 500),
+    "airspeed": Topic(
+        "/airspeed", TWIST, lambda _: lambda t_ns, v: twist_stamped(t_ns, (float(v), 0.0, 0.0))
+    ),
+    "setpoint": Topic(
+        "/setpoint/rates",
+        VECTOR,
+        lambda _: lambda t_ns, pqr: vector_stamped(t_ns, pqr.tolist(), FRAME_IDS["frd"]),
+    ),
+    "mode": Topic("/mode", STRING, lambda _: lambda _, name: plain(STRING, str(name))),
+    "armed": Topic("/armed", BOOL, lambda _: lambda _, armed: plain(BOOL, bool(armed))),
 }
 """Topic of each stream. At equal times the actuators come first, as the command precedes its
 effect."""
@@ -87,7 +123,7 @@ def write_import(log: FlightLog, folder: Path, finish: Callable[[], None]) -> No
 
 def _entries(log: FlightLog, stream: Stream, name: str) -> Iterator[tuple[int, str, Any]]:
     """Yield log time, topic and message; log times never step back, whatever the stamps do."""
-    make, topic = MAKERS[name](log), TOPICS[name].name
+    make, topic = TOPICS[name].maker(log), TOPICS[name].name
     log_ns: TimeArray = np.maximum.accumulate(stream.t_ns)
     for recorded, t_ns, value in zip(
         log_ns.tolist(), stream.t_ns.tolist(), stream.values, strict=True
@@ -105,43 +141,3 @@ def _armed(log: FlightLog) -> Stream:
     t_ns = np.union1d(seconds, changes[(start <= changes) & (changes < end)])
     until = [(first, last - 1) for first, last in log.armed or []]
     return Stream("armed", t_ns[t_ns < end], inside(t_ns[t_ns < end], until))
-
-
-# --- messages -----------------------------------------------------------------------------------
-
-Make = Callable[[int, Any], Any]
-"""Makes a message from a stamp, ns, and a sample."""
-
-
-def _imu(log: FlightLog) -> Make:
-    frame_id, rates, attitude = FRAME_IDS[log.convention], *map(log.streams.get, IMU_STREAMS)
-    assert rates is not None
-    turns = [None] * len(rates.t_ns)
-    if attitude is not None:
-        turns = turned_at(rates.t_ns, attitude.t_ns, attitude.values).tolist()
-    turned = iter(turns)
-
-    has_force = log.has_force
-
-    def make(t_ns: int, value: Any) -> Any:
-        values = value.tolist()
-        force = values[3:] if has_force else None
-        return imu(t_ns, values[:3], force, frame_id, next(turned))
-
-    return make
-
-
-def _joint_state(log: FlightLog) -> Make:
-    names = [channel.name for channel in log.channels]
-    return lambda t_ns, value: joint_state(t_ns, names, value)
-
-
-MAKERS: dict[str, Callable[[FlightLog], Make]] = {
-    "actuators": _joint_state,
-    "rates": _imu,
-    "airspeed": lambda _: lambda t_ns, speed: twist_stamped(t_ns, (float(speed), 0.0, 0.0)),
-    "setpoint": lambda _: lambda t_ns, pqr: vector_stamped(t_ns, pqr.tolist(), FRAME_IDS["frd"]),
-    "mode": lambda _: lambda _, name: plain(TOPICS["mode"].msgtype, str(name)),
-    "armed": lambda _: lambda _, armed: plain(TOPICS["armed"].msgtype, bool(armed)),
-}
-"""What makes the messages of each stream of a log."""
