@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What PX4 logs of different ages and vehicles mean. All but the last are written by pyulog."""
+"""What PX4 logs of different ages and vehicles mean."""
 
 from pathlib import Path
 

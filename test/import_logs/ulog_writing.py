@@ -1,22 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PX4 logs for the tests, written by pyulog itself: any topics, any parameters."""
+"""PX4 logs for the tests, as its documentation says: any topics, any parameters."""
 
+import struct
 from collections.abc import Mapping
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
-from pyulog import ULog
 
-ULOG_TYPES = {
-    np.dtype(np.float32): "float",
-    np.dtype(np.int32): "int32_t",
-    np.dtype(np.uint32): "uint32_t",
-    np.dtype(np.uint8): "uint8_t",
-    np.dtype(np.uint64): "uint64_t",
-}
+from uav_ident_ros.import_logs.px4_log import MAGIC
+
+ULOG_TYPES = {"float32": "float", **{f"{kind}{n}": f"{kind}{n}_t" for kind, n in
+              (("int", 32), ("uint", 32), ("uint", 8), ("uint", 64))}}  # fmt: skip
 
 Columns = Mapping[str, np.ndarray]
+
+
+def message(kind: str, content: bytes) -> bytes:
+    """One message with its header."""
+    return struct.pack("<HB", len(content), ord(kind)) + content
+
+
+def keyed(kind: str, key: str, value: bytes) -> bytes:
+    """A fact or a parameter."""
+    return message(kind, bytes([len(key)]) + key.encode() + value)
 
 
 def write_ulog(
@@ -27,42 +33,31 @@ def write_ulog(
     parameters: Mapping[str, float],  # Initial parameters
     dropouts: tuple[tuple[int, int], ...] = (),  # Time (us) and length (ms) of each dropout
 ) -> Path:
-    """Write a log."""
-    log = ULog(None)
-    log._start_timestamp = min(int(c["timestamp"][0]) for c in topics.values())
-    log._initial_parameters = dict(parameters)
-    log._msg_info_dict = {"sys_name": "PX4", "ver_hw": "TEST"}
-    log._msg_info_dict_types = {"sys_name": "char[3]", "ver_hw": "char[4]"}
+    """Write a log; its samples stand in the order of their times."""
+    start = min(int(columns["timestamp"][0]) for columns in topics.values())
+    parts = [MAGIC + b"\1" + struct.pack("<Q", start), message("B", bytes(40))]
+    parts += [keyed("I", "char[3] sys_name", b"PX4"), keyed("I", "char[4] ver_hw", b"TEST")]
+    rows = [(t_us, message("O", struct.pack("<H", length))) for t_us, length in dropouts]
+    for name, value in parameters.items():
+        kind, packed = ("int32_t", "<i") if isinstance(value, int) else ("float", "<f")
+        parts.append(keyed("P", f"{kind} {name}", struct.pack(packed, value)))
+    added = []
     for number, ((name, instance), columns) in enumerate(topics.items()):
-        log._message_formats[name] = ULog.MessageFormat(_format(name, columns), None)
-        added = b"%c" % instance + number.to_bytes(2, "little") + name.encode()
-        subscription = ULog._MessageAddLogged(added, None, log._message_formats)
-        subscription.buffer = _rows(columns, subscription.dtype)
-        log._data_list.append(ULog.Data(subscription))
-    for timestamp, duration in dropouts:
-        log._dropouts.append(SimpleNamespace(timestamp=timestamp, duration=duration))
-    log.write_ulog(str(path))
-    return path
-
-
-def _format(name: str, columns: Columns) -> bytes:
-    fields = []
-    for field, values in columns.items():
-        kind = ULOG_TYPES[values.dtype]
-        size = f"[{values.shape[1]}]" if values.ndim == 2 else ""
-        fields.append(f"{kind}{size} {field};")
-    return f"{name}:{''.join(fields)}".encode()
-
-
-def _rows(columns: Columns, dtype: np.dtype) -> bytes:
-    table = np.zeros(len(columns["timestamp"]), dtype)
-    for field, values in columns.items():
-        if values.ndim == 1:
+        fields = [f"{ULOG_TYPES[v.dtype.name]}{list(v.shape[1:]) or ''} {field};"
+                  for field, v in columns.items()]  # fmt: skip
+        parts.append(message("F", f"{name}:{''.join(fields)}".encode()))
+        key = number.to_bytes(2, "little")
+        added.append(message("A", bytes([instance]) + key + name.encode()))
+        table = np.zeros(
+            len(columns["timestamp"]), [(f, v.dtype, v.shape[1:]) for f, v in columns.items()]
+        )
+        for field, values in columns.items():
             table[field] = values
-        else:
-            for i in range(values.shape[1]):
-                table[f"{field}[{i}]"] = values[:, i]
-    return table.tobytes()
+        for row in table:
+            rows.append((int(row["timestamp"]), message("D", key + row.tobytes())))
+    rows.sort(key=lambda row: row[0])
+    path.write_bytes(b"".join([*parts, *added, *(content for _, content in rows)]))
+    return path
 
 
 def stamps(t_ns: np.ndarray) -> np.ndarray:
