@@ -142,7 +142,7 @@ def _at(track: cases.Track, tick: int, truth: FloatArray) -> Result:
 
 def _free_run_fits(held_out: cases.Case, results: Sequence[Result]) -> FloatArray:
     """Fit of p, q, r of models run through the whole flight from its first sample, percent."""
-    blocks = output_error.grid_blocks(held_out, held_out.settings({}))
+    blocks = held_out.blocks(held_out.settings({}))
     x = np.concatenate([blocks[0].x, *(b.x[1:] for b in blocks[1:])])
     u = np.concatenate([b.u for b in blocks])
     force = np.concatenate([blocks[0].force, *(b.force[1:] for b in blocks[1:])])

@@ -2,9 +2,10 @@
 """Flights as the identifier sees them, one pass over them, and the score of what came out."""
 
 import heapq
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from uav_ident_ros.identification.prediction import (
     score_windows,
     window_errors,
 )
+from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 from uav_ident_ros.messages.types import RATES
@@ -96,6 +98,13 @@ class Case:
         """Return p, q, r (N, 3) and ay, az (N, 2), FRD."""
         frame = BodyFrame(settings.imu)
         return frame.to_body(self.rates), frame.to_body(self.force)[:, 1:]
+
+    def blocks(self, settings: Settings) -> list[Block]:
+        """Bring the signals on the identifier's own grid, joined up to each restart."""
+        sampler = Sampler(settings)
+        sampler.rates.t, sampler.rates.v = self.imu_t_ns, np.hstack([self.rates, self.force])
+        sampler.raw_inputs.t, sampler.raw_inputs.v = self.actuator_t_ns, self.actuators
+        return list(sampler.blocks())
 
 
 def simulated(name: str, seed: int | None = None, **sensor_changes: Any) -> Case:
@@ -238,14 +247,21 @@ def identify(
     )
 
 
-def fed(case: Case, identifier: OnlineIdentifier) -> Iterator[int]:
+def fed(
+    case: Case,
+    identifier: OnlineIdentifier,
+    told: Iterable[FloatArray] = (),  # What was added to excite, one for each actuator sample
+) -> Iterator[int]:
     """Give an identifier a flight; yield the arrival of each rates sample, which may be due."""
+    excitation = iter(told)
     for arrival, is_rates, t, v in messages(case):
         if is_rates:
             identifier.add_rates(t, v[:3], v[3:])
             yield arrival
         else:
             identifier.add_actuators(t, v)
+            for added in islice(excitation, 1):
+                identifier.add_excitation(t, added.tolist())
 
 
 def messages(case: Case) -> Any:

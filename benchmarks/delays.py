@@ -22,7 +22,7 @@ import verdict_flights
 from uav_ident_ros.identification.delay import DelayBank, DelayEstimate
 from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.prior import first_values
-from uav_ident_ros.identification.sampling import Block, FlowSignals, Sampler
+from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment
@@ -125,12 +125,9 @@ def judged(trial: tuple[str, bool, Any]) -> Result:
     speed = 20.0 if m.flight.airspeed is None else float(np.mean(m.flight.airspeed))
     untold = {"actuators.delay": 0.0, "actuators.time_constant": 0.0, "airspeed.reference": speed}
     case = cases.measured(m, name, None)
-    sampler = Sampler(case.settings(untold))
-    sampler.rates.t, sampler.rates.v = case.imu_t_ns, np.hstack([case.rates, case.force])
-    sampler.raw_inputs.t, sampler.raw_inputs.v = case.actuator_t_ns, case.actuators
     bank, observer = DelayBank(0.3), FlowObserver(structure, 15.0, speed)
     worst = 0.0
-    for block in sampler.blocks():
+    for block in case.blocks(case.settings(untold)):
         block.flow = observer.follow(block, first_values(structure), None)
         for k in range(0, len(block.u), PIECE):
             if bank.add(cut(block, k, name), 0.0) and bank.estimate.total_sure:

@@ -102,20 +102,9 @@ def identify(flight: Flight, segments: Sequence[Segment], seed: int) -> list[Est
     """Identify it as the node would, from nothing; return the estimates of all ticks."""
     case = cases.measured(measure(flight, verdict_flights.SENSORS, seed), "light", seed)
     identifier = OnlineIdentifier(case.settings({}))
-    told = iter(sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9))
-    estimates = []
-    for _, is_rates, t, v in cases.messages(case):
-        if not is_rates:
-            identifier.add_actuators(t, v)
-            if segments:
-                identifier.add_excitation(t, next(told).tolist())
-            continue
-        identifier.add_rates(t, v[:3], v[3:])
-        while (due := identifier.intake.due) is not None:
-            estimate = identifier.update(due)
-            assert estimate is not None
-            estimates.append(estimate)
-    return estimates
+    told = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9)
+    fed = cases.fed(case, identifier, told if segments else ())
+    return [estimate for _ in fed for estimate in identifier.advance()]
 
 
 def true_coefficients() -> FloatArray:

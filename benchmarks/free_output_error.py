@@ -16,7 +16,7 @@ import bench
 import cases
 import numpy as np
 from free_prediction import RECORDED, RECORDED_SPEED, triple
-from output_error import TRAINING_PART, grid_blocks
+from output_error import TRAINING_PART
 from scipy.optimize import least_squares
 
 from uav_ident_ros.identification.model import flight_derivative, integrate
@@ -55,7 +55,7 @@ def windows(case: cases.Case, track: cases.Track) -> Windows:
     last = TRAINING_PART * track.time[-1]
     x, u, start, airspeed = [], [], [], []
     wanted = SETTLED
-    blocks = grid_blocks(case, track.settings)
+    blocks = case.blocks(track.settings)
     m = round(HORIZON / blocks[0].h)
     for k, time in enumerate(track.time.tolist()):
         if time < wanted or time + HORIZON > last:

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 
 from uav_ident_ros.identification.model import bounded, integrate, rates_derivative
 from uav_ident_ros.identification.prior import PRODUCT_SIGMA, start_from
-from uav_ident_ros.identification.sampling import Block, Sampler
+from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
@@ -49,20 +49,6 @@ class Windows:
     x: FloatArray  # (m + 1, 3, W) Rates at the edges, rad/s
     u: FloatArray  # (m, 4, W) Means of the inputs over the cells, delayed and lagged
     force: FloatArray  # (m + 1, 2, W) ay, az at the edges, m/s^2
-
-
-def grid_blocks(case: Case, settings: Settings) -> list[Block]:
-    """Bring a flight's signals on the identifier's own grid, joined up to each restart."""
-    sampler = Sampler(settings)
-    signals = np.concatenate([case.rates, case.force], axis=1).tolist()
-    for t, v in zip(case.imu_t_ns.tolist(), signals, strict=True):
-        sampler.rates.append(t, v)
-    for t, v in zip(case.actuator_t_ns.tolist(), case.actuators.tolist(), strict=True):
-        sampler.raw_inputs.append(t, v)
-    last = int(case.imu_t_ns[-1])
-    sampler.rates.merge(last)
-    sampler.raw_inputs.merge(last)
-    return list(sampler.blocks())
 
 
 def cut_windows(blocks: Sequence[Block], first_ns: float, last_ns: float) -> Windows:
@@ -231,7 +217,7 @@ def fit(
     """
     free = start_from(settings).free
     first, last = float(case.imu_t_ns[0]), float(case.imu_t_ns[-1])
-    windows = cut_windows(grid_blocks(case, settings), first, first + part * (last - first))
+    windows = cut_windows(case.blocks(settings), first, first + part * (last - first))
     outcomes = []
     for start in starts:
         problem = Problem(free, windows)
