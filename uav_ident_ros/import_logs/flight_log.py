@@ -69,7 +69,7 @@ class Stream:
 
     source: str  # Where in the log they are from
     t_ns: TimeArray  # (n,) Stamps, ns, in the order of the log
-    values: NDArray[Any]  # (n, ...) What was sampled; see `STREAMS`
+    values: NDArray[Any]  # (n, ...) What was sampled; see `FlightLog.streams`
 
     def chosen(self, keep: BoolArray) -> Stream:
         """Return some of the samples only."""
@@ -96,17 +96,6 @@ def rates_stream(
     """Put angular velocity and specific force side by side, NaN if there is no force."""
     force = np.full(rates.shape, np.nan) if force is None else force
     return Stream(source, t_ns, np.hstack([rates, force]))
-
-
-STREAMS: Mapping[str, str] = {
-    "rates": "(n, 6) Angular velocity, rad/s, and specific force, m/s^2, NaN where there is none",
-    "actuators": "(n, C) Raw values of every channel that was logged, from its stamp on",
-    "airspeed": "(n,) True airspeed, m/s",
-    "attitude": "(n, 4) Unit quaternions x, y, z, w from body axes (FRD) to north-east-down",
-    "setpoint": "(n, 3) Rates that the autopilot asked for, rad/s, FRD",
-    "mode": "(n,) Names of the modes that the autopilot was in, at each change",
-}
-"""What the samples of each stream are; a log has at least the first two."""
 
 
 @dataclass
@@ -138,7 +127,14 @@ class FlightLog:
 
     path: Path
     title: str  # What wrote it: ``PX4``, ``ArduPilot`` and so on, with versions
-    streams: Mapping[str, Stream]  # By name, those of `STREAMS` that there are
+    # By name; there are at least the first two:
+    # rates      (n, 6) Angular velocity, rad/s, and specific force, m/s^2, NaN where there is none
+    # actuators  (n, C) Raw values of every channel that was logged, from its stamp on
+    # airspeed   (n,) True airspeed, m/s
+    # attitude   (n, 4) Unit quaternions x, y, z, w from body axes (FRD) to north-east-down
+    # setpoint   (n, 3) Rates that the autopilot asked for, rad/s, FRD
+    # mode       (n,) Names of the modes that the autopilot was in, at each change
+    streams: Mapping[str, Stream]
     channels: tuple[Channel, ...]  # Of the actuators; without effect they are recorded, not used
     findings: Findings  # What there is to say about it
     convention: str = "frd"  # Axes of the rates: ``frd`` or ``flu``
