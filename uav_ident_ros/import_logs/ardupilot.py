@@ -53,16 +53,13 @@ UNNAMED = "no SERVOn_FUNCTION names a surface or a motor of a known frame"
 
 RAW, FILTERED = "GYR", "IMU"
 
-OLD_INSTANCES = ("IMU", "IMU2", "IMU3")
-"""Types of the units before the messages had a field for it."""
-
 EVENT_ARMED, EVENT_DISARMED = 10, 11
 """EV.Id, in logs without ARM messages."""
 
 NORMALISED = 10.0
 """Demands beyond this are in the units before Copter 3.4, thousands: none is above one since."""
 
-TYPES = {RAW, *OLD_INSTANCES, *PINS, "RATE", "AETR", "ACC", "CTUN", "ARM", "EV", "STAT", "DSF"}
+TYPES = {RAW, FILTERED, *PINS, "RATE", "AETR", "ACC", "CTUN", "ARM", "EV", "STAT", "DSF"}
 """The messages that are read, beside the table's streams."""
 
 
@@ -140,10 +137,8 @@ def _armed(log: Log) -> Stretches | None:
 
 
 def _gyro(log: Log, name: str, unit: int) -> Messages | None:
-    """Messages of one inertial unit that have rates, in new logs or old ones."""
+    """Messages of one inertial unit that have rates."""
     messages = log.messages(name, unit)
-    if messages is None and name == FILTERED and unit < len(OLD_INSTANCES):
-        messages = log.messages(OLD_INSTANCES[unit])
     return messages if messages and messages.has(*KNOWN["gyro"]) else None
 
 

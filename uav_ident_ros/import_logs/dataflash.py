@@ -33,6 +33,9 @@ no damage."""
 
 INSTANCE_FIELD = "I"
 
+OLD_INSTANCES = {"IMU2": ("IMU", 1), "IMU3": ("IMU", 2)}
+"""Type and instance of what was a type of its own before there was a field for it."""
+
 FIELD_TYPES: dict[str, tuple[str, float]] = {
     **dict.fromkeys("bM", ("i1", 1.0)),
     **{"B": ("u1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0)},
@@ -95,19 +98,21 @@ class _Dataflash(BinaryLog):
         return self._kinds[number].places
 
     def finish(self, gaps: list[Gap]) -> bool:
-        log = self.log
+        log, taken = self.log, set[str]()
         for kind in self._kinds.values():
             if not kind.places:
                 continue
-            taken = kind.name in log.kinds
             log.kinds.add(kind.name)
             names = kind.dtype.names or ()
             if kind.name == "MSG" and "Message" in names:
                 log.texts += map(_text, kind.columns(self.data)["Message"])
             elif kind.name == "PARM" and {"Name", "Value"} <= set(names):
                 self._take_parameters(kind)
-            elif kind.name in self._types and not taken and set(STAMPS) & set(names):
-                self.keep(kind, INSTANCE_FIELD)
+            elif kind.name not in taken and set(STAMPS) & set(names):
+                taken.add(kind.name)
+                kind.name, kind.instance = OLD_INSTANCES.get(kind.name, (kind.name, 0))
+                if kind.name in self._types:
+                    self.keep(kind, INSTANCE_FIELD)
         log.start_ns = min((t_ns for _, t_ns in self.stamped), default=None)
         if gaps and gaps[-1][1] == self.size and self.size - gaps[-1][0] < TRAILER:
             if self.data[gaps[-1][0] :][:2] == HEADER:
