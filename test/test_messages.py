@@ -188,7 +188,7 @@ def test_channels_that_are_not_there_are_named() -> None:
             joints(["elevator"], [1.0]),
             "'elevater' among elevator; did you mean",
         ),
-        (by_name("elevator"), many, "servo19 and 4980 more"),
+        (by_name("elevator"), many, "servo29 and 4970 more"),
         (
             reader(channels=[0, 4]),
             M(data=CHANNELS),

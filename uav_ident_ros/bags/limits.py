@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a bag may cost: how large its compressed parts may become, how much of it is listed.
+"""What a bag may cost: how large its compressed parts may become.
 
 The libraries decompress whatever a file holds: 192 kB of zstd become gigabytes. Their functions
 for it are replaced, in one place, by ones that stop.
@@ -8,7 +8,7 @@ for it are replaced, in one place, by ones that stop.
 from __future__ import annotations
 
 from bz2 import BZ2Decompressor
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from functools import partial
 from types import SimpleNamespace
 from typing import IO, Any
@@ -26,9 +26,6 @@ messages shrink to a fifth, those of a sensor that stands still to a fiftieth.""
 
 LARGEST_DEFINITION = 2**20
 """Bytes of the longest definition of a message type: the longest of ROS 2's have some thousands."""
-
-MOST_LISTED, LONGEST_NAME = 30, 120
-"""Topics that a message lists, and characters of a name in it."""
 
 
 class TooLargeError(Exception):
@@ -62,13 +59,6 @@ def decompressed(
     if len(result) > LARGEST_PART:
         raise TooLargeError("a chunk")
     return result
-
-
-def listed(names: Collection[str]) -> str:
-    """Return names in one line, not more of them and no longer than somebody reads."""
-    shown = [name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..." for name in names]
-    more = f" and {len(shown) - MOST_LISTED} more" if len(shown) > MOST_LISTED else ""
-    return ", ".join(shown[:MOST_LISTED]) + more
 
 
 class _Bounded:

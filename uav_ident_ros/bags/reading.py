@@ -17,8 +17,9 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from uav_ident_ros.bags.limits import LARGEST_DEFINITION, guard_rosbags, listed
+from uav_ident_ros.bags.limits import LARGEST_DEFINITION, guard_rosbags
 from uav_ident_ros.bags.salvage import SalvageError, SalvageReader
+from uav_ident_ros.messages.types import listed
 
 METADATA_FILE, SUFFIX_OF_ROS_1 = "metadata.yaml", ".bag"
 STORAGE_SUFFIXES = (".mcap", ".db3", SUFFIX_OF_ROS_1)
@@ -179,7 +180,7 @@ class Bag:
     def contents(self) -> str:
         """List the topics with their types in one line."""
         topics = [f"{topic} ({msgtype})" for topic, msgtype in self.types.items()]
-        return listed(topics) or "no topics at all"
+        return listed(topics, "no topics at all")
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Yield the messages of some topics in log-time order.

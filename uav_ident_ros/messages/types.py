@@ -24,8 +24,8 @@ Vector = tuple[float, float, float]
 NOT_FINITE = "not finite"
 """What a message is counted under whose values are NaN or infinite."""
 
-MOST_LISTED = 20
-"""Names of a message that a complaint about it lists: more is no help, and floods the log."""
+MOST_LISTED, LONGEST_NAME = 30, 120
+"""Names that a complaint lists, and characters of each: more is no help, and floods the log."""
 
 
 class MessageTypeError(Exception):
@@ -267,11 +267,11 @@ class ActuatorReader:
         except IndexError:
             raise ChannelError(
                 f"'{self.field}' has {len(values)} values, too few for channels "
-                f"{_listed(self._channels)}"
+                f"{listed(self._channels)}"
             ) from None
         if not math.isfinite(sum(selected)):  # a sum of finite channels does not overflow
             raise ChannelError(
-                f"channels {_listed(self._channels)} are {_listed(selected)}: not all finite",
+                f"channels {listed(self._channels)} are {listed(selected)}: not all finite",
                 NOT_FINITE,
             )
         return adapter.stamp(message) if adapter.stamp else None, selected
@@ -284,16 +284,19 @@ class ActuatorReader:
                 if channel not in names:
                     near = difflib.get_close_matches(str(channel), names, n=1)
                     hint = f"; did you mean '{near[0]}'?" if near else ""
-                    found = f" among {_listed(names)}" if names else ": the message names none"
+                    found = f" among {listed(names)}" if names else ": the message names none"
                     raise ChannelError(f"there is no channel '{channel}'{found}{hint}")
                 indices.append(names.index(str(channel)))
             self._indices = indices
         self._names = names
 
 
-def _listed(items: Sequence[object]) -> str:
-    shown = ", ".join(f"{item}" for item in items[:MOST_LISTED]) or "none"
-    return f"{shown} and {len(items) - MOST_LISTED} more" if len(items) > MOST_LISTED else shown
+def listed(items: Sequence[object], nothing: str = "none") -> str:
+    """Return names in one line, not more of them and no longer than somebody reads."""
+    names = [f"{item}" for item in items[:MOST_LISTED]]
+    shown = [name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..." for name in names]
+    more = f" and {len(items) - MOST_LISTED} more" if len(items) > MOST_LISTED else ""
+    return (", ".join(shown) or nothing) + more
 
 
 class RatesReader:
