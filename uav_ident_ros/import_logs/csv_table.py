@@ -3,7 +3,7 @@
 
 import csv
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 }
 """Units of each quantity, SI, of the time ns; the first is the usual one."""
 
+OPTIONAL = ("specific_force", "airspeed")
+
 VECTORS = ("rates", "specific_force")
 """Quantities of three columns, perhaps in counts of a raw sensor."""
 
@@ -65,6 +67,10 @@ class Quantity:
 
     columns: tuple[str, ...] = ()  # None if the table does not have it
     factor: float = 1.0  # Of the unit, SI; that of the time in ns
+
+    def of(self, rows: Messages) -> FloatArray:
+        """Return the values of a table, SI, shape (k, number of columns)."""
+        return rows.values(*self.columns) * self.factor
 
 
 @dataclass(frozen=True)
@@ -102,8 +108,7 @@ def load_column_map(path: Path) -> ColumnMap:
 
 def _column_map(content: Any) -> ColumnMap:
     needed = ("time", "axes", "rates", "channels")
-    optional = ("specific_force", "airspeed", "lever_arm", "delimiter")
-    top = mapping(content, "the file", needed, optional)
+    top = mapping(content, "the file", needed, (*OPTIONAL, "lever_arm", "delimiter"))
     delimiter, axes = top.get("delimiter", ","), top["axes"]
     if not isinstance(delimiter, str) or len(delimiter) != 1:
         raise EntryError(f"delimiter is {delimiter!r}: one character is needed")
@@ -227,26 +232,21 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
         raise EntryError(
             f"the time goes on in {ahead} rows and back in {back}: sort the rows by their time"
         )
-    places = {"rates": columns.quantities["rates"].columns, "actuators": tuple(columns.channels)}
-    places |= {"airspeed": columns.quantities["airspeed"].columns}
-    streams = {}
-    for what, names in places.items():
-        if not names:
-            continue
-        values = rows.values(*names)
-        there = (np.any if what == "actuators" else np.all)(np.isfinite(values), axis=1)
+    rates, force, speed = (columns.quantities[name] for name in ("rates", *OPTIONAL))
+    streams: dict[str, Stream] = {}
+
+    def add(what: str, names: Collection[str], stream: Stream, some: Any = np.all) -> None:
+        there = some(np.isfinite(rows.values(*names)), axis=1)
         if not there.any():
             raise EntryError(f"it has no {what}: columns {', '.join(names)} are empty")
-        stream = Stream("table", t_ns, values)
-        if what == "rates":
-            force = columns.quantities["specific_force"]
-            measured = rows.values(*force.columns) * force.factor if force.columns else None
-            factor = columns.quantities["rates"].factor
-            stream = rates_stream("table", t_ns, values * factor, measured)
-        elif what == "airspeed":
-            speed: FloatArray = values[:, 0] * columns.quantities["airspeed"].factor
-            stream = Stream("table", t_ns, speed)
         streams[what] = stream.chosen(there)
+
+    measured = force.of(rows) if force.columns else None
+    add("rates", rates.columns, rates_stream("table", t_ns, rates.of(rows), measured))
+    commands = rows.values(*columns.channels)
+    add("actuators", columns.channels, Stream("table", t_ns, commands), np.any)
+    if speed.columns:
+        add("airspeed", speed.columns, Stream("table", t_ns, speed.of(rows)[:, 0]))
     return streams
 
 
