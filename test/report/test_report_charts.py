@@ -180,9 +180,8 @@ def test_another_file_of_that_name_is_no_truth(tmp_path: Path, content: str) -> 
 
 def test_every_chart_over_time_moves_with_the_others(flight: Flight) -> None:
     line = Timeline(flight.span, [3.0])
-    ahead = predict(flight, 1.0)
     charts = [
-        *rate_charts(flight, line, ahead, ahead),
+        *rate_charts(flight, line, predict(flight, 0.05)),
         *signal_charts(flight, line),
         *coefficient_charts(flight, line, Truth({"pdot/p": -4.0})),
         state_chart(flight, line, ["too little excitation"]),

@@ -18,6 +18,7 @@ from uav_ident_ros.offline.advice import advise
 from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.tables import AXES
+from uav_ident_ros.report.flight import Flight, collect
 
 SUMMARY_VERSION = 2
 
@@ -47,6 +48,11 @@ class Replayed:
         if worse:
             return f"over the last part of the flight {', '.join(worse)} loses to holding the rate"
         return ""
+
+    @cached_property
+    def flight(self) -> Flight:
+        """The flight on one clock, to be drawn."""
+        return collect(self.name, self.run)
 
     @cached_property
     def modes(self) -> list[Mode]:

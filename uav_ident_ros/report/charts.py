@@ -65,10 +65,9 @@ def _bins(flight: Flight, kind: tuple[float, int]) -> int:
     return min(most, max(1, round(per_second * flight.span[1])))
 
 
-def rate_charts(
-    flight: Flight, line: Timeline, second: Predictions, tick: Predictions
-) -> Iterator[Chart]:
+def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[Chart]:
     """Yield rates with predictions and residuals, two charts for each axis."""
+    second = flight.ahead
     for k, axis in enumerate(AXES):
         measured = flight.rates[:, k]
         limit = RATE_HEADROOM * max(float(np.abs(measured).max(initial=0.0)), SMALLEST_RANGE)

@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The flight as the report shows it: everything measured, estimated and predicted, on one clock."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from uav_ident_ros.identification.prediction import LAST_PART, InputSignal, Published, predict_ahead
+from uav_ident_ros.identification.prediction import (
+    HORIZONS,
+    LAST_PART,
+    InputSignal,
+    Published,
+    predict_ahead,
+)
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray, Structure
@@ -101,6 +109,11 @@ class Flight:
             [named_entries(e, self.structure).positions[chosen] for e in self.estimates]
         )
         return {names[k]: column for k, column in zip(chosen, values.T, strict=True)}
+
+    @cached_property
+    def ahead(self) -> Predictions:
+        """Predictions over the horizon of the score of record."""
+        return predict(self, HORIZONS[0])
 
     @property
     def states(self) -> dict[str, FloatArray]:

@@ -16,7 +16,6 @@ from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import Words
-from uav_ident_ros.report.flight import collect
 from uav_ident_ros.report.sections import Section, sections
 from uav_ident_ros.report.style import COLORS
 from uav_ident_ros.report.timeline import Chart
@@ -44,7 +43,7 @@ def write_report(
     summary, doubt = replayed.summary, replayed.doubt
     state = f" ({summary['reason']})" if summary["reason"] and not doubt else ""
     text = render(
-        [*sections(replayed, collect(replayed.name, replayed.run))],
+        [*sections(replayed)],
         name=replayed.name,
         facts=_facts(summary),
         usable=not doubt,

@@ -9,13 +9,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from uav_ident_ros.files.truth_file import read_truth
-from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import AXES
 from uav_ident_ros.report import PictureError
-from uav_ident_ros.report.flight import Flight, Predictions, collect, predict
+from uav_ident_ros.report.flight import Flight, Predictions
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 
 SIZE = (13.0, 8.0)
@@ -44,8 +43,7 @@ def write_picture(
     PictureError
         If the file cannot be written.
     """
-    flight = collect(replayed.name, replayed.run)
-    ahead, fit = predict(flight, HORIZONS[0]), replayed.fits[FIT_WINDOWS]
+    flight, fit = replayed.flight, replayed.fits[FIT_WINDOWS]
     truth = read_truth(replayed.bag, flight.structure).values
     figure = Figure(figsize=SIZE, layout="constrained")
     panels = figure.subplots(3, 2, sharex="col", width_ratios=(1.1, 1.0))
@@ -56,7 +54,7 @@ def write_picture(
             fontsize="medium",
             loc="left",
         )
-        _draw_rate(left, axis, ahead)
+        _draw_rate(left, axis, flight.ahead)
         _draw_coefficients(right, axis, flight, truth)
     for panel in panels[2]:
         panel.set_xlabel("time [s]")

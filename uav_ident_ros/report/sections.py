@@ -9,7 +9,6 @@ from typing import Any
 
 import uav_ident_ros
 from uav_ident_ros.files.truth_file import read_truth
-from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
 from uav_ident_ros.offline.find import bag_files
 from uav_ident_ros.offline.summary import Replayed
@@ -29,7 +28,7 @@ from uav_ident_ros.report.charts import (
     signal_charts,
     state_chart,
 )
-from uav_ident_ros.report.flight import Flight, predict
+from uav_ident_ros.report.flight import predict
 from uav_ident_ros.report.timeline import Chart, Timeline
 
 
@@ -45,11 +44,11 @@ class Section:
     cards: Sequence[Mapping[str, Any]] = ()
 
 
-def sections(replayed: Replayed, flight: Flight) -> Iterator[Section]:
-    """Yield the sections of a replay; the flight is that of its run."""
-    summary, evidence = replayed.summary, replayed.evidence
+def sections(replayed: Replayed) -> Iterator[Section]:
+    """Yield the sections of a replay."""
+    summary, evidence, flight = replayed.summary, replayed.evidence, replayed.flight
     line = Timeline(flight.span, flight.clock.restarts)
-    second, tick = predict(flight, HORIZONS[0]), predict(flight, 1.0 / flight.settings.update_rate)
+    tick = predict(flight, 1.0 / flight.settings.update_rate)
     ahead = f"one tick ({tick.horizon:g} s) ahead", "holding the rates for one tick"
     fits = zip(ahead, tick.fit(flight.span[1]), strict=True)
     more = {FIT_WINDOWS: [fit_row(name, values.tolist()) for name, values in fits]}
@@ -59,7 +58,7 @@ def sections(replayed: Replayed, flight: Flight) -> Iterator[Section]:
     states = state_chart(flight, line, evidence.lost)
     yield Section("learning", "Learning", [], [tables.gates_table(evidence.lost)], [states])
     whiteness = diagrams.whiteness_chart(flight, tick)
-    charts = [*rate_charts(flight, line, second, tick), *([whiteness] if whiteness else [])]
+    charts = [*rate_charts(flight, line, tick), *([whiteness] if whiteness else [])]
     yield Section("rates", "Rates, measured and predicted", [_RATES_TEXT], [], charts)
     truth = read_truth(replayed.bag, flight.structure)
     coefficients = [*coefficient_charts(flight, line, truth)]
