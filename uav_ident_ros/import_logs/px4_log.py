@@ -26,6 +26,8 @@ MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 FILE_HEADER, MESSAGE_HEADER = 16, 3
 """Bytes before the first message, and before what a message holds."""
 
+HEADER = struct.Struct("<Hc")
+
 SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 """Content of the messages that PX4 writes to be found behind damage."""
 
@@ -95,7 +97,9 @@ class _Ulog(BinaryLog):
 
     def _header(self, at: int) -> tuple[int, bytes]:
         """Return the length of a message with its header, and its type."""
-        size, kind = struct.unpack("<Hc", self.data[at : at + MESSAGE_HEADER].ljust(3, b"\0"))
+        if at + MESSAGE_HEADER > self.size:
+            return self.size, b"\0"
+        size, kind = HEADER.unpack_from(self.data, at)
         return MESSAGE_HEADER + size, kind
 
     def length(self, at: int) -> int:
@@ -109,27 +113,27 @@ class _Ulog(BinaryLog):
 
     def _is_known(self, kind: bytes, begin: int, end: int) -> bool:
         data = self.data
+        if kind == b"D":
+            topic = self._topics.get(int.from_bytes(data[begin : begin + 2], "little"))
+            return topic is not None and end - begin + MESSAGE_HEADER in topic.sizes
         if kind in FORMS:
             return FORMS[kind].fullmatch(data, begin, end) is not None
         if kind in KEYS:
             begin += KEYS[kind]
             key_end = begin + 1 + data[begin] if begin < end else end
             return key_end < end and KEY.fullmatch(data, begin + 1, key_end) is not None
-        if kind == b"A":
-            return _text(data[begin + 3 : end]) in self._formats
-        topic = self._topics.get(int.from_bytes(data[begin : begin + 2], "little"))
-        return kind == b"D" and topic is not None and end - begin + MESSAGE_HEADER in topic.sizes
+        return kind == b"A" and _text(data[begin + 3 : end]) in self._formats
 
     # -- what it says ------------------------------------------------------------------------
 
     def take(self, at: int, length: int) -> list[int] | None:
-        _, kind = self._header(at)
-        content = self.data[at + MESSAGE_HEADER : at + length]
+        kind, begin = self.data[at + 2 : at + 3], at + MESSAGE_HEADER
         if kind == b"D":
-            self._newest = self._topics[int.from_bytes(content[:2], "little")]
+            number = int.from_bytes(self.data[begin : begin + 2], "little")
+            self._newest = self._topics[number]
             return self._newest.places
         if kind in self._takers:
-            self._takers[kind](content)
+            self._takers[kind](self.data[begin : at + length])
         return None
 
     def finish(self, gaps: list[Gap]) -> bool:
