@@ -54,7 +54,6 @@ ESTIMATORS = ("gradient", "least_squares", "instrumental_variable")
 PAPER = bench.ROOT / "config" / "paper_2006.yaml"
 
 DEFAULT, REFERENCE = "instrumental_variable", "output error"
-RECORDED = cases.RECORDED_DELAY
 
 CLIP = -50.0
 """Fit at which a cell is clipped in averages, percent."""
@@ -190,7 +189,11 @@ def report(cells: Group) -> Iterator[str]:
     for (flight,), own in _grouped(cells, "flight").items():
         yield f"\n{flight}, {len({cell['seed'] for cell in own})} seeds\n"
         yield from bench.table(HEAD, _flight_rows(own))
-    families = {"exact": "exact", "JSBSim": ("c172p", "t37", "ov10"), "real": tuple(RECORDED)}
+    families = {
+        "exact": "exact",
+        "JSBSim": ("c172p", "t37", "ov10"),
+        "real": tuple(cases.RECORDED_DELAY),
+    }
     yield f"\nMean of all axes and flights, each clipped at {CLIP:g}\n"
     yield from bench.table(("structure", "method", *families), _family_rows(cells, families))
     yield "\nOnline minus offline output error, same structure: mean, worst flight\n"

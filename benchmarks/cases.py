@@ -54,6 +54,9 @@ RECORDED_DELAY = {
 }
 """Transport delay of the recorded flights, s; 0 where it is not known."""
 
+RECORDED_SPEED = 17.0
+"""Usual airspeed of the recorded aircraft, m/s."""
+
 LAST_PART = "last_40_percent"
 
 MODELS: Mapping[str, Mapping[str, object]] = {
@@ -159,6 +162,7 @@ def recorded(name: str) -> Case:
         parameters={
             "actuators.channels": (0, 1, 2, 3),
             "actuators.delay": RECORDED_DELAY.get(name, 0.0),
+            "airspeed.reference": RECORDED_SPEED,
         },
         imu_t_ns=stamps,
         imu_arrival_ns=np.array([row[1] for row in imu], dtype=np.int64),

@@ -179,7 +179,7 @@ def sweep(name: str) -> str:
     """Free 1-s fits of a recorded flight with fixed delays, and with the delay estimated."""
     parts = []
     for delay in (*SWEEP, None):
-        values: dict[str, Any] = {"actuators.delay": delay or 0.0, "airspeed.reference": 17.0}
+        values: dict[str, Any] = {"actuators.delay": delay or 0.0}
         values["actuators.estimate_delay"] = delay is None
         case = cases.recorded(name)
         track = cases.identify(case, {"structure": "flight_dynamics", **values})

@@ -15,7 +15,7 @@ from functools import partial
 import bench
 import cases
 import numpy as np
-from free_prediction import RECORDED, RECORDED_SPEED, triple
+from free_prediction import triple
 from output_error import TRAINING_PART
 from scipy.optimize import least_squares
 
@@ -126,8 +126,7 @@ def fit(case: cases.Case, track: cases.Track, held: Mapping[str, float]) -> Floa
 def row(flight: str, held: Mapping[str, float]) -> str:
     """One row of the table."""
     case = cases.load(flight)
-    speed = {"airspeed.reference": RECORDED_SPEED} if flight in RECORDED else {}
-    track = cases.identify(case, {"structure": "flight_dynamics", **speed})
+    track = cases.identify(case, {"structure": "flight_dynamics"})
     offline = np.broadcast_to(fit(case, track, held), track.coefficients.shape)
     both = [cases.score(case, t).free for t in (track, replace(track, coefficients=offline))]
     cells = [f"{triple(online)} | {triple(fitted)}" for online, fitted in zip(*both, strict=True)]

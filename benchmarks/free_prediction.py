@@ -11,22 +11,20 @@ import cases
 
 from uav_ident_ros.identification.structure import FloatArray
 
-RECORDED = ("thor75_flight", "thor75_auto", "proto_flt09", "skywalker_manual")
 SIMULATED = tuple(
     f"{aircraft}_{kind}"
     for aircraft in ("c172p", "t37", "ov10")
     for kind in ("calm", "banked", "turbulent", "unexcited")
 )
-RECORDED_SPEED = 17.0
-"""Usual airspeed of the recorded aircraft, m/s."""
 
 
 def row(flight: str) -> str:
     """One row of the table."""
     case = cases.load(flight)
-    speed = {"airspeed.reference": RECORDED_SPEED} if flight in RECORDED else {}
-    free = cases.score(case, cases.identify(case, {"structure": "flight_dynamics", **speed}))
-    augmented = cases.score(case, cases.identify(case, {"structure": "augmented"}))
+    free, augmented = (
+        cases.score(case, cases.identify(case, {"structure": structure}))
+        for structure in ("flight_dynamics", "augmented")
+    )
     columns = (
         *free.free, free.hold, free.measured_force, augmented.measured_force
     )  # fmt: skip
@@ -43,8 +41,7 @@ def main() -> None:
     parser = bench.parser(__doc__, workers=2)
     parser.add_argument("flights", nargs="*", metavar="FLIGHT")
     options = parser.parse_args()
-    known = [name for name in RECORDED if cases.is_recorded(name)]
-    flights = options.flights or [*known, *SIMULATED]
+    flights = options.flights or [*filter(cases.is_recorded, cases.RECORDED_DELAY), *SIMULATED]
     print("| flight | 1 s | 3 s | 5 s | holding, 1 s | forces measured | augmented, measured |")
     print("|---|---|---|---|---|---|---|")
     bench.done(row, flights, options.workers)

@@ -8,7 +8,6 @@ any coefficients could reach: the force alone, and with the surface's part fitte
 
 import cases
 import numpy as np
-from free_prediction import RECORDED_SPEED
 from scipy.signal import butter, sosfiltfilt
 
 from uav_ident_ros.bags.reading import Bag
@@ -41,8 +40,7 @@ def recorded(topic: str, *fields: str) -> FloatArray:
 def main() -> None:
     """Print the correlations."""
     case = cases.load(FLIGHT)
-    values = {"structure": "flight_dynamics", "airspeed.reference": RECORDED_SPEED}
-    track = cases.identify(case, values)
+    track = cases.identify(case, {"structure": "flight_dynamics"})
     assert track.flow is not None
     t = np.asarray(track.t_ns) * 1e-9
     vanes, airspeed = recorded("/vanes", "x", "y"), recorded("/airspeed", "data")
@@ -60,7 +58,7 @@ def main() -> None:
     forces = at_ticks(case.imu_t_ns, case.measured(track.settings)[1])
     inputs = InputMap(actuators).apply(case.actuators)
     surfaces = at_ticks(case.actuator_t_ns, inputs, actuators.delay)
-    per_pressure = (RECORDED_SPEED / np.maximum(speed, FLYING)) ** 2
+    per_pressure = (cases.RECORDED_SPEED / np.maximum(speed, FLYING)) ** 2
     for k, (name, label) in enumerate((("beta", "dr"), ("alpha", "de"))):
         vane = dynamic(np.interp(t, vanes[:, 0], vanes[:, 2 - k]))
 
