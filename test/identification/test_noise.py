@@ -4,8 +4,9 @@
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.noise import MEMORY, ORDER, NoiseModel
+from uav_ident_ros.identification.noise import ORDER, NoiseModel
 from uav_ident_ros.identification.regression import RowSamples
+from uav_ident_ros.identification.scales import MEMORY
 
 DT = 0.05
 WEIGHTS = np.array([[1.2, -0.5, 0.1], [0.0, 0.0, 0.0], [-0.4, 0.2, 0.3]])

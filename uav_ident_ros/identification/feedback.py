@@ -18,15 +18,13 @@ from __future__ import annotations
 import numpy as np
 
 from uav_ident_ros.identification.regression import Layout, Regression
+from uav_ident_ros.identification.scales import LONG_MEMORY, SURE
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
     ROWS,
     FloatArray,
 )
-
-MEMORY = 60.0
-"""Time constant of the running sums, s."""
 
 ANSWER_TIMES = np.array([0.1, 0.5, 2.5])
 """Time constants in which past residuals fade, s: from a rate loop to one that holds attitudes."""
@@ -36,9 +34,6 @@ LOOK_TIME = 1.0
 
 CORRELATION_TIME = 0.3
 """Time after which disturbances count as independent, s."""
-
-LEAST_T = 3.0
-"""Standard deviations from which a share is more than chance."""
 
 LOADING = 1e-6
 """Added to the information, relative to its diagonal."""
@@ -116,7 +111,7 @@ class Feedback:
             for k in range(first, last):
                 signals[k, : self._past.size] = self._past.ravel()
                 self._past = keep * self._past + residual[k - first]
-            fade = np.exp(-counted * len(residual) / MEMORY)
+            fade = np.exp(-counted * len(residual) / LONG_MEMORY)
             self._products *= fade
             weight[:first] *= fade
             weight[first:last] = counted
@@ -138,5 +133,5 @@ class Feedback:
         share = np.divide(explained, variance, out=np.zeros(len(INPUTS)), where=moved)
         # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
         chance = (n - 1) * CORRELATION_TIME / time
-        sure = share > chance * (1.0 + LEAST_T * np.sqrt(2.0 / (n - 1)))
+        sure = share > chance * (1.0 + SURE * np.sqrt(2.0 / (n - 1)))
         self._heed(np.where(sure, np.clip(share - chance, 0.0, LARGEST_SHARE), 0.0))

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from uav_ident_ros.identification.scales import LONG_MEMORY, LOOK_TIME, OUTLYING
 from uav_ident_ros.identification.settings import (
     ActuatorSettings,
     Settings,
@@ -30,9 +31,6 @@ time constants. It pauses for so long after the last bad sample."""
 
 REST_TIME = 2.0
 """Time over which motion is looked for, s: a turning aircraft has moved by then."""
-
-LOOK_TIME = 0.25
-"""Time between two looks for motion, s."""
 
 REST_NOISE = 8.0
 """Swing of the rates, relative to the gyro's noise, up to which nothing moves: noise alone swings
@@ -51,17 +49,11 @@ LONGEST_GLITCH = 3
 SIGNALS = ("p", "q", "r", "ax", "ay", "az")
 """What an Imu measures, in its own axes."""
 
-RESIDUAL_MEMORY = 60.0
-"""Memory of the usual size of the residuals, s."""
-
 KNOWN_RESIDUAL = 10.0
 """Time after which there is a usual size, s."""
 
 RECENT_TIME = 2.0
 """Memory of the present size of the residuals, s."""
-
-OUTLYING = 9.0
-"""Squared residual, relative to what is usual, from which samples count less."""
 
 LARGEST_GROWTH = 4.0
 """Squared residual, relative to what is usual, as which larger ones are counted in the usual."""
@@ -422,7 +414,7 @@ class _RowResidual:
     def weigh(self, square: float, dt: float, max_residual: float, *, clear: bool) -> float:
         """Return how much samples with the mean square `square` count, 0 ... 1."""
         usual = self.usual if self.time >= KNOWN_RESIDUAL else math.inf
-        self.time = min(self.time + dt, RESIDUAL_MEMORY)
+        self.time = min(self.time + dt, LONG_MEMORY)
         clipped = min(square, (LARGEST_GROWTH if clear else 1.0) * usual)
         self.usual += dt / self.time * (clipped - self.usual)
         if max_residual <= 0.0:

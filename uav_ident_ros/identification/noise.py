@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.regression import RowSamples
+from uav_ident_ros.identification.scales import MEMORY
 from uav_ident_ros.identification.structure import FloatArray
 
 ORDER = 3
 """Order of the autoregression, samples: gust, filter and one more."""
-
-MEMORY = 30.0
-"""Time constant of the residual's running autocovariances, s."""
 
 FIT_TIME = 0.5
 """Time between two fits, s: far less than the memory."""

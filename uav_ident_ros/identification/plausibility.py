@@ -19,6 +19,7 @@ import numpy as np
 from uav_ident_ros.identification.frames import BodyFrame, rotation
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.scales import LONG_MEMORY, SURE
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray, Structure
 
@@ -37,10 +38,6 @@ ENOUGH = 4.0
 
 HELD = 20.0
 """Time for which a finding stays after it was last seen, s: evidence comes and goes with motion."""
-
-MEMORY = 60.0
-"""Memory of the mean specific force, s: upright flight that counts against time inverted, or in
-free fall."""
 
 LARGEST_TILT = math.cos(math.radians(60.0))
 """Cosine of the mean tilt from which the Imu is mounted otherwise: none flies so on average."""
@@ -82,9 +79,6 @@ RETURNING_SHARE = 0.1
 
 FEWEST_SAMPLES = 40
 """Samples of the channels that tell anything."""
-
-SURE = 3.0
-"""Sigmas from which the sign of a coefficient is known."""
 
 
 @dataclass(frozen=True)
@@ -242,9 +236,9 @@ class Plausibility:
         direction = force / np.maximum(size, 0.5 * GRAVITY)
         self._sums += span * np.concatenate([direction, force, size], axis=1).mean(axis=0)
         self._time += span
-        if self._time > MEMORY:
-            self._sums *= MEMORY / self._time
-            self._time = MEMORY
+        if self._time > LONG_MEMORY:
+            self._sums *= LONG_MEMORY / self._time
+            self._time = LONG_MEMORY
 
     def _size(self) -> Finding | None:
         """Find a specific force in another unit, or without gravity."""

@@ -8,18 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from uav_ident_ros.identification.model import IdentifiedModel, bounded
+from uav_ident_ros.identification.prediction import HORIZONS, LAST_PART
 from uav_ident_ros.identification.sampling import Block, join
+from uav_ident_ros.identification.scales import MEMORY
 from uav_ident_ros.identification.structure import FloatArray, Structure
-
-PREDICTION_TIME = 1.0
-"""Length of a prediction, s, as in the score of record."""
-
-FIT_MEMORY = 30.0
-"""Time constant of the running fit, s; half of its age while that is less, so that the first
-attempts are soon forgotten."""
-
-FLIGHT_SHARE = 0.4
-"""Memory of the fit of the flight, relative to its age: as in the score of record."""
 
 FAILED_PREDICTION = 4.0
 """Squared error, relative to the signal's own variation, at which a prediction has failed: how
@@ -109,7 +101,7 @@ class RunningFit:
             self._coefficients, self._saved = coefficients, saved
         self._parts.append(block)
         self._time += block.time
-        if self._time >= PREDICTION_TIME - 0.5 * block.h:
+        if self._time >= HORIZONS[0] - 0.5 * block.h:
             self._count(join(self._parts))
             self.restart()
 
@@ -126,8 +118,8 @@ class RunningFit:
             now[_SAVED] = self._error(second, self._saved)
         self.predictions += 1
         self._age += self._time
-        self._sums = self._added(self._sums, now, min(FIT_MEMORY, 0.5 * self._age))
-        self._flight = self._added(self._flight, now, FLIGHT_SHARE * self._age)
+        self._sums = self._added(self._sums, now, min(MEMORY, 0.5 * self._age))
+        self._flight = self._added(self._flight, now, LAST_PART * self._age)
         self.fit, self.hold, self.saved = _fit(self._sums)
         self.flight_fit, self.flight_hold, _ = _fit(self._flight)
         if self._saved is None:

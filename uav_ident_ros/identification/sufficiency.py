@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from uav_ident_ros.identification.scales import SURE
 from uav_ident_ros.identification.structure import (
     FLOW_ANGLES,
     INPUTS,
@@ -123,10 +124,6 @@ class Sufficiency:
             value, deviation = float(coefficients[i, j]), float(sigma[i, j])
             name = self._names[k].partition("/")[2]
             ratio = abs(value) / deviation if deviation > 0.0 else 0.0
-            if ratio > max(surest.get(name, 0.0), SEEN):
+            if ratio > max(surest.get(name, 0.0), SURE):
                 surest[name] = ratio
                 self.effects[name] = self._names[k], value, deviation
-
-
-SEEN = 3.0
-"""Value over sigma from which an input is seen to act: one chance in 400 that it is noise."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME, LOOK_TIME, MEMORY
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
@@ -24,9 +25,6 @@ from uav_ident_ros.identification.structure import (
 
 WINDOW_TIME = 5.0
 """Time over which the slope is taken, s."""
-
-CHECK_TIME = 0.25
-"""Time between two looks, s."""
 
 CONFIRMATIONS = 4
 """Looks in a row that must agree."""
@@ -39,9 +37,6 @@ MIN_CHANGE = 0.2
 
 MIN_HISTORY_RATIO = 3.5
 """Slope relative to its own usual size: model errors give slopes that come and go."""
-
-HISTORY_TIME = 30.0
-"""Memory of a slope's usual size, s."""
 
 HISTORY_DELAY = 10.0
 """Newest stretch that the usual size leaves out, s: a change has so long to be noticed before it
@@ -70,9 +65,6 @@ is left of a slow input would be noise."""
 
 FEWEST_SAMPLES = 3
 """Samples from which a slope can be told at all: a slow Imu has few in the window."""
-
-CORRELATION_TIME = 1.0
-"""Time after which residuals count as independent, s."""
 
 SURFACES = np.array([label != "dth" for label in INPUTS])
 """Which of the inputs are control surfaces."""
@@ -175,7 +167,7 @@ class ChangeDetector:
             self._recent_time -= time
             self._count -= count
         self._since_look += samples.time
-        if self._since_look < CHECK_TIME - 0.5 * samples.dt:
+        if self._since_look < LOOK_TIME - 0.5 * samples.dt:
             return False
         if self._recent_time < WINDOW_TIME - 1.5 * samples.time:
             return False
@@ -242,7 +234,7 @@ class ChangeDetector:
             time, counts, old = self._newest.popleft()
             self._newest_time -= time
             self._usual_time += time
-            keep = np.exp(-time / HISTORY_TIME)
+            keep = np.exp(-time / MEMORY)
             self._usual = keep * self._usual + counts * old
             self._usual_power = keep * self._usual_power + counts
 
@@ -298,7 +290,7 @@ class ChangeDetector:
         count = len(scores)
         sums = np.zeros((count + 1, scores.shape[1]))
         np.add.accumulate(scores, out=sums[1:])
-        length = min(max(1, round(CORRELATION_TIME / self._dt)), count)
+        length = min(max(1, round(INDEPENDENT_TIME / self._dt)), count)
         blocks = sums[length:] - sums[:-length]
         return np.asarray(np.add.reduce(blocks * blocks) * (count / (length * len(blocks))))
 
@@ -306,7 +298,7 @@ class ChangeDetector:
         """Return the running correlation of the residuals from sample to sample, shape (3,)."""
         square = np.add.reduce(residual * residual)
         product = np.add.reduce(residual[1:] * residual[:-1])
-        keep = np.exp(-CHECK_TIME / HISTORY_TIME)
+        keep = np.exp(-LOOK_TIME / MEMORY)
         self._square = keep * self._square + square
         self._product = keep * self._product + product
         return np.clip(_ratio(self._product, self._square), 0.0, LARGEST_CORRELATION)

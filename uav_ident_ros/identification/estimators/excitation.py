@@ -13,14 +13,12 @@ from collections import deque
 import numpy as np
 
 from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.scales import LOOK_TIME
 from uav_ident_ros.identification.settings import SupervisionSettings
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
 
 WINDOW_TIME = 3.0
 """Time over which the variance of an input is taken, s: a slow multisine still moves in it."""
-
-LOOK_TIME = 0.25
-"""Time between two looks at the window, s."""
 
 NEWEST_PART = 3
 """The residuals are taken over the newest third of the window: a gust front shows at once."""

@@ -8,6 +8,7 @@ import numpy as np
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
+from uav_ident_ros.identification.scales import MEMORY
 from uav_ident_ros.identification.settings import (
     LARGEST_COEFFICIENT,
     Settings,
@@ -27,9 +28,6 @@ DEFAULT_GAIN = 0.15
 
 EULER_LIMIT = 2.0
 """``dt f^T K f`` beyond which an explicit Euler step of the law overshoots and grows."""
-
-VARIANCE_TIME = 30.0
-"""Memory of the regressors' running variances, s."""
 
 _ASYMMETRY = 1e-9
 """Relative asymmetry, or negative eigenvalue, of K that is rounding rather than intent."""
@@ -219,7 +217,7 @@ class GradientEstimator:
             return self._gain
         if self._normalisation == "power":
             return np.asarray(self._gain / (1.0 + f @ self._gain @ f))
-        self._power_time = min(self._power_time + dt, VARIANCE_TIME)
+        self._power_time = min(self._power_time + dt, MEMORY)
         share = dt / self._power_time
         self._power += share * (f**2 - self._power)
         scale = np.zeros_like(self._power)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Layout, RowSamples
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME, OUTLYING, SHORT_MEMORY
 from uav_ident_ros.identification.structure import (
     ROWS,
     BoolArray,
@@ -29,10 +30,6 @@ from uav_ident_ros.identification.structure import (
     FlowRows,
     Structure,
 )
-
-BLOCK_TIME = 1.0
-"""Length of the blocks whose scores are taken as independent, s: longer than the correlation
-of gusts and filter."""
 
 WARM_UP_TIME = 10.0
 """Time for which least squares builds the first model, s."""
@@ -43,12 +40,6 @@ biased, so it must go; at once, too little would be left where a flight has told
 
 FADED = 1e-6
 """Weight at which that start is dropped: no coefficient shows it any more."""
-
-RESIDUAL_TIME = 10.0
-"""Memory of the running residual variance, s; it weighs the prior alone."""
-
-LARGEST_OUTLIER = 9.0
-"""Squared residual, relative to its variance, that still counts in full: three sigma."""
 
 FIRST_RESIDUAL_VARIANCE = 0.1
 """Residual variance until there is a measured one, rad^2/s^4: filtered gyro noise."""
@@ -323,15 +314,17 @@ class Information:
         score = self.sums.add(stack, weight, answering)
         residual = stack.residual
         # What coefficients that know nothing leave is no residual.
-        square = np.minimum(residual * residual, LARGEST_OUTLIER * self.variance[..., None])
-        share = known * np.minimum(time / np.minimum(RESIDUAL_TIME, self.time + BLOCK_TIME), 1.0)
+        square = np.minimum(residual * residual, OUTLYING * self.variance[..., None])
+        share = known * np.minimum(
+            time / np.minimum(SHORT_MEMORY, self.time + INDEPENDENT_TIME), 1.0
+        )
         mean = np.add.reduce(square, axis=-1) / residual.shape[-1]
         self.variance += share * (mean - self.variance)
         self.time += time
         self._score += known[:, None] * score
         self._score_time += time
-        if max(self._score_time.tolist()) >= BLOCK_TIME:
-            self._close_blocks(self._score_time >= BLOCK_TIME)
+        if max(self._score_time.tolist()) >= INDEPENDENT_TIME:
+            self._close_blocks(self._score_time >= INDEPENDENT_TIME)
 
     def _stack(self, samples: Sequence[RowSamples]) -> RowSamples:
         """Put samples of all parts together; least squares has its regressors as instruments."""

@@ -16,10 +16,8 @@ from __future__ import annotations
 import numpy as np
 
 from uav_ident_ros.identification.regression import Layout, RowSamples
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
-
-BLOCK_TIME = 1.0
-"""Length of the blocks whose scores are taken as independent, s; a look after each."""
 
 BLOCKS = 60
 """Blocks that are looked at, the newest: a minute."""
@@ -78,7 +76,7 @@ class ModelError:
     def add(
         self, samples: RowSamples, weight: FloatArray, ratio: FloatArray, *, restarted: bool
     ) -> None:
-        """Take samples; they are looked at in blocks of `BLOCK_TIME`.
+        """Take samples; they are looked at in blocks of `INDEPENDENT_TIME`.
 
         Parameters
         ----------
@@ -93,7 +91,7 @@ class ModelError:
         """
         self._gathered.append((samples, samples.dt * weight, restarted))
         self._time += samples.time
-        if self._time >= BLOCK_TIME - 0.5 * samples.dt:
+        if self._time >= INDEPENDENT_TIME - 0.5 * samples.dt:
             self._time = 0.0
             self._ratio = ratio[range(len(ROWS)), self._entries]
             self._close_block()

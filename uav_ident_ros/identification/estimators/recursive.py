@@ -31,6 +31,7 @@ from uav_ident_ros.identification.estimators.model_error import ModelError
 from uav_ident_ros.identification.feedback import Feedback
 from uav_ident_ros.identification.prior import Start, slope_bounds, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
+from uav_ident_ros.identification.scales import LOOK_TIME, OUTLYING, SHORT_MEMORY
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
@@ -45,16 +46,6 @@ from uav_ident_ros.identification.structure import (
 
 SNAPSHOT_TIME = 0.5
 """Time between the copies of the information that a change goes back to, s."""
-
-SIGMA_TIME = 0.25
-"""Time between two looks at how well the coefficients are known, s: sigma changes no faster."""
-
-POWER_TIME = 10.0
-"""Memory of the mean square of the rates, s."""
-
-LARGEST_LEVERAGE = 9.0
-"""Square of a rate that the model answers to what is injected, relative to the mean square of those
-measured, up to which its samples count in full: three sigma."""
 
 READD_TIME = 2.5
 """Newest stretch that lies after a noticed change, s, or very nearly."""
@@ -212,7 +203,7 @@ class RecursiveRegression:
         self.learning = self._gate.learning & (weight > 0.0)
         weight = weight * seen
         square = np.add.reduce(np.square(samples.f[:, RATE_COLUMNS])) / len(samples.f)
-        self._power += min(samples.time / POWER_TIME, 1.0) * (square - self._power)
+        self._power += min(samples.time / SHORT_MEMORY, 1.0) * (square - self._power)
         if samples.injected and not self._injected:
             # Samples from before it have other instruments, which answer disturbances.
             self._error = ModelError(self._layout)
@@ -241,7 +232,7 @@ class RecursiveRegression:
         and a second of it would outweigh a minute (bounded influence; Mallows 1975).
         """
         response = np.square(samples.z[:, RATE_COLUMNS]).max(axis=0)
-        allowed = LARGEST_LEVERAGE * self._power
+        allowed = OUTLYING * self._power
         over = np.divide(response, allowed, out=np.zeros_like(response), where=allowed > 0.0)
         return float(1.0 / np.sqrt(max(over.max(), 1.0)))
 
@@ -255,9 +246,9 @@ class RecursiveRegression:
     def _solve(self, early: float = 0.0) -> None:
         """Solve, unless a row makes no sense: then all starts anew where it stood.
 
-        How well the coefficients are known is looked at every `SIGMA_TIME`, or `early` s sooner.
+        How well the coefficients are known is looked at every `LOOK_TIME`, or `early` s sooner.
         """
-        due, before = self._since_sigma >= SIGMA_TIME - early, self.coefficients
+        due, before = self._since_sigma >= LOOK_TIME - early, self.coefficients
         solution = self.information.solve(before, slice(None) if due else slice(1))
         values, sigma = solution.values[0], self.sigma
         if due:
