@@ -13,7 +13,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
 
 from uav_ident_ros.client import CoefficientSource, Fallback, Refusal, subscribe
-from uav_ident_ros.control import Effectiveness
+from uav_ident_ros.control import Effectiveness, Response
 from uav_ident_ros.control.choice import control_derivatives
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
@@ -30,7 +30,7 @@ class EffectivenessMonitor(Node):
         super().__init__("effectiveness_monitor")
         self.trim = np.array(self.declare_parameter("trim", [0.0, 0.0, 0.0, 0.0]).value)
         self.source = CoefficientSource(Fallback.LAST_GOOD)
-        self.measured = Effectiveness()
+        self.response, self.measured = Response(), Effectiveness()
         self.acting, self.last_ns = np.zeros(4), 0
         subscribe(self, self.source)
         self.create_subscription(JointState, "actuators", self.on_actuators, 10)
@@ -45,15 +45,18 @@ class EffectivenessMonitor(Node):
         t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns
         try:
-            effect = control_derivatives(self.source.model(t_ns))[0]
+            model = self.source.model(t_ns)
         except Refusal:
             return  # nothing is known yet
         if not 0.0 < dt < 0.1:
+            self.response.restart()
             self.measured.restart()
             return
         w = message.angular_velocity
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
-        self.measured.update(x, effect, self.acting, dt)
+        effect, found = control_derivatives(model)[0], self.response
+        if found.update(x, effect, self.acting[None], dt, model):
+            self.measured.update(found.answered, found.made[0], dt)
         for line in warnings(self.measured):
             self.get_logger().warning(line, throttle_duration_sec=PERIOD)
 

@@ -14,7 +14,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback, History, subscribe
-from uav_ident_ros.control import AxisChoice, Effectiveness, IncrementalLaw
+from uav_ident_ros.control import AxisChoice, Effectiveness, IncrementalLaw, Response
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 LIMITS = np.array([[-0.4, -0.25, -0.25, 0.0], [0.4, 0.25, 0.25, 0.0]])  # de dr da dth, from trim
@@ -31,6 +31,7 @@ class Indi(Node):
         subscribe(self, source)
         self.choice = AxisChoice(source, nominal, LIMITS)  # whose derivatives, axis by axis
         self.law = IncrementalLaw(LIMITS, self.choice.scale)
+        self.source, self.response = source, Response()  # what the inputs are answered with
         self.measured = Effectiveness()  # turns and rescales an axis that answers otherwise
         self.sent: History[tuple[np.ndarray, np.ndarray]] = History()  # inputs and reference
         self.reference = np.zeros(3)
@@ -53,10 +54,13 @@ class Indi(Node):
         if not 0.0 < dt < 0.1:  # the first sample, or a gap
             self.law.restart(x, self.reference, acting)
             self.measured.restart()
+            self.response.restart()
             dt = 0.0
-        effect = self.choice.update(t_ns, self.measured)
-        if dt:
-            self.measured.update(x, effect.base, acting, dt, led)
+        effect, found = self.choice.update(t_ns, self.measured), self.response
+        if dt and found.update(
+            x, self.choice.nominal, acting[None], dt, self.source.model(t_ns), led
+        ):
+            self.measured.update(found.answered, found.made[0], dt, found.asked, effect.share)
         u = self.law.update(dt, effect.values, x, self.reference, acting)
         self.sent.add(t_ns, (u, self.reference))
         names = ["elevator", "rudder", "aileron"]

@@ -86,6 +86,7 @@ def flown(node: Any, seconds: float = 4.0) -> np.ndarray:
 def test_each_controller_follows_a_reference(ros: None, name: str, node: str, error: float) -> None:
     """A regulator has no integral action: it comes near."""
     flying = getattr(load(name), node)()
+    flying.source.add(coefficients())  # which says where it flies
     np.testing.assert_allclose(flown(flying), REFERENCE, atol=error)
     flying.destroy_node()
 

@@ -9,9 +9,11 @@ from equations import matrix
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
 from uav_ident_ros.control import Law, RateController
 from uav_ident_ros.control.controller import OWN_GAINS
+from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
 
-STRUCTURE = STRUCTURES["baseline"]
+STRUCTURE = STRUCTURES["flight_dynamics"]
+FLOW = FlowState(0.0, 0.0, 0.0, 0.0, roll=0.0, pitch=0.0, airspeed=50.0)
 DT_NS = 10_000_000
 DELAY_STEPS = 2
 SUBSTEPS = 4
@@ -28,7 +30,7 @@ def coefficients(effect: FloatArray | float = 1.0, t_ns: int = START) -> Coeffic
     """Coefficients whose inputs (de, dr, da, dth) have so much of their effect."""
     values = matrix(STRUCTURE, VALUES)
     values[:, INPUT_COLUMNS] *= effect
-    return Coefficients(STRUCTURE, values, 0.02 * np.abs(values), t_ns=t_ns)
+    return Coefficients(STRUCTURE, values, 0.02 * np.abs(values), flow=FLOW, t_ns=t_ns)
 
 
 def controller(
@@ -47,7 +49,8 @@ def a_sample_later(
 ) -> FloatArray:
     """Rates of a plant of these coefficients after the interval of a sample, in Euler's steps."""
     for _ in range(SUBSTEPS):
-        x = x + DT_NS * 1e-9 / SUBSTEPS * (plant @ STRUCTURE.regressor(x, u) + push)
+        f = STRUCTURE.regressor(x, u, np.zeros(2))
+        x = x + DT_NS * 1e-9 / SUBSTEPS * (plant[:3] @ f + push)
     return x
 
 

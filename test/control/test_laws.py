@@ -4,11 +4,12 @@
 import numpy as np
 import pytest
 from equations import matrix
-from plants import DT_NS, START, STEP, coefficients, controller, flown
+from plants import DT_NS, START, STEP, STRUCTURE, coefficients, controller, flown
 
-from uav_ident_ros.client import Coefficients, CoefficientSource
+from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource
 from uav_ident_ros.control import Effectiveness, Law
 from uav_ident_ros.control.pid import PidController, PidGains
+from uav_ident_ros.control.response import Response
 from uav_ident_ros.control.sideslip import SIDESLIP_RATE, rolls_over, yaw_for_roll
 from uav_ident_ros.control.smoothing import Smoother
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
@@ -64,20 +65,23 @@ def test_a_dead_axis_is_known_and_told_from_a_weak_one() -> None:
 
 
 def test_what_is_repaired_is_alive_again() -> None:
-    effect, x, found = coefficients().values[:, INPUT_COLUMNS], np.zeros(3), []
-    measured = Effectiveness()
+    effect, x, found = coefficients().values[:3, INPUT_COLUMNS], np.zeros(3), []
+    measured, response = Effectiveness(), Response()
+    damping = dict.fromkeys(("pdot/p", "qdot/q", "rdot/r"), -3.0)
+    model = AttitudeModel(STRUCTURE, matrix(STRUCTURE, damping), STRUCTURE.mask)
     for k in range(1200):
         acting = 0.05 * np.sin(np.array([2.0, 3.0, 2.5, 0.0]) * 0.01 * k)
         alive = np.array([1.0, 1.0, 0.0 if 300 <= k < 700 else 1.0, 1.0])
         x = x + 0.01 * (effect @ (alive * acting) - 3.0 * x)
-        measured.update(x, effect, acting, 0.01)
+        if response.update(x, effect, acting[None], 0.01, model):
+            measured.update(response.answered, response.made[0], 0.01)
         found.append(bool(measured.dead[0]))
     assert [found[k] for k in (299, 690, 1199)] == [False, True, False]
 
 
 def test_yawing_rolls_by_the_dihedral_and_by_the_rudder_that_holds_it() -> None:
     structure = STRUCTURES["flight_dynamics"]
-    assert yaw_for_roll(coefficients()) == 0.0  # a structure without sideslip
+    assert yaw_for_roll(coefficients()) == 0.0  # nothing is rolled by sideslip
     told = {"pdot/beta": -14.0, "pdot/dr": 3.0, "rdot/beta": 4.0, "rdot/dr": -4.0}
     values = matrix(structure, told)
     aircraft = Coefficients(structure, values, np.zeros_like(values))

@@ -2,8 +2,9 @@
 """Rate control on identified coefficients, to copy: NumPy and `uav_ident_ros.client`, no ROS.
 
 `allocate` gives inputs within their limits; `IncrementalLaw` and `InversionLaw` say which angular
-acceleration to ask for; `Effectiveness` measures what the inputs really do; `AxisChoice` decides
-axis by axis whose control derivatives to fly on; `RateController` is all of it together.
+acceleration to ask for; `Response` and `Effectiveness` measure what the inputs really do;
+`AxisChoice` decides axis by axis whose control derivatives to fly on; `RateController` is all of it
+together.
 """
 
 from uav_ident_ros.control.allocation import allocate
@@ -13,6 +14,7 @@ from uav_ident_ros.control.effectiveness import Effectiveness
 from uav_ident_ros.control.incremental import IncrementalLaw
 from uav_ident_ros.control.inversion import InversionLaw
 from uav_ident_ros.control.reference import Gains
+from uav_ident_ros.control.response import Response
 
 __all__ = [
     "AxisChoice",
@@ -23,5 +25,6 @@ __all__ = [
     "InversionLaw",
     "Law",
     "RateController",
+    "Response",
     "allocate",
 ]

@@ -2,7 +2,6 @@
 """A rate controller on identified coefficients, without ROS: samples in, inputs out."""
 
 from enum import Enum
-from functools import partial
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from uav_ident_ros.control.inversion import GAINS as INVERSION_GAINS
 from uav_ident_ros.control.inversion import InversionLaw
 from uav_ident_ros.control.lateness import DelayMeter
 from uav_ident_ros.control.reference import MAX_INTERVAL, Gains
+from uav_ident_ros.control.response import Response
 from uav_ident_ros.control.sideslip import rolls_over, yaw_for_roll
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
@@ -78,7 +78,7 @@ class RateController:
         self.delay = DelayMeter(delay)
         self._last_ns = 0
         self._rolled_over = False
-        self.effectiveness = Effectiveness()
+        self.effectiveness, self._response = Effectiveness(), Response()
         scale = self._choice.scale
         kind = IncrementalLaw if law is Law.INCREMENTAL else InversionLaw
         self._law = kind(limits, scale, gains or OWN_GAINS[law])
@@ -99,7 +99,7 @@ class RateController:
         if not 0.0 < dt < MAX_INTERVAL:
             dt, before_ns = 0.0, t_ns
             self._restart(t_ns, x, reference)
-        if dt > 0.0:
+        if dt > 0.0 and self._adaptive:
             self._measure(before_ns, dt, x)
         self._references.add(t_ns, reference)
         self.effect = self._choice.update(t_ns, self.effectiveness)
@@ -126,16 +126,25 @@ class RateController:
 
     def _measure(self, before_ns: int, dt: float, x: FloatArray) -> None:
         """Learn from the `dt` seconds since the last sample what the inputs do, and when."""
-        if self._adaptive:
-            held = partial(self._acting, before_ns)
-            if self.delay.update(x, self.effect.base, held, dt):
-                for axis in range(len(x)):
-                    self.effectiveness.changed(axis)
-                self._choice.forget_measured()
         t_ns = before_ns + round(dt * 1e9)
-        acting = self._acting(t_ns, self.delay.delay)
-        led = self._references.at(t_ns - round(self.delay.delay * 1e9))
-        self.effectiveness.update(x, self.effect.base, acting, dt, led, self.delay.in_doubt)
+        inputs = np.array([self._acting(before_ns, delay) for delay in self.delay.delays])
+        led = self._references.at(before_ns - round(self.delay.delay * 1e9))
+        answer, model = self._response, self._source.model(t_ns)
+        if not answer.update(x, self._choice.nominal, inputs, dt, model, led):
+            return
+        believed = self.effect.share
+        if self.delay.update(answer.answered, answer.made * believed, answer.acceleration, dt):
+            for axis in range(len(x)):
+                self.effectiveness.changed(axis)
+            self._choice.forget_measured()
+        self.effectiveness.update(
+            answer.answered,
+            answer.made[self.delay.believed],
+            dt,
+            answer.asked,
+            believed,
+            self.delay.in_doubt,
+        )
 
     def _acting(self, t_ns: int, delay: float) -> FloatArray:
         """Return the inputs that act from `t_ns` on until the next sample's, shape (4,)."""
@@ -157,6 +166,7 @@ class RateController:
         self._commands: History[FloatArray] = History()
         self._references: History[FloatArray] = History()
         self.effectiveness.restart()
+        self._response.restart()
         self.delay.restart()
         if isinstance(self._law, IncrementalLaw):
             self._law.restart(x, reference, np.zeros(4))

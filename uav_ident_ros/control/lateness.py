@@ -14,12 +14,9 @@ was told: gyro noise that the inputs answer looks like an effect without any del
 act sooner than believed make no loop ring.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
-from uav_ident_ros.control.effectiveness import BANDWIDTH, PERIOD
-from uav_ident_ros.control.smoothing import Smoother
+from uav_ident_ros.control.response import BANDWIDTH
 from uav_ident_ros.identification.structure import FloatArray
 
 STEP = 0.01
@@ -36,6 +33,9 @@ DOUBT, SURE = 2.0, 10.0
 """Log-likelihood ratios from which on another delay puts the believed one in doubt, odds of 7 to 1,
 and takes its place, of 22,000 to 1: neighbouring samples tell more of the same than is counted."""
 
+PERIOD = 0.05
+"""Time between comparisons, s: short beside the memory."""
+
 NOTHING = 1e-12
 """Residuals over the jerk's square that count as none."""
 
@@ -50,63 +50,51 @@ class DelayMeter:
 
     Attributes
     ----------
+    delays : (n,) array
+        Those that are compared, s.
+    believed : int
+        Which of them it is.
     in_doubt : bool
         Whether another delay explains the flight better: then what looks like another effect of
         the inputs may be the delay's.
     """
 
     def __init__(self, told: float) -> None:
-        self._delays = told + STEP * np.arange(round(LATEST / STEP) + 1)
-        self._believed = 0
+        self.delays = told + STEP * np.arange(round(LATEST / STEP) + 1)
+        self.believed = 0
         self.restart()
 
     @property
     def delay(self) -> float:
         """The one that is believed, s."""
-        return float(self._delays[self._believed])
+        return float(self.delays[self.believed])
 
     def restart(self) -> None:
         """Forget what was measured, but not what is believed."""
-        self._smoothers: tuple[Smoother, Smoother] | None = None
-        self._slope = np.zeros(3)
-        # of each delay and axis the sums over f f' and f jerk, f = (made, xdot); over jerk^2
-        self._cross = np.zeros((len(self._delays), 3, 2, 2))
-        self._products = np.zeros((len(self._delays), 3, 2))
+        # sums over f f' and f answered of each delay and axis, f = (made, xdot); over answered^2
+        self._cross = np.zeros((len(self.delays), 3, 2, 2))
+        self._products = np.zeros((len(self.delays), 3, 2))
         self._squares = np.zeros(3)
         self._weight = self._since = 0.0
         self.in_doubt = False
 
     def update(
-        self, x: FloatArray, effect: FloatArray, acting: Callable[[float], FloatArray], dt: float
+        self, answered: FloatArray, made: FloatArray, acceleration: FloatArray, dt: float
     ) -> bool:
         """Take one sample; return whether another delay is believed from now on.
 
         Parameters
         ----------
-        x : (3,) array
-            Measured p, q, r, rad/s.
-        effect : (3, 4) array
-            B as believed, rad/s^2 per unit.
-        acting : callable
-            Returns the inputs, shape (4,), since the last sample, for a delay, s.
+        answered, made, acceleration : (3,), (n, 3) and (3,) arrays
+            As in `Response`, for the `delays`.
         dt : float
             Time since the last sample, s.
         """
-        inputs = np.array([acting(delay) for delay in self._delays])
-        if self._smoothers is None:
-            self._smoothers = Smoother(BANDWIDTH, x), Smoother(BANDWIDTH, inputs)
-            return False
-        rates, moved = self._smoothers
-        rates.update(x, dt)
-        moved.update(inputs, dt)
-        jerk = (rates.slope - self._slope) / dt
-        self._slope = rates.slope
-        made = moved.slope @ effect.T
-        f = np.stack([made, np.broadcast_to(rates.slope, made.shape)], axis=-1)
+        f = np.stack([made, np.broadcast_to(acceleration, made.shape)], axis=-1)
         keep = np.exp(-dt / MEMORY)
         self._cross = keep * self._cross + dt * f[..., :, None] * f[..., None, :]
-        self._products = keep * self._products + dt * f * jerk[:, None]
-        self._squares = keep * self._squares + dt * jerk**2
+        self._products = keep * self._products + dt * f * answered[:, None]
+        self._squares = keep * self._squares + dt * answered**2
         self._weight = keep * self._weight + dt
         self._since += dt
         if self._since < PERIOD:
@@ -114,10 +102,10 @@ class DelayMeter:
         self._since = 0.0
         likely = self.likelihood()
         best = int(np.argmax(likely))
-        lead = likely[best] - likely[self._believed]
+        lead = likely[best] - likely[self.believed]
         self.in_doubt = bool(DOUBT < lead <= SURE)
         if lead > SURE:
-            self._believed = best
+            self.believed = best
         return bool(lead > SURE)
 
     def likelihood(self) -> FloatArray:
