@@ -27,11 +27,11 @@ class Indi(Node):
     def __init__(self) -> None:
         super().__init__("indi")
         nominal = Coefficients.from_file(self.declare_parameter("nominal_file", "").value)
-        source = CoefficientSource(Fallback.LAST_GOOD, nominal)
-        subscribe(self, source)
-        self.choice = AxisChoice(source, nominal, LIMITS)  # whose derivatives, axis by axis
+        self.source = CoefficientSource(Fallback.LAST_GOOD, nominal)
+        subscribe(self, self.source)
+        self.choice = AxisChoice(self.source, nominal, LIMITS)  # whose derivatives, axis by axis
         self.law = IncrementalLaw(LIMITS, self.choice.scale)
-        self.source, self.response = source, Response()  # what the inputs are answered with
+        self.response = Response()  # what the inputs are answered with
         self.measured = Effectiveness()  # turns and rescales an axis that answers otherwise
         self.sent: History[tuple[np.ndarray, np.ndarray]] = History()  # inputs and reference
         self.reference = np.zeros(3)
@@ -57,9 +57,7 @@ class Indi(Node):
             self.response.restart()
             dt = 0.0
         effect, found = self.choice.update(t_ns, self.measured), self.response
-        if dt and found.update(
-            x, self.choice.nominal, acting[None], dt, self.source.model(t_ns), led
-        ):
+        if dt and found.update(x, self.choice.nominal, acting[None], dt, self.choice.model, led):
             self.measured.update(found.answered, found.made[0], dt, found.asked, effect.share)
         u = self.law.update(dt, effect.values, x, self.reference, acting)
         self.sent.add(t_ns, (u, self.reference))

@@ -13,7 +13,7 @@ A row takes seconds to be learned anew after a fault. Until then its main deriva
 measured, once that has been surely another for longer than a gust lasts in the filter.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -79,6 +79,14 @@ class AxisChoice:
         Of the inputs.
     adaptive : bool
         Whether to leave the nominal set at all.
+
+    Attributes
+    ----------
+    nominal : (3, 4) array
+        Control derivatives to measure with.
+    model : AttitudeModel
+        What the aircraft does by itself, for `Response`: every estimate of the rows in use, however
+        uncertain, as a coefficient that is left out is wrong for sure.
     """
 
     def __init__(
@@ -89,12 +97,11 @@ class AxisChoice:
         adaptive: bool = True,
     ) -> None:
         self._source, self._limits, self._adaptive = source, limits, adaptive
-        self._nominal = control_derivatives(nominal)[0]
-        self._rows = self._nominal.copy()  # those adopted; their main derivatives as flown on:
+        self.nominal = control_derivatives(nominal)[0]
+        self._rows = self.nominal.copy()  # those adopted; their main derivatives as flown on:
         self._main = self._rows[MAINS]
-        self._nominal_authority = authority(self._nominal, limits)
-        # what alpha and beta do would be taken for the inputs' where the model does not know them
-        self._rescales = nominal.structure.has_flow
+        self._nominal_authority = authority(self.nominal, limits)
+        self.model = AttitudeModel(nominal.structure, nominal.values, nominal.structure.mask)
         self._agreed_ns = np.full(len(ROWS), np.iinfo(np.int64).max)
         self._sources = [NOMINAL] * len(ROWS)
         self._seen: Coefficients | None = None
@@ -104,11 +111,6 @@ class AxisChoice:
     def scale(self) -> FloatArray:
         """Worth of each axis for `allocate`: its nominal authority, rad/s^2."""
         return self._nominal_authority
-
-    @property
-    def nominal(self) -> FloatArray:
-        """Control derivatives to measure with, shape (3, 4)."""
-        return self._nominal
 
     def update(self, t_ns: int, measured: Effectiveness) -> Effect:
         """Return what to fly on at message time `t_ns`.
@@ -129,7 +131,7 @@ class AxisChoice:
         sources = tuple(
             MEASURED if self._rescaled(i) else source for i, source in enumerate(self._sources)
         )
-        return Effect(values, _over(self._main, self._nominal[MAINS]), sources, (*self._reasons,))
+        return Effect(values, _over(self._main, self.nominal[MAINS]), sources, (*self._reasons,))
 
     def forget_measured(self) -> None:
         """Go back to the rows as adopted: what was measured was measured with a wrong delay."""
@@ -140,20 +142,26 @@ class AxisChoice:
         old = newest is None or newest is self._seen
         self._seen = newest
         found, known = (None, None) if newest is None else control_derivatives(newest)
+        if newest is not None and newest.structure.name != self.model.structure.name:
+            self.model = AttitudeModel(newest.structure, newest.values, newest.known)
+        own = self.model.values.copy()
         for i in range(len(ROWS)):
             reason = self._source.refusal(t_ns, i)
             if not reason:
                 if old:
                     continue  # it was weighed when it came
-                assert found is not None and known is not None
+                assert newest is not None and found is not None and known is not None
                 row = np.where(known[i], found[i], self._rows[i])
                 reason = self._against(i, row, bool(known[MAINS][i]), measured)
                 if not reason:
                     self._rows[i], self._main[i] = row, row[MAIN[ROWS[i]]]
+                    own[i], own[len(ROWS) :] = newest.values[i], newest.values[len(ROWS) :]
                     self._sources[i] = IDENTIFIED
             if reason and self._sources[i] == IDENTIFIED:
                 self._sources[i] = LAST_GOOD
             self._reasons[i] = reason
+        if newest is not None and not old:
+            self.model = replace(self.model, values=own, flow=newest.flow)
 
     def _rescaled(self, i: int) -> bool:
         return bool(abs(_over(self._main, self._rows[MAINS])[i] - 1.0) > TOLD)
@@ -183,10 +191,11 @@ class AxisChoice:
 
     def _scale(self, t_ns: int, measured: Effectiveness) -> None:
         """Fly on what is measured where it has surely been another for long enough."""
-        found = measured.factor * self._nominal[MAINS]
-        away = np.abs(found - self._main) > np.abs(SIGMAS * measured.sigma * self._nominal[MAINS])
+        found = measured.factor * self.nominal[MAINS]
+        away = np.abs(found - self._main) > np.abs(SIGMAS * measured.sigma * self.nominal[MAINS])
         self._agreed_ns = np.where(away, self._agreed_ns, t_ns)
-        surely = (t_ns - self._agreed_ns > CORRELATION * 1e9) & self._rescales
+        # without flow angles in the model, what they do would be taken for the inputs'
+        surely = (t_ns - self._agreed_ns > CORRELATION * 1e9) & self.model.structure.has_flow
         ends = np.sort(np.outer(MEASURED_RANGE, self._rows[MAINS]), axis=0)
         self._main = np.where(surely, np.clip(found, *ends), self._main)
 

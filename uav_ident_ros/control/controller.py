@@ -126,17 +126,16 @@ class RateController:
 
     def _measure(self, before_ns: int, dt: float, x: FloatArray) -> None:
         """Learn from the `dt` seconds since the last sample what the inputs do, and when."""
-        t_ns = before_ns + round(dt * 1e9)
         inputs = np.array([self._acting(before_ns, delay) for delay in self.delay.delays])
         led = self._references.at(before_ns - round(self.delay.delay * 1e9))
-        answer, model = self._response, self._source.model(t_ns)
-        if not answer.update(x, self._choice.nominal, inputs, dt, model, led):
+        answer, choice = self._response, self._choice
+        if not answer.update(x, choice.nominal, inputs, dt, choice.model, led):
             return
         believed = self.effect.share
         if self.delay.update(answer.answered, answer.made * believed, answer.acceleration, dt):
             for axis in range(len(x)):
                 self.effectiveness.changed(axis)
-            self._choice.forget_measured()
+            choice.forget_measured()
         self.effectiveness.update(
             answer.answered,
             answer.made[self.delay.believed],

@@ -46,9 +46,9 @@ LEAST_SIGMA = 0.1
 """Standard deviation of g that is believed at best: B is no constant."""
 
 SURE = 22.0
-"""Log-likelihood ratio from which on an effect is reversed, or lost. On the c172p, severe gusts that begin
-at once (6 of 7) reach 8, an aileron that loses half of its effect 7; a reversed one passes it in a
-tenth of a second."""
+"""Log-likelihood ratio from which on an effect is reversed or lost. On the c172p, severe gusts that
+begin at once (6 of 7) reach 8 for 'reversed', an aileron that loses half of its effect 7; a
+reversed one passes it in a tenth of a second."""
 
 LEAST_DOUBT = 0.1
 """Time that it takes at least, s. A load that shifts turns the aircraft one way while the inputs

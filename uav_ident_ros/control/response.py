@@ -3,7 +3,7 @@
 
     jerk_f - (A_x xdot + A_f flow')_f = (g B u)'_f + what nobody knows
 
-A is the linear model of the newest good coefficients. Its rates are measured; beta, alpha and the
+A is the linear model of the coefficients. Its rates are measured; beta, alpha and the
 bank angle that go with them follow from them by the same model, so that no sensor of theirs is
 needed. The same of the rates that were asked for tells which inputs would have flown them: no
 gust and no gyro noise is in that.
