@@ -38,7 +38,7 @@ def gains(share: FloatArray | float, airspeed: float = AIRSPEED) -> tuple[FloatA
 
 @pytest.mark.parametrize("share", [(1.0, 1.0, 1.0), (0.5, 1.0, 1.0), (-1.0, 0.5, 0.5)])
 def test_what_the_inputs_make_is_left(share: tuple[float, float, float]) -> None:
-    assert gains(np.array(share))[0] == pytest.approx(share, abs=0.1)
+    assert gains(np.array(share))[0] == pytest.approx(share, abs=0.15)
 
 
 def test_it_needs_to_know_what_the_flow_does() -> None:
