@@ -9,6 +9,8 @@ inversion   inversion of the nominal model with a disturbance observer
 PID         the usual rate loop: feed-forward, P, I, D, one surface for each axis
 INDI        incremental inversion on the nominal control derivatives
 adaptive    the same, on what is identified and measured in flight, axis by axis
+oracle      the same, told the true control derivatives with the fault: what can be had at best
+            where an effect is reduced
 
 All are tuned by one rule on the healthy aircraft's identified model: as fast as can be with a gain
 margin of two, that is, so that they still settle when every input has twice its effect.
@@ -16,8 +18,8 @@ margin of two, that is, so that they still settle when every input has twice its
 The whole is a design: every fault on every aircraft, at five random times with three seeds. It is
 flown in a random order that meets every aircraft and fault before any twice, so that what was
 flown when it is stopped is a fair sample; started again, it goes on. The adaptive controller flies
-first. Whether a fixed one is lost less often is asked where the adaptive one was lost, or
-everywhere (``--all``).
+first, the oracle where it knows anything. Whether a fixed one is lost less often is asked where the
+adaptive one was lost, or everywhere (``--all``).
 
 Tables go to the terminal, every flight to build/fault_campaign.jsonl.
 """
@@ -29,6 +31,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -51,15 +54,16 @@ from uav_ident_ros.control import Law
 from uav_ident_ros.control.choice import control_derivatives
 from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.control.pid import SURFACES, PidController, PidGains
-from uav_ident_ros.identification.structure import RATE_COLUMNS, FloatArray
+from uav_ident_ros.identification.flow import FlowState
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, RATE_COLUMNS, FloatArray
 from uav_ident_ros.simulation.airframe import airframe_names
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared, prepare
 
-ADAPTIVE = "adaptive"
+ADAPTIVE, ORACLE = "adaptive", "oracle"
 FIXED = ("inversion", "PID", "INDI")
-CONTROLLERS = (*FIXED, ADAPTIVE)
+CONTROLLERS = (*FIXED, ADAPTIVE, ORACLE)
 
 AIRCRAFT = ("c172p", "pa28", "T37", "J3Cub", "OV10", "ultra_stick_25e")
 TIMES, SEEDS = 5, 3
@@ -76,14 +80,18 @@ class Case:
     axis: int = 0  # The one concerned: p, q, r
     delay: float = DELAY  # True one, s; the loop is told `DELAY`
     sensors: Sensors = SENSORS
+    # (de, dr, da), axis p, q, r: what is left of the effects of the surfaces, and of the axis's
+    reduced: tuple[tuple[float, float, float], float] | None = None
 
 
 FAULTS = {
     HEALTHY: Case(),
-    "aileron halved": Case(("aileron effect 0.5",)),
-    "elevator halved": Case(("elevator effect 0.5",), 1),
-    "rudder halved": Case(("rudder effect 0.5",), 2),
-    "elevator halved, pitch inertia +30 %": Case(("elevator effect 0.5", "pitch inertia 1.3"), 1),
+    "aileron halved": Case(("aileron effect 0.5",), reduced=((1.0, 1.0, 0.5), 1.0)),
+    "elevator halved": Case(("elevator effect 0.5",), 1, reduced=((0.5, 1.0, 1.0), 1.0)),
+    "rudder halved": Case(("rudder effect 0.5",), 2, reduced=((1.0, 0.5, 1.0), 1.0)),
+    "elevator halved, pitch inertia +30 %": Case(
+        ("elevator effect 0.5", "pitch inertia 1.3"), 1, reduced=((0.5, 1.0, 1.0), 1.0 / 1.3)
+    ),
     "aileron reversed": Case(("aileron effect -1",)),
     "elevator reversed": Case(("elevator effect -1",), 1),
     "aileron lost": Case(("aileron effect 0",)),
@@ -146,7 +154,30 @@ def make_controller(prepared: Prepared, name: str, factor: float) -> Make:
         gains = pid_gains(prepared, factor)
         return lambda source: PidController(prepared.limits - prepared.trim, gains)
     law = Law.INVERSION if name == "inversion" else Law.INCREMENTAL
-    return rate_controller(prepared, law, name == "adaptive", OWN_GAINS[law].times(factor))
+    adaptive = name in (ADAPTIVE, ORACLE)
+    return rate_controller(prepared, law, adaptive, OWN_GAINS[law].times(factor))
+
+
+class Oracle:
+    """Tells an adaptive controller the true control derivatives, from the fault on."""
+
+    def __init__(
+        self, prepared: Prepared, case: Case, when: float, make: Make, source: CoefficientSource
+    ) -> None:
+        nominal, flow = nominal_of(prepared), FlowState(*np.zeros(6), prepared.airframe.speed)
+        self._source, self._controller = source, make(source)
+        self._before = replace(nominal, sigma=np.zeros_like(nominal.sigma), flow=flow)
+        values, (surfaces, axis) = nominal.values.copy(), case.reduced or ((1.0, 1.0, 1.0), 1.0)
+        values[:3, INPUT_COLUMNS] *= (*surfaces, 1.0)
+        values[case.axis] *= axis
+        self._after = replace(self._before, values=values)
+        self._when_ns = EPOCH_NS + round(when * 1e9)
+
+    def update(self, t_ns: int, x: FloatArray, reference: FloatArray) -> FloatArray:
+        """Return de, dr, da, dth, deviations from trim."""
+        true = self._after if t_ns >= self._when_ns else self._before
+        self._source.add(replace(true, t_ns=t_ns))
+        return self._controller.update(t_ns, x, reference)
 
 
 def tuned(prepared: Prepared, name: str) -> float:
@@ -209,7 +240,10 @@ def fly(prepared: Prepared, name: str, factor: float, cell: Cell) -> dict[str, A
     if fault == HEALTHY:
         mission = replace(mission, duration=BEFORE + SPREAD + AFTER)
     identifier = make_identifier(prepared) if name == ADAPTIVE else None
-    outcome = fly_loop(prepared, mission, make_controller(prepared, name, factor), identifier)
+    make = make_controller(prepared, name, factor)
+    if name == ORACLE:
+        make = partial(Oracle, prepared, case, when, make)
+    outcome = fly_loop(prepared, mission, make, identifier)
     # of a healthy flight the same stretches as of each fault
     times = [fault_time(k, seed) for k in range(TIMES)] if fault == HEALTHY else [when]
     return {
@@ -302,9 +336,12 @@ def campaign(
                 return
             healthy = [(aircraft, HEALTHY, 0, seed) for aircraft, _, _, seed in some]
             yield from fly_all([(ADAPTIVE, cell) for cell in (*healthy, *some)])
+            pairs = list(zip(healthy, some, strict=True))
+            reduced = [cell for pair in pairs if FAULTS[pair[1][1]].reduced for cell in pair]
+            yield from fly_all([(ORACLE, cell) for cell in reduced])
             fixed = [
                 (name, one)
-                for pair in zip(healthy, some, strict=True)
+                for pair in pairs
                 if everyone or done[ADAPTIVE, pair[1]]["lost"] is not None
                 for one in (pair if everyone else pair[1:])
                 for name in FIXED
