@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 
-END_TIME = 10.0
-"""Seconds that a process may take to end."""
+END_TIME = 30.0
+"""Seconds that a process may take to end, on a busy machine too."""
 
 
 class NodeProcess(subprocess.Popen[bytes]):
@@ -24,7 +24,7 @@ class NodeProcess(subprocess.Popen[bytes]):
         *,
         file: Path | None = None,  # Parameter file
         remappings: Mapping[str, str] | None = None,  # Topics by their names in the node
-        home: Path | None = None,  # For what nodes keep and log, in place of ROS's
+        home: Path | None = None,  # For what nodes keep, in place of ROS's
     ) -> None:
         self.log_file = log
         command = [sys.executable, "-m", module, "--ros-args"]
@@ -37,7 +37,7 @@ class NodeProcess(subprocess.Popen[bytes]):
             command += ["-r", f"{name}:={topic}"]
         environment = {**os.environ, "RCUTILS_LOGGING_BUFFERED_STREAM": "0"}
         if home is not None:
-            environment |= {"ROS_HOME": str(home), "ROS_LOG_DIR": str(home)}
+            environment["ROS_HOME"] = str(home)
         with log.open("ab") as output:
             super().__init__(command, stdout=output, stderr=output, env=environment)
 

@@ -4,13 +4,15 @@
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
-from node_process import NodeProcess, StartNode
+from node_process import StartNode
 from recordings import Fly, MakePlayer, Recording
 
 from uav_ident_ros.domain import own_domain
 from uav_ident_ros.player import Player
+from uav_ident_ros.process import NodeProcess
 
 
 @contextmanager
@@ -19,26 +21,27 @@ def starting(home: Path) -> Iterator[StartNode]:
     started: list[NodeProcess] = []
 
     def start(
-        *arguments: str,
+        *,
         parameter_file: Path | None = None,
         parameters: Mapping[str, str] | None = None,
         sim_time: bool = False,
+        namespace: str = "/",
     ) -> NodeProcess:
-        ros = ["--ros-args"]
-        if parameter_file is not None:
-            ros += ["--params-file", str(parameter_file)]
-        for name, value in {**(parameters or {})}.items():
-            ros += ["-p", f"{name}:={value}"]
-        if sim_time:
-            ros += ["-p", "use_sim_time:=true"]
-        started.append(NodeProcess([*ros, *arguments], home))
+        values = {**(parameters or {}), **({"use_sim_time": True} if sim_time else {})}
+        log = Path(logs) / f"{len(started)}.log"
+        started.append(
+            NodeProcess(
+                "uav_ident_ros.node", log, values,
+                file=parameter_file, remappings={"__ns": namespace}, home=home,
+            )
+        )  # fmt: skip
         return started[-1]
 
-    with own_domain():
+    with TemporaryDirectory() as logs, own_domain():
         yield start
-    for node in started:
-        print(node.log)  # pytest shows it if the test failed
-        node.kill()
+        for node in started:
+            print(node.log)  # pytest shows it if the test failed
+            node.end()
 
 
 @contextmanager

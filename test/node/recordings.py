@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from excerpts import decoded
-from node_process import ROOT, NodeProcess
+from node_process import ROOT
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 
@@ -18,6 +18,7 @@ from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.offline import NOT_USABLE, USABLE
 from uav_ident_ros.offline import main as replay
 from uav_ident_ros.player import Outputs, Player
+from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.ros import stamp_ns
 
 BAGS = ROOT / "bags"

@@ -67,8 +67,8 @@ def test_a_killed_node_leaves_the_controller_at_zero(start_node: StartNode) -> N
             if client.service_is_ready() and len(controller.added) % 50 == 0:
                 client.call_async(SetBool.Request(data=True))
             controller.fly_one_sample()
-        node.process.kill()
-        node.process.wait()
+        node.kill()
+        node.wait()
         killed_ns = time.time_ns()
         for _ in range(100):
             controller.fly_one_sample()

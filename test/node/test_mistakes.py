@@ -9,13 +9,14 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped, Vector3
-from node_process import NodeProcess, wait_for
+from node_process import wait_for
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from recordings import Spoil, put
 from sensor_msgs.msg import Imu, JointState, MagneticField
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 
 from uav_ident_ros.guest import Guest
+from uav_ident_ros.process import NodeProcess
 
 PERIOD = 0.01
 START_NS = 1_700_000_000_000_000_000
@@ -226,11 +227,10 @@ class Source(Guest):
 
 
 @pytest.fixture(scope="module")
-def node() -> Iterator[NodeProcess]:
-    arguments = [part for item in PARAMETERS.items() for part in ("-p", ":=".join(item))]
-    started = NodeProcess(["--ros-args", *arguments])
-    yield started
-    started.kill()
+def node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NodeProcess]:
+    log = tmp_path_factory.mktemp("node") / "node.log"
+    with NodeProcess("uav_ident_ros.node", log, PARAMETERS) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
@@ -267,4 +267,4 @@ def test_every_mistake_is_named_with_what_to_do(
 
 def test_after_the_mistakes_it_goes_on(source: Source, node: NodeProcess) -> None:
     until_all_is_well(source)
-    assert node.process.poll() is None
+    assert node.poll() is None

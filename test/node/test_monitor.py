@@ -173,7 +173,7 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
     start_node: StartNode, start_monitor: StartMonitor
 ) -> None:
     for name in ("one", "two"):
-        start_node("-r", f"__ns:=/{name}")
+        start_node(namespace=f"/{name}")
     for name in ("one", "two"):
         player = Player({}, f"/{name}/identifier", clock=False)
         try:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from node_process import NodeProcess
 from recordings import (
     NODE,
     Fly,
@@ -27,6 +26,7 @@ from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.offline.ticks import Ticks
 from uav_ident_ros.player import Player
+from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.ros import stamp_ns
 
 ON_TIME = 2e-3

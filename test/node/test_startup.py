@@ -108,17 +108,17 @@ def test_many_signals_end_it_once(start_node: StartNode) -> None:
     """From the terminal, from launch, and once more from an impatient pilot."""
     node = start_node()
     assert wait_for(lambda: "no message on '/imu/data' yet" in node.log), node.log
-    while node.process.poll() is None:
+    while node.poll() is None:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
-            node.process.send_signal(number)
-    assert node.exit_status() == 0, node.log
+            node.send_signal(number)
+    assert node.wait(PATIENCE) == 0, node.log
     assert "Traceback" not in node.log
 
 
 def test_a_signal_before_it_runs_is_not_lost(start_node: StartNode) -> None:
     """What arrives while it still loads ends it like any other."""
     node = start_node()
-    assert wait_for(lambda: handled(node.process.pid, signal.SIGTERM))
+    assert wait_for(lambda: handled(node.pid, signal.SIGTERM))
     assert node.end(signal.SIGTERM) == 0
     assert "Traceback" not in node.log
 
