@@ -8,7 +8,7 @@ import pytest
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.intake import AIRSPEED, ARMED, Drop
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.messages.arrival import Arrivals
+from uav_ident_ros.messages.feed import Arrivals
 
 STEP_NS = 10_000_000
 NODE_NS = 1_700_000_000 * 10**9

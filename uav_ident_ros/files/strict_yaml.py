@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """YAML as it stands in a file, checked entry by entry: scalars are their text, no key is twice."""
 
-import difflib
 import errno
 import math
 from collections.abc import Collection, Mapping
@@ -10,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from uav_ident_ros.identification.settings import nearest
 from uav_ident_ros.messages.types import NS_PER_S
 
 
@@ -101,8 +101,7 @@ def nanoseconds(
 
 def meant(name: str, known: Collection[str]) -> str:
     """Return the question for the nearest of the known names, or else all of them."""
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(known)}"
+    return nearest(name, known) or f"allowed are {', '.join(known)}"
 
 
 def finite(value: Any, what: str) -> float:

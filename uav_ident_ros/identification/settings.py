@@ -11,7 +11,7 @@ import dataclasses
 import difflib
 import math
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -99,12 +99,9 @@ class Setting:
     def _check_entry(self, entry: object, value: object) -> None:
         if isinstance(entry, str):
             if self.choices and entry not in self.choices:
-                near = difflib.get_close_matches(entry, self.choices, n=1)
-                hint = f"; did you mean '{near[0]}'?" if near else ""
-                raise SettingsError(
-                    self.name,
-                    f"'{self.name}' is '{entry}': allowed are {', '.join(self.choices)}{hint}",
-                )
+                allowed = f"allowed are {', '.join(self.choices)}"
+                hint = f"; {meant}" if (meant := nearest(entry, self.choices)) else ""
+                raise SettingsError(self.name, f"'{self.name}' is '{entry}': {allowed}{hint}")
         elif not self.low <= float(typing.cast(float, entry)) <= self.high:  # NaN fails too
             raise SettingsError(
                 self.name, f"'{self.name}' is {value!r}: allowed is {self.allowed()}"
@@ -592,9 +589,13 @@ class Settings:
 def unknown_setting(name: str) -> str:
     """Say that there is no setting of that name, and which was probably meant."""
     known = [setting.name for setting in declarations()]
+    return f"there is no parameter '{name}': {nearest(name, known) or 'see the parameter table'}"
+
+
+def nearest(name: str, known: Collection[str]) -> str:
+    """Return the question whether the nearest of the known names was meant; empty if none is."""
     near = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean '{near[0]}'?" if near else "see the parameter table"
-    return f"there is no parameter '{name}': {hint}"
+    return f"did you mean '{near[0]}'?" if near else ""
 
 
 def declarations() -> tuple[Setting, ...]:

@@ -5,14 +5,13 @@ The adapters use attribute access only, so they serve rclpy messages, rosbags me
 stand-ins alike. Nothing here imports ROS until `import_type` is called.
 """
 
-import difflib
 import importlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from uav_ident_ros.identification.settings import ActuatorSettings, ImuSettings
+from uav_ident_ros.identification.settings import ActuatorSettings, ImuSettings, nearest
 from uav_ident_ros.identification.structure import INPUTS
 
 NS_PER_S = 1_000_000_000
@@ -282,8 +281,7 @@ class ActuatorReader:
             indices = []
             for channel in self._channels:
                 if channel not in names:
-                    near = difflib.get_close_matches(str(channel), names, n=1)
-                    hint = f"; did you mean '{near[0]}'?" if near else ""
+                    hint = f"; {meant}" if (meant := nearest(str(channel), names)) else ""
                     found = f" among {listed(names)}" if names else ": the message names none"
                     raise ChannelError(f"there is no channel '{channel}'{found}{hint}")
                 indices.append(names.index(str(channel)))

@@ -5,7 +5,6 @@ What rcl and rclpy let pass in silence is caught here: misspelt names, integers 
 belongs, arrays of the wrong length, ranges of array entries.
 """
 
-import difflib
 import math
 from collections.abc import Callable, Sequence
 
@@ -23,6 +22,7 @@ from uav_ident_ros.identification.settings import (
     Settings,
     SettingsError,
     declarations,
+    nearest,
     unknown_setting,
 )
 
@@ -97,8 +97,7 @@ def _check_qos(name: str, value: object, topics: Sequence[str]) -> None:
         for policy in _QOS_POLICIES
     ]
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"
+        hint = nearest(name, known) or f"there are {', '.join(known)}"
         raise SettingsError(name, f"there is no parameter '{name}': {hint}")
     allowed = _QOS_POLICIES[name.rsplit(".", 1)[1]]
     if allowed and value not in allowed:
