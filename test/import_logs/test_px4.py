@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What PX4 logs of different ages and vehicles mean."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from excerpts import decoded
+from excerpts import decoded, summary
 from imported import Imported, Importer, mixing
 from pyulog import ULog
 from pyulog.ulog2csv import convert_ulog2csv
@@ -14,6 +15,8 @@ from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.import_logs.stamps import quaternions
+from uav_ident_ros.offline import NOT_USABLE
+from uav_ident_ros.offline import main as replay
 from uav_ident_ros.simulation.channels import ELEVON, QUADROTOR
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared" / "logs" / "px4_quad_sample.ulg"
@@ -398,7 +401,7 @@ def test_gaps_and_dropouts_are_told(importer: Importer) -> None:
 
 
 @pytest.mark.skipif(not SAMPLE.exists(), reason="../shared/logs/px4_quad_sample.ulg is not there")
-def test_a_recorded_log(importer: Importer) -> None:
+def test_a_recorded_log(tmp_path: Path, importer: Importer) -> None:
     """One of 2016, in the old format. The vehicle was moved about by hand, disarmed."""
     bag, _, said = importer(SAMPLE)
     log = ULog(str(SAMPLE))
@@ -422,3 +425,13 @@ def test_a_recorded_log(importer: Importer) -> None:
     assert (bag.actuators[:, :4] == 900.0).all()
     line = importer.refused(SAMPLE, "--flight-only")
     assert "it never flew: leave --flight-only out" in line
+    # motors that stand still turn nothing, though it moves: every control derivative must admit it
+    recorded, output = importer.folder / "bag_1", tmp_path / "replayed"
+    parameters, text = recorded / "unarmed.yaml", (recorded / "identifier.yaml").read_text()
+    parameters.write_text(re.sub(r"armed.type: .*", 'armed.type: ""', text))
+    arguments = ["--params-file", str(parameters), "--output", str(output)]
+    assert replay([str(recorded), *arguments]) == NOT_USABLE
+    found = summary(output)["coefficients"]
+    assert found["pdot/p"]["value"] != 0.0  # it has learned
+    for name in ("pdot/da", "qdot/de", "rdot/dr"):
+        assert abs(found[name]["value"]) < 3.0 * found[name]["sigma"]
