@@ -186,7 +186,7 @@ def measured(controller: RateController) -> list[KeyValue]:
     found = controller.effectiveness
     values = {"delay flown on": f"{1e3 * controller.delay.delay:.0f} ms"}
     for axis, factor, sigma in zip(AXES, found.factor, found.sigma, strict=True):
-        values[f"measured effect of {axis}"] = f"{factor:.2f} +- {sigma:.2f} of believed"
+        values[f"measured effect of {axis}"] = f"{factor:.2f} +- {sigma:.2f} of nominal"
     return [KeyValue(key=key, value=value) for key, value in values.items()]
 
 

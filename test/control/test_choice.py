@@ -189,3 +189,14 @@ def test_an_identified_row_must_not_undo_what_is_measured() -> None:
     effect = chosen.update(later + 10**8, measured)
     assert effect.sources == ("identified",) * 3
     assert effect.values[0, 2] == pytest.approx(0.5 * 29.5)
+
+
+@pytest.mark.parametrize(("dead", "share"), [(False, 0.55), (True, 1.0)])
+def test_what_a_tumbling_aircraft_shows_of_its_other_axes_is_not_flown_on(
+    dead: bool, share: float
+) -> None:
+    chosen, measured = choice()[0], Effectiveness()
+    chosen.update(START, measured)
+    measured.factor[1], measured.sigma[1], measured.dead[0] = 0.55, 0.1, dead
+    chosen.update(LATER, measured)
+    assert chosen.update(LATER + 10**9, measured).share[1] == pytest.approx(share)

@@ -4,10 +4,11 @@
 import numpy as np
 import pytest
 from equations import matrix
-from plants import DT_NS, START, STEP, STRUCTURE, coefficients, controller, flown
+from plants import DT_NS, LIMITS, START, STEP, STRUCTURE, coefficients, controller, flown
 
 from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource
-from uav_ident_ros.control import Effectiveness, Law
+from uav_ident_ros.control import Effectiveness, IncrementalLaw, Law
+from uav_ident_ros.control.allocation import authority
 from uav_ident_ros.control.pid import PidController, PidGains
 from uav_ident_ros.control.response import Response
 from uav_ident_ros.control.sideslip import SIDESLIP_RATE, rolls_over, yaw_for_roll
@@ -88,6 +89,15 @@ def test_yawing_rolls_by_the_dihedral_and_by_the_rudder_that_holds_it() -> None:
     assert yaw_for_roll(aircraft) == pytest.approx(SIDESLIP_RATE / 11.0)
     values[structure.index("rdot/beta")] = -4.0  # it would not stay in a sideslip
     assert yaw_for_roll(aircraft) == 0.0
+
+
+def test_rolling_by_sideslip_keeps_the_rudder_off_its_stops() -> None:
+    effect = coefficients().values[:3, INPUT_COLUMNS] * np.array([1.0, 1.0, 0.0, 1.0])
+    scale = authority(effect, LIMITS) * np.array([1.0, 1.0, 0.5])  # half of the rudder's
+    law, wanted = IncrementalLaw(LIMITS, scale), np.array([1.0, 0.0, 0.0])
+    law.restart(np.zeros(3), wanted, np.zeros(4))
+    u = law.update(0.01, effect, np.zeros(3), wanted, np.zeros(4), yaw_for_roll=-1.0)
+    assert u[1] == pytest.approx(0.5 * LIMITS[1, 1], rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -123,9 +123,11 @@ class AxisChoice:
             Measured with the nominal values; told of those that change their sign.
         """
         if self._adaptive:
+            # an aircraft that rolls on and on moves its other axes as no linear model tells
+            told = (np.arange(len(ROWS)) == 0) | ~measured.dead[0]
             self._adopt(t_ns, measured)
-            self._turn(measured)
-            self._scale(t_ns, measured)
+            self._turn(measured, told)
+            self._scale(t_ns, measured, told)
         values = self._rows.copy()
         values[MAINS] = self._main
         sources = tuple(
@@ -182,18 +184,18 @@ class AxisChoice:
             return f"{row} is measured to have {flown:.2f} times its effect"
         return ""
 
-    def _turn(self, measured: Effectiveness) -> None:
+    def _turn(self, measured: Effectiveness, told: BoolArray) -> None:
         """Turn the sign of an axis that answers the wrong way."""
-        for i in np.flatnonzero(measured.reversed):
+        for i in np.flatnonzero(measured.reversed & told):
             self._rows[i] = -self._rows[i]
             self._main[i], self._sources[i] = self._rows[MAINS][i], MEASURED
             measured.changed(int(i))
 
-    def _scale(self, t_ns: int, measured: Effectiveness) -> None:
+    def _scale(self, t_ns: int, measured: Effectiveness, told: BoolArray) -> None:
         """Fly on what is measured where it has surely been another for long enough."""
         found = measured.factor * self.nominal[MAINS]
         away = np.abs(found - self._main) > np.abs(SIGMAS * measured.sigma * self.nominal[MAINS])
-        self._agreed_ns = np.where(away, self._agreed_ns, t_ns)
+        self._agreed_ns = np.where(away & told, self._agreed_ns, t_ns)
         # without flow angles in the model, what they do would be taken for the inputs'
         surely = (t_ns - self._agreed_ns > CORRELATION * 1e9) & self.model.structure.has_flow
         ends = np.sort(np.outer(MEASURED_RANGE, self._rows[MAINS]), axis=0)

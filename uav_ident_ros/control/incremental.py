@@ -70,6 +70,7 @@ class IncrementalLaw:
         self._rates.update(x, dt)
         self._inputs.update(acting, dt)
         missing = self._reference.wanted(dt, x, reference) - self._rates.slope
-        yaw = np.clip(yaw_for_roll * missing[0], -LARGEST_YAW_RATE, LARGEST_YAW_RATE)
-        missing[2] += self.gains.rate[2] * yaw
+        # no more than the rudder can start at once: at its stops it lags, and the Dutch roll grows
+        most = min(LARGEST_YAW_RATE, self.scale[2] / self.gains.rate[2])
+        missing[2] += self.gains.rate[2] * np.clip(yaw_for_roll * missing[0], -most, most)
         return allocate(effect, effect @ self._inputs.value + missing, self.limits, self.scale)
