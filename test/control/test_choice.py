@@ -200,3 +200,12 @@ def test_what_a_tumbling_aircraft_shows_of_its_other_axes_is_not_flown_on(
     measured.factor[1], measured.sigma[1], measured.dead[0] = 0.55, 0.1, dead
     chosen.update(LATER, measured)
     assert chosen.update(LATER + 10**9, measured).share[1] == pytest.approx(share)
+
+
+@pytest.mark.parametrize(("factor", "share"), [(0.6, 0.6), (1.4, 1.0), (1.6, 1.6)])
+def test_more_effect_than_believed_needs_twice_the_evidence(factor: float, share: float) -> None:
+    chosen, measured = choice()[0], Effectiveness()
+    chosen.update(START, measured)
+    measured.factor[0], measured.sigma[0] = factor, 0.1
+    chosen.update(LATER, measured)
+    assert chosen.update(LATER + 10**9, measured).share[0] == pytest.approx(share)

@@ -193,8 +193,12 @@ class AxisChoice:
 
     def _scale(self, t_ns: int, measured: Effectiveness, told: BoolArray) -> None:
         """Fly on what is measured where it has surely been another for long enough."""
-        found = measured.factor * self.nominal[MAINS]
-        away = np.abs(found - self._main) > np.abs(SIGMAS * measured.sigma * self.nominal[MAINS])
+        nominal = self.nominal[MAINS]
+        found = measured.factor * nominal
+        # what breaks does less: more than both believed needs twice the evidence
+        more = np.abs(found) > np.maximum(np.abs(self._main), np.abs(nominal))
+        least = np.where(more, 2.0, 1.0) * SIGMAS * measured.sigma * np.abs(nominal)
+        away = np.abs(found - self._main) > least
         self._agreed_ns = np.where(away & told, self._agreed_ns, t_ns)
         # without flow angles in the model, what they do would be taken for the inputs'
         surely = (t_ns - self._agreed_ns > CORRELATION * 1e9) & self.model.structure.has_flow
