@@ -46,12 +46,12 @@ def done(
     function: Callable[[Job], Result],
     jobs: Iterable[Job],
     workers: int,
-    said: Callable[[Result], object] = str,  # The line on a result
+    printed: Callable[[Result], object] = str,  # The line on a result
 ) -> list[Result]:
     """Return the result of every job, with a line on each as it comes."""
     results = []
     for result in each(function, jobs, workers):
-        print(said(result), flush=True)
+        print(printed(result), flush=True)
         results.append(result)
     return results
 

@@ -34,7 +34,7 @@ Result = dict[str, Any]
 Job = tuple[Any, ...]
 
 
-def _said(result: Result) -> str:
+def _line(result: Result) -> str:
     return f"{result['flight']} {result['seed']} {result['estimator']} {result['structure']}"
 
 
@@ -83,7 +83,7 @@ def convergence(seeds: int, workers: int) -> list[Result]:
     jobs = [
         (n, s, *m) for n in CONVERGENCE_FLIGHTS for m in _methods() for s in range(1, seeds + 1)
     ]
-    results = bench.done(_convergence_of, jobs, workers, _said)
+    results = bench.done(_convergence_of, jobs, workers, _line)
     for label, group in _groups(results, "flight", "estimator", "structure"):
         times = [r["seconds"] for r in group]
         soon = sum(t <= 7.5 for t in times)
@@ -114,7 +114,7 @@ def _convergence_of(job: Job) -> Result:
 def gusts(seeds: int, workers: int) -> list[Result]:
     """Free-run fit on a held-out calm flight of models learned in gusts of 1 rad/s^2."""
     jobs = [("exact_gusts_10", s, *m) for m in _methods() for s in range(1, seeds + 1)]
-    results = bench.done(_final_of, jobs, workers, _said)
+    results = bench.done(_final_of, jobs, workers, _line)
     held_out = cases.simulated("exact_held_out")
     for result, fit in zip(results, _free_run_fits(held_out, results), strict=True):
         result["fit"] = fit.tolist()
@@ -169,7 +169,7 @@ def coverage(seeds: int, workers: int) -> list[Result]:
     names = [(name, seeds) for name in OPEN_LOOP]
     names += [(name, max(1, seeds // 3)) for name in CLOSED_LOOP]
     jobs = [(n, s, e) for n, count in names for e in (IV, LS) for s in range(1, count + 1)]
-    results = bench.done(_final_of, jobs, workers, _said)
+    results = bench.done(_final_of, jobs, workers, _line)
     for label, group in _groups(results, "flight", "estimator"):
         print(f"{label}{_coverage_line(group)}")
     pooled = [r for r in results if r["flight"] in OPEN_LOOP]
@@ -218,7 +218,7 @@ def quiet(seeds: int, workers: int) -> list[Result]:
     """How far coefficients move in ten quiet minutes, in sigma as of their beginning."""
     names = ("exact_quiet_gusts_03", "exact_quiet_gusts_10")
     jobs = [(n, s, e) for n in names for e in (IV, LS) for s in range(1, seeds + 1)]
-    results = bench.done(_quiet_of, jobs, workers, _said)
+    results = bench.done(_quiet_of, jobs, workers, _line)
     for label, group in _groups(results, "flight", "estimator"):
         moves = [r["move"] for r in group]
         worst = max(group, key=lambda r: r["move"])
@@ -263,7 +263,7 @@ def changes(seeds: int, workers: int) -> list[Result]:
     few = max(1, seeds // 5)
     names = [(n, seeds) for n in PLANT_CHANGES] + [(n, few) for n in AIRCRAFT_CHANGES]
     jobs = [(n, s, IV) for n, count in names for s in range(1, count + 1)]
-    results = bench.done(_change_of, jobs, workers, _said)
+    results = bench.done(_change_of, jobs, workers, _line)
     for label, group in _groups(results, "flight"):
         noticed = [r["noticed"] for r in group]
         followed = [r["followed"] for r in group]
@@ -320,7 +320,7 @@ def _named(track: cases.Track) -> list[tuple[float, str]]:
 def alarms(seeds: int, workers: int) -> list[Result]:
     """Releases in 30 minutes in which nothing changes."""
     jobs = [(n, s, IV) for n in ("exact_half_hour", "c172p_half_hour") for s in range(1, seeds + 1)]
-    results = bench.done(_alarms_of, jobs, workers, _said)
+    results = bench.done(_alarms_of, jobs, workers, _line)
     for r in results:
         print(f"{r['flight']:20}seed {r['seed']}: {len(r['changes'])} releases {r['changes']}")
     return results

@@ -254,10 +254,10 @@ def identify(
 def fed(
     case: Case,
     identifier: OnlineIdentifier,
-    told: Iterable[FloatArray] = (),  # What was added to excite, one for each actuator sample
+    given: Iterable[FloatArray] = (),  # What was added to excite, one for each actuator sample
 ) -> Iterator[int]:
     """Give an identifier a flight; yield the arrival of each rates sample, which may be due."""
-    excitation = iter(told)
+    excitation = iter(given)
     for arrival, is_rates, t, v in messages(case):
         if is_rates:
             identifier.add_rates(t, v[:3], v[3:])

@@ -52,10 +52,10 @@ def fly(loop: Loop, during: Callable[[ClosedLoop], None] | None = None) -> tuple
             if during is not None:
                 during(running)
             record = running.wait(FLIGHT_TIMEOUT)
-            said = running.log("simulated_plant")
-            if during is not None or "going on" not in said:
+            printed = running.log("simulated_plant")
+            if during is not None or "going on" not in printed:
                 return record, running.log("controller")
-        print(f"again, because of:\n{said}", file=sys.stderr)
+        print(f"again, because of:\n{printed}", file=sys.stderr)
     raise SystemExit(f"no undisturbed flight in {ATTEMPTS} attempts")
 
 
@@ -65,7 +65,7 @@ def fly(loop: Loop, during: Callable[[ClosedLoop], None] | None = None) -> tuple
 def cold(_: int) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for start in ("cold", "with initial coefficients"):
-        record, said = fly(Loop(DURATION, cold=start == "cold"))
+        record, printed = fly(Loop(DURATION, cold=start == "cold"))
         names = [str(name) for name in record["names"]]
         last = {
             name: [float(record[key][-1, i]) for key in ("values", "sigma")]
@@ -75,7 +75,7 @@ def cold(_: int) -> dict[str, Any]:
             "coefficients": last,
             "fit": record["fit"][-1].tolist(),
             "usable, % of ticks": 100.0 * float(np.mean(record["usable"])),
-            "controller": said.splitlines(),
+            "controller": printed.splitlines(),
             "tracking, deg/s": tracking_error(record, 30.0, DURATION).tolist(),
         }
     return out
@@ -106,15 +106,15 @@ KILL_TIME, RESTART_TIME = 40.0, 60.0
 def restart(seeds: int) -> dict[str, Any]:
     out: dict[str, Any] = {"tracking": [], "controller": []}
     for seed in range(seeds):
-        undisturbed, _said = fly(Loop(DURATION, seed=seed))
-        record, said = fly(Loop(DURATION, seed=seed), kill_and_restart)
+        undisturbed, _printed = fly(Loop(DURATION, seed=seed))
+        record, printed = fly(Loop(DURATION, seed=seed), kill_and_restart)
         gap = np.diff(record["tick"]).max()
         spans = ((20.0, KILL_TIME), (KILL_TIME, RESTART_TIME), (RESTART_TIME, DURATION))
         rows = [
             [tracking_error(r, *span).tolist() for span in spans] for r in (undisturbed, record)
         ]
         out["tracking"].append(rows)
-        out["controller"].append([*said.splitlines(), f"gap in the ticks: {gap:.1f} s"])
+        out["controller"].append([*printed.splitlines(), f"gap in the ticks: {gap:.1f} s"])
     return out
 
 
@@ -214,10 +214,10 @@ def listen(running: ClosedLoop, ages: dict[str, list[float]], dropped: dict[str,
 
 def latency_lines(found: dict[str, Any]) -> Iterator[str]:
     rows = []
-    for case, told in found.items():
-        for topic, v in told["ages"].items():
+    for case, given in found.items():
+        for topic, v in given["ages"].items():
             rows.append((case, f"`{topic}`", f"{v['p50']:.1f}", f"{v['p99']:.1f}", f"{v['count']}"))
-        rows.append((case, "dropped", f"{told['dropped']}", "", ""))
+        rows.append((case, "dropped", f"{given['dropped']}", "", ""))
     head = ("Imu, input_wait", "from its stamp to", "p50, ms", "p99, ms", "messages")
     return bench.table(head, rows)
 

@@ -123,11 +123,11 @@ def judged(trial: tuple[str, bool, Any]) -> Result:
     true = m.flight.delay + m.flight.time_constant
     structure = STRUCTURES["flight_dynamics"]
     speed = 20.0 if m.flight.airspeed is None else float(np.mean(m.flight.airspeed))
-    untold = {"actuators.delay": 0.0, "actuators.time_constant": 0.0, "airspeed.reference": speed}
+    unset = {"actuators.delay": 0.0, "actuators.time_constant": 0.0, "airspeed.reference": speed}
     case = cases.measured(m, name, None)
     bank, observer = DelayBank(0.3), FlowObserver(structure, 15.0, speed)
     worst = 0.0
-    for block in case.blocks(case.settings(untold)):
+    for block in case.blocks(case.settings(unset)):
         block.flow = observer.follow(block, first_values(structure), None)
         for k in range(0, len(block.u), PIECE):
             if bank.add(cut(block, k, name), 0.0) and bank.estimate.total_sure:

@@ -38,7 +38,7 @@ TOPICS = ("/imu/data", "/actuators")
 
 LONGEST_LIFE = 1.5, 4.0
 """The node is killed within so many seconds from its first file, and gets signals within so many
-from when it heeds them, or learns, s."""
+from when it handles them, or learns, s."""
 
 GAPS = (0.0, 0.001, 0.01, 0.1, 0.3)
 """Times between two signals, s: together, and while the file is written."""
@@ -83,7 +83,7 @@ class Feeder:
                 break
         self.player.spin_for(STEP)
 
-    def ask_to_save(self) -> None:
+    def request_save(self) -> None:
         """Call ~/save, without waiting for the answer."""
         self._answers.append(self._save.call_async(self._request))
 
@@ -149,7 +149,7 @@ def _live_until_saved(feeder: Feeder, node: NodeProcess, state_file: Path, life:
     end = limit
     while time.monotonic() < end and node.poll() is None:
         feeder.feed()
-        feeder.ask_to_save()
+        feeder.request_save()
         if end == limit and state_file.exists() and state_file.stat().st_mtime_ns != before:
             end = time.monotonic() + life
 
@@ -183,18 +183,18 @@ def signals(
                 time.sleep(chance.choice(GAPS))
             status = node.wait(PATIENCE)
         learned, saved = learned + knows, saved + state_file.exists()
-        said = node.log
-        if status != 0 or "Traceback" in said or "FATAL" in said:
-            wrong.append(f"run {number}: status {status}: {said[-300:]}")
+        printed = node.log
+        if status != 0 or "Traceback" in printed or "FATAL" in printed:
+            wrong.append(f"run {number}: status {status}: {printed[-300:]}")
         if knows and not state_file.exists():
             wrong.append(f"run {number}: what was learned is lost")
     return f"{count} nodes ended; {learned} had learned, {saved} left a file"
 
 
 def _live_until_learned(feeder: Feeder, node: NodeProcess, life: float, *, started: bool) -> None:
-    """Feed a node for `life` seconds, from when it heeds signals or, `started`, has learned."""
+    """Feed a node for `life` seconds, from when it handles signals or, `started`, has learned."""
     limit = time.monotonic() + PATIENCE
-    while not _heeds(node.pid) and time.monotonic() < limit:
+    while not _handles(node.pid) and time.monotonic() < limit:
         time.sleep(STEP)
     feeder.player.spin_for(0.2)  # what the last node has said
     feeder.player.outputs.clear()
@@ -205,7 +205,7 @@ def _live_until_learned(feeder: Feeder, node: NodeProcess, life: float, *, start
         feeder.feed()
 
 
-def _heeds(pid: int) -> bool:
+def _handles(pid: int) -> bool:
     """Whether a process has a handler for SIGTERM."""
     status = Path(f"/proc/{pid}/status").read_text()
     caught = int(status.split("SigCgt:")[1].split()[0], 16)

@@ -121,18 +121,18 @@ class Flight:
         excitation = Excitation(controlled["excitation_limit"])
         self.run = ExcitationRun(self.identifier.structure)
 
-        def heard(estimate: Estimate) -> None:
+        def on_estimate(estimate: Estimate) -> None:
             """Let controller and identifier know what is asked for."""
             self.estimate = estimate
-            asked = self.run.step(self.identifier.flying(), estimate)
-            if asked is not None:
-                excitation.add(asked.t_ns, list(INPUTS), asked.values.tolist())
-                self.identifier.add_excitation(asked.t_ns, asked.values.tolist())
+            injection = self.run.step(self.identifier.flying(), estimate)
+            if injection is not None:
+                excitation.add(injection.t_ns, list(INPUTS), injection.values.tolist())
+                self.identifier.add_excitation(injection.t_ns, injection.values.tolist())
 
         self.loop = Loop(
             self.aircraft, trim, Manoeuvres(*guide, (2.0, 4.0), guided["airspeed"], seed),
             controller, self.identifier,
-            lambda t_ns, u: controller.inject(t_ns, u, excitation.at(t_ns)), heard,
+            lambda t_ns, u: controller.inject(t_ns, u, excitation.at(t_ns)), on_estimate,
         )  # fmt: skip
 
     def step(self) -> FloatArray:

@@ -102,8 +102,8 @@ def identify(flight: Flight, segments: Sequence[Segment], seed: int) -> list[Est
     """Identify it as the node would, from nothing; return the estimates of all ticks."""
     case = cases.measured(measure(flight, verdict_flights.SENSORS, seed), "light", seed)
     identifier = OnlineIdentifier(case.settings({}))
-    told = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9)
-    fed = cases.fed(case, identifier, told if segments else ())
+    given = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9)
+    fed = cases.fed(case, identifier, given if segments else ())
     return [estimate for _ in fed for estimate in identifier.advance()]
 
 

@@ -67,7 +67,7 @@ class Outcome(NamedTuple):
     word: str
     seconds: float
     memory: float
-    said: str
+    printed: str
 
 
 # --- whole files ----------------------------------------------------------------------------------
@@ -202,14 +202,14 @@ def read_log(path: Path) -> tuple[str, str]:
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         status = import_log([str(path), "--output", str(folder), *options])
-    said = err.getvalue()
+    printed = err.getvalue()
     assert status in (0, 1, 2), status
-    assert (status == 2) == (len(said.splitlines()) == 1) == (not folder.exists()), said
-    assert status == 2 or not said, said
+    assert (status == 2) == (len(printed.splitlines()) == 1) == (not folder.exists()), printed
+    assert status == 2 or not printed, printed
     if status != 2:
         with Bag(folder) as bag:
             assert not bag.damage, bag.damage
-    return ("whole", "with a loss", "refused")[status], said
+    return ("whole", "with a loss", "refused")[status], printed
 
 
 def read_bag(path: Path) -> tuple[str, str]:
@@ -236,16 +236,16 @@ def judge(
     read = read_bag if kind.startswith("mcap") else read_log
     begin = time.process_time()
     try:
-        word, said = read(path)
+        word, printed = read(path)
     except BaseException:
-        word, said = "FAILED", f"{path.name}: {traceback.format_exc()}"
+        word, printed = "FAILED", f"{path.name}: {traceback.format_exc()}"
     seconds = time.process_time() - begin
     for file in (path, path.with_suffix(".yaml")):
         file.unlink(missing_ok=True)
     shutil.rmtree(path.with_suffix(".out"), ignore_errors=True)
     # not ru_maxrss: that begins with the memory of whoever forked it
     peak = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="ascii"))
-    return Outcome(word, seconds, int(peak[1]) / 1024 if peak else np.nan, said)
+    return Outcome(word, seconds, int(peak[1]) / 1024 if peak else np.nan, printed)
 
 
 def judge_in_time(job: tuple[str, str, int, str]) -> Outcome:
@@ -295,7 +295,7 @@ def report(kind: str, outcomes: list[Outcome]) -> bool:
     memory = max(outcome.memory for outcome in outcomes)
     print(f"{kind:10} {counts}; slowest {slowest:.1f} s, at most {memory:.0f} MiB", flush=True)
     for outcome in [o for o in outcomes if o.word == "FAILED"][:5]:
-        print(outcome.said)
+        print(outcome.printed)
     return words["FAILED"] > 0 or memory > MOST_MEMORY
 
 

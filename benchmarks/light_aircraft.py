@@ -76,10 +76,10 @@ class LightFlight(Plan):
         """Fly it; see `Plan.fly`."""
         live = _LiveLight(self)
 
-        def told(t: float, excitation: FloatArray) -> FloatArray:
+        def commanded(t: float, excitation: FloatArray) -> FloatArray:
             return np.add(_autopilot(self, live.state, t), excitation)
 
-        rows, commands, common = live.record(self, told)
+        rows, commands, common = live.record(self, commanded)
         speed = np.linalg.norm(rows[:, 3:6], axis=1)
         return Flight(
             name=name,

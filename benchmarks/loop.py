@@ -125,7 +125,7 @@ class Loop:
     identifier: OnlineIdentifier | None = None
     # What is added to the controller's inputs at a stamp, ns, and who hears each estimate
     inject: Callable[[int, FloatArray], FloatArray] = lambda _, u: u
-    heard: Callable[[Estimate], object] = lambda _: None
+    on_estimate: Callable[[Estimate], object] = lambda _: None
 
     def answer(self) -> tuple[Sample, FloatArray]:
         """Answer the newest sample; return it and the rates wanted, (3,), rad/s."""
@@ -140,7 +140,7 @@ class Loop:
             self.identifier.add_actuators(t_ns, live.outputs.tolist())
             self.identifier.add_rates(t_ns, sample.measured_rates.tolist(), force)
             for estimate in self.identifier.advance():
-                self.heard(estimate)
+                self.on_estimate(estimate)
         return sample, reference
 
 
@@ -163,12 +163,12 @@ def fly_loop(
     nothing: FloatArray = np.empty(0)
     outcome = Outcome(nothing, nothing, nothing, nothing)
 
-    def heard(estimate: Estimate) -> None:
+    def on_estimate(estimate: Estimate) -> None:
         assert identifier is not None
         source.add(message_of(identifier, estimate))
         outcome.usable.append(((estimate.t_ns - EPOCH_NS) * 1e-9, estimate.usable_rows))
 
-    loop = Loop(live, prepared.trim, guide, controller, identifier, heard=heard)
+    loop = Loop(live, prepared.trim, guide, controller, identifier, on_estimate=on_estimate)
     rows: list[tuple[Sample, FloatArray, FloatArray]] = []
     try:
         for _ in range(round(mission.duration * mission.sensors.rate)):

@@ -118,8 +118,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         missed.append(f"x {factor:g}")
                 (folder / path_of(module)).write_text(source)
                 tried, unnoticed = tried + 1, unnoticed + bool(missed)
-                said = f"NOT NOTICED {', '.join(missed)}" if missed else "noticed"
-                print(f"{module}.{constant}: {said}", flush=True)
+                printed = f"NOT NOTICED {', '.join(missed)}" if missed else "noticed"
+                print(f"{module}.{constant}: {printed}", flush=True)
     print(f"{tried} constants, {unnoticed} of them unnoticed")
     return int(unnoticed > 0)
 

@@ -141,11 +141,11 @@ def _fly(
 
 
 def _trial(
-    kind: str, seed: int, aircraft: str, words: str, told: Mapping[str, Any], **flight: Any
+    kind: str, seed: int, aircraft: str, words: str, fields: Mapping[str, Any], **flight: Any
 ) -> Trial:
-    """Return a trial of an aircraft; `told` are fields of `Trial`, the others those of `_fly`."""
+    """Return a trial of an aircraft; `fields` are fields of `Trial`, the others those of `_fly`."""
     fly = partial(_fly, aircraft, seed, **flight)
-    return Trial(kind, f"{Path(aircraft).stem}, {words}", seed, fly, **told)
+    return Trial(kind, f"{Path(aircraft).stem}, {words}", seed, fly, **fields)
 
 
 ALWAYS = {"excitation": ((2.0, 1e3),)}
@@ -167,9 +167,9 @@ def _feedback(seed: int, length: float) -> Iterator[Trial]:
         ("ultra_stick_25e", 20.0, 2, {}),
     ):
         words = f"wind {wind:g}" + "".join(f", {k} {v:g}" for k, v in more.items())
-        told = {"feedback": True, "replayed": aircraft == "c172p"}
+        fields = {"feedback": True, "replayed": aircraft == "c172p"}
         flight = {"bank": bank, "wind": wind, "duration": length * 150.0, **more}
-        yield _trial("feedback", seed, aircraft, words, told, **flight)
+        yield _trial("feedback", seed, aircraft, words, fields, **flight)
 
 
 def _old_knowledge(seed: int, length: float) -> Iterator[Trial]:
@@ -182,9 +182,12 @@ def _old_knowledge(seed: int, length: float) -> Iterator[Trial]:
             failure = {"changes": (CoefficientChange(CHANGED, {surface: factor}),)}
             excited = {"excitation": ((2.0, EXCITED),)}
             yield _trial("old_knowledge", seed, aircraft, words, {}, **flight, **excited, **failure)
-        words, told = "warm start, rudder reversed on the ground", {"warm": True, "feedback": True}
+        words, fields = (
+            "warm start, rudder reversed on the ground",
+            {"warm": True, "feedback": True},
+        )
         reversed_ = (CoefficientChange(0.0, {"dr": -1.0}),)
-        yield _trial("old_knowledge", seed, aircraft, words, told, **flight, changes=reversed_)
+        yield _trial("old_knowledge", seed, aircraft, words, fields, **flight, changes=reversed_)
 
 
 def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
@@ -198,8 +201,8 @@ def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
         ("light_aircraft", "commands saturate", {}, {**light, "travel": 0.04, "scale": 2.5}),
         ("c172p", "delay 150 ms longer than told", {"actuators.delay": DELAY}, {"delay": late}),
     ):  # fmt: skip
-        told, flight = {"settings": settings}, {**flight, **ALWAYS, "duration": length * 110.0}
-        yield _trial("unmodelled", seed, aircraft, words, told, **flight)
+        fields, flight = {"settings": settings}, {**flight, **ALWAYS, "duration": length * 110.0}
+        yield _trial("unmodelled", seed, aircraft, words, fields, **flight)
 
 
 def _weak(seed: int, length: float) -> Iterator[Trial]:
@@ -224,9 +227,9 @@ def _excited(
     kind: str, seed: int, length: float, flights: Sequence[tuple[str, float, float]], **more: Any
 ) -> Iterator[Trial]:
     for aircraft, bank, wind in flights:
-        words, told = f"bank {bank:g}, wind {wind:g}", {"replayed": aircraft == "OV10"}
+        words, fields = f"bank {bank:g}, wind {wind:g}", {"replayed": aircraft == "OV10"}
         flight = {"bank": bank, "wind": wind, "duration": length * 110.0, **ALWAYS, **more}
-        yield _trial(kind, seed, aircraft, words, told, **flight)
+        yield _trial(kind, seed, aircraft, words, fields, **flight)
 
 
 def _clean(seed: int, length: float) -> Iterator[Trial]:
@@ -243,9 +246,9 @@ def _unseen(seed: int, length: float) -> Iterator[Trial]:
     """Aircraft on which nothing was ever chosen: excited, and under an autopilot alone."""
     for file in sorted(AIRFRAMES.glob("*.yaml")):
         yield from _excited("unseen", seed, length, ((str(file), 0.0, 0), (str(file), 20.0, 4)))
-        told = {"feedback": True}
+        fields = {"feedback": True}
         flight = {"bank": 30.0, "wind": 4, "duration": length * 150.0}
-        yield _trial("unseen", seed, str(file), "not excited", told, **flight)
+        yield _trial("unseen", seed, str(file), "not excited", fields, **flight)
 
 
 def _glitch(seed: int, length: float) -> Iterator[Trial]:
@@ -256,13 +259,15 @@ def _glitch(seed: int, length: float) -> Iterator[Trial]:
 
 def _closed_loop(seed: int, length: float) -> Iterator[Trial]:
     """Correct coefficients from the start, every surface moved for ten seconds, then quiet."""
-    told = {"warm": True, "feedback": True}
+    fields = {"warm": True, "feedback": True}
     for aircraft, wind, noise in (
         ("c172p", 3, 0.01), ("c172p", 3, 0.03), ("light_aircraft", 0.3, 0.03),
     ):  # fmt: skip
         words, sensors = f"gyro noise {noise:g}", replace(SENSORS, gyro_noise=noise)
         flight = {"excitation": ((2.0, 12.0),), "bank": 20.0, "wind": wind, "sensors": sensors}
-        yield _trial("closed_loop", seed, aircraft, words, told, duration=length * 110.0, **flight)
+        yield _trial(
+            "closed_loop", seed, aircraft, words, fields, duration=length * 110.0, **flight
+        )
 
 
 def _turned(matrix: Sequence[Sequence[float]], measured: Measurements) -> Measurements:
@@ -329,11 +334,11 @@ what has to be said of it."""
 def _mistakes(seed: int, length: float) -> Iterator[Trial]:
     """Excited flights with one mistake each."""
     for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 0)):
-        for name, spoil, settings, said in MISTAKES:
-            told = {"settings": settings, "names": said}
+        for name, spoil, settings, named in MISTAKES:
+            fields = {"settings": settings, "names": named}
             flight = {"excitation": ((0.0, 1e3),), "bank": 20.0, "wind": wind, "spoil": spoil}
             duration = length * 60.0
-            yield _trial("mistakes", seed, aircraft, name, told, duration=duration, **flight)
+            yield _trial("mistakes", seed, aircraft, name, fields, duration=duration, **flight)
 
 
 def _recorded(seed: int, length: float) -> Iterator[Trial]:

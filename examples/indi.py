@@ -58,7 +58,7 @@ class Indi(Node):
             dt = 0.0
         effect, found = self.choice.update(t_ns, self.measured), self.response
         if dt and found.update(x, self.choice.nominal, acting[None], dt, self.choice.model, led):
-            self.measured.update(found.answered, found.made[0], dt, found.asked, effect.share)
+            self.measured.update(found.answered, found.made[0], dt, found.demanded, effect.share)
         u = self.law.update(dt, effect.values, x, self.reference, acting)
         self.sent.add(t_ns, (u, self.reference))
         names = ["elevator", "rudder", "aileron"]

@@ -44,9 +44,7 @@ def generate_launch_description() -> LaunchDescription:
             {
                 "nominal_file": coefficients,
                 "mode": LaunchConfiguration("mode"),
-                "heed_verdict": ParameterValue(
-                    LaunchConfiguration("heed_verdict"), value_type=bool
-                ),
+                "use_verdict": ParameterValue(LaunchConfiguration("use_verdict"), value_type=bool),
             },
         ),
         node(
@@ -71,8 +69,8 @@ def generate_launch_description() -> LaunchDescription:
                 ["adaptive", "fixed"],
             ),
             flag(
-                "heed_verdict",
-                "Whether the controller heeds verdict/usable, or each sigma alone",
+                "use_verdict",
+                "Whether the controller follows verdict/usable, or each sigma alone",
                 "true",
             ),
             argument("fault", "What goes wrong and when: '60: aileron effect 0.5'; empty: nothing"),

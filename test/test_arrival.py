@@ -28,7 +28,7 @@ class Flight:
         self._imu_ns = imu_ns
         self.elapsed_ns = 0
 
-    def say(self, armed: bool) -> Drop | None:
+    def on_offset(self, armed: bool) -> Drop | None:
         return self.words.add(None, NODE_NS + self.elapsed_ns, armed)
 
     def fly(self, seconds: float) -> str:
@@ -51,7 +51,7 @@ def test_of_several_words_between_two_samples_the_last_counts(imu_ns: int) -> No
     flight = Flight(imu_ns)
     flight.fly(1.0)
     for armed in (False, True, True, False):
-        flight.say(armed)
+        flight.on_offset(armed)
         flight.elapsed_ns += 1000
     assert "not armed" in flight.fly(0.3)
     assert not +flight.identifier.intake.drops[ARMED]
@@ -60,9 +60,9 @@ def test_of_several_words_between_two_samples_the_last_counts(imu_ns: int) -> No
 @CLOCKS
 def test_a_word_from_before_the_imu_counts(imu_ns: int) -> None:
     flight = Flight(imu_ns)
-    flight.say(True)
+    flight.on_offset(True)
     flight.elapsed_ns += STEP_NS
-    flight.say(False)
+    flight.on_offset(False)
     assert "not armed" in flight.fly(0.5)
 
 

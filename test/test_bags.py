@@ -205,9 +205,9 @@ def test_foreign_type_with_a_broken_definition(tmp_path: Path) -> None:
 
 def test_unknown_topic_lists_those_present(tmp_path: Path) -> None:
     with Bag(write(tmp_path / "bag")) as bag:
-        for ask in (lambda: bag.decoder("/c"), lambda: next(bag.messages(["/c"]))):
+        for query in (lambda: bag.decoder("/c"), lambda: next(bag.messages(["/c"]))):
             with pytest.raises(BagError, match=rf"no topic '/c'; it has /a \({ARRAY}\), /b"):
-                ask()
+                query()
 
 
 def test_missing_and_foreign_files(tmp_path: Path) -> None:
@@ -258,10 +258,10 @@ def test_damage_in_the_only_chunk_names_the_bag(tmp_path: Path) -> None:
         list(bag.messages(["/a"]))
 
 
-def bomb(path: Path, compression: str, said: int, size: int) -> Path:
-    """Write a bag whose only chunk becomes `size` bytes, and says that it becomes `said`."""
+def bomb(path: Path, compression: str, printed: int, size: int) -> Path:
+    """Write a bag whose only chunk becomes `size` bytes, and says that it becomes `printed`."""
     compress = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}[compression]
-    chunk = struct.pack("<QQQI", 0, 9, said, 0) + prefixed(compression.encode())
+    chunk = struct.pack("<QQQI", 0, 9, printed, 0) + prefixed(compression.encode())
     data = compress(b"\x00" + struct.pack("<Q", size - 9) + bytes(size - 9))
     chunk += struct.pack("<Q", len(data)) + data
     records = [(1, prefixed(b"ros2") + prefixed(b""))]
@@ -281,10 +281,10 @@ def channel() -> bytes:
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
-@pytest.mark.parametrize("said", [1000, 300 * 2**20])
-def test_a_bag_that_becomes_too_large(compression: str, said: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("printed", [1000, 300 * 2**20])
+def test_a_bag_that_becomes_too_large(compression: str, printed: int, tmp_path: Path) -> None:
     """Whatever it says of itself: decompressing stops at the limit."""
-    path = bomb(tmp_path / "bomb.mcap", compression, said, 300 * 2**20)
+    path = bomb(tmp_path / "bomb.mcap", compression, printed, 300 * 2**20)
     assert path.stat().st_size < 2 * 2**20
     program = (
         "import re\n"

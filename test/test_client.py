@@ -79,7 +79,7 @@ FLOW = FlowState(
 )
 
 
-def told(structure: Structure, values: FloatArray) -> Any:
+def message_of(structure: Structure, values: FloatArray) -> Any:
     flow = FLOW if structure.has_flow else None
     return as_message(estimate_of(values, t_ns=START, flow=flow), structure)
 
@@ -89,7 +89,7 @@ def test_every_structure_is_recognised_by_its_names(name: str) -> None:
     structure = STRUCTURES[name]
     shape = structure.mask.shape
     numbered = np.where(structure.mask, np.arange(structure.mask.size).reshape(shape), 0.0)
-    read = Coefficients.from_message(told(structure, numbered))
+    read = Coefficients.from_message(message_of(structure, numbered))
     assert read.structure is structure
     np.testing.assert_array_equal(read.values, numbered)
     assert read.flow == (FLOW if structure.has_flow else None)
@@ -151,7 +151,7 @@ def test_without_forces_their_coefficients_and_the_constant_are_left_out() -> No
 
 def flying() -> AttitudeModel:
     source = CoefficientSource(Fallback.REFUSE)
-    source.take(told(FLIGHT, matrix(FLIGHT, AIRCRAFT)))
+    source.take(message_of(FLIGHT, matrix(FLIGHT, AIRCRAFT)))
     return source.model(START)
 
 
@@ -212,13 +212,13 @@ def test_flow_angles_need_the_message_that_came_with_them(tmp_path: Any) -> None
     np.testing.assert_array_equal(
         from_file.acceleration(STATE, CONTROL), flying().acceleration(STATE, CONTROL)
     )
-    for asked in (
+    for requested in (
         lambda: from_file.acceleration(STATE[:3], CONTROL),
         lambda: from_file.predict(STATE, CONTROL, 0.1),
         lambda: from_file.linearize(STATE, CONTROL),
     ):
         with pytest.raises(Refusal, match="needs 'flow'"):
-            asked()
+            requested()
 
 
 # --- inversion --------------------------------------------------------------------------------
@@ -345,8 +345,8 @@ def test_last_good_is_kept_for_each_coefficient() -> None:
         assert source.model(START + k).values[AUGMENTED.index("qdot/de")] == -20.0 - k
 
 
-def test_who_ignores_the_verdict_still_heeds_every_sigma_and_the_age() -> None:
-    source = CoefficientSource(Fallback.LAST_GOOD, nominal(pdot_da=25.0), heed_verdict=False)
+def test_who_ignores_the_verdict_still_follows_every_sigma_and_the_age() -> None:
+    source = CoefficientSource(Fallback.LAST_GOOD, nominal(pdot_da=25.0), use_verdict=False)
     source.take(message(usable=False, values={"pdot/da": 15.0}))
     assert da(source) == ("identified", 15.0)
     source.take(message(usable=False, t_ns=START + 1, sigma={"pdot/da": 20.0}))

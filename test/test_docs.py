@@ -206,7 +206,7 @@ def test_pictures_are_small() -> None:
 
 # --- topics and services ---------------------------------------------------------------------
 
-ASK_NODE = """
+QUERY_NODE = """
 import json, rclpy
 from uav_ident_ros.node.identifier_node import IdentifierNode
 types = ["-p", "airspeed.type:=std_msgs/msg/Float64", "-p", "armed.type:=std_msgs/msg/Bool"]
@@ -245,7 +245,7 @@ def listed(header: str) -> dict[str, str]:
 
 
 def test_topics_and_services_of_the_interface_are_those_of_the_node() -> None:
-    done = python("-c", ASK_NODE, check=True)
+    done = python("-c", QUERY_NODE, check=True)
     line = next(line for line in done.stdout.splitlines() if line.startswith("FOUND "))
     for kind, entries in json.loads(line.removeprefix("FOUND ")).items():
         found = {name: types[0] for name, types in entries if not OF_EVERY_NODE.search(name)}
@@ -266,7 +266,7 @@ def test_every_parameter_file_of_the_pages_is_accepted(tmp_path: Path) -> None:
         assert Settings.from_values(values).values() != Settings().values(), block
 
 
-def test_the_controller_of_the_readme_inverts_the_model_and_heeds_the_verdict() -> None:
+def test_the_controller_of_the_readme_inverts_the_model_and_follows_the_verdict() -> None:
     (source,) = code_blocks(text_of(README), "python")
     namespace: dict[str, Any] = {}
     exec(compile(source, "README.md", "exec"), namespace)

@@ -120,8 +120,8 @@ def test_the_monitor_warns_of_a_weak_aileron_alone(
         node.on_actuators(JointState(position=u))
         node.on_imu(sample(t_ns, x + 0.002 * rng.standard_normal(3)))
         x = a_sample_later(x, np.array(u), plant)
-    said = module.warnings(node.measured)
-    assert [line[: len(word)] for line, word in zip(said, words, strict=True)] == words
+    printed = module.warnings(node.measured)
+    assert [line[: len(word)] for line, word in zip(printed, words, strict=True)] == words
     node.destroy_node()
 
 
@@ -130,8 +130,8 @@ def test_the_prediction_from_a_message_is_that_of_the_client() -> None:
     rng = np.random.default_rng(3)
     a = first_values(flight) + flight.mask * rng.normal(0.0, 2.0, flight.mask.shape)
     flow = FlowState(0.05, 0.08, 0.0, 0.0, roll=0.4, pitch=-0.2, airspeed=23.0)
-    told = estimate_of(a, 0.01 * np.abs(a), t_ns=START, flow=flow)
-    made = as_message(told, flight)
+    given = estimate_of(a, 0.01 * np.abs(a), t_ns=START, flow=flow)
+    made = as_message(given, flight)
     message = JointState(name=made.name, position=made.position, effort=made.effort)
     rates, u = [0.3, -0.1, 0.2], [0.05, -0.03, 0.1, 0.2]
     read = Coefficients.from_message(message)

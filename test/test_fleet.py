@@ -165,8 +165,8 @@ def test_aircraft_and_structures_are_kept_apart() -> None:
 def test_the_command_writes_page_and_coefficients(tmp_path: Path, capsys: Capture) -> None:
     write_flights(tmp_path, synthetic(0, loss=0.02))
     assert fleet_command.main([str(tmp_path)]) == 1
-    said = capsys.readouterr().out
-    assert re.search(r"change: rdot/dr has changed since flight_3\d: \+", said)
+    printed = capsys.readouterr().out
+    assert re.search(r"change: rdot/dr has changed since flight_3\d: \+", printed)
     page = (tmp_path / "fleet.html").read_text()
     assert "rdot/dr has changed since" in page
     assert "<h3>rdot/dr</h3>" in page

@@ -161,9 +161,9 @@ def launched(path: Path, *arguments: str) -> str:
 def test_launch_ends_aloud_without_its_parameter_file(path: Path, tmp_path: Path) -> None:
     """launch_ros itself warns, and starts the node on its defaults."""
     bag = [f"bag:={tmp_path}"] if path.name == "replay.launch.py" else []
-    said = launched(path, f"params_file:={tmp_path / 'none.yaml'}", *bag)
-    assert f"params_file '{tmp_path / 'none.yaml'}': there is no such file" in said
-    assert "process started" not in said
+    printed = launched(path, f"params_file:={tmp_path / 'none.yaml'}", *bag)
+    assert f"params_file '{tmp_path / 'none.yaml'}': there is no such file" in printed
+    assert "process started" not in printed
 
 
 def test_launch_ends_with_a_dead_process(tmp_path: Path) -> None:

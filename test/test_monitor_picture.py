@@ -13,8 +13,8 @@ from rich.console import Console
 from uav_ident_ros.client import Coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME, entry_names
-from uav_ident_ros.monitor.heard import TREND_TIME, Coefficient, Heard
 from uav_ident_ros.monitor.picture import picture
+from uav_ident_ros.monitor.watched_node import TREND_TIME, Coefficient, WatchedNode
 
 SECOND_NS = 1_000_000_000
 
@@ -56,12 +56,12 @@ def published(
     return Coefficients.from_message(message)
 
 
-def heard(
+def received(
     structure: str = "augmented", *, usable: bool = True, scale: float = 1.0
-) -> tuple[Heard, Watch]:
+) -> tuple[WatchedNode, Watch]:
     """A node that has been heard for two ticks and one status."""
     watch = Watch()
-    result = Heard("/drone1/identifier", watch)
+    result = WatchedNode("/drone1/identifier", watch)
     names = entry_names(STRUCTURES[structure])
     values = dict(zip(names, (scale * np.linspace(-60.0, 60.0, len(names))).tolist(), strict=True))
     values |= dict(zip(FIT_NAMES, (84.0, 20.0, 86.0), strict=True))
@@ -78,7 +78,7 @@ def printed(width: int, encoding: str = "utf-8") -> Console:
     return Console(file=file, width=width, record=True, force_terminal=False)
 
 
-def text(result: Heard, width: int = 80, encoding: str = "utf-8") -> str:
+def text(result: WatchedNode, width: int = 80, encoding: str = "utf-8") -> str:
     console = printed(width, encoding)
     console.print(picture(result, console))
     return "\n".join(line.rstrip() for line in console.export_text().splitlines())
@@ -87,7 +87,7 @@ def text(result: Heard, width: int = 80, encoding: str = "utf-8") -> str:
 @pytest.mark.parametrize("structure", STRUCTURES)
 @pytest.mark.parametrize("scale", [1.0, 1e-9, 1e9, 1e300])
 def test_everything_fits_on_80_columns_and_24_lines(structure: str, scale: float) -> None:
-    result, _ = heard(structure, scale=scale)
+    result, _ = received(structure, scale=scale)
     if "beta" in STRUCTURES[structure].regressors:  # force rows take the place of more inputs
         few = {
             k: v
@@ -102,7 +102,7 @@ def test_everything_fits_on_80_columns_and_24_lines(structure: str, scale: float
 
 @pytest.mark.parametrize("width", [20, 40, 60, 120, 200])
 def test_other_widths_are_kept_and_nothing_is_lost(width: int) -> None:
-    result, _ = heard()
+    result, _ = received()
     shown = text(result, width)
     assert max(map(len, shown.splitlines())) <= width
     if width >= 40:
@@ -111,7 +111,7 @@ def test_other_widths_are_kept_and_nothing_is_lost(width: int) -> None:
 
 
 def test_every_number_is_where_it_belongs() -> None:
-    shown = text(heard()[0])
+    shown = text(received()[0])
     head = shown.splitlines()[0]
     assert head == "/drone1/identifier  learning  usable  tick 1.05 s"
     assert "the 1-second fit of q is 20 %" in shown
@@ -129,19 +129,19 @@ def test_every_number_is_where_it_belongs() -> None:
     assert "not told apart: qdot/1, qdot/az; rdot/p, rdot/r" in shown
 
 
-def styles(result: Heard) -> dict[str, str]:
+def styles(result: WatchedNode) -> dict[str, str]:
     console = printed(80)
     segments = console.render(picture(result, console))
     return {segment.text.strip(): str(segment.style) for segment in segments}
 
 
 def test_colours_tell_good_from_bad() -> None:
-    found = styles(heard()[0])
+    found = styles(received()[0])
     assert found["usable"] == "bold green"
     assert found["fit 84 %"] == "green"
     assert found["fit 86 %"] == "yellow"  # worse than holding the rate
     assert found["dropped 3"] == "yellow"
-    result, _ = heard(usable=False)
+    result, _ = received(usable=False)
     result.diagnosed("fault: the frame is wrong", {})
     found = styles(result)
     assert found["fault"] == "bold red"
@@ -149,17 +149,17 @@ def test_colours_tell_good_from_bad() -> None:
 
 
 def test_a_verdict_of_the_past_is_not_usable() -> None:
-    result, watch = heard()
+    result, watch = received()
     assert result.usable
     watch.now += 2.0
     assert not result.usable
     assert "last tick 1.05 s, none since" in text(result)
 
-    result, _ = heard()
+    result, _ = received()
     result.diagnosed("waiting: no message on '/imu/data' for more than 2 s", STATUS)
     assert not result.usable
 
-    latched = Heard("/identifier")
+    latched = WatchedNode("/identifier")
     for _ in range(2):  # the same tick twice is still one tick
         latched.take(published(SECOND_NS, "baseline", {USABLE_NAME: 1.0}))
     latched.diagnosed("converged", {})
@@ -167,14 +167,14 @@ def test_a_verdict_of_the_past_is_not_usable() -> None:
 
 
 def test_nothing_heard_yet_is_said_in_words() -> None:
-    shown = text(Heard("/identifier"))
+    shown = text(WatchedNode("/identifier"))
     assert "no tick yet" in shown
     assert "no status on /diagnostics yet" in shown
     assert shown.count("no fit yet") == 3
 
 
 def test_two_nodes_of_one_name_are_named() -> None:
-    result, _ = heard()
+    result, _ = received()
     result.publishers = 2
     assert "2 nodes publish under this name" in text(result)
 
@@ -187,15 +187,15 @@ def test_a_trend_is_more_than_a_standard_deviation() -> None:
         assert Coefficient("pdot/p", past[-1], sigma, past).trend == trend
 
 
-def fed(*ticks: tuple[float, float]) -> Heard:
+def fed(*ticks: tuple[float, float]) -> WatchedNode:
     """A node whose `pdot/p` took these values at these times, s."""
-    result = Heard("/identifier")
+    result = WatchedNode("/identifier")
     for t, value in ticks:
         result.take(published(round(t * 1e9), "baseline", {"pdot/p": value}, 0.01))
     return result
 
 
-def damping(result: Heard) -> Coefficient:
+def damping(result: WatchedNode) -> Coefficient:
     """The coefficient `pdot/p`, as it is shown."""
     (found,) = [c for c in result.rows()["pdot"] if c.name == "pdot/p"]
     return found
@@ -246,7 +246,7 @@ def test_modes_are_those_of_the_published_coefficients() -> None:
 
 
 def test_states_and_the_rows_of_forces_and_kinematics_are_shown() -> None:
-    result = Heard("/identifier")
+    result = WatchedNode("/identifier")
     values = {
         "ay/beta": -16.0, "betadot/1": 0.2, "state/alpha": 0.1, "state/airspeed": 19.5,
         "verdict/usable/pdot": 1.0,

@@ -105,10 +105,10 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def rclpy_nodes(*asked: tuple[Path, str]) -> list[dict[str, str] | None]:
+def rclpy_nodes(*requested: tuple[Path, str]) -> list[dict[str, str] | None]:
     """What real nodes are given by a file, in a namespace; None where rclpy refuses the file."""
     pytest.importorskip("rclpy")
-    given = json.dumps([(str(path), namespace) for path, namespace in asked])
+    given = json.dumps([(str(path), namespace) for path, namespace in requested])
     done = python("-c", NODES, input=given, check=True)
     return json.loads(done.stdout.split("FOUND ")[1])
 

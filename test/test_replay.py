@@ -398,14 +398,14 @@ def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
 def test_nothing_is_learned_while_disarmed(tmp_path: Path, boot_s: int) -> None:
     """What carries no time is taken, also if the others' stamps count from a boot."""
     armed = "std_msgs/msg/Bool"
-    said: list[float] = []
+    shown_text: list[float] = []
 
     def arming(topic: str, log_ns: int, message: Any) -> list[Entry]:
         out = [(topic, log_ns, message)]
         message.header.stamp.sec -= boot_s
-        if not said or (len(said) == 1 and log_ns > said[0] + 5 * SECOND_NS):
-            out.append(("/armed", log_ns, plain(armed, bool(said))))
-            said.append(log_ns)
+        if not shown_text or (len(shown_text) == 1 and log_ns > shown_text[0] + 5 * SECOND_NS):
+            out.append(("/armed", log_ns, plain(armed, bool(shown_text))))
+            shown_text.append(log_ns)
         return out
 
     bag = excerpt(tmp_path / "bag", 10.0, "multisine", arming)
@@ -470,18 +470,18 @@ def test_airspeed_is_taken_as_by_the_core(msgtype: str, tmp_path: Path, capsys: 
 
 
 def test_unstamped_airspeed_counts_from_its_log_time(tmp_path: Path) -> None:
-    said: list[int] = []
+    shown_text: list[int] = []
 
     def late(topic: str, log_ns: int, message: Any) -> list[Entry]:
-        said.append(log_ns)
-        if len(said) != 800:
+        shown_text.append(log_ns)
+        if len(shown_text) != 800:
             return [(topic, log_ns, message)]
         return [(topic, log_ns, message), (AIRSPEED, log_ns, plain(NUMBER, 20.0))]
 
     bag = excerpt(tmp_path / "bag", 6.0, "multisine", late)
     run = replayed_run(bag, parameters(airspeed__type=NUMBER))
     waiting = [e.t_ns for e in run.estimates if e.reason == "waiting for airspeed"]
-    assert said[799] - SECOND_NS // 20 <= max(waiting) < said[799]
+    assert shown_text[799] - SECOND_NS // 20 <= max(waiting) < shown_text[799]
     assert run.estimates[-1].adapting
 
 

@@ -272,9 +272,9 @@ def test_help_comes_at_once_without_what_the_work_needs() -> None:
         "import sys\nfrom uav_ident_ros.offline import main\n"
         "try: main(['--help'])\nexcept SystemExit: print(sorted(sys.modules))"
     )
-    said = python("-c", script)
-    assert said.stdout.startswith("usage: replay")
-    assert "'numpy'" not in said.stdout and "'rosbags'" not in said.stdout
+    shown_text = python("-c", script)
+    assert shown_text.stdout.startswith("usage: replay")
+    assert "'numpy'" not in shown_text.stdout and "'rosbags'" not in shown_text.stdout
 
 
 @pytest.mark.parametrize(

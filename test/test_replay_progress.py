@@ -29,9 +29,9 @@ def test_one_bag_shows_every_phase_and_the_time_left(tmp_path: Path) -> None:
     bag = excerpt(tmp_path / "bag", 8.0)
     status, shown = on_a_terminal([str(bag), "--output", str(tmp_path / "out")])
     assert status in (USABLE, NOT_USABLE), shown
-    told = re.findall(r"(\w+) +(\d+)%\|.*?\| [\d:]+<[\d:?]+", shown)
-    assert list(dict.fromkeys(phase for phase, _ in told)) == list(progress.SHARES)
-    shares = [int(share) for _, share in told]
+    given = re.findall(r"(\w+) +(\d+)%\|.*?\| [\d:]+<[\d:?]+", shown)
+    assert list(dict.fromkeys(phase for phase, _ in given)) == list(progress.SHARES)
+    shares = [int(share) for _, share in given]
     assert shares == sorted(shares)
     assert shares[-1] == 95
     assert len(set(shares)) > 20

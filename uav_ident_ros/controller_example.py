@@ -45,7 +45,7 @@ PARAMETERS: dict[str, Any] = {
     "law": "incremental",  # or inversion
     "mode": "adaptive",  # or fixed: the nominal coefficients for ever
     "nominal_file": "",  # coefficients.yaml of `replay`, the author's own; none: the first good set
-    "heed_verdict": True,
+    "use_verdict": True,
     "rate_gain": [5.0, 4.0, 2.0],  # acceleration per rate error of roll, pitch, yaw, 1/s
     "bandwidth": 0.0,  # of the law's filter or observer, rad/s; 0 for its own, 20 or 8
     "trim": [0.0, 0.0, 0.0, 0.0],  # elevator, rudder, aileron, throttle
@@ -73,7 +73,7 @@ class ControllerExample(Node):
         self._source = CoefficientSource(
             Fallback.LAST_GOOD if self._adaptive else Fallback.NOMINAL,
             nominal,
-            heed_verdict=value["heed_verdict"],
+            use_verdict=value["use_verdict"],
             delay=value["coefficients_delay"],
         )
         self._controller = None if nominal is None else self._make(nominal)
@@ -146,12 +146,12 @@ class ControllerExample(Node):
         """Say what the loop flies on: when it changes in the log, and on /diagnostics."""
         line += f": {why}" if why else ""
         t_ns = stamp_ns(header.stamp)
-        last_ns, said = self._reported
-        if line == said and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
+        last_ns, logged = self._reported
+        if line == logged and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
             return
-        if line != said and why:
+        if line != logged and why:
             self.get_logger().warning(line)
-        elif line != said:
+        elif line != logged:
             self.get_logger().info(line)
         self._reported = (t_ns, line)
         values = [] if controller is None else measured(controller)

@@ -197,7 +197,7 @@ def play(
         player.wait_for_node()
         listener = Listener()
         open_.callback(listener.close)
-        heard = listener.listen(NODE_NAME)
+        watched = listener.listen(NODE_NAME)
         view = View()
         open_.callback(view.close)
         period = view.period if sys.stdout.isatty() else BLOCK_EVERY
@@ -207,13 +207,13 @@ def play(
             nonlocal shown
             listener.spin_for(LISTEN)
             if time.monotonic() - shown >= period:
-                view.show(heard)
+                view.show(watched)
                 shown = time.monotonic()
 
         player.play(flight.messages, speed=speed, on_time=show, in_step=True)
         listener.spin_for(1.0)
-        view.show(heard)
-        return heard.newest is not None
+        view.show(watched)
+        return watched.newest is not None
 
 
 def main(arguments: list[str] | None = None) -> int:

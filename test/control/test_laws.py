@@ -83,8 +83,8 @@ def test_what_is_repaired_is_alive_again() -> None:
 def test_yawing_rolls_by_the_dihedral_and_by_the_rudder_that_holds_it() -> None:
     structure = STRUCTURES["flight_dynamics"]
     assert yaw_for_roll(coefficients()) == 0.0  # nothing is rolled by sideslip
-    told = {"pdot/beta": -14.0, "pdot/dr": 3.0, "rdot/beta": 4.0, "rdot/dr": -4.0}
-    values = matrix(structure, told)
+    given = {"pdot/beta": -14.0, "pdot/dr": 3.0, "rdot/beta": 4.0, "rdot/dr": -4.0}
+    values = matrix(structure, given)
     aircraft = Coefficients(structure, values, np.zeros_like(values))
     assert yaw_for_roll(aircraft) == pytest.approx(SIDESLIP_RATE / 11.0)
     values[structure.index("rdot/beta")] = -4.0  # it would not stay in a sideslip

@@ -217,9 +217,9 @@ def test_answers_make_the_delay_as_unsure_as_the_motion_is_unexplained() -> None
 
 
 def test_lags_that_predict_alike_leave_their_sum_with_the_delay_unknown() -> None:
-    told = judge(curve(0.11, lag_cost=0.3 * ALIKE), DELAYS)
-    assert told.sure and not told.total_sure
-    assert told.total_sigma > 0.04
+    given = judge(curve(0.11, lag_cost=0.3 * ALIKE), DELAYS)
+    assert given.sure and not given.total_sure
+    assert given.total_sigma > 0.04
 
 
 @pytest.mark.skipif(not REAL_FLIGHT.exists(), reason=f"there is no {REAL_FLIGHT.name}")

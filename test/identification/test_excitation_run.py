@@ -10,9 +10,9 @@ from estimates import estimate_of
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.excitation_run import (
     ZERO_TIME_NS,
-    Asked,
     ExcitationRun,
     Flying,
+    Injection,
     Phase,
 )
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -44,14 +44,14 @@ def started(settings: ExcitationSettings = SETTINGS) -> ExcitationRun:
     return run
 
 
-def flown(run: ExcitationRun, ticks: int, flying: Flying = LEVEL) -> list[Asked | None]:
+def flown(run: ExcitationRun, ticks: int, flying: Flying = LEVEL) -> list[Injection | None]:
     """Step through so many ticks after the start."""
     steps = (T0_NS + (k + 1) * TICK_NS for k in range(ticks))
     return [run.step(flying, estimate(t_ns)) for t_ns in steps]
 
 
-def values(asked: list[Asked | None]) -> np.ndarray:
-    return np.array([a.values for a in asked if a is not None])
+def values(injection: list[Injection | None]) -> np.ndarray:
+    return np.array([a.values for a in injection if a is not None])
 
 
 # --- the signals -------------------------------------------------------------------------------
@@ -113,19 +113,19 @@ def test_a_run_goes_from_nothing_over_the_signal_to_zero_and_silence() -> None:
     run = ExcitationRun(STRUCTURE)
     assert run.step(LEVEL, estimate(T0_NS)) is None  # silent before
     assert run.start(SETTINGS, LEVEL, estimate(T0_NS)) == ""
-    asked = flown(run, 440)
+    injection = flown(run, 440)
     lead_ns = round(SETTINGS.lead * 1e9)
     design = ProgrammedInput(SETTINGS)
     for k in (0, 10, 100, 300):
-        answer = asked[k]
+        answer = injection[k]
         assert answer is not None
         assert answer.t_ns == T0_NS + (k + 1) * TICK_NS + lead_ns
         np.testing.assert_array_equal(answer.values, design.sample((k + 1) * 0.05))
-    assert np.abs(values(asked)).max() > 0.9 * max(SETTINGS.amplitude)
-    zeros = [a for a in asked[400:] if a is not None]
-    assert not values(asked[400:]).any()
+    assert np.abs(values(injection)).max() > 0.9 * max(SETTINGS.amplitude)
+    zeros = [a for a in injection[400:] if a is not None]
+    assert not values(injection[400:]).any()
     assert len(zeros) == pytest.approx(ZERO_TIME_NS / TICK_NS, abs=1)
-    assert asked[-1] is None
+    assert injection[-1] is None
     assert run.why.startswith("complete; not known yet: pdot/p")
 
 
@@ -134,8 +134,8 @@ def test_an_abort_asks_for_zero_from_now_on_whatever_the_state(ticks: int) -> No
     run = started()
     flown(run, ticks)
     now_ns = T0_NS + ticks * TICK_NS + 7
-    asked = run.abort(now_ns, "aborted: asked for")
-    assert asked.t_ns == now_ns and not asked.values.any()
+    injection = run.abort(now_ns, "aborted: asked for")
+    assert injection.t_ns == now_ns and not injection.values.any()
     assert run.phase is Phase.IDLE and run.why == "aborted: asked for"
     after = [run.step(LEVEL, estimate(now_ns + k * TICK_NS)) for k in range(1, 30)]
     assert not values(after).any()
@@ -159,14 +159,14 @@ BEYOND = [
 def test_beyond_a_limit_it_does_not_start_and_a_run_ends_at_once() -> None:
     settings = replace(SETTINGS, min_airspeed=15.0, max_airspeed=25.0)
     for flying, state, named in BEYOND:
-        said = ExcitationRun(STRUCTURE).start(settings, flying, estimate(T0_NS, state=state))
-        assert named in said
+        printed = ExcitationRun(STRUCTURE).start(settings, flying, estimate(T0_NS, state=state))
+        assert named in printed
         run = started(settings)
         flown(run, 100)
         t_ns = T0_NS + 101 * TICK_NS
-        asked = run.step(flying, estimate(t_ns, state=state))
-        assert asked is not None
-        assert asked.t_ns == t_ns and not asked.values.any()
+        injection = run.step(flying, estimate(t_ns, state=state))
+        assert injection is not None
+        assert injection.t_ns == t_ns and not injection.values.any()
         assert run.why.startswith("aborted: ") and named in run.why
 
 
@@ -196,16 +196,16 @@ def test_wrong_settings_are_refused_by_name() -> None:
 def test_it_fades_out_when_everything_is_known_but_not_before_a_period() -> None:
     settings = replace(SETTINGS, duration=60.0)
     run = started(settings)
-    asked: list[Asked | None] = []
+    injection: list[Injection | None] = []
     for k in range(1, 400):
         t_ns = T0_NS + k * TICK_NS
-        asked.append(run.step(LEVEL, estimate(t_ns, ratio=100.0)))
+        injection.append(run.step(LEVEL, estimate(t_ns, ratio=100.0)))
         if not run.active:
             break
     period = ProgrammedInput(settings).period
     assert k * 0.05 == pytest.approx(period + settings.fade_time, abs=0.1)
     assert run.why == f"everything is known after {period:.0f} s"
-    size = np.abs(values(asked)).max(axis=1)
+    size = np.abs(values(injection)).max(axis=1)
     plain = np.abs([ProgrammedInput(settings).sample(0.05 * (i + 1)) for i in range(k)]).max(axis=1)
     share = size[-20:-1] / plain[-20:-1]
     assert (np.diff(share) < 0.0).all()  # out, not off

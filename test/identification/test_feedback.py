@@ -114,9 +114,9 @@ def test_an_answer_does_not_undo_what_was_known() -> None:
 
 
 def test_of_what_makes_forces_something_is_known_of_any_aircraft() -> None:
-    told = start_from(Settings()).told(STRUCTURE)
+    known_before = start_from(Settings()).known_before(STRUCTURE)
     forces = np.isin(STRUCTURE.row_labels, FORCE_ROWS)
-    np.testing.assert_array_equal(told, STRUCTURE.mask & forces[:, None])
+    np.testing.assert_array_equal(known_before, STRUCTURE.mask & forces[:, None])
 
 
 def test_excitation_outweighs_what_was_known() -> None:

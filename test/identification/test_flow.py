@@ -165,8 +165,8 @@ def test_without_motion_the_angles_are_those_of_the_force() -> None:
     u[:, INPUTS.index("de")] = 0.1
     force = np.tile([0.0, 0.0, -GRAVITY], (201, 1))
     angles, _ = observed(observer(), np.zeros((201, 3)), force, u, 0.01, values)
-    told = (-GRAVITY - values[FLIGHT.index("az/de")] * 0.1) / values[FLIGHT.index("az/alpha")]
-    np.testing.assert_allclose(angles[-1], [0.0, told], atol=1e-9)
+    given = (-GRAVITY - values[FLIGHT.index("az/de")] * 0.1) / values[FLIGHT.index("az/alpha")]
+    np.testing.assert_allclose(angles[-1], [0.0, given], atol=1e-9)
 
 
 def test_the_state_has_the_uncertainty_of_the_slopes() -> None:

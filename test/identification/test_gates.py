@@ -166,27 +166,27 @@ def test_sticks_at_their_limit_pause(excited: Measurements) -> None:
     stream = messages(excited)
     estimates = run(identifier(excited, **limits), stream[: len(stream) // 2])
     names = settings(excited).actuators.channels
-    said = {e.reason for e in estimates if e.state == "paused"}
-    assert f"channel {names[0]} is at its limit" in said
+    printed = {e.reason for e in estimates if e.state == "paused"}
+    assert f"channel {names[0]} is at its limit" in printed
     assert any(e.adapting for e in estimates)
 
 
 def test_armed_decides_if_there_is_a_topic_that_tells(excited: Measurements) -> None:
-    told = identifier(excited, armed__type="std_msgs/msg/Bool")
+    given = identifier(excited, armed__type="std_msgs/msg/Bool")
     stream = messages(excited)[: len(messages(excited)) // 3]
     third = len(stream) // 3
-    deaf = run(told, stream[:third])
+    deaf = run(given, stream[:third])
     assert {e.reason for e in deaf[5:]} == {"nothing was heard of being armed"}
-    told.add_armed(stream[third].t_ns, False)
-    disarmed = run(told, stream[third : 2 * third])
+    given.add_armed(stream[third].t_ns, False)
+    disarmed = run(given, stream[third : 2 * third])
     assert {e.reason for e in disarmed[5:]} == {"not armed"}
     # Said late, but said once only: it must count all the same.
-    assert told.add_armed(disarmed[-1].t_ns - 1, True) is None
-    armed = run(told, stream[2 * third :])
+    assert given.add_armed(disarmed[-1].t_ns - 1, True) is None
+    armed = run(given, stream[2 * third :])
     assert all(e.adapting for e in armed)
-    untold = identifier(excited)
-    untold.add_armed(stream[0].t_ns, False)
-    assert run(untold, stream[:third])[-1].adapting
+    unset = identifier(excited)
+    unset.add_armed(stream[0].t_ns, False)
+    assert run(unset, stream[:third])[-1].adapting
 
 
 def test_below_flying_speed_nothing_is_learned(excited: Measurements) -> None:

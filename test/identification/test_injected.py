@@ -67,13 +67,13 @@ def test_there_is_none_before_the_first_word_and_zero_after_the_last() -> None:
     target = sampler()
     add_rates(target, RATES_NS)
     add_inputs(target, INPUTS_NS)
-    said_ns = np.array([1000, 1050, 2000]) * MS
-    inject(target, said_ns, np.full((3, 4), 0.1))
+    known_ns = np.array([1000, 1050, 2000]) * MS
+    inject(target, known_ns, np.full((3, 4), 0.1))
     edges, _, excitation = cells(target)
     assert excitation is not None
     begin = edges[:-1]
-    on = ((begin >= said_ns[0]) & (begin < said_ns[1] + TIMEOUT_NS)) | (
-        (begin >= said_ns[2]) & (begin < said_ns[2] + TIMEOUT_NS)
+    on = ((begin >= known_ns[0]) & (begin < known_ns[1] + TIMEOUT_NS)) | (
+        (begin >= known_ns[2]) & (begin < known_ns[2] + TIMEOUT_NS)
     )
     np.testing.assert_allclose(excitation, np.where(on, 0.1, 0.0)[:, None] * np.ones(4))
 

@@ -84,11 +84,11 @@ def test_the_standard_deviations_are_those_of_a_monte_carlo() -> None:
     for name, mode in own.items():
         assert len(draws[name]) == 600
         spread = np.std(draws[name], axis=0)
-        told = (
+        given = (
             *mode.eigenvalue_sigma, mode.frequency_sigma, mode.damping_sigma,
             mode.time_constant_sigma,
         )  # fmt: skip
-        np.testing.assert_allclose(told, spread, rtol=0.1, atol=1e-12)
+        np.testing.assert_allclose(given, spread, rtol=0.1, atol=1e-12)
 
 
 def test_in_a_turn_the_rate_products_count() -> None:

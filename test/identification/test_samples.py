@@ -58,8 +58,8 @@ def test_trim_keeps_the_sample_that_still_applies() -> None:
 def test_interpolation_is_exact_at_the_samples_and_straight_between() -> None:
     buffer = filled(10, 20, 40)
     buffer.merge(40)
-    asked = np.array([10, 15, 20, 35, 40])
-    assert buffer.interpolate(asked)[:, 0].tolist() == [10.0, 15.0, 20.0, 35.0, 40.0]
+    requested = np.array([10, 15, 20, 35, 40])
+    assert buffer.interpolate(requested)[:, 0].tolist() == [10.0, 15.0, 20.0, 35.0, 40.0]
 
 
 def test_what_nothing_asks_for_is_forgotten_but_not_what_is_young() -> None:

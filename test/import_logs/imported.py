@@ -89,7 +89,7 @@ class Imported:
     """An imported log: the folder of the bag, and what was said of it, as one line."""
 
     folder: Path
-    said: str
+    printed: str
 
     @cached_property
     def bag(self) -> Contents:
@@ -100,7 +100,7 @@ class Imported:
         return parameters(self.folder)
 
     def __iter__(self) -> Iterator[Any]:
-        return iter((self.bag, self.values, self.said))
+        return iter((self.bag, self.values, self.printed))
 
 
 class Importer:

@@ -57,7 +57,7 @@ def imported(importer: Importer, rows: list, values: dict, *options: str) -> Imp
 
 def test_a_plane_with_reversed_servos(importer: Importer) -> None:
     values = PLANE | {"SERVO2_REVERSED": 1, "SERVO2_TRIM": 1480, "SERVO4_MIN": 1000}
-    bag, found, said = imported(importer, imu() + rcou(), values, "--trim", "neutral")
+    bag, found, printed = imported(importer, imu() + rcou(), values, "--trim", "neutral")
     assert bag.names[:4] == ["aileron", "elevator", "throttle", "rudder"]
     np.testing.assert_array_equal(bag.actuators, PULSES)
     np.testing.assert_allclose(
@@ -69,10 +69,10 @@ def test_a_plane_with_reversed_servos(importer: Importer) -> None:
     )
     assert (
         "elevator: SERVO2_FUNCTION 19, 1100 1480 1900 us, reversed; us less 1480, times -0.0025"
-    ) in said
-    assert "de (nose down) = -1 elevator" in said
-    assert "elevator: one unit is half of 1100 to 1900 us to either side" in said
-    assert "AHRS_ORIENTATION 8, roll 180 deg" in said
+    ) in printed
+    assert "de (nose down) = -1 elevator" in printed
+    assert "elevator: one unit is half of 1100 to 1900 us to either side" in printed
+    assert "AHRS_ORIENTATION 8, roll 180 deg" in printed
 
 
 ELEVON, TAIL = [-0.5, -0.5], [-0.5, 0.5]
@@ -90,11 +90,11 @@ MIXERS = {
 @pytest.mark.parametrize("name", MIXERS)
 def test_pairs_and_motors_are_mixed_as_ardupilot_does(importer: Importer, name: str) -> None:
     functions, more, rows = MIXERS[name]
-    bag, values, said = imported(importer, imu() + rcou(), servos(*functions) | more)
+    bag, values, printed = imported(importer, imu() + rcou(), servos(*functions) | more)
     np.testing.assert_allclose(mixing(values), rows, atol=1e-12)
     if name == "quadrotor":
         np.testing.assert_allclose(values["actuators.trim"], np.median(PULSES, axis=0))
-        assert "quad x with ArduPilot's motor order" in said
+        assert "quad x with ArduPilot's motor order" in printed
     if name == "two of one function":
         assert bag.names[:2] == ["aileron", "aileron_2"]
 
@@ -113,27 +113,31 @@ def test_frames_are_balanced(importer: Importer, frame, count: int) -> None:
 
 def test_an_unknown_frame_is_refused_with_a_way_out(importer: Importer) -> None:
     log = write(importer.folder, imu() + rcou(), servos(33, 34, 35) | {"FRAME_CLASS": 7})
-    said = importer.refused(log)
-    assert "FRAME_CLASS 7" in said
-    assert "--actuators-topic RATE" in said
+    printed = importer.refused(log)
+    assert "FRAME_CLASS 7" in printed
+    assert "--actuators-topic RATE" in printed
 
 
 def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importer) -> None:
     slow = rcou(COMMAND_US[::10], PULSES[::10])
-    asked = np.array([0.1, -0.2, 0.3, 0.4])
+    requested = np.array([0.1, -0.2, 0.3, 0.4])
     rates = [
-        (int(t), "RATE", (0, 0, asked[0], 0, 0, asked[1], 0, 0, asked[2], 0, 0, asked[3]))
+        (
+            int(t),
+            "RATE",
+            (0, 0, requested[0], 0, 0, requested[1], 0, 0, requested[2], 0, 0, requested[3]),
+        )
         for t in COMMAND_US
     ]
     known = servos(33, 34, 35, 36) | {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
-    bag, values, said = imported(importer, imu() + slow + rates, known)
+    bag, values, printed = imported(importer, imu() + slow + rates, known)
     assert (
         "RCOU is logged at 5 Hz only (LOG_BITMASK); RATE is at 50 Hz, from before the mixer, and "
         "knows nothing of saturation"
-    ) in said
+    ) in printed
     assert bag.names == ["roll", "pitch", "yaw", "throttle"]
-    np.testing.assert_allclose(bag.actuators, np.tile(asked, (len(COMMAND_US), 1)), rtol=1e-6)
-    np.testing.assert_allclose(mixing(values) @ asked, [0.2, -0.3, 0.1, 0.4])
+    np.testing.assert_allclose(bag.actuators, np.tile(requested, (len(COMMAND_US), 1)), rtol=1e-6)
+    np.testing.assert_allclose(mixing(values) @ requested, [0.2, -0.3, 0.1, 0.4])
 
 
 @pytest.mark.parametrize(("mask", "advice"), [(830, ": make it 831,"), (831, ", although it has")])
@@ -141,8 +145,8 @@ def test_what_to_log_is_said_by_name(importer: Importer, mask: int, advice: str)
     title = [(START, "MSG", (b"ArduCopter V4.5.7 (0358a9c2)",))]
     frame = {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "LOG_BITMASK": mask}
     rows = title + imu() + rcou(COMMAND_US[::10], PULSES[::10])
-    said = imported(importer, rows, servos(33, 34, 35, 36) | frame).said
-    assert f"20 Hz are needed (LOG_BITMASK {mask}{advice} 'fast attitude')" in said
+    printed = imported(importer, rows, servos(33, 34, 35, 36) | frame).printed
+    assert f"20 Hz are needed (LOG_BITMASK {mask}{advice} 'fast attitude')" in printed
 
 
 def test_aetr_on_request(importer: Importer) -> None:
@@ -160,19 +164,19 @@ def test_raw_rates_are_preferred_and_stamped_when_sampled(importer: Importer) ->
         (int(t) + 900, "GYR", (0, int(t), *pqr)) for t, pqr in zip(IMU_US, 2.0 * RATES, strict=True)
     ]
     raw += [(int(t) + 900, "ACC", (0, int(t), *f)) for t, f in zip(IMU_US, FORCE, strict=True)]
-    bag, _, said = imported(importer, imu() + raw + rcou(), PLANE)
+    bag, _, printed = imported(importer, imu() + raw + rcou(), PLANE)
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
     np.testing.assert_array_equal(bag.rates, 2.0 * RATES)
     np.testing.assert_array_equal(bag.force, FORCE)
-    assert "of the flight there is GYR at 250 Hz over 100 %, IMU at 250 Hz over 100 %" in said
-    assert "low-passed" not in said
+    assert "of the flight there is GYR at 250 Hz over 100 %, IMU at 250 Hz over 100 %" in printed
+    assert "low-passed" not in printed
 
 
 def test_the_unit_can_be_chosen(importer: Importer) -> None:
     rows = imu(0) + imu(1, 3.0) + rcou()
-    bag, _, said = imported(importer, rows, PLANE, "--rates-instance", "1")
+    bag, _, printed = imported(importer, rows, PLANE, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, 3.0 * RATES, rtol=1e-6)
-    assert "instances [0, 1] of IMU" in said
+    assert "instances [0, 1] of IMU" in printed
     assert "instance 2); it has" in importer.refused(importer.log, "--rates-instance", "2")
     assert "one set of actuators" in importer.refused(importer.log, "--actuators-instance", "1")
 
@@ -192,21 +196,23 @@ def test_trim_airspeed_lever_arm_and_lost_messages(importer: Importer) -> None:
         *((int(t), "ARSP", (0, 16.0)) for t in COMMAND_US[30:]),
     ]
     values = PLANE | {"INS_POS1_X": 0.1, "INS_POS1_Z": -0.05}
-    bag, found, said = imported(importer, imu() + rcou(pulses=pulses) + rows, values, "--airspeed")
+    bag, found, printed = imported(
+        importer, imu() + rcou(pulses=pulses) + rows, values, "--airspeed"
+    )
     np.testing.assert_allclose(found["actuators.trim"], np.median(pulses[30:], axis=0))
     np.testing.assert_allclose(bag.airspeed, 20.0)
     assert found["airspeed.reference"] == 20.0
     np.testing.assert_allclose(found["imu.lever_arm"], [0.1, 0.0, -0.05], rtol=1e-6)
-    assert "the logger lost 7 messages" in said
-    assert "ARSP.Airspeed times CTUN.E2T" in said
+    assert "the logger lost 7 messages" in printed
+    assert "ARSP.Airspeed times CTUN.E2T" in printed
 
 
 @pytest.mark.parametrize("scale", [1.0, 4500.0])
 def test_mode_and_setpoints_come_along(importer: Importer, scale: float) -> None:
     """Old logs, whose controls are no shares, ask for hundredths of a degree a second."""
     unit = 1.0 if scale == 1.0 else 100.0
-    asked = (30.0 * unit, 0, 0.1 * scale, -20.0 * unit, 0, 0, 10.0 * unit, 0, 0, 0, 0, 0.4)
-    rows = [(int(t), "RATE", asked) for t in COMMAND_US]
+    requested = (30.0 * unit, 0, 0.1 * scale, -20.0 * unit, 0, 0, 10.0 * unit, 0, 0, 0, 0, 0.4)
+    rows = [(int(t), "RATE", requested) for t in COMMAND_US]
     rows += [(START, "MODE", (5, 5, 1)), (int(COMMAND_US[9]), "MODE", (99, 99, 1))]
     title = [(START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",))]
     it = imported(importer, title + imu() + rcou() + rows, PLANE)
@@ -221,17 +227,17 @@ def test_a_log_that_begins_in_flight(importer: Importer) -> None:
     """Its only event is the end of the flight: it was armed before."""
     end_us = int(IMU_US[200])
     rows = [(end_us, "ARM", (0,)), *((int(t), "ATT", (0, 3000, 0, -1000, 0, 9000)) for t in IMU_US)]
-    bag, values, said = imported(importer, imu() + rcou() + rows, PLANE, "--flight-only")
+    bag, values, printed = imported(importer, imu() + rcou() + rows, PLANE, "--flight-only")
     assert bag.imu_t_ns[-1] == end_us * 1000
-    assert "armed for 0.8 s in 1 stretch(es) (ARM, EV)" in said
+    assert "armed for 0.8 s in 1 stretch(es) (ARM, EV)" in printed
     assert values["armed.type"] == "std_msgs/msg/Bool"
-    assert "attitude: ATT" in said
+    assert "attitude: ATT" in printed
 
 
 def test_a_parameter_that_changes_is_told(importer: Importer) -> None:
     later = [(25_000_000, "PARM", (b"SERVO1_TRIM", 1520.0, float("nan")))]
-    said = imported(importer, imu() + rcou() + later, PLANE).said
-    assert "SERVO1_TRIM became 1520 at 25.0 s: the first value is used" in said
+    printed = imported(importer, imu() + rcou() + later, PLANE).printed
+    assert "SERVO1_TRIM became 1520 at 25.0 s: the first value is used" in printed
 
 
 # --- logs of 2014 -------------------------------------------------------------------------------
@@ -252,8 +258,8 @@ def old_log(
     ]
     for t, p in zip(COMMAND_US, PULSES, strict=True):
         rows.append((int(t) // 1000, "RCOU", (*map(int, p), 0, 0, 0, 0)))
-        asked = (0, 0, 0.1 * scale, 0, 0, -0.2 * scale, 0, 0, 0.3 * scale, 0, 0, 400.0)
-        rows.append((int(t) // 1000, "RATE", asked))
+        requested = (0, 0, 0.1 * scale, 0, 0, -0.2 * scale, 0, 0, 0.3 * scale, 0, 0, 400.0)
+        rows.append((int(t) // 1000, "RATE", requested))
     writer.add_rows(rows)
     return writer.write(folder / "old.bin")
 
@@ -261,23 +267,23 @@ def old_log(
 def test_a_copter_of_2014(importer: Importer) -> None:
     frame = {"FRAME": 1, "RC3_MIN": 1100, "RC3_MAX": 1900}
     log = old_log(importer.folder, "ArduCopter V3.2 (c8e0f3e1)", frame)
-    bag, values, said = importer(log, "--rates-instance", "1")
+    bag, values, printed = importer(log, "--rates-instance", "1")
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
     np.testing.assert_allclose(bag.rates, 3.0 * RATES, rtol=1e-6)
     np.testing.assert_array_equal(bag.actuators[:, :4], PULSES)
     np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
     np.testing.assert_allclose(values["actuators.scale"], 1 / 800)
-    assert "4 pins carry pulses: they are its motors" in said
-    assert "the motors are on the pins of their numbers" in said
+    assert "4 pins carry pulses: they are its motors" in printed
+    assert "the motors are on the pins of their numbers" in printed
 
 
 def test_a_copter_of_an_unknown_frame_gives_its_demands(importer: Importer) -> None:
     log = old_log(importer.folder, "APM:Copter V3.3.3 (acf98493)", {"FRAME": 10}, ("Frame: Y6",))
-    bag, values, said = importer(log)
+    bag, values, printed = importer(log)
     u = mixing(values) @ (np.array(values["actuators.scale"]) * bag.actuators[0])
     np.testing.assert_allclose(u, [0.2, -0.3, 0.1, 0.4], rtol=1e-6)
-    assert "RCOU is passed over: no SERVOn_FUNCTION names a surface or a motor" in said
-    assert "RATE: full demand is 4500, full throttle 1000, as before Copter 3.4" in said
+    assert "RCOU is passed over: no SERVOn_FUNCTION names a surface or a motor" in printed
+    assert "RATE: full demand is 4500, full throttle 1000, as before Copter 3.4" in printed
 
 
 def test_a_plane_of_2014(importer: Importer) -> None:
@@ -285,12 +291,12 @@ def test_a_plane_of_2014(importer: Importer) -> None:
     ranges = {f"RC{i}_{end}": v for i in range(1, 5)
               for end, v in (("MIN", 1100), ("TRIM", 1500), ("MAX", 1900), ("REV", 1))}  # fmt: skip
     log = old_log(importer.folder, "ArduPlane V3.2.0 (abc)", sticks | ranges | {"RC2_REV": -1})
-    _, values, said = importer(log)
+    _, values, printed = importer(log)
     assert values["actuators.channels"] == ["aileron", "elevator", "throttle", "rudder"]
     np.testing.assert_allclose(
         values["actuators.scale"], [2 / 800, -2 / 800, 1 / 800, 2 / 800], rtol=1e-12
     )
-    assert "are on the pins of their sticks (RCMAP_*)" in said
+    assert "are on the pins of their sticks (RCMAP_*)" in printed
 
 
 def test_pairs_of_surfaces_of_2014_are_not_guessed(importer: Importer) -> None:
@@ -313,5 +319,5 @@ def test_pairs_of_surfaces_of_2014_are_not_guessed(importer: Importer) -> None:
     ],
 )
 def test_what_is_no_aircraft_is_refused(importer: Importer, firmware: str, vehicle) -> None:
-    said = importer.refused(old_log(importer.folder, firmware, {}))
-    assert f"old.bin' is of {vehicle} (it calls itself " in said
+    printed = importer.refused(old_log(importer.folder, firmware, {}))
+    assert f"old.bin' is of {vehicle} (it calls itself " in printed

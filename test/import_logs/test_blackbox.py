@@ -18,7 +18,7 @@ def written(importer: Importer, content: bytes) -> Path:
 def test_a_quadrotor_of_betaflight(importer: Importer) -> None:
     log = importer.folder / "LOG00001.BFL"
     log.write_bytes(blackbox(50) + blackbox())
-    found, values, said = importer(log)
+    found, values, printed = importer(log)
     assert len(found.imu_t_ns) >= COUNT - 1  # orangebox leaves out a frame before the end
     kept = slice(0, len(found.imu_t_ns))
     np.testing.assert_array_equal(found.imu_t_ns, T_US[kept] * 1000)
@@ -33,9 +33,9 @@ def test_a_quadrotor_of_betaflight(importer: Importer) -> None:
     np.testing.assert_allclose(values["actuators.mixing.da"], [-0.5, -0.5, 0.5, 0.5])
     np.testing.assert_allclose(values["actuators.mixing.de"], [0.5, -0.5, 0.5, -0.5])
     np.testing.assert_allclose(values["actuators.mixing.dr"], [0.5, -0.5, -0.5, 0.5])
-    assert "log 2 of 2 in this file, the longest" in said
-    assert "gyroADC is behind the filters (low-pass at 150 Hz)" in said
-    assert "Betaflight 4.4.2" in said
+    assert "log 2 of 2 in this file, the longest" in printed
+    assert "gyroADC is behind the filters (low-pass at 150 Hz)" in printed
+    assert "Betaflight 4.4.2" in printed
 
 
 def test_reversed_propellers(importer: Importer) -> None:
@@ -46,16 +46,16 @@ def test_reversed_propellers(importer: Importer) -> None:
 def test_a_firmware_with_an_odd_name(importer: Importer) -> None:
     """It stands in a comment of the parameter file, which must be YAML."""
     odd = "Beta\x01flight\x07" + "x" * 900
-    _, values, said = importer(written(importer, blackbox(**{"Firmware revision": odd})))
-    assert "log.bbl: Beta?flight?xxx" in said
-    assert "x" * 130 not in said
+    _, values, printed = importer(written(importer, blackbox(**{"Firmware revision": odd})))
+    assert "log.bbl: Beta?flight?xxx" in printed
+    assert "x" * 130 not in printed
     assert values["imu.convention"] == "flu"
 
 
 def test_a_log_that_is_cut_off(importer: Importer) -> None:
     whole = blackbox()
-    found, _, said = importer(written(importer, whole[: len(whole) // 2]))
-    assert "cut off at its end" in said
+    found, _, printed = importer(written(importer, whole[: len(whole) // 2]))
+    assert "cut off at its end" in printed
     assert len(found.imu_t_ns) > COUNT // 3
 
 

@@ -58,15 +58,15 @@ def test_rotors_mix_as_in_the_simulation(importer: Importer) -> None:
     topics = combined() | {
         ("actuator_motors", 0): commands(COMMAND_NS, padded(0.5 + 0.1 * noise(4), 12), "control")
     }
-    bag, values, said = imported(importer, topics, QUAD_X)
+    bag, values, printed = imported(importer, topics, QUAD_X)
     assert bag.names == values["actuators.channels"] == ["motor_1", "motor_2", "motor_3", "motor_4"]
     ready = load_parameters(CONFIG / "px4_quadrotor.yaml", "/identifier")
     for mixed in (mixing(values), mixing(ready)):
         np.testing.assert_allclose(mixed, QUADROTOR.mixing, atol=1e-12)
     np.testing.assert_allclose(values["actuators.trim"], np.median(bag.actuators, axis=0))
     assert values["structure"] == "augmented"  # no wings: no angle of attack
-    assert "4 rotors" in said
-    assert "da (right wing down) = -0.5 motor_1 +0.5 motor_2 +0.5 motor_3 -0.5 motor_4" in said
+    assert "4 rotors" in printed
+    assert "da (right wing down) = -0.5 motor_1 +0.5 motor_2 +0.5 motor_3 -0.5 motor_4" in printed
 
 
 def test_elevons_mix_as_in_the_simulation(importer: Importer) -> None:
@@ -151,8 +151,8 @@ def test_a_vtol_has_two_sets_of_setpoints(importer: Importer) -> None:
         ("vehicle_torque_setpoint", i): commands(COMMAND_NS, noise(3) + i, "xyz") for i in (0, 1)
     }
     airframe = {"CA_AIRFRAME": 2}
-    bag, _, said = imported(importer, topics, airframe)
-    assert "of instance 1 those of forward flight (--actuators-instance); 0 is taken" in said
+    bag, _, printed = imported(importer, topics, airframe)
+    assert "of instance 1 those of forward flight (--actuators-instance); 0 is taken" in printed
     np.testing.assert_array_equal(bag.actuators, noise(3).astype(np.float32))
     forward = importer(importer.log, "--actuators-instance", "1").bag
     np.testing.assert_array_equal(forward.actuators, (noise(3) + 1).astype(np.float32))
@@ -164,9 +164,9 @@ def test_an_old_vtol_has_a_topic_for_each_set(importer: Importer) -> None:
         (f"actuator_controls_{i}", 0): commands(COMMAND_NS, noise(8) + i, "control") for i in (0, 1)
     }
     topics |= {("actuator_outputs", 1): commands(COMMAND_NS, noise(8), "output")}
-    bag, _, said = imported(importer, topics, {"MAV_TYPE": 22})
+    bag, _, printed = imported(importer, topics, {"MAV_TYPE": 22})
     np.testing.assert_array_equal(bag.actuators, noise(8).astype(np.float32))
-    assert "a VTOL: actuator_controls_0 are the commands of hover" in said
+    assert "a VTOL: actuator_controls_0 are the commands of hover" in printed
     for option in ("--actuators-instance 1", "--actuators-topic actuator_controls_1"):
         found = importer(importer.log, *option.split()).bag
         np.testing.assert_array_equal(found.actuators, (noise(8) + 1).astype(np.float32))
@@ -177,11 +177,15 @@ def test_a_topic_that_covers_a_part_of_the_flight_is_passed_over(importer: Impor
     motors = commands(COMMAND_NS[:20:4], padded(0.5 + 0.1 * noise(4)[:20:4], 12), "control")
     slow = commands(COMMAND_NS[::5], noise(8)[::5], "control")
     topics = combined() | {("actuator_motors", 0): motors, ("actuator_controls_0", 0): slow}
-    bag, _, said = imported(importer, topics, QUAD_X)
+    bag, _, printed = imported(importer, topics, QUAD_X)
     assert len(bag.actuators) == len(COMMAND_NS) // 5
-    assert "actuator_motors covers 43 % of the flight only; actuator_controls_0 is at 10 Hz" in said
-    assert "actuator_motors at 12.5 Hz over 43 %, actuator_controls_0 at 10 Hz over 100 %" in said
-    assert "actuator_controls_0 has 10 Hz only: 20 Hz are needed" in said
+    assert (
+        "actuator_motors covers 43 % of the flight only; actuator_controls_0 is at 10 Hz" in printed
+    )
+    assert (
+        "actuator_motors at 12.5 Hz over 43 %, actuator_controls_0 at 10 Hz over 100 %" in printed
+    )
+    assert "actuator_controls_0 has 10 Hz only: 20 Hz are needed" in printed
 
 
 # --- rates --------------------------------------------------------------------------------------
@@ -212,13 +216,13 @@ def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(importer: Importer) -
         "SENS_BOARD_Y_OFF": -1.0, "SENS_BOARD_Z_OFF": 0.5, "CAL_GYRO2_ID": 4711,
         "CAL_GYRO2_XOFF": 0.01, "CAL_GYRO2_YOFF": -0.02, "CAL_GYRO2_ZOFF": 0.03,
     }  # fmt: skip
-    bag, found, said = imported(importer, topics, values, "--rates-instance", "1")
+    bag, found, printed = imported(importer, topics, values, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, RATES, atol=1e-6)
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)  # when sampled, not when published
-    assert "SENS_BOARD_ROT 18, roll 90 deg yaw 90 deg, fine offsets 1.50 -1.00 0.50" in said
-    assert "CAL_GYRO2_XOFF" in said
-    assert "instances [0, 1] of sensor_gyro" in said
-    assert "ay and az are zero" in said
+    assert "SENS_BOARD_ROT 18, roll 90 deg yaw 90 deg, fine offsets 1.50 -1.00 0.50" in printed
+    assert "CAL_GYRO2_XOFF" in printed
+    assert "instances [0, 1] of sensor_gyro" in printed
+    assert "ay and az are zero" in printed
     assert found["structure"] == "throttle_coupled"
 
 
@@ -229,22 +233,22 @@ def test_filtered_rates_are_the_last_resort_and_said_to_be_filtered(importer: Im
         ("vehicle_angular_velocity", 0): velocity,
         ("vehicle_acceleration", 0): acceleration,
     }
-    bag, _, said = imported(importer, topics, {"IMU_GYRO_CUTOFF": 40.0})
-    assert "low-passed at 40 Hz (IMU_GYRO_CUTOFF)" in said
+    bag, _, printed = imported(importer, topics, {"IMU_GYRO_CUTOFF": 40.0})
+    assert "low-passed at 40 Hz (IMU_GYRO_CUTOFF)" in printed
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)
     np.testing.assert_array_equal(bag.rates, RATES.astype(np.float32))
     np.testing.assert_allclose(bag.force, FORCE, rtol=1e-6)
     topics |= combined()
-    said = imported(importer, topics, {}).said
-    assert "rates: sensor_combined" in said
-    assert "vehicle_angular_velocity at 200 Hz over 100 %" in said
+    printed = imported(importer, topics, {}).printed
+    assert "rates: sensor_combined" in printed
+    assert "vehicle_angular_velocity at 200 Hz over 100 %" in printed
 
 
 def test_an_invalid_accelerometer_is_no_measurement(importer: Importer) -> None:
     topics = combined() | TORQUES
     topics["sensor_combined", 0]["accelerometer_timestamp_relative"][:] = 0x7FFFFFFF
-    _, _, said = imported(importer, topics, {})
-    assert "no valid accelerometer sample: ay and az are zero" in said
+    _, _, printed = imported(importer, topics, {})
+    assert "no valid accelerometer sample: ay and az are zero" in printed
 
 
 # --- the rest -----------------------------------------------------------------------------------
@@ -265,10 +269,10 @@ def test_the_trim_is_that_of_the_flight_not_of_the_ground(importer: Importer) ->
         ("vehicle_land_detected", 0): landed,
         ("vehicle_status", 0): armed,
     }
-    _, values, said = imported(importer, topics, QUAD_X)
+    _, values, printed = imported(importer, topics, QUAD_X)
     np.testing.assert_allclose(values["actuators.trim"], 0.6, rtol=1e-6)
-    assert "in the air for 0.4 s in 1 stretch(es)" in said
-    assert "50 samples lack a value of a channel in use" in said
+    assert "in the air for 0.4 s in 1 stretch(es)" in printed
+    assert "50 samples lack a value of a channel in use" in printed
 
     bag = importer(importer.log, "--flight-only").bag
     for t_ns in (bag.imu_t_ns, bag.actuator_t_ns):
@@ -285,11 +289,11 @@ def test_airspeed(importer: Importer, name: str) -> None:
         "true_airspeed_m_s": np.linspace(14.0, 16.0, len(COMMAND_NS)).astype(np.float32),
     }
     topics = combined() | TORQUES | {(name, 0): speed}
-    bag, values, said = imported(importer, topics, {})
+    bag, values, printed = imported(importer, topics, {})
     np.testing.assert_array_equal(bag.airspeed, speed["true_airspeed_m_s"])
     assert values["airspeed.type"] == "geometry_msgs/msg/TwistStamped"
     assert values["airspeed.reference"] == pytest.approx(15.0)
-    assert "the airspeed is used; in flight its median is 15 m/s" in said
+    assert "the airspeed is used; in flight its median is 15 m/s" in printed
     plain = importer(importer.log, "--no-airspeed").values
     assert "airspeed.type" not in plain
     assert plain["airspeed.reference"] == pytest.approx(15.0)
@@ -310,12 +314,12 @@ def test_an_airspeed_that_is_no_use_is_left_out(importer: Importer, part: slice)
             ("vehicle_gps_position", 0): {"timestamp": stamps(COMMAND_NS), "vel_m_s": ground},
         }
     )
-    _, values, said = imported(importer, topics, {})
+    _, values, printed = imported(importer, topics, {})
     assert "airspeed.type" not in values
     assert ("airspeed.reference" not in values) if slow else values["airspeed.reference"] == 12.5
-    assert "the airspeed is not used" in said
-    assert ("no speed of flight is in the log: set airspeed.reference" in said) == slow
-    assert ("airspeed.reference is the median speed over ground" in said) != slow
+    assert "the airspeed is not used" in printed
+    assert ("no speed of flight is in the log: set airspeed.reference" in printed) == slow
+    assert ("airspeed.reference is the median speed over ground" in printed) != slow
     assert "structure" not in values
 
 
@@ -329,13 +333,13 @@ def test_the_tables_of_ulog2csv(importer: Importer) -> None:
     convert_ulog2csv(str(importer.log), None, str(folder), ",", None, None)
     lines = "".join(f"{name},{value}\n" for name, value in QUAD_X.items())
     (folder / "flight_params.csv").write_text(lines)
-    again, found, said = importer(folder)
+    again, found, printed = importer(folder)
     np.testing.assert_array_equal(again.imu_t_ns, whole.imu_t_ns)
     np.testing.assert_array_equal(again.actuator_t_ns, whole.actuator_t_ns)
     np.testing.assert_allclose(again.rates, whole.rates, rtol=1e-6)
     np.testing.assert_allclose(again.actuators, whole.actuators, rtol=1e-6)
     assert found["actuators.mixing.de"] == values["actuators.mixing.de"]
-    assert "PX4, by ulog2csv" in said
+    assert "PX4, by ulog2csv" in printed
     (folder / "flight_params.csv").unlink()
     assert "no parameter (CA_ROTOR*, CA_SV_CS*) says" in importer.refused(folder)
     (folder / "other_sensor_combined_0.csv").write_text("timestamp\n1\n")
@@ -350,7 +354,7 @@ def test_attitude_arming_mode_and_setpoints_come_along(importer: Importer) -> No
     logged = np.column_stack([q[:, 3], q[:, :3]])
     attitude = commands(IMU_NS[::20][:21] + 30_000, logged[: len(IMU_NS[::20])], "q", delay_us=30)
     armed_ns = int(IMU_NS[100])
-    asked_for = np.float32(RATES[::20] + 0.5)
+    requested = np.float32(RATES[::20] + 0.5)
     topics = (
         combined()
         | TORQUES
@@ -360,7 +364,7 @@ def test_attitude_arming_mode_and_setpoints_come_along(importer: Importer) -> No
             | {"nav_state": np.array([0, 15, 15], np.uint8)},
             ("vehicle_rates_setpoint", 0): {
                 "timestamp": stamps(IMU_NS[::20]),
-                **dict(zip(("roll", "pitch", "yaw"), asked_for.T, strict=True)),
+                **dict(zip(("roll", "pitch", "yaw"), requested.T, strict=True)),
             },
         }
     )
@@ -373,8 +377,8 @@ def test_attitude_arming_mode_and_setpoints_come_along(importer: Importer) -> No
     assert (armed_ns, True) in states and len(states) == 3
     modes = [(t, m.data) for t, m in read["/mode"]]
     assert modes == [(int(IMU_NS[0]), "manual"), (armed_ns, "stabilized")]
-    asked = [m.vector for _, m in read["/setpoint/rates"]]
-    np.testing.assert_allclose([(v.x, v.y, v.z) for v in asked], asked_for)
+    vectors = [m.vector for _, m in read["/setpoint/rates"]]
+    np.testing.assert_allclose([(v.x, v.y, v.z) for v in vectors], requested)
     imu = [m for _, m in read["/imu/data"]]
     o = imu[110].orientation  # between two samples of the attitude
     middle = quaternions(*(np.array([angle]) for angle in (0.3, -0.2, yaw[5:7].mean())))[0]
@@ -395,15 +399,15 @@ def test_gaps_and_dropouts_are_told(importer: Importer) -> None:
         ("sensor_combined", 0): sensor_combined(IMU_NS[kept], RATES[kept], FORCE[kept])
     }
     dropouts = ((100_500_000, 150), (100_600_000, 20))
-    said = importer(write_ulog(importer.folder / "gaps.ulg", topics, {}, dropouts)).said
-    assert "the logger lost messages 2 times, together 0.17 s, at most 0.15 s" in said
-    assert "1 gap of more than 0.02 s, together 0.155 s, the longest 0.155 s at 100.50 s" in said
+    printed = importer(write_ulog(importer.folder / "gaps.ulg", topics, {}, dropouts)).printed
+    assert "the logger lost messages 2 times, together 0.17 s, at most 0.15 s" in printed
+    assert "1 gap of more than 0.02 s, together 0.155 s, the longest 0.155 s at 100.50 s" in printed
 
 
 @pytest.mark.skipif(not SAMPLE.exists(), reason="../shared/logs/px4_quad_sample.ulg is not there")
 def test_a_recorded_log(tmp_path: Path, importer: Importer) -> None:
     """One of 2016, in the old format. The vehicle was moved about by hand, disarmed."""
-    bag, _, said = importer(SAMPLE)
+    bag, _, printed = importer(SAMPLE)
     log = ULog(str(SAMPLE))
     gyro = log.get_dataset("sensor_combined").data
     controls = log.get_dataset("actuator_controls_0").data
@@ -412,13 +416,13 @@ def test_a_recorded_log(tmp_path: Path, importer: Importer) -> None:
     np.testing.assert_array_equal(bag.force[:, 2], gyro["accelerometer_m_s2[2]"])
     np.testing.assert_array_equal(bag.actuator_t_ns // 1000, controls["timestamp"])
     np.testing.assert_array_equal(bag.column("pitch"), controls["control[1]"])
-    assert "17070 samples over 68.9 s at 250 Hz" in said
-    assert "never armed" in said
-    assert "SENS_BOARD_ROT 0, none, fine offsets -1.50 1.19 0.00 deg" in said
-    assert "the logger lost messages 4 times" in said
+    assert "17070 samples over 68.9 s at 250 Hz" in printed
+    assert "never armed" in printed
+    assert "SENS_BOARD_ROT 0, none, fine offsets -1.50 1.19 0.00 deg" in printed
+    assert "the logger lost messages 4 times" in printed
     options = ("--actuators-topic", "actuator_outputs", "--trim", "neutral")
-    bag, values, said = importer(SAMPLE, *options)
-    assert "a quadrotor in X" in said
+    bag, values, printed = importer(SAMPLE, *options)
+    assert "a quadrotor in X" in printed
     np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
     np.testing.assert_allclose(values["actuators.scale"], 1.0 / (1950.0 - 1075.0))
     assert values["actuators.trim"] == [1075.0] * 4

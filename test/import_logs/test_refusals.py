@@ -84,8 +84,8 @@ def test_the_output_is_not_overwritten(importer: Importer) -> None:
 def test_a_log_that_is_cut_off_gives_what_is_there(importer: Importer, write: Any) -> None:
     path = write(importer.folder)
     whole = path.read_bytes()
-    found, _, said = importer(spoilt(path, whole[: len(whole) // 2 + 5]))
-    assert "cut off at its end" in said
+    found, _, printed = importer(spoilt(path, whole[: len(whole) // 2 + 5]))
+    assert "cut off at its end" in printed
     np.testing.assert_array_equal(found.imu_t_ns, IMU_NS[: len(found.imu_t_ns)])
     assert 700 < len(found.imu_t_ns) < 1300
 
@@ -97,7 +97,7 @@ def test_a_log_with_garbage_inside_says_so(importer: Importer, write: Any) -> No
     middle = len(whole) // 2
     whole[middle : middle + 1000] = np.random.default_rng(5).bytes(1000)
     it = importer(spoilt(path, whole), status=DAMAGED)
-    (lost,) = re.findall(r"the file is damaged: (\d+) of \d+ bytes \(.* %\) in 1 place", it.said)
+    (lost,) = re.findall(r"the file is damaged: (\d+) of \d+ bytes \(.* %\) in 1 place", it.printed)
     assert 900 < int(lost) < 1200  # not to the next sync, of which there is none here
     assert len(it.bag.imu_t_ns) > len(IMU_NS) - 40
     assert "# Damaged:" in (it.folder / "identifier.yaml").read_text()
@@ -125,15 +125,15 @@ def test_one_damaged_byte_costs_one_sample(
         header = HEADER + whole[whole.index(b"IMU\0") - 2 :][:1]
         value = whole[whole.index(b"RCOU") - 2] if part == "known type" else value
     whole[whole.index(header, len(whole) // 2) + at] = value
-    found, _, said = importer(spoilt(path, whole), status=DAMAGED)
+    found, _, printed = importer(spoilt(path, whole), status=DAMAGED)
     assert len(found.imu_t_ns) == len(IMU_NS) - 1
     assert set(found.imu_t_ns) < set(IMU_NS)
     assert len(found.actuator_t_ns) == len(IMU_NS) // 4
     if part != "stamp":
-        assert f"{size} of {len(whole)} bytes (" in said
-        assert "in 1 place, about 0.0" in said
+        assert f"{size} of {len(whole)} bytes (" in printed
+        assert "in 1 place, about 0.0" in printed
     elif write is plane_log:
-        assert "1 of 2000 samples of IMU have a stamp that no clock gave" in said
+        assert "1 of 2000 samples of IMU have a stamp that no clock gave" in printed
 
 
 # --- ULog ---------------------------------------------------------------------------------------
@@ -184,9 +184,9 @@ def test_a_ulog_with_a_stamp_that_no_clock_gave(importer: Importer) -> None:
     topics["sensor_combined", 0]["timestamp"][1000] = 2**62
     topics["vehicle_torque_setpoint", 0]["timestamp"][200] = 2**63
     log = write_ulog(importer.folder / "flight.ulg", topics, {})
-    found, _, said = importer(log, status=DAMAGED)
-    assert "1 of 2000 samples of sensor_combined have a stamp that no clock gave" in said
-    assert "1 of 500 samples of vehicle_torque_setpoint have a stamp that no clock gave" in said
+    found, _, printed = importer(log, status=DAMAGED)
+    assert "1 of 2000 samples of sensor_combined have a stamp that no clock gave" in printed
+    assert "1 of 500 samples of vehicle_torque_setpoint have a stamp that no clock gave" in printed
     np.testing.assert_array_equal(found.imu_t_ns, np.delete(IMU_NS, 1000))
     assert found.log_ns[-1] == IMU_NS[-1]
 
@@ -198,7 +198,7 @@ def test_a_last_stamp_that_lies_days_ahead(importer: Importer) -> None:
     armed = {"timestamp": stamps(IMU_NS[:2]), "arming_state": np.full(2, 2, np.uint8)}
     topics = GOOD | {("sensor_combined", 0): rates, ("vehicle_status", 0): armed}
     it = importer(write_ulog(importer.folder / "flight.ulg", topics, {}))
-    assert "armed for 43" in it.said
+    assert "armed for 43" in it.printed
     with Bag(it.folder) as bag:
         assert bag.counts["/armed"] < 15
 
@@ -264,8 +264,8 @@ def test_counts_of_a_raw_sensor(importer: Importer) -> None:
 
 
 def test_a_table_that_is_cut_off_gives_what_is_there(importer: Importer) -> None:
-    found, _, said = importer(*table(importer.folder, TABLE[:-12]))
-    assert "1 rows have too few cells and were left out, the first in line 301" in said
+    found, _, printed = importer(*table(importer.folder, TABLE[:-12]))
+    assert "1 rows have too few cells and were left out, the first in line 301" in printed
     assert len(found.imu_t_ns) == 299
 
 
@@ -389,13 +389,13 @@ REFUSED: list[tuple[str, Make]] = [
 @pytest.mark.parametrize("number", range(len(REFUSED)))
 def test_it_is_refused_in_one_line(number: int, importer: Importer) -> None:
     words, make = REFUSED[number]
-    said = importer.refused(*make(importer.folder))
-    assert re.search(words, said), said
+    printed = importer.refused(*make(importer.folder))
+    assert re.search(words, printed), printed
 
 
 def test_motors_without_geometry_are_passed_over(importer: Importer) -> None:
     it = importer(*px4(more=MOTORS)(importer.folder))
-    assert "actuators: vehicle_torque_setpoint" in it.said
+    assert "actuators: vehicle_torque_setpoint" in it.printed
 
 
 def test_the_example_of_the_help_is_a_good_map(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_new_px4_log(tmp_path: Path, measured: Measurements, importer: Importer)
     assert it.bag.names == ["motor_1", "elevator", "rudder", "aileron"]
     raw = (measured.actuators * PLAIN_SIGNS).astype(np.float32)
     np.testing.assert_array_equal(it.bag.actuators, raw[:, [3, 0, 1, 2]])
-    assert "0.30 ms after the gyro sample" in it.said
+    assert "0.30 ms after the gyro sample" in it.printed
 
 
 def test_old_px4_log(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
@@ -122,9 +122,9 @@ def test_px4_setpoints_stand_in_for_thinned_out_actuators(
         ("vehicle_thrust_setpoint", thrust, "xyz"),
     )
     log = write_ulog(tmp_path / "default.ulg", topics, FIXED_WING | {"SDLOG_PROFILE": 1})
-    imported, values, said = importer(log)
+    imported, values, printed = importer(log)
     advice = "is logged at 10 Hz only (SDLOG_PROFILE 1: make it 17, 'high rate')"
-    assert said.count(f"{thinned[0]} {advice}") == 1
+    assert printed.count(f"{thinned[0]} {advice}") == 1
     np.testing.assert_array_equal(imported.actuators[:, :3], torque.astype(np.float32))
     assert values["actuators.channels"] == ["roll_torque", "pitch_torque", "yaw_torque", "thrust_x"]
     np.testing.assert_array_equal(
@@ -147,8 +147,8 @@ def test_ardupilot_log(tmp_path: Path, measured: Measurements, importer: Importe
     )  # fmt: skip
     it = importer(writer.write(tmp_path / "plane.bin"))
     assert_same(measured, it, np.float32, 2.0 / 1000.0)
-    assert "ArduPlane V4.5.0" in it.said
-    assert "low-passed at 20 Hz (INS_GYRO_FILTER)" in it.said
+    assert "ArduPlane V4.5.0" in it.printed
+    assert "low-passed at 20 Hz (INS_GYRO_FILTER)" in it.printed
     assert it.bag.names == ["elevator", "rudder", "aileron", "throttle"]
     np.testing.assert_array_equal(it.bag.actuators, pulses)
 

@@ -24,7 +24,7 @@ from uav_ident_ros.simulation.errors import SimulationError
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 FAULT = 5.0
-SHORT = Loop(duration=6.0, heed_verdict=False, faults=(f"{FAULT}: aileron effect 0.5",))
+SHORT = Loop(duration=6.0, use_verdict=False, faults=(f"{FAULT}: aileron effect 0.5",))
 """A flight on coefficients that are adopted, with a fault at the end."""
 
 TIMEOUT = 200.0
@@ -48,7 +48,7 @@ def land(running: ClosedLoop) -> None:
     running.processes["simulated_plant"].send_signal(signal.SIGINT)
 
 
-def said(running: ClosedLoop, name: str, words: str) -> bool:
+def printed(running: ClosedLoop, name: str, words: str) -> bool:
     return wait_for(lambda: words in running.log(name), TIMEOUT)
 
 
@@ -59,7 +59,7 @@ def test_a_flight_is_the_same_however_fast_the_machine_is_until_it_is_excited(
 
     def hold_up(running: ClosedLoop) -> None:
         """Stop the controller and the identifier for a moment, somewhere in the flight."""
-        assert said(running, "controller", "identified")
+        assert printed(running, "controller", "identified")
         for name in ("controller", "identifier"):
             running.processes[name].send_signal(signal.SIGSTOP)
             time.sleep(0.4)
@@ -76,27 +76,27 @@ def test_a_flight_is_the_same_however_fast_the_machine_is_until_it_is_excited(
 
     record, logs = fly(replace(loop, excite=3.0), tmp_path / "excited", hold_up)
     assert "excitation is running" in logs["simulated_plant"]
-    asked = record["excitation"]
-    started = float(record["time"][asked.any(axis=1)][0])
+    requested = record["excitation"]
+    started = float(record["time"][requested.any(axis=1)][0])
     assert 3.0 < started < 4.0
     before = record["time"] < started
     for name in ("rates", "measured", "reference", "outputs", "surfaces"):
         np.testing.assert_array_equal(record[name][before], plain[name][before])
     whole = record["time"] < FAULT
-    asked = asked[whole]
+    requested = requested[whole]
     answer = (record["outputs"] - plain["outputs"])[whole, :3]
     for k in range(3):  # the feedback answers what it sees of it, no more
-        share = float(asked[:, k] @ answer[:, k] / (asked[:, k] @ asked[:, k]))
+        share = float(requested[:, k] @ answer[:, k] / (requested[:, k] @ requested[:, k]))
         assert 0.2 < share < 1.5
     assert tracking_error(record, 4.0, FAULT).max() < 10.0
 
 
 def test_the_identifier_may_be_killed_and_faults_come_by_topic(tmp_path: Path) -> None:
     def kill_and_restart(running: ClosedLoop) -> None:
-        assert said(running, "controller", "identified")
+        assert printed(running, "controller", "identified")
         running.processes["identifier"].kill()
         running.processes["identifier"].wait()
-        assert said(running, "simulated_plant", "going on without")
+        assert printed(running, "simulated_plant", "going on without")
         before = running.log("controller").count("on identified")
         running.start("identifier")
         assert wait_for(lambda: running.log("controller").count("on identified") > before, TIMEOUT)
@@ -125,7 +125,7 @@ def publish_faults(running: ClosedLoop, *commands: str) -> None:
         assert pilot.spin_for(TIMEOUT, lambda: publisher.get_subscription_count() > 0)
         for command in commands:
             publisher.publish(String(data=command))
-        assert said(running, "simulated_plant", commands[-1])
+        assert printed(running, "simulated_plant", commands[-1])
         flown: list[Imu] = []
         pilot.node.create_subscription(Imu, "imu/data", flown.append, qos_profile_sensor_data)
         assert pilot.spin_for(TIMEOUT, lambda: len(flown) > 20)
@@ -146,17 +146,19 @@ def test_on_fixed_coefficients_the_aircraft_is_lost_and_leaves_its_record_and_th
     arguments = ["--duration", "60", "--mode", "fixed", "--fault", fault]
     with own_domain():
         assert main([*arguments, "--output", str(tmp_path)]) == 1
-    said = capsys.readouterr().out
-    assert "fault at 4.0" in said
-    assert "rms of true rates minus reference" in said
+    printed = capsys.readouterr().out
+    assert "fault at 4.0" in printed
+    assert "rms of true rates minus reference" in printed
     with np.load(tmp_path / "flight.npz") as archive:
         record = dict(archive)
     lost = float(record["lost"][0])
     assert 4.0 < lost < 12.0
     assert record["time"][-1] == pytest.approx(lost, abs=0.05)
-    assert f"the aircraft was lost at {lost:.1f} s" in said
+    assert f"the aircraft was lost at {lost:.1f} s" in printed
     (row,) = (
-        line.split() for line in said.splitlines() if line.split()[:5] == ["2", "s", "to", "4", "s"]
+        line.split()
+        for line in printed.splitlines()
+        if line.split()[:5] == ["2", "s", "to", "4", "s"]
     )
     error = tracking_error(record, 2.0, 4.0)
     assert error.max() < 5.0

@@ -35,7 +35,7 @@ def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "printed"),
     [
         (("none",), "bag 'none' does not exist"),
         (("--speed", "9"), "0.1 to 5"),
@@ -43,6 +43,6 @@ def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_pa
     ],
 )
 def test_wrong_input_is_refused_in_one_line(
-    arguments: tuple[str, ...], said: str, tmp_path: Path, capsys: Capture
+    arguments: tuple[str, ...], printed: str, tmp_path: Path, capsys: Capture
 ) -> None:
-    assert said in refusal(main, [*arguments, "--output", str(tmp_path)], capsys)
+    assert printed in refusal(main, [*arguments, "--output", str(tmp_path)], capsys)

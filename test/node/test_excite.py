@@ -45,9 +45,9 @@ def flight() -> Recording:
 
 def listen(player: Player) -> list[JointState]:
     """Collect what the node asks for from now on."""
-    heard: list[JointState] = []
-    player.node.create_subscription(JointState, f"{NODE}/excitation", heard.append, 1000)
-    return heard
+    received: list[JointState] = []
+    player.node.create_subscription(JointState, f"{NODE}/excitation", received.append, 1000)
+    return received
 
 
 def positions(messages: list[JointState]) -> np.ndarray:
@@ -63,38 +63,38 @@ def player(flight: Recording, shared_fly: Fly) -> Player:
 def test_a_run_is_asked_for_tick_by_tick_and_aborted_at_once(
     flight: Recording, player: Player
 ) -> None:
-    heard = listen(player)
+    received = listen(player)
     player.play_in_step(part(flight, 0.0, 2.0))
-    heard.clear()
+    received.clear()
     assert call(player, SetBool, "excite", data=True).success
     assert not call(player, SetBool, "excite", data=True).success
     player.play_in_step(part(flight, 2.0, 5.0))
-    stamps = [stamp_ns(m.header.stamp) for m in heard]
-    assert {tuple(m.name) for m in heard} == {INPUTS}
+    stamps = [stamp_ns(m.header.stamp) for m in received]
+    assert {tuple(m.name) for m in received} == {INPUTS}
     assert set(np.diff(stamps)) == {50 * MS}
     ticks = {stamp_ns(m.header.stamp) for m in player.outputs.named}
     assert {t - 150 * MS for t in stamps} >= ticks - {min(ticks)}  # one for each tick
-    asked = positions(heard)
-    assert (np.abs(asked).max(axis=0) > [0.006, 0.012, 0.018, -1.0]).all()
-    assert (np.abs(asked).max(axis=0) <= [0.0101, 0.0202, 0.0303, 0.0]).all()
+    requested = positions(received)
+    assert (np.abs(requested).max(axis=0) > [0.006, 0.012, 0.018, -1.0]).all()
+    assert (np.abs(requested).max(axis=0) <= [0.0101, 0.0202, 0.0303, 0.0]).all()
     values = shown(player)
     assert values["excite: state"] == "running"
     assert float(values["excite: elapsed [s]"]) > 2.0
     assert {"excite: not known yet", "excite: until known [s]"} <= values.keys()
 
-    heard.clear()
+    received.clear()
     answer = call(player, SetBool, "excite", data=False)
     assert answer.success and answer.message == "excitation is zero"
-    player.wait_until(lambda: len(heard) > 0, "zero")
-    assert stamp_ns(heard[0].header.stamp) < stamps[-1]  # what lies ahead is called off
+    player.wait_until(lambda: len(received) > 0, "zero")
+    assert stamp_ns(received[0].header.stamp) < stamps[-1]  # what lies ahead is called off
     player.play_in_step(part(flight, 5.0, 8.0))
-    assert not positions(heard).any()
-    assert len(heard) < 20  # half a second, then silence
+    assert not positions(received).any()
+    assert len(received) < 20  # half a second, then silence
     assert shown(player)["excite: last run"] == "aborted: asked for"
 
 
 def test_a_run_is_aborted_when_the_inputs_fail(flight: Recording, player: Player) -> None:
-    heard = listen(player)
+    received = listen(player)
     player.play_in_step(part(flight, 0.0, 2.0))
     assert call(player, SetBool, "excite", data=True).success
     now_ns = part(flight, 0.0, 2.0)[-1].log_ns + 100 * MS
@@ -103,14 +103,14 @@ def test_a_run_is_aborted_when_the_inputs_fail(flight: Recording, player: Player
         player.spin_for(0.02)
     player.wait_until(lambda: shown(player)["excite: state"] == "idle", "the end of the run")
     assert "no ticks any more" in shown(player)["excite: last run"]
-    assert not positions(heard[-1:]).any()
+    assert not positions(received[-1:]).any()
 
 
 def test_a_replay_of_the_flight_reads_what_the_node_asked_for(
     flight: Recording, player: Player, tmp_path: Path
 ) -> None:
     """The node is told of its own excitation; from a bag it comes as messages, to the bit."""
-    heard = listen(player)
+    received = listen(player)
     player.play_in_step(part(flight, 0.0, 2.0))
     live = published(player.outputs)
     assert call(player, SetBool, "excite", data=True).success
@@ -119,9 +119,9 @@ def test_a_replay_of_the_flight_reads_what_the_node_asked_for(
     topic = f"{NODE}/excitation"
     # each left the node with its tick, at the earliest: `input_wait` after it
     words = [
-        Message(topic, stamp_ns(m.header.stamp) - 100 * MS, serialize_message(m)) for m in heard
+        Message(topic, stamp_ns(m.header.stamp) - 100 * MS, serialize_message(m)) for m in received
     ]
-    assert len(words) > 100 and positions(heard).any()
+    assert len(words) > 100 and positions(received).any()
     both = sorted([*flight.messages, *words], key=lambda message: message.log_ns)
     types = {**flight.types, topic: "sensor_msgs/msg/JointState"}
     offline = replayed(replace(flight, messages=both, types=types), tmp_path)

@@ -43,9 +43,11 @@ class Controller(Guest):
         imu.linear_acceleration.z = 9.81
         imu.angular_velocity.x = 0.01 * float(np.sin(self._next_ns * 1e-9))
         self._imu.publish(imu)
-        asked = self.excitation.at(self._next_ns)
-        self.added.append((self._next_ns, bool(asked.any())))
-        self._actuators.publish(JointState(header=header, name=SURFACES, position=asked.tolist()))
+        requested = self.excitation.at(self._next_ns)
+        self.added.append((self._next_ns, bool(requested.any())))
+        self._actuators.publish(
+            JointState(header=header, name=SURFACES, position=requested.tolist())
+        )
 
 
 def test_a_killed_node_leaves_the_controller_at_zero(start_node: StartNode) -> None:

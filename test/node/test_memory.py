@@ -118,8 +118,8 @@ def test_what_cannot_be_used_is_named_and_kept_aside(
     spoiled = spoil(path.read_text())
     path.write_text(spoiled)
     vehicle = Vehicle(path)
-    said = capfd.readouterr().err
-    assert re.search(f"starting cold: .*'{re.escape(str(path))}'.*{reason}", said), said
+    printed = capfd.readouterr().err
+    assert re.search(f"starting cold: .*'{re.escape(str(path))}'.*{reason}", printed), printed
     assert not vehicle.values.any()
     vehicle.learn(1.0)
     assert vehicle.memory.save(vehicle.estimate(usable=True))[0]
@@ -135,8 +135,8 @@ def test_what_is_no_file_of_it_is_refused(path: Path, kind: str, capfd: Capture)
     else:
         path.mkdir() if kind == "folder" else os.mkfifo(path)
     vehicle = Vehicle(path)
-    said = capfd.readouterr().err
-    assert ("it is for structure 'baseline'" if kind[0] == "a" else f"'{path}'") in said
+    printed = capfd.readouterr().err
+    assert ("it is for structure 'baseline'" if kind[0] == "a" else f"'{path}'") in printed
     assert not vehicle.values.any()
     vehicle.learn(1.0)
     if kind == "folder":

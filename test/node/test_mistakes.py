@@ -151,19 +151,19 @@ class Source(Guest):
 
     def __init__(self) -> None:
         super().__init__("source")
-        self.heard: list[str] = []
+        self.received: list[str] = []
         self._sent = self._looks = 0
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 10)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._receive, 10)
         self.changes: dict[str, Change] = {}
         self._publishers: dict[tuple[str, Topic, int], Any] = {}
         self._twin: Any = None
         self._t_ns = START_NS
 
-    def _hear(self, message: DiagnosticArray) -> None:
+    def _receive(self, message: DiagnosticArray) -> None:
         if self._sent >= SENT:
             self._sent, self._looks = 0, self._looks + 1
         values = {entry.key: entry.value for entry in message.status[0].values}
-        self.heard.append(f"{message.status[0].message}; {values['warnings']}")
+        self.received.append(f"{message.status[0].message}; {values['warnings']}")
 
     def make(self, changes: dict[str, Change]) -> None:
         """Publish with these changes from now on."""
@@ -186,7 +186,7 @@ class Source(Guest):
             self._twin.destroy_node()
         twice = changes.get("node") == TWICE
         self._twin = rclpy.create_node("identifier", context=self.node.context) if twice else None
-        self.heard.clear()
+        self.received.clear()
         self._sent = self._looks = 0
 
     def send(self) -> None:
@@ -212,14 +212,14 @@ class Source(Guest):
             publisher.publish(message)
         self._executor.spin_once(timeout_sec=PERIOD)
 
-    def says(self, words: str) -> bool:
+    def reports(self, words: str) -> bool:
         """Go on until /diagnostics says the words, or has not in time."""
 
         def ended() -> bool:
             self.send()
-            return self._looks >= LOOKS + DISCOVERY or any(words in h for h in self.heard)
+            return self._looks >= LOOKS + DISCOVERY or any(words in h for h in self.received)
 
-        return wait_for(ended) and any(words in h for h in self.heard)
+        return wait_for(ended) and any(words in h for h in self.received)
 
     def close(self) -> None:
         self.make({})  # no twin
@@ -246,9 +246,9 @@ def until_all_is_well(source: Source) -> None:
 
     def well() -> bool:
         source.send()
-        return any(line.startswith(("paused", "learning")) for line in source.heard[-1:])
+        return any(line.startswith(("paused", "learning")) for line in source.received[-1:])
 
-    assert wait_for(well), source.heard
+    assert wait_for(well), source.received
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
@@ -261,7 +261,7 @@ def test_every_mistake_is_named_with_what_to_do(
         until_all_is_well(source)
     logged = len(node.log)
     source.make(changes)
-    assert source.says(words), (source.heard, node.log[logged:])
+    assert source.reports(words), (source.received, node.log[logged:])
     assert wait_for(lambda: words in node.log[logged:]), node.log[logged:]
 
 

@@ -246,7 +246,7 @@ def test_without_rich_it_says_what_to_install() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "printed"),
     [
         (("--node", "/"), "no node name"),
         (("--timeout", "-1"), "positive"),
@@ -255,6 +255,6 @@ def test_without_rich_it_says_what_to_install() -> None:
     ],
 )
 def test_a_wrong_command_line_is_one_line(
-    arguments: tuple[str, ...], said: str, capsys: Capture
+    arguments: tuple[str, ...], printed: str, capsys: Capture
 ) -> None:
-    assert said in refusal(parser().parse_args, arguments, capsys)
+    assert printed in refusal(parser().parse_args, arguments, capsys)

@@ -8,14 +8,14 @@ from uav_ident_ros.node.notices import Guard, OnChange, Throttle, without_source
 
 
 def test_a_repeated_notice_is_counted_and_said_again_later_and_holds_no_other_back() -> None:
-    now, said = [0.0], []
-    throttle = Throttle(said.append, repeat_after=5.0, clock=lambda: now[0])
+    now, printed = [0.0], []
+    throttle = Throttle(printed.append, repeat_after=5.0, clock=lambda: now[0])
     for _ in range(10):
         throttle.notice(("/imu/data", "not finite"), lambda: "bad")
     throttle.notice(("/actuators", "not finite"), lambda: "bad too")
     now[0] = 5.0
     throttle.notice(("/imu/data", "not finite"), lambda: "bad")
-    assert said == ["bad", "bad too", "bad (9 more like it before)"]
+    assert printed == ["bad", "bad too", "bad (9 more like it before)"]
 
 
 def test_state_is_said_once_per_change() -> None:
@@ -29,8 +29,8 @@ def test_ros_sources_are_left_out() -> None:
 
 
 def test_an_error_that_nobody_foresaw_is_told_and_survived() -> None:
-    said: list[str] = []
-    guard = Guard(Throttle(said.append, clock=lambda: 0.0))
+    printed: list[str] = []
+    guard = Guard(Throttle(printed.append, clock=lambda: 0.0))
 
     def on_timer(number: float) -> float:
         return 1.0 / number
@@ -47,7 +47,7 @@ def test_an_error_that_nobody_foresaw_is_told_and_survived() -> None:
     assert (
         guard.problem == "internal error in 'on_timer': ZeroDivisionError: float division by zero"
     )
-    assert len(said) == 1
-    assert "Traceback" in said[0]
+    assert len(printed) == 1
+    assert "Traceback" in printed[0]
     with pytest.raises(ZeroDivisionError):
         guarded(0.0)  # at the end of the program

@@ -70,8 +70,8 @@ def test_node_learns_with_an_airspeed_and_only_while_armed(
     assert learned[-1].data == learned[-20].data
     for topic in (AIRSPEED, ARMED):
         unstamped = topic == ARMED or kind is Float64
-        said = f"'{topic}': its messages carry no time" in node.log
-        assert said is (unstamped and not one_clock)
+        printed = f"'{topic}': its messages carry no time" in node.log
+        assert printed is (unstamped and not one_clock)
     values = shown(player)
     assert int(values["airspeed: dropped: not finite"]) > 0
     assert int(values["airspeed: messages"]) == count

@@ -120,8 +120,8 @@ def test_qos_override_changes_the_subscription(context: Context, tmp_path: Path)
 
     node = make_node(context, "--params-file", str(path))
     settings = settings_of(node, ("imu/data", "actuators"))
-    said = Throttle(print)
-    Inputs(node, OnlineIdentifier(settings), said, Guard(said))
+    printed = Throttle(print)
+    Inputs(node, OnlineIdentifier(settings), printed, Guard(printed))
     (profile,) = [s.qos_profile for s in node.subscriptions if s.topic_name == "/imu/data"]
     assert profile.depth == 7
     assert profile.reliability == rclpy.qos.ReliabilityPolicy.RELIABLE

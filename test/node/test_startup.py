@@ -51,11 +51,13 @@ json.dump(found, sys.stdout)
 
 def test_what_is_wrong_at_the_start_is_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
     """Parameters, parameter files, stray arguments: status 2, and one line."""
-    cases = [(["--ros-args", "-p", given], said) for given, said in WRONG_PARAMETERS]
-    for number, (text, said) in enumerate(WRONG_FILES):
+    cases = [
+        (["--ros-args", "-p", given], words_printed) for given, words_printed in WRONG_PARAMETERS
+    ]
+    for number, (text, words_printed) in enumerate(WRONG_FILES):
         path = tmp_path / f"{number}.yaml"
         path.write_text(text, encoding="utf-8")
-        cases.append((["--ros-args", "--params-file", str(path)], said))
+        cases.append((["--ros-args", "--params-file", str(path)], words_printed))
     cases += [
         (["--ros-args", "--params-file", "none.yaml"], "'none.yaml': there is no such file"),
         (["flight.yaml"], "--ros-args --params-file FILE"),
@@ -67,12 +69,14 @@ def test_what_is_wrong_at_the_start_is_refused_in_one_line_with_the_fix(tmp_path
     given = json.dumps([arguments for arguments, _ in cases])
     run = python("-c", REFUSALS, input=given, timeout=PATIENCE, check=True)
     assert run.stderr == "", "rcl says nothing by itself"
-    for (arguments, wanted), (status, said, printed) in zip(
+    for (arguments, wanted), (status, words_printed, printed) in zip(
         cases, json.loads(run.stdout), strict=True
     ):
         assert (status, printed) == (2, ""), arguments
-        assert said.startswith("identifier: ") and said.count("\n") == 1, arguments
-        assert wanted in said
+        assert words_printed.startswith("identifier: ") and words_printed.count("\n") == 1, (
+            arguments
+        )
+        assert wanted in words_printed
 
 
 HELPS = {
@@ -99,8 +103,8 @@ def test_help_is_printed_and_nothing_runs() -> None:
     assert (run.returncode, run.stderr) == (0, "")
     texts = dict(part.split("\n", 1) for part in run.stdout.split("HELP ")[1:])
     assert texts.keys() == HELPS.keys()
-    for name, says in HELPS.items():
-        assert texts[name].startswith("usage: ") and says in texts[name], name
+    for name, reports in HELPS.items():
+        assert texts[name].startswith("usage: ") and reports in texts[name], name
     assert all(f"\n  {setting.name} = " in texts["node"] for setting in declarations())
 
 

@@ -43,7 +43,7 @@ def wanted(name: str = "imu/data", type_name: str = IMU) -> InputMonitor:
     return InputMonitor(Feed(stream, OnlineIdentifier(settings), bytes), f"/{name}")
 
 
-def says(node: Node, input_: InputMonitor, words: str) -> bool:
+def reports(node: Node, input_: InputMonitor, words: str) -> bool:
     return wait_for(lambda: words in why_silent(node, input_))
 
 
@@ -51,7 +51,9 @@ def test_the_nearest_topic_of_the_type_is_named(graph: tuple[Node, Node]) -> Non
     listener, driver = graph
     for topic in ("/imu/data_raw", "/gimbal/orientation"):
         driver.create_publisher(Imu, topic, QOS)
-    assert says(listener, wanted(), f"'/imu/data_raw' carries {IMU}: start with -r imu/data:=/imu")
+    assert reports(
+        listener, wanted(), f"'/imu/data_raw' carries {IMU}: start with -r imu/data:=/imu"
+    )
 
 
 def test_outputs_of_an_identifier_are_no_inputs(graph: tuple[Node, Node]) -> None:

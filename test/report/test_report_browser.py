@@ -154,9 +154,9 @@ def test_a_drag_in_one_chart_moves_all_and_a_line_tells_its_values(
     move(browser, "mouseMoved", x - 5.0, y)
     move(browser, "mouseMoved", x, y)
     browser.until(f"({TOOLTIPS}).length > 0")
-    said = " ".join(browser.value(TOOLTIPS))
-    assert re.search(r"time:?\s*\d+\.\d\d s", said), said
-    assert re.search(r"measured:?\s*[-−]?\d\.\d{4}", said), said
+    shown_text = " ".join(browser.value(TOOLTIPS))
+    assert re.search(r"time:?\s*\d+\.\d\d s", shown_text), shown_text
+    assert re.search(r"measured:?\s*[-−]?\d\.\d{4}", shown_text), shown_text
 
 
 def test_the_night_is_dark(browser: Browser, report: Path) -> None:

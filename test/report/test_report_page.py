@@ -173,10 +173,10 @@ def test_verdict_and_advice_are_those_of_the_summary(page: Node, summary: dict[s
     verdict = page.one("div", class_="verdict usable" if summary["usable"] else "verdict")
     assert verdict.one("strong").text == "Usable."
     assert summary["state"] in verdict.text
-    said = [item.text for item in verdict.all("li")]
-    said[:0] = [first.text.removeprefix("First: ") for first in verdict.all("p", class_="first")]
+    printed = [item.text for item in verdict.all("li")]
+    printed[:0] = [first.text.removeprefix("First: ") for first in verdict.all("p", class_="first")]
     expected = [entry["text"] for entry in summary["advice"]] + summary["notes"]
-    assert [text.lower() for text in said] == [f"{text.lower()}." for text in expected]
+    assert [text.lower() for text in printed] == [f"{text.lower()}." for text in expected]
 
 
 def test_messages_and_settings_are_those_of_the_summary(

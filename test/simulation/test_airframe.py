@@ -47,7 +47,7 @@ def test_another_speed_scales_what_surfaces_do() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "words"),
     [
         (TEXT.replace("speed", "sped"), "no entry 'sped'.*speed"),
         (TEXT.replace("roll_gain", "rol_gain"), "autopilot has no entry 'rol_gain'.*roll_gain"),
@@ -60,11 +60,11 @@ def test_another_speed_scales_what_surfaces_do() -> None:
     ],
 )
 def test_a_wrong_file_is_named_with_what_would_be_right(
-    tmp_path: Path, text: str, says: str
+    tmp_path: Path, text: str, words: str
 ) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(text)
-    with pytest.raises(SimulationError, match=says) as raised:
+    with pytest.raises(SimulationError, match=words) as raised:
         airframe(str(path))
     assert str(path) in str(raised.value)
 

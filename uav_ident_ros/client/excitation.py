@@ -36,7 +36,7 @@ class Excitation:
     ) -> None:
         self._limit = np.asarray(limit, dtype=np.float64)
         self._timeout_ns = round(timeout * 1e9)
-        self._asked: History[tuple[int, FloatArray]] = History()
+        self._requests: History[tuple[int, FloatArray]] = History()
 
     def add(self, t_ns: int, names: list[str], values: list[float]) -> None:
         """Take a message: its stamp, ns, and values by the name of the input.
@@ -44,15 +44,15 @@ class Excitation:
         What was asked for from a later time on is called off. A message that cannot be right
         (an unknown name, a value that is not finite) asks for nothing, from then on.
         """
-        asked = np.zeros(len(INPUTS))
+        requested = np.zeros(len(INPUTS))
         good = len(names) == len(values) and set(names) <= set(INPUTS)
         if good and np.isfinite(values).all():
-            asked[[INPUTS.index(name) for name in names]] = values
-        self._asked.add(t_ns, (t_ns, np.clip(asked, -self._limit, self._limit)))
+            requested[[INPUTS.index(name) for name in names]] = values
+        self._requests.add(t_ns, (t_ns, np.clip(requested, -self._limit, self._limit)))
 
     def at(self, t_ns: int) -> FloatArray:
         """Return what to add at `t_ns`: de, dr, da, dth, in their units."""
-        newest = self._asked.at(t_ns)
+        newest = self._requests.at(t_ns)
         if newest is None or t_ns - newest[0] > self._timeout_ns:
             return np.zeros(len(INPUTS))
         return newest[1].copy()

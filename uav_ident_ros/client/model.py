@@ -142,8 +142,8 @@ class AttitudeModel:
         With flow angles as states the attitude starts at that of the message and is integrated;
         otherwise the forces are held. Parameters are those of `acceleration`.
         """
-        asked = np.asarray(x, dtype=np.float64)
-        state = self._state(asked)
+        given = np.asarray(x, dtype=np.float64)
+        state = self._state(given)
         u = np.broadcast_to(np.asarray(u, dtype=np.float64), (*state.shape[:-1], 4))
         steps = max(1, math.ceil(dt / STEP))
         parts = list(np.moveaxis(state, -1, 0))
@@ -159,7 +159,7 @@ class AttitudeModel:
             derivative = rates_derivative(self.values)
         step = (drive, drive, drive, dt / steps)
         *_, parts = integrate(derivative, parts, [step] * steps)
-        return np.stack(parts[: asked.shape[-1]], axis=-1)
+        return np.stack(parts[: given.shape[-1]], axis=-1)
 
     def linearize(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return A and B of ``xdot = A dx + B du`` about a state and inputs.

@@ -46,7 +46,7 @@ class CoefficientSource:
     nominal : Coefficients, optional
         The author's own set: for `Fallback.NOMINAL`, and under `Fallback.LAST_GOOD` what is
         good before anything was identified.
-    heed_verdict : bool
+    use_verdict : bool
         Whether ``verdict/usable`` must be 1. It judges by the predictions of the last 30 s, and
         after a fault it lags behind the coefficients: a loop that tolerates some error may
         rather keep to the newest ones, each as far as its own sigma allows.
@@ -67,7 +67,7 @@ class CoefficientSource:
         fallback: Fallback,
         nominal: Coefficients | None = None,
         *,
-        heed_verdict: bool = True,
+        use_verdict: bool = True,
         max_age: float = MAX_AGE,
         delay: float = 0.0,
     ) -> None:
@@ -75,7 +75,7 @@ class CoefficientSource:
             raise ValueError("Fallback.NOMINAL needs the nominal coefficients")
         self.fallback = fallback
         self._nominal = nominal
-        self._heed_verdict = heed_verdict
+        self._use_verdict = use_verdict
         self._max_age = max_age
         self._delay_ns = round(delay * NS_PER_S)
         self._history: History[Coefficients] = History()
@@ -120,7 +120,7 @@ class CoefficientSource:
         if newest.age(now_ns - self._delay_ns) > self._max_age:
             return f"the coefficients are more than {self._max_age:g} s old"
         usable = newest.usable if row is None else newest.usable_rows[row]
-        if self._heed_verdict and not usable:
+        if self._use_verdict and not usable:
             return "the identifier's verdict is 'not usable'"
         return ""
 

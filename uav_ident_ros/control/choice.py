@@ -30,7 +30,7 @@ aileron is adopted as what it is."""
 MEASURED_RANGE = (0.5, 2.0)
 """Factors that are flown: a loop with a gain margin of two stands one that is wrong by that."""
 
-TOLD = 0.2
+NOTICEABLE = 0.2
 """Change of the effect from which on it is told, and an identified row has to agree with it."""
 
 SIGMAS = 2.5
@@ -124,10 +124,10 @@ class AxisChoice:
         """
         if self._adaptive:
             # an aircraft that rolls on and on moves its other axes as no linear model tells
-            told = (np.arange(len(ROWS)) == 0) | ~measured.dead[0]
+            certain = (np.arange(len(ROWS)) == 0) | ~measured.dead[0]
             self._adopt(t_ns, measured)
-            self._turn(measured, told)
-            self._scale(t_ns, measured, told)
+            self._turn(measured, certain)
+            self._scale(t_ns, measured, certain)
         values = self._rows.copy()
         values[MAINS] = self._main
         sources = tuple(
@@ -166,7 +166,7 @@ class AxisChoice:
             self.model = replace(self.model, values=own, flow=newest.flow)
 
     def _rescaled(self, i: int) -> bool:
-        return bool(abs(_over(self._main, self._rows[MAINS])[i] - 1.0) > TOLD)
+        return bool(abs(_over(self._main, self._rows[MAINS])[i] - 1.0) > NOTICEABLE)
 
     def _against(self, i: int, found: FloatArray, known: bool, measured: Effectiveness) -> str:
         """Why a row is not adopted; empty if it is."""
@@ -179,19 +179,19 @@ class AxisChoice:
         share = float(_over(found[MAIN[row]], self._main[i]))
         if share < 0.0 and not measured.reversed[i]:
             return f"{row} would turn its sign, which the flight does not show"
-        if self._rescaled(i) and abs(share - 1.0) > 2.0 * TOLD:
+        if self._rescaled(i) and abs(share - 1.0) > 2.0 * NOTICEABLE:
             flown = _over(self._main, self._rows[MAINS])[i]
             return f"{row} is measured to have {flown:.2f} times its effect"
         return ""
 
-    def _turn(self, measured: Effectiveness, told: BoolArray) -> None:
+    def _turn(self, measured: Effectiveness, certain: BoolArray) -> None:
         """Turn the sign of an axis that answers the wrong way."""
-        for i in np.flatnonzero(measured.reversed & told):
+        for i in np.flatnonzero(measured.reversed & certain):
             self._rows[i] = -self._rows[i]
             self._main[i], self._sources[i] = self._rows[MAINS][i], MEASURED
             measured.changed(int(i))
 
-    def _scale(self, t_ns: int, measured: Effectiveness, told: BoolArray) -> None:
+    def _scale(self, t_ns: int, measured: Effectiveness, certain: BoolArray) -> None:
         """Fly on what is measured where it has surely been another for long enough."""
         nominal = self.nominal[MAINS]
         found = measured.factor * nominal
@@ -199,7 +199,7 @@ class AxisChoice:
         more = np.abs(found) > np.maximum(np.abs(self._main), np.abs(nominal))
         least = np.where(more, 2.0, 1.0) * SIGMAS * measured.sigma * np.abs(nominal)
         away = np.abs(found - self._main) > least
-        self._agreed_ns = np.where(away & told, self._agreed_ns, t_ns)
+        self._agreed_ns = np.where(away & certain, self._agreed_ns, t_ns)
         # without flow angles in the model, what they do would be taken for the inputs'
         surely = (t_ns - self._agreed_ns > CORRELATION * 1e9) & self.model.structure.has_flow
         ends = np.sort(np.outer(MEASURED_RANGE, self._rows[MAINS]), axis=0)

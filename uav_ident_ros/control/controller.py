@@ -140,7 +140,7 @@ class RateController:
             answer.answered,
             answer.made[self.delay.believed],
             dt,
-            answer.asked,
+            answer.demanded,
             believed,
             self.delay.in_doubt,
         )

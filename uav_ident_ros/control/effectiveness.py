@@ -82,7 +82,7 @@ class Effectiveness:
         # as sums over the memory; products of each sample with the last ones; asked^2
         self._near, self._sums = np.zeros((2, 2, 3)), np.zeros((2, 2, 3))
         self._products = np.zeros((2, 2, 2, 3))
-        self._asked = np.zeros(3)
+        self._demanded = np.zeros(3)
         self._weight = np.zeros(3)
         self._noise, self._doubt = np.zeros((2, 3)), np.zeros((2, 3))  # reversed, lost
         self._age = 0.0
@@ -96,7 +96,7 @@ class Effectiveness:
 
     def changed(self, axis: int) -> None:
         """Go on after an axis's inputs do something else: nothing of it is known any more."""
-        sums = self._near, self._sums, self._products, self._asked, self._weight, self._doubt
+        sums = self._near, self._sums, self._products, self._demanded, self._weight, self._doubt
         for one in sums:
             one[..., axis] = 0.0
         self.factor[axis], self.sigma[axis], self.dead[axis] = 1.0, UNKNOWN, False
@@ -106,7 +106,7 @@ class Effectiveness:
         answered: FloatArray,
         made: FloatArray,
         dt: float,
-        asked: FloatArray | None = None,
+        demanded: FloatArray | None = None,
         believed: FloatArray | float = 1.0,
         doubtful: bool = False,
     ) -> None:
@@ -114,7 +114,7 @@ class Effectiveness:
 
         Parameters
         ----------
-        answered, made, asked : (3,) arrays
+        answered, made, demanded : (3,) arrays
             As in `Response`, rad/s^3. Where nobody asked, what was made stands for it: least
             squares.
         dt : float
@@ -124,15 +124,15 @@ class Effectiveness:
         doubtful : bool
             Whether these may not be the inputs that act now: then nothing is known.
         """
-        asked = made if asked is None else asked
-        instruments = np.stack([asked, np.ones_like(asked)])
+        demanded = made if demanded is None else demanded
+        instruments = np.stack([demanded, np.ones_like(demanded)])
         sample = np.stack([answered, made])[:, None] * instruments
         self._near = math.exp(-dt / CORRELATION) * self._near + sample
         products = sample[:, None] * (2.0 * self._near - sample)
         keep = math.exp(-dt / MEMORY)
         self._sums = keep * self._sums + dt * sample
         self._products = keep * self._products + dt**2 * products
-        self._asked = keep * self._asked + dt * asked**2
+        self._demanded = keep * self._demanded + dt * demanded**2
         self._weight = keep * self._weight + dt
         self._age += dt
         self._compare(answered, made * believed, dt)
@@ -148,8 +148,8 @@ class Effectiveness:
         if self._age < LEAST_TIME:
             return
         # what is larger than any says, as the jerk of a surface that breaks, tells nothing
-        heard = np.clip(answered, -2.0 * np.abs(made), 2.0 * np.abs(made))
-        ratio = (heard - believed * made) ** 2 - (heard - instead * made) ** 2
+        clipped = np.clip(answered, -2.0 * np.abs(made), 2.0 * np.abs(made))
+        ratio = (clipped - believed * made) ** 2 - (clipped - instead * made) ** 2
         step = BANDWIDTH / 2.0 * ratio / (2.0 * np.maximum(self._noise, 1e-12))
         most = SURE / LEAST_DOUBT
         self._doubt = np.clip(self._doubt + dt * np.clip(step, -most, most), 0.0, SURE)
@@ -164,6 +164,6 @@ class Effectiveness:
         g = answered / made
         (aa, am), (ma, mm) = self._products
         then, ever = np.maximum(aa - g * (am + ma) + g**2 * mm, 0.0)
-        variance = np.maximum(then, ever * self._asked / np.maximum(self._weight, LEAST_TIME))
+        variance = np.maximum(then, ever * self._demanded / np.maximum(self._weight, LEAST_TIME))
         sigma = np.clip(np.sqrt(variance) / np.abs(made), LEAST_SIGMA, UNKNOWN)
         self.factor, self.sigma = np.where(known, g, 1.0), np.where(known, sigma, UNKNOWN)

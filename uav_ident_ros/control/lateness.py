@@ -45,7 +45,7 @@ class DelayMeter:
 
     Parameters
     ----------
-    told : float
+    assumed : float
         What was told, s, to start with.
 
     Attributes
@@ -59,8 +59,8 @@ class DelayMeter:
         the inputs may be the delay's.
     """
 
-    def __init__(self, told: float) -> None:
-        self.delays = told + STEP * np.arange(round(LATEST / STEP) + 1)
+    def __init__(self, assumed: float) -> None:
+        self.delays = assumed + STEP * np.arange(round(LATEST / STEP) + 1)
         self.believed = 0
         self.restart()
 
@@ -114,8 +114,8 @@ class DelayMeter:
         my, ay = np.moveaxis(self._products, 2, 0)
         rest = ay / np.where(aa > 0.0, aa, 1.0)
         alone = np.maximum(mm - ma**2 / np.where(aa > 0.0, aa, 1.0), 0.0)
-        told = np.maximum(my - ma * rest, 0.0)  # an effect of the other sign is no delay
-        explained = told**2 / np.where(alone > 0.0, alone, 1.0) + rest * ay
+        aligned = np.maximum(my - ma * rest, 0.0)  # an effect of the other sign is no delay
+        explained = aligned**2 / np.where(alone > 0.0, alone, 1.0) + rest * ay
         share = 1.0 - explained / np.where(self._squares > 0.0, self._squares, 1.0)
         samples = self._weight * BANDWIDTH / 2.0
         return np.asarray(-0.5 * samples * np.log(np.maximum(share, NOTHING)).sum(axis=-1))

@@ -38,7 +38,7 @@ class Response:
     ----------
     answered : (3,) array
         Jerk of roll, pitch, yaw without the aircraft's own, rad/s^3.
-    asked : (3,) array
+    demanded : (3,) array
         The same if the rates had been those of the reference.
     acceleration : (3,) array
         Measured, rad/s^2.
@@ -93,7 +93,7 @@ class Response:
         moved.update(inputs, dt)
         self._states = self._states + dt * self._states @ self._a.T  # the rates are replaced
         jerk = (states.slope - before)[:, AXES] / dt
-        self.answered, self.asked = jerk - (states.slope @ self._a.T)[:, AXES]
+        self.answered, self.demanded = jerk - (states.slope @ self._a.T)[:, AXES]
         self.acceleration, self.made = states.slope[0, AXES], moved.slope @ effect.T
         return True
 

@@ -63,7 +63,7 @@ class Flying:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Injection:
     """What the controller is asked to add."""
 
     t_ns: int  # Message time from which it counts, ns
@@ -146,15 +146,15 @@ class ExcitationRun:
         self.phase, self.why, self._zeros_until_ns = Phase.RUNNING, "", None
         return ""
 
-    def abort(self, t_ns: int, why: str) -> Asked:
+    def abort(self, t_ns: int, why: str) -> Injection:
         """End the run at once; return the zero that says so, which counts from `t_ns`."""
         if self.active:
             self.phase, self.why = Phase.IDLE, why
         self._now_ns = t_ns
         self._zeros_until_ns = t_ns + ZERO_TIME_NS
-        return Asked(t_ns, np.zeros(len(INPUTS)))
+        return Injection(t_ns, np.zeros(len(INPUTS)))
 
-    def step(self, flying: Flying, estimate: Estimate) -> Asked | None:
+    def step(self, flying: Flying, estimate: Estimate) -> Injection | None:
         """Return what to ask for at a tick; None where silence is right.
 
         Parameters
@@ -180,14 +180,14 @@ class ExcitationRun:
         values = self._input.sample(t) * self._share(t_ns)
         if t >= self._input.duration or self._share(t_ns) <= 0.0:
             self.abort(t_ns, self.why or self._outcome())
-        return Asked(t_ns + self._lead_ns, values)
+        return Injection(t_ns + self._lead_ns, values)
 
-    def _zero(self, t_ns: int) -> Asked | None:
+    def _zero(self, t_ns: int) -> Injection | None:
         """Return a zero for a moment after a run, then nothing."""
         if self._zeros_until_ns is None or not t_ns <= self._zeros_until_ns:
             self._zeros_until_ns = None
             return None
-        return Asked(t_ns, np.zeros(len(INPUTS)))
+        return Injection(t_ns, np.zeros(len(INPUTS)))
 
     def _enough(self) -> bool:
         assert self.sufficiency is not None

@@ -68,9 +68,9 @@ class Feedback:
         self._products: FloatArray = np.zeros((size, size))
         self._gathered: list[tuple[Regression, FloatArray, float]] = []
         self._since_look = 0.0
-        self._heed(np.zeros(len(INPUTS)))
+        self._set_share(np.zeros(len(INPUTS)))
 
-    def _heed(self, share: FloatArray) -> None:
+    def _set_share(self, share: FloatArray) -> None:
         self.share = share
         self.ratio: FloatArray = (share / (1.0 - share))[self._driven_by]
         root = np.sqrt(self.ratio)
@@ -134,4 +134,4 @@ class Feedback:
         # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
         chance = (n - 1) * CORRELATION_TIME / time
         sure = share > chance * (1.0 + SURE * np.sqrt(2.0 / (n - 1)))
-        self._heed(np.where(sure, np.clip(share - chance, 0.0, LARGEST_SHARE), 0.0))
+        self._set_share(np.where(sure, np.clip(share - chance, 0.0, LARGEST_SHARE), 0.0))

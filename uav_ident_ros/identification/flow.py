@@ -156,29 +156,29 @@ class FlowObserver:
         for dt, sample in zip(plan.times, samples, strict=True):
             m, weight = _gravity(sample[-3:], sample[:3], v)
             self._turn(dt, sample[:3], m, ATTITUDE_GAIN * weight)
-            self._follow_angles(dt, sample, self._told(sample, a), v, missing)
+            self._follow_angles(dt, sample, self._measured_angles(sample, a), v, missing)
             edges.append((*self.angles, *self.down))
         found = plan.lines @ np.array(edges)
         return FlowSignals(found[:, :2], found[:, 2:], v)
 
-    def _told(self, sample: list[float], a: list[list[float]]) -> list[float]:
+    def _measured_angles(self, sample: list[float], a: list[list[float]]) -> list[float]:
         """Flow angles at which the force rows give the measured forces, rad."""
-        told = []
+        measured = []
         for rows, force in zip(self._rows, sample[-2:], strict=True):
             made = a[rows.force]
             for j in rows.others:
                 force -= made[j] * sample[j - RATE_COLUMNS.start]
             slope = made[rows.angle]
             angle = force / slope if slope else 0.0
-            told.append(min(max(angle, -LARGEST_ANGLE), LARGEST_ANGLE))
-        return told
+            measured.append(min(max(angle, -LARGEST_ANGLE), LARGEST_ANGLE))
+        return measured
 
     def _restart(self, sample: list[float], a: list[list[float]], v: float) -> None:
         """Begin where the first sample says that down and the flow are."""
         direction, weight = _gravity(sample[-3:], sample[:3], v)
         if weight > 0.0:
             self.down = direction
-        self.angles = self._told(sample, a)
+        self.angles = self._measured_angles(sample, a)
 
     def _turn(self, dt: float, rates: list[float], m: Vector, gain: float) -> None:
         """Turn the direction of gravity with the aircraft, and towards `m`."""
@@ -201,7 +201,7 @@ class FlowObserver:
         self,
         dt: float,
         sample: list[float],
-        told: list[float],
+        measured: list[float],
         v: float,
         missing: list[tuple[float, float]],
     ) -> None:
@@ -210,7 +210,7 @@ class FlowObserver:
         for k, turning in ((0, -rates[2]), (1, rates[1])):
             by_p, bias = missing[k]
             rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v
-            aim = told[k] + (rate + by_p * rates[0] + bias) / self._rate
+            aim = measured[k] + (rate + by_p * rates[0] + bias) / self._rate
             self.angles[k] = aim + keep * (self.angles[k] - aim)
 
 

@@ -186,8 +186,8 @@ def _switched_off(look: Look) -> str:
 
 
 def _grounded(look: Look) -> str:
-    told = look.settings.armed.type != ""
-    return grounded(look.armed, told, look.airspeed, look.settings.supervision.min_airspeed)
+    has_topic = look.settings.armed.type != ""
+    return grounded(look.armed, has_topic, look.airspeed, look.settings.supervision.min_airspeed)
 
 
 def largest(values: FloatArray) -> float:
@@ -430,7 +430,7 @@ class _RowResidual:
 
 
 def grounded(
-    armed: bool | None, armed_told: bool, airspeed: float | None, min_airspeed: float
+    armed: bool | None, has_armed_topic: bool, airspeed: float | None, min_airspeed: float
 ) -> str:
     """Return why it does not fly; empty if there is no reason to think so.
 
@@ -438,14 +438,14 @@ def grounded(
     ----------
     armed : bool or None
         Whether the motors are armed; None if nothing was heard of it.
-    armed_told : bool
+    has_armed_topic : bool
         Whether there is a topic that tells.
     airspeed : float or None
         True airspeed, m/s; None if there is none.
     min_airspeed : float
         Airspeed below which it does not fly, m/s.
     """
-    if armed_told and not armed:
+    if has_armed_topic and not armed:
         return "not armed" if armed is not None else "nothing was heard of being armed"
     if airspeed is not None and airspeed < min_airspeed:
         return f"not flying: the airspeed is below {min_airspeed:g} m/s"

@@ -245,7 +245,7 @@ class OnlineIdentifier:
         estimated = self.settings.actuators.estimate_delay
         return self.delays.estimate.confidence if estimated else NO_ESTIMATE.confidence
 
-    def _heed_delay(self) -> None:
+    def _adopt_delay(self) -> None:
         """Pair rates and inputs anew where the flight shows another delay.
 
         What was learned with another delay is biased.
@@ -418,7 +418,7 @@ class OnlineIdentifier:
         if self.estimator.changes:
             self.running_fit.forget()
         if self.delays.add(block, self.sampler.delay):
-            self._heed_delay()
+            self._adopt_delay()
 
     def _regress(self, stretch: Stretch, coefficients: FloatArray) -> Regression:
         """Return the regression problem of a stretch."""

@@ -248,7 +248,7 @@ class Plausibility:
         mean = float(np.linalg.norm(self._sums[3:6])) / self._time
         if SMALLEST_FORCE <= size <= LARGEST_FORCE:
             return None
-        told = f"the specific force is {size:.2g} m/s^2 on average, gravity alone is 9.8: "
+        evidence = f"the specific force is {size:.2g} m/s^2 on average, gravity alone is 9.8: "
         if size > LARGEST_FORCE:
             cure = "it looks like milli-g or cm/s^2. Convert it to m/s^2 (REP-103)"
         elif GRAVITY_IN_G[0] <= mean <= GRAVITY_IN_G[1]:
@@ -258,7 +258,7 @@ class Plausibility:
                 "gravity has been taken out of it. Publish what the accelerometer measures, "
                 "for MAVROS ~/imu/data_raw or ~/imu/data"
             )
-        return Finding("force size", told + cure)
+        return Finding("force size", evidence + cure)
 
     def _mounting(self) -> Finding | None:
         """Find an Imu that is mounted, or whose axes are named, otherwise."""
@@ -269,11 +269,11 @@ class Plausibility:
         if length < STEADY or -mean[2] > LARGEST_TILT * length:
             return None
         direction = mean / length
-        told = ", ".join(f"{GRAVITY * v:+.1f}" for v in direction)
+        evidence = ", ".join(f"{GRAVITY * v:+.1f}" for v in direction)
         return Finding(
             "mounting",
-            f"the specific force points along [{told}] m/s^2 (forward, right, down) on average, "
-            "an aircraft that flies or stands is carried along [0, 0, -9.8]: "
+            f"the specific force points along [{evidence}] m/s^2 (forward, right, down) on "
+            "average, an aircraft that flies or stands is carried along [0, 0, -9.8]: "
             + self._better_mounting(direction),
         )
 

@@ -103,10 +103,10 @@ class InputSignal:
         left : bool
             At a jump take the value before it, not the one after.
         """
-        asked = t_ns - self.delay_ns
-        last = np.searchsorted(self.t_ns, asked, side="left" if left else "right") - 1
+        acting_ns = t_ns - self.delay_ns
+        last = np.searchsorted(self.t_ns, acting_ns, side="left" if left else "right") - 1
         last = np.maximum(last, 0)
-        since = np.maximum(asked - self.t_ns[last], 0)[:, None] * NS
+        since = np.maximum(acting_ns - self.t_ns[last], 0)[:, None] * NS
         slope = self._slopes()
         value = self.u[last] + slope[last] * since
         if self.time_constant == 0.0:

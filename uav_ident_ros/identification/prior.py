@@ -105,15 +105,15 @@ class Start:
         precision[self.free] = self.sigma[self.free] ** -2
         return precision
 
-    def told(self, structure: Structure) -> BoolArray:
+    def known_before(self, structure: Structure) -> BoolArray:
         """Coefficients of which something was known before the flight, shape (R, n).
 
         Of the force rows something is known of any aircraft: lift is weight, and how much of it
         surfaces and fins make. Of the others, only what somebody has told or a flight before.
         """
-        told = self.sigma < weak_sigma(structure)
-        told[[flow.force for flow in structure.flow]] = True
-        return np.asarray(self.free & told)
+        known = self.sigma < weak_sigma(structure)
+        known[[flow.force for flow in structure.flow]] = True
+        return np.asarray(self.free & known)
 
     def warm(self, t_ratio: float) -> bool:
         """Whether each moment row starts with a control derivative of so many sigmas."""
@@ -232,8 +232,8 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
         values = np.where(structure.mask, initial.values, 0.0)
         # Trim, balance and the biases of the sensors differ from flight to flight: the constants
         # of another flight are a place to start from, no more.
-        told = (initial.sigma > 0.0) & ~structure.constants
-        sigma = np.where(told, np.minimum(initial.sigma, sigma), sigma)
+        known = (initial.sigma > 0.0) & ~structure.constants
+        sigma = np.where(known, np.minimum(initial.sigma, sigma), sigma)
     if settings.model.inertia:
         try:
             inertia = Inertia(*settings.model.inertia)

@@ -183,8 +183,10 @@ class Supervisor:
 
     def grounded(self, airspeed: float | None) -> str:
         """Return why it does not fly, at an airspeed, m/s; empty if there is no reason."""
-        armed_told = self.settings.armed.type != ""
-        return grounded(self.armed, armed_told, airspeed, self.settings.supervision.min_airspeed)
+        has_armed_topic = self.settings.armed.type != ""
+        return grounded(
+            self.armed, has_armed_topic, airspeed, self.settings.supervision.min_airspeed
+        )
 
     def weigh(self, residual: FloatArray, time: float, clear: BoolArray) -> FloatArray:
         """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.

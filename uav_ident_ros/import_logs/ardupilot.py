@@ -110,10 +110,12 @@ def _of_firmware(log: Log, firmware: str) -> dict[str, Any]:
         "setpoint_unit": np.radians(KNOWN["setpoint_unit"]),
     }
     controls = [rate.columns[f] for f in KNOWN["controls"]["RATE"] if rate and rate.has(f)]
-    if any(np.abs(asked[np.isfinite(asked)]).max(initial=0.0) > NORMALISED for asked in controls):
+    if any(
+        np.abs(control[np.isfinite(control)]).max(initial=0.0) > NORMALISED for control in controls
+    ):
         old = KNOWN["old_units"]
         result["setpoint_unit"] *= old["setpoint_unit"]
-        result |= {key: KNOWN[key] | old[key] for key in ("controls", "said")}
+        result |= {key: KNOWN[key] | old[key] for key in ("controls", "notes")}
     return result
 
 
@@ -144,7 +146,7 @@ def _gyro(log: Log, name: str, unit: int) -> Messages | None:
 
 def _rates(it: Import, messages: Messages) -> Stream:
     """Rates in body axes, and the specific force from the same messages or others."""
-    it.say_orientation("AHRS_ORIENTATION", "ArduPilot has turned IMU and GYR by it")
+    it.note_orientation("AHRS_ORIENTATION", "ArduPilot has turned IMU and GYR by it")
     own = it.table["force"][FILTERED]
     force = messages.values(*own) if messages.has(*own) else None
     if force is None:
@@ -165,7 +167,7 @@ def _outputs(it: Import) -> Actuators:
         it.findings.lost += [f"RCOU is passed over: {UNNAMED}"] if usable else []
     name = it.choose(usable or found)
     commands, channels = READERS[name](it, found[name])
-    it.findings.say(f"actuators: {commands.source}, stamped when logged")
+    it.findings.note(f"actuators: {commands.source}, stamped when logged")
     if not any(any(channel.effect) for channel in channels):
         raise it.log.refusal(f": {UNNAMED}")
     return commands, channels
@@ -205,7 +207,7 @@ def _pins(it: Import, first: Messages) -> Actuators:
     every = [functions[i] for i in used]
     rotors = _rotors(log, every)
     channels = [_channel(log, pins[i], functions[i], every, rotors) for i in used]
-    log.findings.say(
+    log.findings.note(
         "functions, ranges, directions from SERVOn_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
     )
     return Stream(widths.source, widths.t_ns, widths.values[:, used]), named_once(channels)
@@ -258,7 +260,7 @@ def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
             f"({', '.join(name for name, _ in FRAMES.values())}); try --actuators-topic RATE"
         )
     name, arms = FRAMES[key]
-    log.findings.say(
+    log.findings.note(
         f"{name} with ArduPilot's motor order and senses of rotation (FRAME_CLASS {key[0]}, "
         f"FRAME_TYPE {key[1]})"
     )
@@ -302,9 +304,9 @@ def _name_pin(log: Log, pin: int, function: int, stick: int) -> None:
 
 def _old_copter(log: Log) -> None:
     """Motors on the first pins, in the order of the frame, and in the range of the throttle."""
-    said = [match[1] for text in log.texts if (match := re.fullmatch(r"Frame: (\w+)", text))]
-    if said:
-        frame_class = KNOWN["old_frames"].get(said[0])
+    frames = [match[1] for text in log.texts if (match := re.fullmatch(r"Frame: (\w+)", text))]
+    if frames:
+        frame_class = KNOWN["old_frames"].get(frames[0])
     else:
         pulses = log.messages("RCOU")
         fields = _pin_fields(pulses).values() if pulses else ()

@@ -132,7 +132,7 @@ class Import:
         chosen = whole[0] if fast else max(whole, key=lambda name: rates[name])
         if len(names) > 1:
             listed = [f"{n} at {rates[n]:.4g} Hz over {100.0 * shares[n]:.0f} %" for n in names]
-            self.findings.say(f"{chosen} is taken; of the flight there is {', '.join(listed)}")
+            self.findings.note(f"{chosen} is taken; of the flight there is {', '.join(listed)}")
         before_mixer = self.table["before_mixer"]
         for name in names[: names.index(chosen)]:
             reason = f"covers {100.0 * shares[name]:.0f} % of the flight only"
@@ -141,8 +141,8 @@ class Import:
             loss = ", from before the mixer, and knows nothing of saturation"
             tail = loss if chosen in before_mixer and name not in before_mixer else ""
             self.findings.doubt(f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}")
-        self._say_of(chosen, usable[chosen].name)
-        self._say_what_it_lacks(chosen)
+        self._note_kind(chosen, usable[chosen].name)
+        self._note_missing(chosen)
         if rates[chosen] < ENOUGH_RATE:
             self.findings.doubt(
                 f"{chosen} has {rates[chosen]:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed"
@@ -163,21 +163,21 @@ class Import:
             return f" ({parameter} {value}, although it has '{option['name']}')"
         return f" ({parameter} {value}: make it {value | 1 << option['bit']}, '{option['name']}')"
 
-    def _say_of(self, kind: str, name: str) -> None:
+    def _note_kind(self, kind: str, name: str) -> None:
         """Say what the table has to say of messages that are taken."""
-        if read := self.table["said"].get(kind, {}).get("read"):
-            self.findings.say(read.format(name=name))
+        if read := self.table["notes"].get(kind, {}).get("read"):
+            self.findings.note(read.format(name=name))
 
-    def _say_what_it_lacks(self, kind: str) -> None:
-        said = self.table["said"].get(kind, {})
-        if "assumed" in said:
-            self.findings.assume(said["assumed"])
-        if "low_pass" in said:
-            cutoff = self.log.parameter(said["low_pass"])
-            at = f" at {cutoff:g} Hz ({said['low_pass']})" if cutoff else ""
+    def _note_missing(self, kind: str) -> None:
+        notes = self.table["notes"].get(kind, {})
+        if "assumed" in notes:
+            self.findings.assume(notes["assumed"])
+        if "low_pass" in notes:
+            cutoff = self.log.parameter(notes["low_pass"])
+            at = f" at {cutoff:g} Hz ({notes['low_pass']})" if cutoff else ""
             self.findings.doubt(
                 f"{kind} is low-passed{at} by the autopilot: it comes late, which counts as a "
-                f"further delay of the inputs{said['more']}"
+                f"further delay of the inputs{notes['more']}"
             )
 
     # --- flight, rates, commands ------------------------------------------------------------------
@@ -196,17 +196,17 @@ class Import:
         if messages is not None and messages.has(field):
             active = flying(messages.columns[field])
             stretches = intervals(messages.stamp_ns, active, self.log.end_ns, self.log.start_ns)
-            self.flown = self._said("in the air", f"{name}.{field}", stretches)
+            self.flown = self._note_stretches("in the air", f"{name}.{field}", stretches)
         if armed is not None and (self.flown is None or not armed):
-            self.flown = self._said("armed", where, armed)
+            self.flown = self._note_stretches("armed", where, armed)
         elif self.flown is None:
             self.findings.assume("the log does not say when it flew: all of it counts as flight")
 
-    def _said(self, state: str, source: str, stretches: Stretches) -> Stretches:
+    def _note_stretches(self, state: str, source: str, stretches: Stretches) -> Stretches:
         """Say for how long the vehicle was in a state, armed and so on, and who says so."""
         if stretches:
             seconds = sum(end - start for start, end in stretches) * 1e-9
-            self.findings.say(
+            self.findings.note(
                 f"{state} for {seconds:.1f} s in {len(stretches)} stretch(es) ({source})"
             )
         else:
@@ -227,10 +227,10 @@ class Import:
         rates = readers[name](self, usable[name])
         instances = self.log.instances(sensor or name)
         if len(instances) > 1:
-            self.findings.say(f"instances {instances} of {sensor or name} (--rates-instance)")
+            self.findings.note(f"instances {instances} of {sensor or name} (--rates-instance)")
         return rates
 
-    def say_orientation(self, parameter: str, consequence: str, more: str = "") -> None:
+    def note_orientation(self, parameter: str, consequence: str, more: str = "") -> None:
         """Say how the board stands in the body, and who has turned the rates by it."""
         if parameter not in self.log.parameters:
             self.findings.assume(f"the log has no {parameter}: rotation none ({consequence})")
@@ -241,14 +241,14 @@ class Import:
         if angles is not None:
             named = zip(("roll", "pitch", "yaw"), angles, strict=True)
             turns = " ".join(f"{axis} {angle:g} deg" for axis, angle in named if angle) or "none"
-        self.findings.say(f"board orientation: {parameter} {number}, {turns}{more}; {consequence}")
+        self.findings.note(f"board orientation: {parameter} {number}, {turns}{more}; {consequence}")
 
     def force_at(self, rates: Messages, instance: int = 0) -> FloatArray | None:
         """Specific force at the stamps of the rates, from other messages that are fast enough."""
         for name, fields in self.table["force"].items():
             messages = self.log.messages(name, instance)
             if messages is not None and messages.has(*fields) and messages.rate >= ENOUGH_RATE:
-                self.findings.say(
+                self.findings.note(
                     f"specific force: {messages.name}, interpolated to the stamps of the rates"
                 )
                 return interpolate(rates.sample_ns, messages.sample_ns, messages.values(*fields))
@@ -261,7 +261,7 @@ class Import:
         """Put together what was read with all that the table tells to read."""
         commands, channels = actuators
         streams = {"rates": rates, "actuators": commands} | self._estimates()
-        self.findings.say("stamps are the autopilot's time since its start, not the time of day")
+        self.findings.note("stamps are the autopilot's time since its start, not the time of day")
         known = self.table["parameters"]
         imported = tuple(known["imported"])
         self.findings.lost += [
@@ -294,7 +294,7 @@ class Import:
             if messages is not None and messages.has(*fields):
                 values = messages.values(*fields)
                 if np.isfinite(values).any():
-                    self._say_of(kind, messages.name)
+                    self._note_kind(kind, messages.name)
                     return messages, values
         return None
 
@@ -314,7 +314,7 @@ class Import:
         if found := self._first("setpoint"):
             messages, rates = found
             fields = ", ".join(self.table["streams"]["setpoint"][messages.name])
-            self.findings.say(f"rates asked for: {messages.name}.{fields}")
+            self.findings.note(f"rates asked for: {messages.name}.{fields}")
             unit = self.table["setpoint_unit"]
             streams["setpoint"] = Stream(messages.name, messages.stamp_ns, unit * rates)
         if found := self._first("mode"):
@@ -323,9 +323,9 @@ class Import:
             numbers = values[:, 0].astype(int)
             changed = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
             names = self.table["modes"]
-            said = np.array([names.get(int(n), f"{field} {n}") for n in numbers[changed]])
-            self.findings.say(f"mode: {messages.name}.{field}: {', '.join(dict.fromkeys(said))}")
-            streams["mode"] = Stream(messages.name, messages.stamp_ns[changed], said)
+            modes = np.array([names.get(int(n), f"{field} {n}") for n in numbers[changed]])
+            self.findings.note(f"mode: {messages.name}.{field}: {', '.join(dict.fromkeys(modes))}")
+            streams["mode"] = Stream(messages.name, messages.stamp_ns[changed], modes)
         return streams
 
     def _airspeed_ratio(self, airspeed: Messages) -> FloatArray:
@@ -343,7 +343,7 @@ class Import:
         prefix = self.table["parameters"]["lever_arm"].format(self.choice.rates_instance + 1)
         x, y, z = (self.log.parameter(f"{prefix}{axis}") for axis in "XYZ")
         if any((x, y, z)):
-            self.findings.say(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
+            self.findings.note(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
         else:
             self.findings.assume(f"the accelerometer is at the centre of gravity ({prefix}* 0)")
         return x, y, z

@@ -58,7 +58,7 @@ def read_blackbox(
         force = frames.array("accSmooth") * GRAVITY / float(headers["acc_1G"])
     else:
         log.findings.doubt("there is no accelerometer (accSmooth): ay and az are zero")
-    log.findings.say(f"rates: {name}, in body axes forward-left-up")
+    log.findings.note(f"rates: {name}, in body axes forward-left-up")
     if name == GYROS[1]:
         cutoff = headers.get("gyro_lowpass_hz", headers.get("gyro_lpf1_static_hz"))
         log.findings.doubt(
@@ -93,7 +93,7 @@ def _read(log: Log) -> tuple[dict[str, Any], Messages]:
     longest = int(np.argmax(np.diff(starts))) + 1
     parser.set_log_index(longest)
     if len(starts) > 2:
-        log.findings.say(f"log {longest} of {len(starts) - 1} in this file, the longest")
+        log.findings.note(f"log {longest} of {len(starts) - 1} in this file, the longest")
     frames: list[tuple[float, ...]] = []
     try:
         for frame in parser.frames():
@@ -116,14 +116,14 @@ def _read(log: Log) -> tuple[dict[str, Any], Messages]:
     }
     if not frames or "time" not in columns:
         raise log.refusal(" has no frames that can be read")
-    _say_missing(columns.pop("loopIteration", np.zeros(0)), log)
+    _note_missing(columns.pop("loopIteration", np.zeros(0)), log)
     log.add(FRAMES, 0, {IN_NS: columns["time"].astype(np.int64) * NS_PER_US, **columns})
     if (found := log.messages(FRAMES)) is None:
         raise log.refusal(" has no frame with a stamp that a clock gave")
     return parser.headers, found
 
 
-def _say_missing(iterations: Any, log: Log) -> None:
+def _note_missing(iterations: Any, log: Log) -> None:
     """Say how many frames the logger or the reader has left out."""
     if len(iterations) < 2:
         return
@@ -149,7 +149,7 @@ def _motors(log: Log, headers: dict[str, Any], count: int) -> tuple[Channel, ...
         arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
     throttle = [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000]
     low, high = headers.get("motorOutput", throttle)
-    log.findings.say(f"motor commands from {low} to {high} (motorOutput)")
+    log.findings.note(f"motor commands from {low} to {high} (motorOutput)")
     log.findings.assume(
         "a quadrotor in X with Betaflight's motor order (rear right, front right, rear left, front "
         f"left), propellers turning inwards at the front{turned}"

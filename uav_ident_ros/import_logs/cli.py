@@ -141,7 +141,7 @@ def read_log(options: argparse.Namespace) -> FlightLog:
     log = replace(log, title=printable(log.title, LONGEST_TITLE))
     if options.flight_only:
         log = log.only_flight()
-    _say_streams(log)
+    _note_streams(log)
     return log
 
 
@@ -183,10 +183,10 @@ def _first_bytes(path: Path) -> bytes:
     return start
 
 
-def _say_streams(log: FlightLog) -> None:
+def _note_streams(log: FlightLog) -> None:
     """Add to the findings what the stamps tell."""
     for name, stream in log.streams.items():
-        log.findings.say(f"{name}: {describe(stream.t_ns)}")
+        log.findings.note(f"{name}: {describe(stream.t_ns)}")
         log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(stream.t_ns)]
     values = log.streams["actuators"].values[:, [column for column, _ in log.used]]
     if without := int((~np.isfinite(values)).any(axis=1).sum()):

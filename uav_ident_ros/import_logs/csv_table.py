@@ -130,8 +130,8 @@ def _quantity(top: Mapping[str, Any], name: str) -> Quantity:
     # Rates in the wrong unit would pass for others.
     unit = entry.get("unit", None if name == "rates" else next(iter(units)))
     if unit not in [*units]:
-        said = "missing" if unit is None else f"'{unit}'"
-        raise EntryError(f"{name}.unit is {said}: allowed are {', '.join(units)}")
+        found = "missing" if unit is None else f"'{unit}'"
+        raise EntryError(f"{name}.unit is {found}: allowed are {', '.join(units)}")
     counts = finite(entry.get("counts", 1.0), f"{name}.counts")
     if not counts:
         raise EntryError(f"{name}.counts is 0: how many counts make up one unit?")
@@ -202,7 +202,7 @@ def read_csv(
         raise ImportLogError(f"table '{path}': {problem(error)}") from None
     if not columns.quantities["specific_force"].columns:
         log.findings.doubt("there is no accelerometer: ay and az are zero")
-    log.findings.say(
+    log.findings.note(
         f"units and axes from the column map: rates in body axes {columns.axes}, times "
         f"{columns.quantities['rates'].factor:.6g} to rad/s"
     )

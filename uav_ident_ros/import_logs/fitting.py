@@ -110,11 +110,11 @@ class Fitting:
     def write(self, path: Path) -> None:
         """Write the parameter file, with everything that was found out as comments."""
         log, titled = self.log, self.findings()
-        said = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
+        heading = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
         if log.parameters:
             named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())
             titled["Parameters of the autopilot"] = [named]
-        lines = ["# SPDX-License-Identifier: Apache-2.0", *_comment(said)]
+        lines = ["# SPDX-License-Identifier: Apache-2.0", *_comment(heading)]
         for title, sentences in titled.items():
             lines.append(f"# {title}:")
             lines += [line for sentence in sentences for line in _comment(sentence, "- ", "  ")]
@@ -142,7 +142,7 @@ def _airspeed(log: FlightLog, use: bool | None) -> dict[str, Any]:
     speed = _flown_speed(log)
     if use if use is not None else speed >= SLOWEST_FLIGHT:
         values["airspeed.type"] = TOPICS["airspeed"].msgtype
-        log.findings.say(f"the airspeed is used; in flight its median is {speed:.3g} m/s")
+        log.findings.note(f"the airspeed is used; in flight its median is {speed:.3g} m/s")
     elif "airspeed" in log.streams:
         reason = (
             f"in flight its median is {speed:.3g} m/s"

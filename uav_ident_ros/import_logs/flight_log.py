@@ -108,7 +108,7 @@ class Findings:
     assumed: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)  # What is missing or doubtful
 
-    def say(self, sentence: str) -> None:
+    def note(self, sentence: str) -> None:
         """Add what the log itself says."""
         self.read.append(sentence)
 

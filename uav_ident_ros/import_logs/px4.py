@@ -101,7 +101,7 @@ def read_px4(
 
 def _from_sensor_combined(it: Import, topic: Messages) -> Stream:
     """Calibrated mean rates over each gyro period, in the body's axes."""
-    _say_orientation(it, "PX4 has turned sensor_combined by it")
+    _note_orientation(it, "PX4 has turned sensor_combined by it")
     relative = topic.columns["accelerometer_timestamp_relative"]
     valid = relative != PX4_RELATIVE_TIMESTAMP_INVALID
     force = None
@@ -113,7 +113,7 @@ def _from_sensor_combined(it: Import, topic: Messages) -> Stream:
         if not valid.all():
             it.findings.doubt(f"{int((~valid).sum())} accelerometer samples are invalid: held over")
         if offset := float(np.median(relative[valid])) * 1e-3:
-            it.findings.say(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
+            it.findings.note(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
     return rates_stream(topic.name, topic.stamp_ns, topic.array("gyro_rad"), force)
 
 
@@ -135,7 +135,7 @@ def _from_sensor_gyro(it: Import, topic: Messages) -> Stream:
             )
         fine = rotation(*np.radians(_board_offsets(it.log)))
         rates = (rates - _gyro_offset(it.log, topic)) @ (fine @ rotation(*np.radians(listed))).T
-        _say_orientation(it, "applied here to sensor_gyro, which is in the board's axes")
+        _note_orientation(it, "applied here to sensor_gyro, which is in the board's axes")
     return rates_stream(topic.name, topic.sample_ns, rates, it.force_at(topic))
 
 
@@ -157,10 +157,10 @@ def _board_offsets(log: Log) -> list[float]:
     return [log.parameter(f"SENS_BOARD_{axis}_OFF") for axis in "XYZ"]
 
 
-def _say_orientation(it: Import, consequence: str) -> None:
+def _note_orientation(it: Import, consequence: str) -> None:
     offsets = _board_offsets(it.log)
     fine = ", fine offsets {:.2f} {:.2f} {:.2f} deg".format(*offsets) if any(offsets) else ""
-    it.say_orientation("SENS_BOARD_ROT", consequence, fine)
+    it.note_orientation("SENS_BOARD_ROT", consequence, fine)
 
 
 def _gyro_offset(log: Log, topic: Messages) -> FloatArray:
@@ -168,7 +168,7 @@ def _gyro_offset(log: Log, topic: Messages) -> FloatArray:
     device = int(topic.columns["device_id"][0]) if topic.has("device_id") else 0
     for i in range(MOST_GYROS):
         if device and int(log.parameter(f"CAL_GYRO{i}_ID")) == device:
-            log.findings.say(f"gyro offset: CAL_GYRO{i}_XOFF, YOFF, ZOFF, subtracted")
+            log.findings.note(f"gyro offset: CAL_GYRO{i}_XOFF, YOFF, ZOFF, subtracted")
             return np.array([log.parameter(f"CAL_GYRO{i}_{axis}OFF") for axis in "XYZ"])
     log.findings.assume("no CAL_GYROi_ID is this gyro's: its offset is taken as zero")
     return np.zeros(3)
@@ -190,10 +190,10 @@ def _actuators(it: Import) -> Actuators:
     usable = it.find("actuators", READERS, find)
     name = _choose(it, usable)
     commands, channels = READERS[name](it, usable[name])
-    it.findings.say(f"actuators: {commands.source}")
+    it.findings.note(f"actuators: {commands.source}")
     if usable[name].has("timestamp_sample"):
         delays = usable[name].stamp_ns - usable[name].sample_ns
-        it.findings.say(
+        it.findings.note(
             "commands count from their publication (timestamp), in the median "
             f"{np.median(delays) * 1e-6:.2f} ms after the gyro sample they answer "
             "(timestamp_sample)"
@@ -275,7 +275,7 @@ def _motors(log: Log, count: int) -> list[Channel]:
 
         positions = np.column_stack([of_all("PX"), of_all("PY")])
         effects[:rotors] = rotor_effects(positions, of_all("KM", 0.05), of_all("CT", 6.5))
-        log.findings.say(
+        log.findings.note(
             f"{rotors} rotors: positions, senses of rotation and thrusts from CA_ROTORi_PX, PY, "
             "KM, CT"
         )
@@ -285,7 +285,7 @@ def _motors(log: Log, count: int) -> list[Channel]:
         )
     elif rotors and airframe == FIXED_WING:
         effects[:rotors] = [(0.0, 0.0, 0.0, 1.0 / rotors)] * rotors
-        log.findings.say(f"{rotors} motor(s) of a fixed wing (CA_AIRFRAME 1): dth is their mean")
+        log.findings.note(f"{rotors} motor(s) of a fixed wing (CA_AIRFRAME 1): dth is their mean")
     elif rotors:
         log.findings.assume(
             f"CA_AIRFRAME {airframe}: what the motors turn is not known here, they are only "
@@ -312,7 +312,7 @@ def _servos(log: Log, count: int) -> list[Channel]:
     channels += [Channel(f"servo_{i + 1}", NO_EFFECT, "servo") for i in range(surfaces, count)]
     channels = named_once(channels)
     if surfaces:
-        log.findings.say(
+        log.findings.note(
             f"{surfaces} control surfaces, types and torques from CA_SV_CSi_TYPE and _TRQ_R, _P, "
             f"_Y: {', '.join(channel.name for channel in channels[:surfaces])}"
         )
@@ -396,7 +396,7 @@ def _quad_x(log: Log, count: int) -> list[Channel]:
         "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear right) "
         "on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
     )
-    log.findings.say(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
+    log.findings.note(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
     channels = [
         over_range(Channel(f"motor_{i}", effect, "output of quad x", unit="us"), low, high)
         for i, effect in enumerate(effects_of_arms(KNOWN["quad_x"]), 1)

@@ -108,7 +108,7 @@ class BinaryLog:
                 return found.start()
         return self.size
 
-    def say_loss(self, gaps: list[Gap]) -> None:
+    def note_loss(self, gaps: list[Gap]) -> None:
         """Say how much of the file could not be read."""
         if self.finish(gaps):
             gaps.pop()
@@ -142,7 +142,7 @@ def read_binary(path: Path, make: Callable[[mmap.mmap, Log], BinaryLog], start: 
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             found = make(data, log)
-            found.say_loss(found.walk(start))
+            found.note_loss(found.walk(start))
     except OSError as error:
         raise ImportLogError(f"log '{path}' cannot be read: {error.strerror or error}") from None
     return log

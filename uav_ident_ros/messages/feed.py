@@ -32,12 +32,12 @@ class Arrivals(Generic[Values]):
         # Stamp, ns, and values to the identifier; returns why it dropped them, or None
         add: Callable[[int, Values], Drop | None],
         # Told once, in s, how far the arrival of a message is from the Imu's stamps
-        say: Callable[[float], None] | None = None,
+        on_offset: Callable[[float], None] | None = None,
     ) -> None:
         self._identifier = identifier
         self._jump_ns = round(identifier.settings.time_jump * 1e9)
         self._add = add
-        self._say = say
+        self._on_offset = on_offset
         self._early: tuple[int, Values] | None = None
         self._after_ns = 0
         self._place = 0
@@ -74,9 +74,9 @@ class Arrivals(Generic[Values]):
         off_ns = arrival_ns - newest_ns
         if abs(off_ns) <= self._jump_ns:
             return arrival_ns
-        if self._say is not None:
-            self._say(off_ns * 1e-9)
-            self._say = None
+        if self._on_offset is not None:
+            self._on_offset(off_ns * 1e-9)
+            self._on_offset = None
         # Of several after one sample each has a stamp of its own: the last one counts.
         self._place = self._place + 1 if newest_ns == self._after_ns else 1
         self._after_ns = newest_ns
@@ -94,7 +94,7 @@ class Feed:
         # Told the reason, as it is counted, and the words, where a message is not used
         warn: Callable[[str, str], object] = lambda reason, words: None,
         # Told once, in s, how far messages that carry no time arrive from the Imu's stamps
-        say: Callable[[float], None] | None = None,
+        on_offset: Callable[[float], None] | None = None,
     ) -> None:
         self.stream = stream
         self.type_name = stream.type_of(identifier.settings)
@@ -103,7 +103,7 @@ class Feed:
         self.details: dict[str, str] = {}  # What was wrong with the last one of each reason
         self._identifier, self._decode, self._warn = identifier, decode, warn
         self._refused: Counter[str] = Counter()
-        self._arrivals = Arrivals(identifier, self._add, say) if stream.any_clock else None
+        self._arrivals = Arrivals(identifier, self._add, on_offset) if stream.any_clock else None
 
     def take(
         self,

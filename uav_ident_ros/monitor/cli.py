@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from uav_ident_ros.client import CoefficientSource, Fallback, subscribe
 from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c, reader_has_gone
 from uav_ident_ros.guest import Guest
-from uav_ident_ros.monitor.heard import Heard
+from uav_ident_ros.monitor.watched_node import WatchedNode
 
 OUTPUT = "coefficients_named"
 OUTPUT_TYPE = "sensor_msgs/msg/JointState"
@@ -27,7 +27,7 @@ announcement of a Fast DDS participant hears the next one after 3 s."""
 
 USABLE = 0
 NOT_USABLE = 1
-NOTHING_HEARD = 3
+NOTHING_RECEIVED = 3
 """Exit statuses of ``--once``; the view itself ends with 0."""
 
 TIMEOUT = 5.0
@@ -72,19 +72,19 @@ class Listener(Guest):
     def listen(
         self,
         node: str,  # Its full name
-    ) -> Heard:
+    ) -> WatchedNode:
         """Begin to listen to an identifier."""
-        heard, topic = Heard(node), f"{node}/{OUTPUT}"
+        watched, topic = WatchedNode(node), f"{node}/{OUTPUT}"
 
         def take_status(message: DiagnosticArray) -> None:
             for status in message.status:
                 if status.name == node:
-                    heard.diagnosed(status.message, {v.key: v.value for v in status.values})
-                    heard.publishers = self.node.count_publishers(topic)
+                    watched.diagnosed(status.message, {v.key: v.value for v in status.values})
+                    watched.publishers = self.node.count_publishers(topic)
 
-        subscribe(self.node, CoefficientSource(Fallback.REFUSE), topic, heard.take)
+        subscribe(self.node, CoefficientSource(Fallback.REFUSE), topic, watched.take)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", take_status, STATUS_DEPTH)
-        return heard
+        return watched
 
 
 class MonitorError(Exception):
@@ -142,15 +142,15 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
         found = listener.find(timeout)
         if not found:
             print(f"monitor: no identifier was heard for {timeout:g} s", file=sys.stderr)
-            return NOTHING_HEARD
+            return NOTHING_RECEIVED
         node = _the_one(found)
-    heard = listener.listen(node)
-    listener.spin_for(timeout, lambda: heard.fresh and bool(heard.status.state))
-    if heard.newest is None and not heard.status.state:
+    watched = listener.listen(node)
+    listener.spin_for(timeout, lambda: watched.fresh and bool(watched.status.state))
+    if watched.newest is None and not watched.status.state:
         print(f"monitor: nothing was heard of '{node}' for {timeout:g} s", file=sys.stderr)
-        return NOTHING_HEARD
-    View(plain=True).show(heard)
-    return USABLE if heard.usable else NOT_USABLE
+        return NOTHING_RECEIVED
+    View(plain=True).show(watched)
+    return USABLE if watched.usable else NOT_USABLE
 
 
 def watch(listener: Listener, node: str | None, plain: bool) -> NoReturn:
@@ -162,10 +162,10 @@ def watch(listener: Listener, node: str | None, plain: bool) -> NoReturn:
         while not (found := listener.find(LOOK_AGAIN)):
             pass
         node = _the_one(found)
-    heard = listener.listen(node)
+    watched = listener.listen(node)
     with closing(View(plain)) as view:
         while True:
-            view.show(heard)
+            view.show(watched)
             listener.spin_for(view.period)
 
 

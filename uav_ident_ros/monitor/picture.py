@@ -22,7 +22,7 @@ from uav_ident_ros.identification.settings import SupervisionSettings
 from uav_ident_ros.identification.structure import KINEMATIC_ROWS, ROWS
 from uav_ident_ros.messages.published import STATE_FIELDS
 from uav_ident_ros.messages.types import NS_PER_S
-from uav_ident_ros.monitor.heard import Coefficient, Heard
+from uav_ident_ros.monitor.watched_node import Coefficient, WatchedNode
 
 COLUMN_WIDTH = 26
 """Characters of a column: name, value, sigma, t-ratio, trend."""
@@ -96,9 +96,9 @@ class View:
             )
             self._screen.start()
 
-    def show(self, heard: Heard) -> None:
+    def show(self, watched: WatchedNode) -> None:
         """Show the newest: drawn anew, in the size that the terminal has now, or in a block."""
-        shown = picture(heard, self._console)
+        shown = picture(watched, self._console)
         if self._screen is not None:
             self._screen.update(shown, refresh=True)
             return
@@ -113,20 +113,20 @@ class View:
             self._screen.stop()
 
 
-def picture(heard: Heard, console: Console) -> RenderableType:
+def picture(watched: WatchedNode, console: Console) -> RenderableType:
     """Return everything worth seeing, to be printed on `console`."""
     glyphs = ASCII if console.options.ascii_only else Glyphs()
     sparks = console.width >= AXES * (COLUMN_WIDTH + SPARKS + GAP) - GAP
     width = COLUMN_WIDTH + SPARKS if sparks else COLUMN_WIDTH
-    rows = heard.rows()
+    rows = watched.rows()
     angles = [c for row in KINEMATIC_ROWS for c in rows.pop(row, ())]
-    parts = [_row(heard, row, found, glyphs, sparks) for row, found in rows.items()]
+    parts = [_row(watched, row, found, glyphs, sparks) for row, found in rows.items()]
     count = max(1, min(AXES, (console.width + GAP) // (width + GAP)))
     table = _grid([width] * count, numbers=False)
     parts += [_kinematics(angles)] if angles else []
     for first in range(0, len(parts), count):
         table.add_row(*parts[first : first + count])
-    return Group(*_head(heard), "", table, *_inputs(heard), *_foot(heard, glyphs))
+    return Group(*_head(watched), "", table, *_inputs(watched), *_foot(watched, glyphs))
 
 
 def _grid(widths: Sequence[int], numbers: bool = True) -> Table:
@@ -140,43 +140,49 @@ def _grid(widths: Sequence[int], numbers: bool = True) -> Table:
 # --- who and how ------------------------------------------------------------------------------
 
 
-def _head(heard: Heard) -> Iterator[Text]:
+def _head(watched: WatchedNode) -> Iterator[Text]:
     """Yield name, state, verdict and tick, then what is wrong or lacking."""
-    state, tick = heard.status.state, Text("no tick yet", "yellow")
-    if heard.newest is not None:
-        tick = Text(f"tick {heard.newest.t_ns / NS_PER_S:.2f} s")
-        if not heard.fresh:
+    state, tick = watched.status.state, Text("no tick yet", "yellow")
+    if watched.newest is not None:
+        tick = Text(f"tick {watched.newest.t_ns / NS_PER_S:.2f} s")
+        if not watched.fresh:
             tick = Text(f"last {tick}, none since", "bold red")
-    verdict = ("usable", "bold green") if heard.usable else ("not usable", "bold yellow")
+    verdict = ("usable", "bold green") if watched.usable else ("not usable", "bold yellow")
     yield Text("  ").join(
         [
-            Text(heard.node, "bold"),
+            Text(watched.node, "bold"),
             Text(state or "?", STATE_STYLES.get(state, OTHER_STATE)),
             Text(*verdict),
             tick,
         ]
     )
-    if heard.publishers > 1:
-        yield Text(f"{heard.publishers} nodes publish under this name: they get mixed", "bold red")
-    if heard.status.reason:
-        yield Text(heard.status.reason)
+    if watched.publishers > 1:
+        yield Text(
+            f"{watched.publishers} nodes publish under this name: they get mixed", "bold red"
+        )
+    if watched.status.reason:
+        yield Text(watched.status.reason)
 
 
 # --- coefficients -----------------------------------------------------------------------------
 
 
 def _row(
-    heard: Heard, row: str, coefficients: Sequence[Coefficient], glyphs: Glyphs, sparks: bool
+    watched: WatchedNode,
+    row: str,
+    coefficients: Sequence[Coefficient],
+    glyphs: Glyphs,
+    sparks: bool,
 ) -> RenderableType:
     """Return a row of the model: its excitation, fit and coefficients."""
     head, fit = Text(row, "bold"), []
     if row in ROWS:
         k = ROWS.index(row)
-        if heard.newest is not None:
-            usable = heard.newest.usable_rows[k] and heard.fresh
+        if watched.newest is not None:
+            usable = watched.newest.usable_rows[k] and watched.fresh
             head.append(f" {glyphs.verdicts[usable]}", "green" if usable else "yellow")
-        fit.append(_fit(*heard.fit_of(k)))
-    excitation = heard.status.number(f"excitation {row} [0..1]")
+        fit.append(_fit(*watched.fit_of(k)))
+    excitation = watched.status.number(f"excitation {row} [0..1]")
     if excitation is not None:
         head.append(f"   excited {excitation:.2f}", "not bold dim")
     table = _grid(CELL_WIDTHS)
@@ -254,9 +260,9 @@ def _line(label: str, *parts: str | tuple[str, str]) -> Text:
     return Text.assemble(f"{label:<10}", *parts, no_wrap=True)
 
 
-def _inputs(heard: Heard) -> Iterator[RenderableType]:
+def _inputs(watched: WatchedNode) -> Iterator[RenderableType]:
     """Yield what arrives on every input, and what was dropped for which reason."""
-    for stream, values in heard.status.inputs().items():
+    for stream, values in watched.status.inputs().items():
         age, dropped = values.get("age [s]", "?"), values.get("dropped", "0")
         yield _line(
             stream,
@@ -282,13 +288,13 @@ def _mode(mode: Mode, glyphs: Glyphs) -> str:
     return f"{mode.name} {mode.time_constant:.2g} s"
 
 
-def _foot(heard: Heard, glyphs: Glyphs) -> Iterator[Text]:
+def _foot(watched: WatchedNode, glyphs: Glyphs) -> Iterator[Text]:
     """Yield the state of the model, its modes, the delay, the ticks and what is collinear."""
-    status, flow = heard.status, heard.newest and heard.newest.flow
+    status, flow = watched.status, watched.newest and watched.newest.flow
     if flow:
         angles = [f"{a} {math.degrees(getattr(flow, a)):+.1f}°" for a in STATE_FIELDS[:-1]]
         yield _line("state", ", ".join([*angles, f"airspeed {flow.airspeed:.1f} m/s"]))
-    if modes := heard.modes():
+    if modes := watched.modes():
         yield _line("modes", ", ".join(_mode(mode, glyphs) for mode in modes))
     yield from _excitation(status.group("excite"))
     delay, ticks = status.number("delay [s]"), status.group("ticks")

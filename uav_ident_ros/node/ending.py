@@ -16,14 +16,14 @@ class Ending:
     """
 
     def __init__(self) -> None:
-        self.asked = False  # Whether the program was asked to end
+        self.requested = False  # Whether the program was asked to end
         for number in SIGNALS:
             # nohup and setsid: who ignores the terminal's end wants to outlive it.
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
-                signal.signal(number, self._ask)
+                signal.signal(number, self._request)
 
-    def _ask(self, *_: object) -> None:
-        self.asked = True
+    def _request(self, *_: object) -> None:
+        self.requested = True
 
     def close(self) -> None:
         """Ignore what still comes: Python would put the deadly handlers back as it ends."""

@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.excitation_run import Asked, ExcitationRun
+from uav_ident_ros.identification.excitation_run import ExcitationRun, Injection
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
 from uav_ident_ros.identification.structure import INPUTS
@@ -42,10 +42,10 @@ class Excite:
         node: Node,  # Owner of the publisher
         # Knows the flight. It is told what is published, unless somebody else says what is injected
         identifier: OnlineIdentifier,
-        told: Callable[[], bool],  # Whether anybody publishes what is injected
+        injection_published: Callable[[], bool],  # Whether anybody publishes what is injected
     ) -> None:
         self._identifier = identifier
-        self._told = told
+        self._injection_published = injection_published
         self._log = node.get_logger()
         self._clock = node.get_clock()
         self._publisher = node.create_publisher(JointState, "~/excitation", RELIABLE)
@@ -78,18 +78,18 @@ class Excite:
                 f"'update_rate' is {rate:g} Hz: signals up to {settings.band[1]:g} Hz "
                 f"('excitation.band') need {needed:g} Hz"
             )
-        self._own = not self._told()
+        self._own = not self._injection_published()
         return self._run.start(settings, self._identifier.flying(), estimate)
 
     def tick(self, estimate: Estimate) -> None:
         """Publish what is asked for after a tick."""
         self._ticked, self._estimate = (self._now_ns(), time.monotonic()), estimate
         before = self._run.active
-        asked = self._run.step(self._identifier.flying(), estimate)
-        if asked is not None:
-            self._publish(asked)
+        injection = self._run.step(self._identifier.flying(), estimate)
+        if injection is not None:
+            self._publish(injection)
         if before and not self._run.active:
-            self._say_end()
+            self._log_end()
 
     def watch(self) -> None:
         """Abort where ticks fail to come; to be called at the rate of the ticks."""
@@ -103,7 +103,7 @@ class Excite:
         t_ns = self._identifier.intake.newest_ns
         assert t_ns is not None  # a run has begun at a tick
         self._publish(self._run.abort(t_ns, why))
-        self._say_end()
+        self._log_end()
 
     def values(self) -> Iterator[tuple[str, str]]:
         """Yield what is worth showing, each with its label."""
@@ -121,7 +121,7 @@ class Excite:
         for name, (coefficient, value, sigma) in taught.effects.items():
             yield f"effect of {name}", f"{coefficient} = {value:.3g} +- {sigma:.2g}"
 
-    def _say_end(self) -> None:
+    def _log_end(self) -> None:
         self._log.info(f"excitation: {self._run.why}")
 
     def _stale(self) -> bool:
@@ -131,9 +131,9 @@ class Excite:
     def _now_ns(self) -> int:
         return int(self._clock.now().nanoseconds)
 
-    def _publish(self, asked: Asked) -> None:
-        values = asked.values.tolist()
+    def _publish(self, injection: Injection) -> None:
+        values = injection.values.tolist()
         if self._own:
-            self._identifier.add_excitation(asked.t_ns, values)
-        header = Header(stamp=to_stamp(asked.t_ns))
+            self._identifier.add_excitation(injection.t_ns, values)
+        header = Header(stamp=to_stamp(injection.t_ns))
         self._publisher.publish(JointState(header=header, name=list(INPUTS), position=values))

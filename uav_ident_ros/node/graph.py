@@ -41,10 +41,10 @@ def why_silent(node: Node, wanted: InputMonitor) -> str:
     subscription = next(own, None)
     problems = [_mismatch(end.qos_profile, subscription) for end in fitting]
     if subscription is not None and all(problems):
-        policy, offered, asked = next(filter(None, problems))
+        policy, offered, requested = next(filter(None, problems))
         return (
             f"'{wanted.topic}' of {_owner(fitting[0])} is {offered}, and "
-            f"'qos_overrides.{wanted.topic}.subscription.{policy}' asks for {asked}: set it to "
+            f"'qos_overrides.{wanted.topic}.subscription.{policy}' asks for {requested}: set it to "
             f"{offered}"
         )
     return f"'{wanted.topic}' has a publisher, {_owner(fitting[0])}, which sends nothing"
@@ -53,21 +53,21 @@ def why_silent(node: Node, wanted: InputMonitor) -> str:
 def _other_type(node: Node, wanted: InputMonitor, end: TopicEndpointInfo) -> str:
     """Say that a topic carries another type; which setting, or which topic, would be right."""
     carried = f"'{wanted.topic}' of {_owner(end)} carries {end.topic_type}"
-    said = f"{carried}, but {wanted.feed.type_name} is expected"
+    carries = f"{carried}, but {wanted.feed.type_name} is expected"
     if end.topic_type in wanted.feed.stream.types:
-        return f"{said}: set '{wanted.feed.stream.setting}' to {end.topic_type}"
-    return f"{said}: {_instead(node, wanted)}"
+        return f"{carries}: set '{wanted.feed.stream.setting}' to {end.topic_type}"
+    return f"{carries}: {_instead(node, wanted)}"
 
 
-def _mismatch(offered: QoSProfile, asked: QoSProfile | None) -> tuple[str, str, str] | None:
+def _mismatch(offered: QoSProfile, requested: QoSProfile | None) -> tuple[str, str, str] | None:
     """Return the policy that keeps a publisher and a subscription apart, offered and asked."""
-    if asked is None:
+    if requested is None:
         return None
     best_effort, reliable = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
-    if offered.reliability == best_effort and asked.reliability == reliable:
+    if offered.reliability == best_effort and requested.reliability == reliable:
         return "reliability", "best_effort", "reliable"
     volatile, local = DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL
-    if offered.durability == volatile and asked.durability == local:
+    if offered.durability == volatile and requested.durability == local:
         return "durability", "volatile", "transient_local"
     return None
 

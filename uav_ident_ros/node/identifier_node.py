@@ -71,7 +71,7 @@ class IdentifierNode(Node):
         monitors = self._inputs.monitors.values()
         self._waiting = Waiting(self, self.identifier, monitors, self._clock_watch)
         self._outputs = Outputs(self, self.identifier.structure)
-        self._excite = Excite(self, self.identifier, self._injection_is_told)
+        self._excite = Excite(self, self.identifier, self._injection_is_published)
         self._estimate: Estimate | None = None
         self._meter = diagnostics.TickMeter(look_period(settings.update_rate))
         self._memory = Memory(self.identifier, self.get_fully_qualified_name(), self.get_logger())
@@ -81,7 +81,7 @@ class IdentifierNode(Node):
 
     # -- wiring ----------------------------------------------------------------------------
 
-    def _injection_is_told(self) -> bool:
+    def _injection_is_published(self) -> bool:
         return bool(self.count_publishers(self._inputs.monitors[EXCITATION].topic) > 0)
 
     def _offer_services(self) -> None:
@@ -98,11 +98,11 @@ class IdentifierNode(Node):
         tick = self._guard(self._on_timer, self._recover)
         self.create_timer(look_period(settings.update_rate), tick)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        self._said = OnChange()
+        self._logged = OnChange()
         self._warnings: list[str] = []
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        tell = self._guard(self._on_diagnostics)
-        self.create_timer(DIAGNOSTICS_PERIOD, tell, clock=self._steady)
+        diagnose = self._guard(self._on_diagnostics)
+        self.create_timer(DIAGNOSTICS_PERIOD, diagnose, clock=self._steady)
         jump = Duration(seconds=settings.time_jump)
         # Keep the handle: the callback goes with it.
         self._jump_handle = self.get_clock().create_jump_callback(
@@ -208,7 +208,7 @@ class IdentifierNode(Node):
         self._warnings = warnings
         state, reason = self._state()
         line = f"{state}: {reason}" if reason else state
-        if self._said.changed(line):
+        if self._logged.changed(line):
             self._log(diagnostics.level_of(state), line)
         message = DiagnosticArray(header=Header(stamp=self.get_clock().now().to_msg()))
         message.status.append(

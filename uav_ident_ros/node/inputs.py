@@ -125,7 +125,7 @@ class Inputs:
         def warn(reason: str, words: str) -> None:
             self._warnings.notice((topic, reason), lambda: f"'{topic}': message dropped: {words}")
 
-        def say(seconds: float) -> None:
+        def log_offset(seconds: float) -> None:
             self._node.get_logger().info(
                 f"'{topic}': its messages carry no time and arrive {seconds:+.1f} s from the Imu's "
                 "stamps: each counts from the newest of them"
@@ -136,7 +136,7 @@ class Inputs:
             if len(self._waiting) >= LARGEST_INBOX:
                 self.empty()
 
-        monitor = InputMonitor(Feed(stream, identifier, decode, warn, say), topic)
+        monitor = InputMonitor(Feed(stream, identifier, decode, warn, log_offset), topic)
         take = self._guard(monitor.take)
         self._node.create_subscription(
             kind,

@@ -20,11 +20,11 @@ REPEAT_AFTER = 5.0
 class Throttle:
     """Passes a repeated notice on at once, then at most every few seconds, with its count."""
 
-    say: Callable[[str], object]  # Takes the line, ``logger.warning`` for example
+    log: Callable[[str], object]  # Takes the line, ``logger.warning`` for example
     repeat_after: float = REPEAT_AFTER  # Seconds until the same notice may be given again
     # Monotonic seconds; not the node's clock, which may stand still
     clock: Callable[[], float] = time.monotonic
-    _said: dict[tuple[str, ...], float] = field(default_factory=dict)
+    _logged: dict[tuple[str, ...], float] = field(default_factory=dict)
     _kept: Counter[tuple[str, ...]] = field(default_factory=Counter)
 
     def notice(
@@ -34,13 +34,13 @@ class Throttle:
     ) -> None:
         """Give the notice `key`, or count it."""
         now = self.clock()
-        last = self._said.get(key)
+        last = self._logged.get(key)
         if last is not None and now - last < self.repeat_after:
             self._kept[key] += 1
             return
-        self._said[key] = now
+        self._logged[key] = now
         kept = self._kept.pop(key, 0)
-        self.say(f"{line()} ({kept} more like it before)" if kept else line())
+        self.log(f"{line()} ({kept} more like it before)" if kept else line())
 
 
 class OnChange:

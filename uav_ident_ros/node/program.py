@@ -160,7 +160,7 @@ def spin(node: Node, ending: Ending) -> int:
     executor.add_node(node)
     # The events executor's spin() never returns; with a timeout it does. Waiting for what never
     # comes, it stays in its own loop for that long, where spin_once leaves it after every message.
-    while rclpy.ok() and not ending.asked:
+    while rclpy.ok() and not ending.requested:
         executor.spin_until_future_complete(Future(), timeout_sec=SPIN_TIME)
     return 0
 

@@ -214,8 +214,8 @@ def many_drops(e: Evidence) -> Iterator[str]:
 
 def assumed_airspeed(e: Evidence) -> Iterator[str]:
     """Say that nobody has told how fast the aircraft flies."""
-    if said := unmeasured(e.settings):
-        yield said
+    if problem := unmeasured(e.settings):
+        yield problem
 
 
 def wrong_sign(e: Evidence) -> Iterator[str]:
@@ -247,7 +247,7 @@ def no_better_than_holding(e: Evidence) -> Iterator[str]:
             )
 
 
-def not_told_apart(e: Evidence) -> Iterator[str]:
+def collinear_groups(e: Evidence) -> Iterator[str]:
     """Name the coefficients of which only a combination is known, where a surface is among them."""
     groups = [g for g in e.collinear if any(name in MAIN_DERIVATIVES.values() for name in g)]
     if groups:
@@ -275,7 +275,7 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     noisy_gyro,
     many_drops,
     short_flight,
-    not_told_apart,
+    collinear_groups,
 )
 """All advice: what explains the next comes first."""
 
@@ -287,11 +287,11 @@ def advise(evidence: Evidence) -> tuple[Advice, ...]:
     """Return what there is to say about a replay, the first cause first."""
     for cause in ROOT_CAUSES:
         if any(cause(evidence)):
-            return _said((cause, *OF_THE_BAG), evidence)
-    return _said(ADVICE, evidence)
+            return _pieces((cause, *OF_THE_BAG), evidence)
+    return _pieces(ADVICE, evidence)
 
 
-def _said(
+def _pieces(
     functions: Iterable[Callable[[Evidence], Iterator[str]]], evidence: Evidence
 ) -> tuple[Advice, ...]:
     return tuple(Advice(find.__name__, text) for find in functions for text in find(evidence))

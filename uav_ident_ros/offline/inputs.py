@@ -32,7 +32,7 @@ def choose_inputs(
     # ``/actuators`` if the bag has them, else the only topic of a known type. Airspeed and armed:
     # none, or, if the type is set, ``/airspeed`` and ``/armed`` or else the only topic of that
     # type. Excitation: ``/excitation``, or else the only one whose name ends so
-    asked: Mapping[str, str] | None = None,
+    requested: Mapping[str, str] | None = None,
 ) -> Inputs:
     """Find the input topics of a bag.
 
@@ -47,7 +47,7 @@ def choose_inputs(
     Settings.from_values(values)  # what is wrong with the parameters comes before the bag
     topics = {}
     for stream in STREAMS:
-        topic = (asked or {}).get(stream.name)
+        topic = (requested or {}).get(stream.name)
         if not stream.setting:
             topics[stream.name] = _choose(bag, stream, topic, "") if topic else _find_injected(bag)
             continue
@@ -68,10 +68,10 @@ def _find_injected(bag: Bag) -> str:
     return ends[0] if len(ends) == 1 else ""
 
 
-def _choose(bag: Bag, stream: Stream, asked: str | None, wanted: str) -> str:
+def _choose(bag: Bag, stream: Stream, requested: str | None, wanted: str) -> str:
     """Return the topic asked for, or else the one to be found, if its type will do."""
     types = (wanted,) if wanted else stream.types
-    topic = asked or _find_topic(bag, stream, types)
+    topic = requested or _find_topic(bag, stream, types)
     msgtype = bag.type_of(topic)
     if msgtype not in types:
         known = ", ".join(stream.types)

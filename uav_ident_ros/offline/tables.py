@@ -195,7 +195,7 @@ def _verdict(summary: Mapping[str, Any]) -> Iterator[str]:
     each = ", ".join(f"{row} {'usable' if usable else 'not'}" for row, usable in rows)
     doubt = summary["doubt"]
     yield f"verdict: not usable ({each}): {doubt}" if doubt else "verdict: usable"
-    said = [("note", text) for text in summary["notes"]]
-    said += [("advice", advice["text"]) for advice in summary["advice"]]
-    for word, text in said:
+    remarks = [("note", text) for text in summary["notes"]]
+    remarks += [("advice", advice["text"]) for advice in summary["advice"]]
+    for word, text in remarks:
         yield textwrap.fill(f"{word}: {text}", WIDTH, subsequent_indent="  ")

@@ -177,7 +177,7 @@ def _span(values: FloatArray) -> tuple[float, float]:
     return low - room, high + room
 
 
-def tells_delays_apart(errors: FloatArray) -> bool:
+def separates_delays(errors: FloatArray) -> bool:
     """Whether there is a curve to draw; `errors` as in `delay_rise`, or empty."""
     if not len(errors) or not (errors > 0.0).all():
         return False

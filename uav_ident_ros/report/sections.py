@@ -121,7 +121,7 @@ _MODES_TEXT = (
 
 def _delay_section(evidence: Evidence) -> Section:
     found, errors, in_use = evidence.delay, evidence.delay_errors, evidence.delay_in_use
-    if not diagrams.tells_delays_apart(errors):
+    if not diagrams.separates_delays(errors):
         return Section("delay", "Delay", ["Too little to tell delays apart."])
     text = (
         f"Best prediction at {1e3 * found.delay:.0f} ms, sigma {1e3 * found.sigma:.0f} ms, "

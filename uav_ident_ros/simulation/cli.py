@@ -116,8 +116,8 @@ def _add_numbers(
     group: argparse._ArgumentGroup, options: Mapping[str, tuple[Any, str, str]]
 ) -> None:
     for name, (default, unit, meaning) in options.items():
-        kind, said = type(default), f"{meaning} ({default:g})"
-        group.add_argument(name, type=kind, default=default, metavar=unit, help=said)
+        kind, help_text = type(default), f"{meaning} ({default:g})"
+        group.add_argument(name, type=kind, default=default, metavar=unit, help=help_text)
 
 
 def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:

@@ -52,8 +52,8 @@ class Loop:
     duration: float = 120.0  # s
     faults: tuple[str, ...] = ()  # As in `uav_ident_ros.simulation.faults`, with times
     mode: str = "adaptive"  # Of the controller: ``adaptive`` or ``fixed``
-    # Whether the controller heeds ``verdict/usable``, or each coefficient's sigma alone
-    heed_verdict: bool = True
+    # Whether the controller follows ``verdict/usable``, or each coefficient's sigma alone
+    use_verdict: bool = True
     cold: bool = False  # Whether the identifier starts without initial coefficients
     excite: float = 0.0  # When excitation is asked for, s; 0 for never
     seed: int = 0  # Seed of noise, gusts and manoeuvres
@@ -75,7 +75,7 @@ class Loop:
             "controller": {
                 "mode": self.mode,
                 "nominal_file": coefficients,
-                "heed_verdict": self.heed_verdict,
+                "use_verdict": self.use_verdict,
             },
             "rate_reference": {"seed": self.seed},
             "simulated_plant": {

@@ -85,8 +85,8 @@ class LiveAircraft(Live):
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
         slow = (self._airspeed - self.signals[COLUMN["airspeed"]]) * FOOT
-        told = self.outputs[:3] if surfaces is None else surfaces
-        return self.aircraft.clip(np.append(told, self.trim[3] + SPEED_GAIN * slow))
+        commanded = self.outputs[:3] if surfaces is None else surfaces
+        return self.aircraft.clip(np.append(commanded, self.trim[3] + SPEED_GAIN * slow))
 
     def _fly(self, acting: FloatArray, moved: bool) -> None:
         if moved:
@@ -152,11 +152,11 @@ class AircraftFlight(Plan):
             self.aircraft, sensors, self.delay, faults, self.seed, self.speed, self.rate
         )
 
-        def told(t: float, excitation: FloatArray) -> FloatArray:
+        def commanded(t: float, excitation: FloatArray) -> FloatArray:
             wanted = live.autopilot.surfaces(live.signals, self._bank_reference(t))
             return live.aircraft.clip(wanted + excitation)
 
-        rows, commands, common = live.record(self, told)
+        rows, commands, common = live.record(self, commanded)
         record = live.aircraft.to_si(rows)
         signals = ("alpha", "beta", "roll", "pitch", "altitude")
         extra = {key: record[:, COLUMN[key]] for key in signals}

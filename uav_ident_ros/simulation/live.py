@@ -154,9 +154,9 @@ class Live:
         surfaces: FloatArray | None,
     ) -> None:
         """Answer the newest sample."""
-        self._tell(self._answer(surfaces))
+        self._send(self._answer(surfaces))
 
-    def _tell(self, outputs: FloatArray) -> None:
+    def _send(self, outputs: FloatArray) -> None:
         self.outputs = outputs
         self._underway.append((self._step + self._delay, outputs))
 
@@ -198,7 +198,7 @@ class Live:
         self,
         plan: Plan,
         # The outputs of an interval, within their limits, from its time (s) and excitation
-        told: Callable[[float, FloatArray], FloatArray],
+        commanded: Callable[[float, FloatArray], FloatArray],
     ) -> tuple[FloatArray, FloatArray, dict[str, Any]]:
         """Fly on and keep everything.
 
@@ -222,8 +222,8 @@ class Live:
             if step % self._substeps == 0:
                 self._check()
                 k = len(commands)
-                commands.append(told(float(times[k]), excitation[k]))
-                self._tell(commands[-1])
+                commands.append(commanded(float(times[k]), excitation[k]))
+                self._send(commands[-1])
             self._advance_step()
         common = {
             "t_ns": stamps(np.arange(plan.samples) / plan.rate),

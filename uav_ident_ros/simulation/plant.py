@@ -190,7 +190,7 @@ class PlantFlight(Plan):
         gust = np.asarray(self.moment) + self.gusts.sample(self.samples, 3, self.rate, gust_rng)
         force = self.force.sample(self.samples, 3, self.rate, force_rng) - [0.0, 0.0, GRAVITY]
         live = _LivePlant(self, self.substeps, gust)
-        rows, commands, common = live.record(self, live.told)
+        rows, commands, common = live.record(self, live.commanded)
         rates, acceleration = rows.transpose(1, 0, 2)
         return Flight(
             name=name or self.vehicle.name,
@@ -251,7 +251,7 @@ class _LivePlant(Live):
         a = changed_coefficients(vehicle.structure, vehicle.coefficients, self._plan.changes, now)
         self._by_input, self._derivative = a[:, INPUT_COLUMNS], rates_derivative(a)
 
-    def told(self, _: float, excitation: FloatArray) -> FloatArray:
+    def commanded(self, _: float, excitation: FloatArray) -> FloatArray:
         """Excitation and feedback, within the autopilot's limit."""
         if self._plan.autopilot is None:
             return excitation

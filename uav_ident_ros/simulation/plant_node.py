@@ -139,14 +139,14 @@ class PlantNode(Node):
         self.create_subscription(String, "~/fault", self._on_fault, RELIABLE)
         self._excite = self.create_client(SetBool, "identifier/excite")
         subscribe(self, CoefficientSource(Fallback.REFUSE), callback=self._on_coefficients)
-        self._asked = Excitation(UNLIMITED)
-        subscribe_excitation(self, self._asked)
+        self._requests = Excitation(UNLIMITED)
+        subscribe_excitation(self, self._requests)
 
     def _value(self, name: str) -> Any:
         return self.get_parameter(name).value
 
     def _going(self) -> bool:
-        return rclpy.ok() and not self._ending.asked
+        return rclpy.ok() and not self._ending.requested
 
     # -- messages in -----------------------------------------------------------------------
 
@@ -180,9 +180,9 @@ class PlantNode(Node):
         except SimulationError as error:
             self.get_logger().error(str(error))
         else:
-            self._say(fault)
+            self._log_fault(fault)
 
-    def _say(self, fault: Fault) -> None:
+    def _log_fault(self, fault: Fault) -> None:
         value = "" if fault.value is None else f" {fault.value:g}"
         what = f"{fault.what} {fault.kind}".strip()
         self.get_logger().warning(f"fault at {self._aircraft.time:.2f} s: {what}{value}")
@@ -233,7 +233,7 @@ class PlantNode(Node):
             self._wait(lambda: False, end - time.monotonic())
         self._answer(sample)
         for fault in self._aircraft.advance():
-            self._say(fault)
+            self._log_fault(fault)
 
     def _answer(self, sample: Sample) -> None:
         """Let the actuators follow the newest command, and say what they were told."""
@@ -257,7 +257,7 @@ class PlantNode(Node):
                 "surfaces": sample.surfaces,
                 "outputs": outputs,
                 "reference": self._reference[1],
-                "excitation": self._asked.at(self._now_ns),
+                "excitation": self._requests.at(self._now_ns),
             }
         )
 
@@ -269,11 +269,11 @@ class PlantNode(Node):
         if self._lock_step:
             self._wait_for_coefficients((self._now_ns - TICK_DUE_NS) // TICK_NS * TICK_NS)
         answer = self._excite.call_async(SetBool.Request(data=True))
-        answer.add_done_callback(lambda future: self._say_answer(future.result()))
+        answer.add_done_callback(lambda future: self._log_answer(future.result()))
         if self._lock_step and not self._wait(answer.done, PATIENCE):
             self.get_logger().error(f"excite: no answer within {PATIENCE:g} s")
 
-    def _say_answer(self, answer: Any) -> None:
+    def _log_answer(self, answer: Any) -> None:
         self.get_logger().info(f"excite at {self._aircraft.time:.2f} s: {answer.message}")
 
     # -- waiting ---------------------------------------------------------------------------

@@ -53,7 +53,7 @@ class LiveQuadrotor(Live):
         self.craft, self.hold = Quadrotor(body or Body()), Hold()
         self._gusts = iter(() if gusts is None else gusts.tolist())
         self.trim = np.array([0.0, 0.0, 0.0, self.craft.body.hover])
-        self._told: FloatArray = self.trim[:3]
+        self._commanded: FloatArray = self.trim[:3]
         self.outputs = self._acting = QUADROTOR.trim(self.trim)
         for fault in faults:
             _motor(fault)
@@ -70,8 +70,8 @@ class LiveQuadrotor(Live):
         return np.clip(QUADROTOR.raw(inputs, self.trim), 0.0, 1.0)
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
-        self._told = self._told if surfaces is None else surfaces
-        return self.motors(np.append(self._told, self.hold.inputs(self.craft)[3]))
+        self._commanded = self._commanded if surfaces is None else surfaces
+        return self.motors(np.append(self._commanded, self.hold.inputs(self.craft)[3]))
 
     def _fly(self, acting: FloatArray, moved: bool) -> None:
         craft, gust = self.craft, next(self._gusts, STILL)
@@ -122,10 +122,10 @@ class QuadrotorFlight(Plan):
             body=Body(time_constant=self.time_constant), gusts=gusts,
         )  # fmt: skip
 
-        def told(_: float, excitation: FloatArray) -> FloatArray:
+        def commanded(_: float, excitation: FloatArray) -> FloatArray:
             return live.motors(excitation + live.hold.inputs(live.craft))
 
-        rows, commands, common = live.record(self, told)
+        rows, commands, common = live.record(self, commanded)
         rates, force, acceleration, angles = rows.transpose(1, 0, 2)
         return Flight(
             name=name,

@@ -72,8 +72,8 @@ def write_bag(
     meaning = "What the topics of this bag mean: parameters for the identifier and for replay."
     text = yaml_text({"/**": {"ros__parameters": parameters(measurements)}}, meaning)
     (path / PARAMETER_FILE).write_text(text, encoding="utf-8")
-    told = yaml_text(truth(measurements), "What is true of this flight, SI, aircraft axes.")
-    (path / TRUTH_FILE).write_text(told, encoding="utf-8")
+    truth_text = yaml_text(truth(measurements), "What is true of this flight, SI, aircraft axes.")
+    (path / TRUTH_FILE).write_text(truth_text, encoding="utf-8")
 
 
 def parameters(measurements: Measurements) -> dict[str, Any]:

@@ -126,7 +126,7 @@ class ExcitationGate:
         self.weight = np.minimum(liveliest, 1.0) ** 2
         self.learning = self.weight == 1.0
         self.clear = self.learning & (self.signal >= CLEAR_SIGNAL)
-        heard = (self._watched & self.learning[:, None]).any(axis=0)
-        spent = np.where(heard, elapsed, 0.0)
+        counted = (self._watched & self.learning[:, None]).any(axis=0)
+        spent = np.where(counted, elapsed, 0.0)
         self._usual_time += spent
         self._usual += spent / np.maximum(self._usual_time, elapsed) * (variance - self._usual)

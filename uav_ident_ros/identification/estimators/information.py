@@ -282,7 +282,7 @@ class Information:
         self.free: BoolArray = used & start.free[self._i, self._j]
         self._precision = np.where(self.free, start.precision[self._i, self._j], 0.0)
         self._prior_variance = np.where(self.free, start.sigma[self._i, self._j] ** 2, 0.0)
-        self._told = used & start.told(self._structure)[self._i, self._j]
+        self._known_before = used & start.known_before(self._structure)[self._i, self._j]
         self._pairs = (self.free[:, :, None] & self.free[:, None, :]) * 1.0
         self._rest = np.where(self.free, 0.0, 1.0)
         self._lost = self.free.sum(axis=1)
@@ -427,7 +427,8 @@ class Information:
         prior = self._precision * (variance * self._unit_time)[..., None]
         if np.add.reduce(sums.counts[1], axis=None) > 0.0:
             share = np.einsum("pijj->pij", sums.answers) / power
-            prior *= 1.0 + self._told * share * (sums.counts[1] / self._unit_time)[..., None]
+            samples = (sums.counts[1] / self._unit_time)[..., None]
+            prior *= 1.0 + self._known_before * share * samples
         return np.asarray(prior)
 
     def spread(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
@@ -476,8 +477,8 @@ class Information:
         for at in self._flow:
             share, force = linear[:, at.row, at.angle] ** 2, out[:, at.rows.force]
             for entry, column in ((at.angle, at.rows.angle), *at.others):
-                told = resolution[:, at.row, entry] ** 2
-                out[:, at.row, column] += share * force[:, column] * told
+                resolved = resolution[:, at.row, entry] ** 2
+                out[:, at.row, column] += share * force[:, column] * resolved
         return np.where(self._start.free, np.sqrt(out), self._start.sigma)
 
     def _placed(self, entries: FloatArray, over: FloatArray) -> FloatArray:

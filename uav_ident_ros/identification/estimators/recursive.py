@@ -125,8 +125,8 @@ class RecursiveRegression:
         self._layout = layout(self._structure)
         self._bounds = slope_bounds(self._structure)
         self._error = ModelError(self._layout)
-        inputs_told = start.told(self._structure)[: len(ROWS), INPUT_COLUMNS]
-        self._told = inputs_told.any(axis=1, keepdims=True)
+        inputs_known = start.known_before(self._structure)[: len(ROWS), INPUT_COLUMNS]
+        self._known_before = inputs_known.any(axis=1, keepdims=True)
         self._feedback, self._no_feedback = Feedback(self._layout), Feedback(self._layout)
         self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
         self._injected = False
@@ -216,8 +216,8 @@ class RecursiveRegression:
             feedback = self._feedback
             feedback.add(samples, moments, weight)
         # Late or answering gusts: where nothing was known before, either is a reason to deny.
-        told = self._told * feedback.ratio[: len(ROWS)]
-        self._error.add(rows, weight, told, restarted=samples.restarted)
+        ratio = self._known_before * feedback.ratio[: len(ROWS)]
+        self._error.add(rows, weight, ratio, restarted=samples.restarted)
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
         self.information.add(parts, weight, feedback.answering)

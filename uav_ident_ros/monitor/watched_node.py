@@ -77,7 +77,7 @@ class Status:
         return {stream: self.group(stream) for stream in streams}
 
 
-class Heard:
+class WatchedNode:
     """Gathers what one identifier publishes."""
 
     def __init__(
