@@ -165,7 +165,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("no_better_than_holding", {},  # the reason is known
      {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0), "imu_rate": SLOW_IMU - 1.0},
      r"q is predicted no better \(20 %\) than by holding it \(20 %\)$"),
-    ("not_told_apart", {"collinear": (("qdot/1", "qdot/az"),)},
+    ("collinear_groups", {"collinear": (("qdot/1", "qdot/az"),)},
      {"collinear": (("qdot/1", "qdot/az"), ("pdot/p", "pdot/da"))},
      "only a combination is known of pdot/p and pdot/da: move"),
 ]  # fmt: skip
