@@ -69,3 +69,22 @@ def test_a_new_stretch_does_not_continue_the_old_one() -> None:
     white = whiten(model, np.ones((2, 3)))
     assert not white.signals[:, 0].any()
     assert white.signals[:, 1].all()
+
+
+def test_the_models_are_fitted_twice_a_second() -> None:
+    model, residual = NoiseModel(3), residuals(400)[0]
+    fits = 0
+    for part in np.split(residual, 200):
+        before = model.weights
+        whiten(model, part)
+        fits += model.weights is not before
+    assert fits == pytest.approx(2.0 * len(residual) * DT, abs=1)
+
+
+def test_what_can_be_foretold_leaves_the_loading_alone() -> None:
+    """A slow sine is foretold by its past; as an innovation a hundredth of it remains."""
+    sine = np.sin(0.5 * DT * np.arange(2000))[:, None] * SPREAD
+    model = NoiseModel(3)
+    for part in np.split(sine, 1000):
+        whiten(model, part)
+    np.testing.assert_allclose(model.variance, 0.01 * np.mean(sine**2, axis=0), rtol=0.1)
