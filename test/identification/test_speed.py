@@ -8,7 +8,8 @@ import pytest
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.settings import AirspeedSettings, Settings
+from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import Segment, sample_inputs
 from uav_ident_ros.simulation.plant import vehicle
@@ -99,3 +100,16 @@ def test_without_an_airspeed_the_scaling_is_off(
     identifier, estimate = identify(flown)
     np.testing.assert_array_equal(identifier.coefficient_set().values, estimate.coefficients)
     assert worst_linear(estimate.coefficients, PLANT.coefficients) > 0.05
+
+
+@pytest.mark.parametrize(
+    ("speed", "ratio"), [(200.0, 3.0), (1.0, 1.0 / 3.0), (0.0, 1.0 / 3.0), (40.0, 2.0)]
+)
+def test_beyond_three_times_the_reference_the_law_is_not_believed(
+    speed: float, ratio: float
+) -> None:
+    scaling = SpeedScaling(AirspeedSettings("std_msgs/msg/Float64", REFERENCE), STRUCTURE)
+    scaling.airspeed.append(START_NS, (speed,))
+    assert scaling.update(START_NS) == 0 and scaling.newest == speed
+    assert scaling.scale[STRUCTURE.index("pdot/p")] == pytest.approx(ratio)
+    assert scaling.scale[STRUCTURE.index("pdot/da")] == pytest.approx(ratio**2)
