@@ -26,6 +26,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "intake": ("test_stamps.py", "test_properties.py"),
     "running_fit": ("test_supervision.py",),
     "model": ("test_estimators.py", "test_conditioning.py"),
+    "samples": ("test_samples.py", "test_sampling.py", "test_speed.py"),
     "parallel_model": ("test_injected.py",),
     "scales": ("test_estimators.py", "test_gates.py", "test_noise.py", "test_supervision.py"),
     "identifier": ("test_estimators.py", "test_resume.py"),

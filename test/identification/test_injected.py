@@ -11,9 +11,10 @@ from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.intake import EXCITATION, Drop
+from uav_ident_ros.identification.parallel_model import ParallelModel
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.sampling import Sampler, join
+from uav_ident_ros.identification.sampling import Block, Sampler, join
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
@@ -156,3 +157,17 @@ def test_a_second_of_a_poor_model_does_not_outweigh_a_minute() -> None:
     fly(1.0, 30.0, 2.0)
     fly(60.0, 1.0, 0.0)
     assert estimator.coefficients[structure.index("pdot/p")] == pytest.approx(-5.0, rel=0.05)
+
+
+def test_the_answer_to_what_was_injected_counts_for_two_seconds() -> None:
+    """A few periods of the short modes; then the instruments follow all inputs again."""
+    structure = STRUCTURES["augmented"]
+    model, still = ParallelModel(Settings(), structure), np.zeros((11, 3))
+    answers = []
+    for k in range(100):
+        excitation = np.full((10, 4), 0.1 if k < 20 else 0.0)
+        t_ns = (10 * k + np.arange(11)) * 5 * MS
+        block = Block(t_ns, 0.005, still, excitation, still, k == 0, excitation)
+        answers.append(model.follow(block, np.zeros(structure.mask.shape), None, 0.0)[1])
+    assert answers[:20] == [True] * 20
+    assert sum(answers[20:]) * 0.05 == pytest.approx(2.0, abs=0.06)
