@@ -31,6 +31,7 @@ class RegressionRecorder:
         self.learning = np.ones(3, dtype=bool)
         self.clear = np.ones(3, dtype=bool)
         self.model_error = np.zeros(3)
+        self.height = 0.0
         self.answers = np.zeros(4)
         self.changes: list[tuple[int, int]] = []
         self.y: list[FloatArray] = []  # (3,) Accelerations; one entry per sample

@@ -141,7 +141,7 @@ def cut(block: Block, k: int, name: str) -> Block:
     cells, edges = slice(k, k + PIECE), slice(k, k + PIECE + 1)
     whole, flow = block.flow, None
     if whole is not None and not name.startswith(("plant", "quadrotor")):
-        flow = FlowSignals(whole.angles[edges], whole.down[edges], whole.airspeed)
+        flow = FlowSignals(whole.states[edges], whole.airspeed)
     return replace(
         block, t_ns=block.t_ns[edges], x=block.x[edges], u=block.u[cells], flow=flow,
         specific_force=block.specific_force[edges], restarted=block.restarted and k == 0,

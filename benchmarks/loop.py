@@ -64,6 +64,8 @@ class Outcome:
     outputs: FloatArray  # (N, 4) What the actuators were told
     # (time, tuple of bool) The verdicts of roll, pitch and yaw by tick, s
     usable: list[tuple[float, tuple[bool, bool, bool]]] = field(default_factory=list)
+    # (time, why) What speaks against the coefficients by tick, s; empty for nothing
+    denied: list[tuple[float, str]] = field(default_factory=list)
     # Coefficients that the identifier released, s
     changes: list[tuple[float, str]] = field(default_factory=list)
     # (time, tuple) Whose control derivatives each axis was flown on, whenever that changed
@@ -86,7 +88,7 @@ def nominal_of(prepared: Prepared) -> Coefficients:
 
 
 def make_identifier(prepared: Prepared, **settings: object) -> OnlineIdentifier:
-    """Return the identifier as the loop's node has it, FRD."""
+    """Return the identifier as the loop's node has it, FRD; `airspeed.type` "" for no airspeed."""
     values: dict[str, object] = {
         "structure": prepared.coefficients.structure,
         "imu.convention": "frd",
@@ -94,6 +96,7 @@ def make_identifier(prepared: Prepared, **settings: object) -> OnlineIdentifier:
         "actuators.channels": list(SURFACE_NAMES),
         "actuators.trim": prepared.trim.tolist(),
         "actuators.delay": DELAY,
+        "airspeed.type": "geometry_msgs/msg/TwistStamped",
         "airspeed.reference": prepared.airframe.speed,
         **settings,
     }
@@ -136,6 +139,8 @@ class Loop:
         u = self.controller.update(t_ns, sample.measured_rates, reference)
         live.command((self.trim + self.inject(t_ns, u))[:3])
         if self.identifier is not None:
+            if (speed := sample.measured_airspeed) is not None:
+                self.identifier.add_airspeed(t_ns, speed)
             force = sample.measured_force.tolist()
             self.identifier.add_actuators(t_ns, live.outputs.tolist())
             self.identifier.add_rates(t_ns, sample.measured_rates.tolist(), force)
@@ -166,7 +171,9 @@ def fly_loop(
     def on_estimate(estimate: Estimate) -> None:
         assert identifier is not None
         source.add(message_of(identifier, estimate))
-        outcome.usable.append(((estimate.t_ns - EPOCH_NS) * 1e-9, estimate.usable_rows))
+        t = (estimate.t_ns - EPOCH_NS) * 1e-9
+        outcome.usable.append((t, estimate.usable_rows))
+        outcome.denied.append((t, "" if estimate.usable else estimate.reason))
 
     loop = Loop(live, prepared.trim, guide, controller, identifier, on_estimate=on_estimate)
     rows: list[tuple[Sample, FloatArray, FloatArray]] = []

@@ -3,23 +3,21 @@
 
 The loop is closed by INDI on the identifier's own coefficients, which start from those that the
 aircraft was prepared with. It follows bank and pitch manoeuvres, in calm air and in turbulence,
-with an ordinary gyro and a noisy one. Nobody excites.
+with an ordinary gyro and a noisy one. Nobody excites. Below each flight: what denied the verdict,
+and for how much of the time, numbers left out.
 
     python benchmarks/usable_in_loop.py --workers 2
 """
 
+import re
+from collections import Counter
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 
 import bench
 import numpy as np
-from loop import (
-    Mission,
-    fly_loop,
-    make_identifier,
-    rate_controller,
-)
+from loop import Mission, fly_loop, make_identifier, rate_controller
 
 from uav_ident_ros.control.controller import OWN_GAINS, Law
 from uav_ident_ros.identification.structure import MAIN_INPUTS, STRUCTURES
@@ -29,6 +27,7 @@ AIRCRAFT = ("c172p", "T37", "OV10", "pa28", "A4", "ultra_stick_25e")
 MAIN = tuple(f"{row}/{surface}" for row, surface in MAIN_INPUTS.items())
 START = 30.0
 """From when on the verdict counts, s: every surface has moved by then."""
+NUMBER = re.compile(r" ?\(.*\)| -?[0-9.]+ ?%?")
 
 
 @cache
@@ -36,11 +35,11 @@ def _prepared(aircraft: str) -> Prepared:
     return prepare(aircraft, None)
 
 
-def fly(flight: tuple[str, int, float, int], duration: float) -> str:
-    """Fly an aircraft in a turbulence, gyro noise (rad/s) and seed; return its line."""
+def fly(flight: tuple[str, int, float, int], duration: float, airspeed: bool) -> str:
+    """Fly an aircraft in a turbulence, gyro noise (rad/s) and seed; return its lines."""
     aircraft, turbulence, noise, seed = flight
     prepared = _prepared(aircraft)
-    identifier = make_identifier(prepared)
+    identifier = make_identifier(prepared, **({} if airspeed else {"airspeed.type": ""}))
     mission = Mission(
         duration,
         (f"0: turbulence {turbulence}",) if turbulence else (),
@@ -56,10 +55,19 @@ def fly(flight: tuple[str, int, float, int], duration: float) -> str:
     index = [STRUCTURES[known.structure].index(name) for name in MAIN]
     ratios = " ".join(f"{end.values[i] / known.values[i]:5.2f}" for i in index)
     usable = " ".join(f"{100.0 * share:4.0f} %" for share in rows.mean(axis=0))
+    reasons = Counter(
+        NUMBER.sub("", reason)
+        for t, why in outcome.denied
+        for reason in why.split("; ")
+        if why and t >= START
+    )
+    denied = "".join(
+        f"\n{100.0 * n / len(rows):10.0f} % {why}" for why, n in reasons.most_common(4)
+    )
     lost = "" if outcome.lost is None else f"  lost at {outcome.lost:.0f} s"
     return (
         f"{aircraft:16} {turbulence:10} {noise:9g} {seed:5} "
-        f"{100.0 * rows.all(axis=1).mean():6.0f} %   {usable}   {ratios}{lost}"
+        f"{100.0 * rows.all(axis=1).mean():6.0f} %   {usable}   {ratios}{lost}{denied}"
     )
 
 
@@ -69,13 +77,18 @@ def main() -> None:
     parser.add_argument("--aircraft", nargs="+", default=AIRCRAFT)
     parser.add_argument("--turbulence", nargs="+", type=int, default=(0, 3))
     parser.add_argument("--noise", nargs="+", type=float, default=(0.005, 0.03), help="rad/s")
+    parser.add_argument("--without-airspeed", action="store_true", help="nobody tells it")
     parser.add_argument("--seeds", nargs="+", type=int, default=(1, 2))
     options = parser.parse_args()
     flights = product(options.aircraft, options.turbulence, options.noise, options.seeds)
     print(
         "aircraft         turbulence     gyro  seed  usable   pdot   qdot   rdot   main, relative"
     )
-    bench.done(partial(fly, duration=options.duration), flights, options.workers)
+    bench.done(
+        partial(fly, duration=options.duration, airspeed=not options.without_airspeed),
+        flights,
+        options.workers,
+    )
 
 
 if __name__ == "__main__":

@@ -190,8 +190,19 @@ def _old_knowledge(seed: int, length: float) -> Iterator[Trial]:
         yield _trial("old_knowledge", seed, aircraft, words, fields, **flight, changes=reversed_)
 
 
+def _thinned(measured: Measurements) -> Measurements:
+    """Keep the commands of every tenth of a second."""
+    step = round(0.1 / (np.median(np.diff(measured.actuator_t_ns)) * 1e-9))
+    return replace(
+        measured,
+        actuators=measured.actuators[::step],
+        actuator_t_ns=measured.actuator_t_ns[::step],
+        actuator_log_ns=measured.actuator_log_ns[::step],
+    )
+
+
 def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
-    """Excited, with servos that nobody told of."""
+    """Excited, with servos or a mounting that nobody told of."""
     light, late = {"bank": 20.0, "wind": 0.5}, DELAY + 0.15
     for aircraft, words, settings, flight in (
         ("light_aircraft", "servo lag 120 ms", {"actuators.time_constant": 0.0},
@@ -200,6 +211,15 @@ def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
          {**light, "delay": late}),
         ("light_aircraft", "commands saturate", {}, {**light, "travel": 0.04, "scale": 2.5}),
         ("c172p", "delay 150 ms longer than told", {"actuators.delay": DELAY}, {"delay": late}),
+        *((aircraft, words, settings, flight) for aircraft in ("light_aircraft", "c172p", "T37")
+          for words, settings, flight in (
+              ("lag of 100 ms told, none there", {"actuators.time_constant": 0.1}, {}),
+              ("delay 60 ms shorter than told", {"actuators.delay": DELAY + 0.06}, {}),
+              ("commands recorded at 10 Hz", {}, {"spoil": _thinned}),
+              ("Imu 15 cm above the centre of gravity", {"imu.lever_arm": [0.0, 0.0, 0.0]},
+               {"sensors": replace(SENSORS, lever_arm=(0.0, 0.0, -0.15))}),
+              ("Imu 15 cm below the centre of gravity", {"imu.lever_arm": [0.0, 0.0, 0.0]},
+               {"sensors": replace(SENSORS, lever_arm=(0.0, 0.0, 0.15))}))),
     ):  # fmt: skip
         fields, flight = {"settings": settings}, {**flight, **ALWAYS, "duration": length * 110.0}
         yield _trial("unmodelled", seed, aircraft, words, fields, **flight)

@@ -14,7 +14,7 @@ from uav_ident_ros.messages.published import named_entries
 def estimate_of(
     values: FloatArray, sigma: FloatArray | None = None, *, usable: bool = True, **other: Any
 ) -> Estimate:
-    """An estimate of these coefficients; what is not told is zero, empty, or as `usable` says."""
+    """An estimate of these coefficients; what is not given is zero, empty, or as `usable`."""
     three = np.zeros(3)
     own: dict[str, Any] = {
         "t_ns": 1, "predicted_rates": three, "prediction_error": three, "fit": three,

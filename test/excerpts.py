@@ -6,12 +6,14 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import yaml
+from repository import ROOT
+
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.offline.run import OfflineRun, run_over
 
-ROOT = Path(__file__).parent.parent
 BAGS = ROOT / "bags"
 IMU, ACTUATORS = "/imu/data", "/actuators"
 SECOND_NS = 1_000_000_000
@@ -65,6 +67,13 @@ def parameters(name: str = "multisine", **changes: Any) -> dict[str, Any]:
     """Parameters beside a committed bag, with changes (``__`` for the dots)."""
     values = load_parameters(BAGS / name / "identifier.yaml", "identifier")
     return values | {key.replace("__", "."): value for key, value in changes.items()}
+
+
+def parameter_file(path: Path, **values: Any) -> Path:
+    """A file of parameters of every node; keywords with ``__`` for the dots."""
+    named = {key.replace("__", "."): value for key, value in values.items()}
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": named}}), encoding="utf-8")
+    return path
 
 
 def replayed_run(

@@ -3,13 +3,13 @@
 
 from pathlib import Path
 
+from excerpts import BAGS
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.bags.writing import jazzy_types
 
-FLIGHT = Path(__file__).resolve().parents[1] / "bags" / "multisine"
 TYPES = {"/imu/data": "sensor_msgs/msg/Imu", "/actuators": "sensor_msgs/msg/JointState"}
 
 CHUNK = 100_000
@@ -25,7 +25,7 @@ def rewritten(
     chunk: int = CHUNK,
 ) -> Path:
     """Write the start of a flight: small chunks, with checksums."""
-    with Bag(FLIGHT) as bag, target.open("wb") as file:
+    with Bag(BAGS / "multisine") as bag, target.open("wb") as file:
         writer = McapWriter(
             file, chunk_size=chunk, compression=compression, use_chunking=use_chunking
         )

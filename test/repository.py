@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the repository says of itself."""
+"""The repository's own declarations."""
 
 import re
 import runpy

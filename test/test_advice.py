@@ -102,7 +102,7 @@ def moves(*spread: float) -> dict[str, Any]:
 
 
 CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
-    # advice, what just misses it, what just gives it, what it says
+    # advice, evidence that just misses it, evidence that just gives it, its text
     ("never_flew", {"lost": {AT_REST: GROUNDED_SHARE * JUST_BELOW}},
      {"lost": {AT_REST: 0.5, "not armed": 0.45}},
      "the aircraft hardly flew: 95 % of the time at rest: no rate .*, not armed; take a flight"),
@@ -125,7 +125,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      "170 ms too long"),
     ("unknown_delay", {"settings": FINDING, "delay": SURE}, {"settings": FINDING, "delay": UNSURE},
      r"does not show the delay of the inputs \(30 ms, sigma 3 ms; 0\.030 s in use\).* 3-2-1-1"),
-    ("unknown_delay", {"delay": NO_ESTIMATE},  # it is told
+    ("unknown_delay", {"delay": NO_ESTIMATE},  # it is configured
      {"settings": FINDING, "delay": NO_ESTIMATE}, r"\(nothing tells it; 0\.030 s in use\)"),
     ("assumed_airspeed", {"settings": Settings.from_values({"airspeed.reference": 20.1})},
      {"settings": Settings()},
@@ -209,15 +209,12 @@ def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
     assert lost_to(estimates) == {"p reaches … rad/s": 0.5, "not armed": 0.25}
 
 
-def test_a_good_flight_needs_no_advice() -> None:
-    assert advise(E) == ()
-
-
 def test_every_advice_is_tested() -> None:
     assert {case[0] for case in CASES} == {find.__name__ for find in ADVICE}
 
 
-def test_a_fixed_coefficient_is_no_weak_excitation() -> None:
+def test_a_good_flight_needs_no_advice_and_a_fixed_coefficient_is_no_weak_excitation() -> None:
+    assert advise(E) == ()
     fixed = with_entry(with_entry(E.sigma, "rdot/dr", 0.0), "pdot/p", 0.0)
     assert advise(replace(E, sigma=fixed)) == ()
     assert replace(E, sigma=fixed).t_ratio("rdot/dr") is None
@@ -241,7 +238,7 @@ def test_every_coefficient_has_a_meaning() -> None:
 # --- what is measured --------------------------------------------------------------------------
 
 
-def test_gyro_noise_is_told_from_motion() -> None:
+def test_gyro_noise_is_separated_from_motion() -> None:
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 60.0, 1.0 / 200.0)
     motion = 0.8 * np.sin(2.0 * np.pi * 2.0 * t)  # the fastest of the excitation

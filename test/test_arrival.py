@@ -47,7 +47,7 @@ class Flight:
 
 
 @CLOCKS
-def test_of_several_words_between_two_samples_the_last_counts(imu_ns: int) -> None:
+def test_of_several_messages_between_two_samples_the_last_counts(imu_ns: int) -> None:
     flight = Flight(imu_ns)
     flight.fly(1.0)
     for armed in (False, True, True, False):
@@ -58,7 +58,7 @@ def test_of_several_words_between_two_samples_the_last_counts(imu_ns: int) -> No
 
 
 @CLOCKS
-def test_a_word_from_before_the_imu_counts(imu_ns: int) -> None:
+def test_a_message_from_before_the_imu_counts(imu_ns: int) -> None:
     flight = Flight(imu_ns)
     flight.on_offset(True)
     flight.elapsed_ns += STEP_NS

@@ -170,7 +170,7 @@ def test_database_without_metadata(tmp_path: Path) -> None:
         assert len(list(bag.messages(["/a"]))) == 2000
 
 
-def test_damaged_database_says_what_may_save_it(tmp_path: Path) -> None:
+def test_damaged_database_names_the_tool_that_may_save_it(tmp_path: Path) -> None:
     file = write_database(tmp_path / "bag")
     content = file.read_bytes()
     file.write_bytes(content[: len(content) // 2])
@@ -259,7 +259,7 @@ def test_damage_in_the_only_chunk_names_the_bag(tmp_path: Path) -> None:
 
 
 def bomb(path: Path, compression: str, printed: int, size: int) -> Path:
-    """Write a bag whose only chunk becomes `size` bytes, and says that it becomes `printed`."""
+    """Write a bag whose only chunk becomes `size` bytes, and declares `printed`."""
     compress = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}[compression]
     chunk = struct.pack("<QQQI", 0, 9, printed, 0) + prefixed(compression.encode())
     data = compress(b"\x00" + struct.pack("<Q", size - 9) + bytes(size - 9))
@@ -283,7 +283,7 @@ def channel() -> bytes:
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 @pytest.mark.parametrize("printed", [1000, 300 * 2**20])
 def test_a_bag_that_becomes_too_large(compression: str, printed: int, tmp_path: Path) -> None:
-    """Whatever it says of itself: decompressing stops at the limit."""
+    """Whatever it declares: decompressing stops at the limit."""
     path = bomb(tmp_path / "bomb.mcap", compression, printed, 300 * 2**20)
     assert path.stat().st_size < 2 * 2**20
     program = (

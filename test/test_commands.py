@@ -22,7 +22,7 @@ from ulog_writing import commands, sensor_combined, write_ulog
 from uav_ident_ros.offline import NOT_USABLE
 
 SECONDS = 12.0
-"""Length of the flights: that a model is usable is not asked for."""
+"""Length of the flights: a model need not be usable."""
 
 PROGRAMS = ("fleet", "import_log", "replay", "simulate")
 RUNNABLE = re.compile(rf"\.venv/bin/(?:{'|'.join(PROGRAMS)}) ")

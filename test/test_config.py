@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every ready configuration loads, says what to enable, and means what it says."""
+"""Every ready configuration loads, names what to enable, and maps the channels rightly."""
 
 from pathlib import Path
 
@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.identification.gates import LimitGate
+from uav_ident_ros.identification.gates import at_limit
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import ACTUATORS, ActuatorReader, frame_fault
 from uav_ident_ros.simulation.channels import QUADROTOR
 
@@ -22,16 +21,6 @@ VEHICLES = sorted(path for path in CONFIG.glob("*.yaml") if path.stem not in GEN
 
 def settings(name: str) -> Settings:
     return Settings.from_values(load_parameters(CONFIG / f"{name}.yaml", "/identifier"))
-
-
-def inputs(name: str, **raw: float) -> FloatArray:
-    """Return de, dr, da, dth where channels, by position as ``c0``, are off trim by the values."""
-    actuators = settings(name).actuators
-    mapping = InputMap(actuators)
-    values = mapping.trim.copy()
-    for key, value in raw.items():
-        values[int(key[1:])] += value
-    return mapping.apply(values)
 
 
 @pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda path: path.stem)
@@ -49,6 +38,8 @@ def test_its_types_fields_and_axes_agree(path: Path) -> None:
     assert frame_fault(own.imu.convention, "base_link", own.imu.type) == ""
     text = path.read_text(encoding="utf-8")
     assert "nable" in text.split("/**:")[0], "what to enable on the autopilot"
+    has_flow = OnlineIdentifier(own).structure.has_flow
+    assert has_flow == ("airspeed.reference" in text), "what the flow angles need"
 
 
 def is_normalised(name: str) -> bool:
@@ -66,28 +57,39 @@ def test_limits_fit_the_channels_and_stop_what_is_wild(name: str) -> None:
     low, high = np.array(actuators.lower_limit), np.array(actuators.upper_limit)
     assert len(low) == len(high) == len(actuators.channels)
     assert (low >= -1.0).all() and (high <= 1.0).all()
-    gate = LimitGate(actuators)
     inside = np.vstack([actuators.trim, low + 0.01, high - 0.01])
-    assert gate.check(inside) == ""
+    assert at_limit(inside, actuators) == ""
     for i, channel in enumerate(actuators.channels):
         for wild in (low[i], high[i], -10.0, 10.0):
             raw = np.array([actuators.trim])
             raw[0, i] = wild
-            assert gate.check(raw) == f"channel {channel} is at its limit"
+            assert at_limit(raw, actuators) == f"channel {channel} is at its limit"
 
 
-@pytest.mark.parametrize("name", ["px4", "mavros"])
-def test_pulse_widths_become_radians(name: str) -> None:
-    assert settings(name).actuators.channels == (1, 3, 0, 2)
-    np.testing.assert_allclose(inputs(name, c0=100.0), [0.1, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(inputs(name, c1=-200.0), [0.0, -0.2, 0.0, 0.0])
-    np.testing.assert_allclose(inputs(name, c2=100.0, c3=250.0), [0.0, 0.0, 0.1, 0.25])
+@pytest.mark.parametrize(
+    ("name", "raw", "expected"),
+    [
+        # pulse widths become radians
+        *((name, {0: 100.0, 1: -200.0}, [0.1, -0.2, 0.0, 0.0]) for name in ("px4", "mavros")),
+        *((name, {2: 100.0, 3: 250.0}, [0.0, 0.0, 0.1, 0.25]) for name in ("px4", "mavros")),
+        # elevons together pitch, and against each other roll
+        ("mavros_elevon", {0: 100.0, 1: -100.0}, [0.1, 0.0, 0.0, 0.0]),
+        ("mavros_elevon", {0: 100.0, 1: 100.0}, [0.0, 0.0, 0.1, 0.0]),
+        ("gazebo", {2: 0.2, 3: -0.2}, [0.0, 0.0, 0.2, 0.0]),  # ailerons roll right
+    ],
+)
+def test_channels_off_trim_are_the_inputs(
+    name: str, raw: dict[int, float], expected: list[float]
+) -> None:
+    """The used channels, by position."""
+    mapping = InputMap(settings(name).actuators)
+    values = mapping.trim.copy()
+    values[list(raw)] += list(raw.values())
+    np.testing.assert_allclose(mapping.apply(values), expected, atol=1e-15)
 
 
-def test_elevons_together_pitch_and_against_each_other_roll() -> None:
-    together, against = (inputs("mavros_elevon", c0=100.0, c1=c) for c in (-100.0, 100.0))
-    np.testing.assert_allclose(together, [0.1, 0, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(against, [0, 0, 0.1, 0], atol=1e-15)
+def test_the_channels_of_pulse_widths_are_those_of_the_airframe() -> None:
+    assert {settings(name).actuators.channels for name in ("px4", "mavros")} == {(1, 3, 0, 2)}
 
 
 @pytest.mark.parametrize("name", ["px4_quadrotor", "gazebo_quadrotor"])
@@ -95,7 +97,3 @@ def test_motors_are_mixed_as_in_the_simulation(name: str) -> None:
     actuators = settings(name).actuators
     mixing = InputMap(actuators).matrix / np.array(actuators.scale or (1.0,) * 4)
     np.testing.assert_allclose(mixing, QUADROTOR.mixing, atol=1e-12)
-
-
-def test_ailerons_of_the_gazebo_model_roll_right() -> None:
-    np.testing.assert_allclose(inputs("gazebo", c2=0.2, c3=-0.2), [0, 0, 0.2, 0], atol=1e-15)

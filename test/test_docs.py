@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The documentation says what the code does: tables, links, commands, topics, examples."""
+"""The documentation agrees with the code: tables, links, commands, topics, examples."""
 
 import json
 import os
 import re
 import shlex
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -180,11 +181,9 @@ def check_options(page: Path, name: str, words: list[str]) -> None:
             assert re.search(rf"(?<!\S){word}(?![\w-])", known), f"{page_id(page)}: {name} {word}"
 
 
-def help_of(module: str, cache: dict[str, str] = {}) -> str:  # noqa: B006  (a cache is meant)
-    if module not in cache:
-        done = python("-m", module, "--help", check=True)
-        cache[module] = re.sub(r"[\[\],]", " ", done.stdout)
-    return cache[module]
+@cache
+def help_of(module: str) -> str:
+    return re.sub(r"[\[\],]", " ", python("-m", module, "--help", check=True).stdout)
 
 
 def test_the_executables_listed_are_those_installed() -> None:

@@ -66,7 +66,7 @@ def sample(t_ns: int, x: np.ndarray) -> Imu:
 
 
 def flown(node: Any, seconds: float = 4.0) -> np.ndarray:
-    """Rates at the end of a flight that is asked for `REFERENCE`."""
+    """Rates at the end of a flight whose reference is `REFERENCE`."""
     node.publisher = sent = Sent()
     p, q, r = REFERENCE.tolist()
     node.on_reference(Vector3Stamped(vector=Vector3(x=p, y=q, z=r)))
@@ -86,7 +86,7 @@ def flown(node: Any, seconds: float = 4.0) -> np.ndarray:
 def test_each_controller_follows_a_reference(ros: None, name: str, node: str, error: float) -> None:
     """A regulator has no integral action: it comes near."""
     flying = getattr(load(name), node)()
-    flying.source.add(coefficients())  # which says where it flies
+    flying.source.add(coefficients())  # with the flow angles
     np.testing.assert_allclose(flown(flying), REFERENCE, atol=error)
     flying.destroy_node()
 
@@ -148,7 +148,9 @@ def test_the_prediction_from_a_message_is_that_of_the_client() -> None:
         ("own_gate", r"own: .*'load': '(\d+)%'.*\nwithout: (?!.*load)"),
     ],
 )
-def test_parts_of_ones_own(name: str, words: str, tmp_path: Path, capsys: Capture) -> None:
+def test_an_own_estimator_and_an_own_gate_take_effect(
+    name: str, words: str, tmp_path: Path, capsys: Capture
+) -> None:
     bag = excerpt(tmp_path / "bag", 14.0, "c172p")
     shutil.copy(BAGS / "c172p" / "identifier.yaml", bag)
     load(name).main(bag)

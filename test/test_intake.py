@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 from excerpts import ACTUATORS, IMU, SECOND_NS, Entry, excerpt, parameters, replayed_run
 
-from uav_ident_ros.bags import messages
-from uav_ident_ros.bags.messages import NOT_MEASURED, UNKNOWN
-from uav_ident_ros.bags.writing import jazzy_types
+from uav_ident_ros.bags.messages import NOT_MEASURED
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.messages.imu import decode_imu_block
 from uav_ident_ros.offline import run as offline
 
 SECONDS = 16.0
@@ -141,26 +138,3 @@ def test_the_score_in_pieces_is_that_of_the_whole(
         np.testing.assert_allclose(fit.free, whole[selection].free, rtol=1e-9)
         np.testing.assert_allclose(fit.measured_force, whole[selection].measured_force, rtol=1e-9)
         assert (fit.windows, fit.samples) == (whole[selection].windows, whole[selection].samples)
-
-
-def imu(k: int, frame_id: str = "imu", *, rates: bool = True, force: bool = True) -> Any:
-    rng = np.random.default_rng(k)
-    turn, values = rng.uniform(-1.0, 1.0, 4).tolist(), rng.uniform(-9.0, 9.0, (2, 3)).tolist()
-    covariances = tuple(UNKNOWN if known else NOT_MEASURED for known in (rates, force))
-    t_ns = 1_700_000_000_123_456_789 + k * 5_000_000
-    return messages.imu(t_ns, *values, frame_id, turn, covariances)
-
-
-def serialized(given: list[Any]) -> list[bytes]:
-    serialize = jazzy_types().serialize_cdr
-    return [bytes(serialize(m, "sensor_msgs/msg/Imu")) for m in given]
-
-
-def test_block_decoder_leaves_what_is_not_alike_other_byte_orders_and_short_messages() -> None:
-    for other in (imu(1, "uav"), imu(1, "longer_name"), imu(1, rates=False)):
-        assert decode_imu_block(serialized([imu(0), other])) is None
-    (little,) = serialized([imu(0)])
-    big = bytes(jazzy_types().serialize_cdr(imu(0), "sensor_msgs/msg/Imu", little_endian=False))
-    assert decode_imu_block([big]) is None
-    assert decode_imu_block([little[:100]]) is None
-    assert decode_imu_block([little]) is not None

@@ -81,16 +81,17 @@ def test_it_checks_before_it_starts_and_watches_every_process(path: Path) -> Non
     class Context(dict[str, str]):
         is_shutdown = False
 
-    ended = SimpleNamespace(process_name="identifier", returncode=0)
-    judges[0](ended, Context(respawn="false"))
-    ended.returncode = -9
+    def end(status: int, respawn: str = "false") -> None:
+        ended = SimpleNamespace(process_name="identifier", returncode=status)
+        judges[0](ended, Context(respawn=respawn))
+
+    end(0)
     with pytest.raises(Exception, match="'identifier' ended with status -9"):
-        judges[0](ended, Context(respawn="false"))
+        end(-9)
     if path.name == "identifier.launch.py":
-        judges[0](ended, Context(respawn="true"))  # it is started again
-        ended.returncode = 2  # wrongly started: again would not help
+        end(-9, "true")  # it is started again
         with pytest.raises(Exception, match="status 2"):
-            judges[0](ended, Context(respawn="true"))
+            end(2, "true")  # wrongly started: again would not help
 
 
 def test_a_bag_is_played_on_its_own_clock_and_the_nodes_topics_are_recorded() -> None:
@@ -147,7 +148,7 @@ def test_launch_description_builds(path: Path) -> None:
 
 
 def launched(path: Path, *arguments: str) -> str:
-    """What a launch says that ends with status 1; skip where no `ros2` knows this package."""
+    """The output of a launch that ends with status 1; skip where no `ros2` knows this package."""
     known = ["ros2", "pkg", "prefix", PACKAGE]
     if shutil.which("ros2") is None or subprocess.run(known, capture_output=True).returncode:
         pytest.skip("there is no ros2 with this package here")
@@ -167,7 +168,7 @@ def test_launch_ends_aloud_without_its_parameter_file(path: Path, tmp_path: Path
 
 
 def test_launch_ends_with_a_dead_process(tmp_path: Path) -> None:
-    """The identifier refuses the file with status 2; launch says so by its own."""
+    """The identifier refuses the file with status 2; launch fails by its own."""
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n")
     path = ROOT / "launch" / "identifier.launch.py"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the monitor shows of what it heard: size, signs, words, verdict."""
+"""The monitor's view of what it has received: size, signs, words, verdict."""
 
 import io
 import math
@@ -21,7 +21,7 @@ SECOND_NS = 1_000_000_000
 STATUS = {
     "excitation pdot [0..1]": "0.280", "hold p [%]": "-12.0", "hold q [%]": "3.0",
     "hold r [%]": "95.0", "delay [s]": "0.0231", "delay confidence": "sure",
-    "not told apart": "qdot/1, qdot/az; rdot/p, rdot/r",
+    "collinear": "qdot/1, qdot/az; rdot/p, rdot/r",
     "ticks: count": "651", "ticks: update time p99 [ms]": "0.300",
     "rates: topic": "/mavros/imu/data_raw", "rates: rate [Hz]": "200.0", "rates: age [s]": "0.01",
     "rates: dropped": "3", "rates: dropped: late": "2", "rates: dropped: not finite": "1",
@@ -59,7 +59,7 @@ def published(
 def received(
     structure: str = "augmented", *, usable: bool = True, scale: float = 1.0
 ) -> tuple[WatchedNode, Watch]:
-    """A node that has been heard for two ticks and one status."""
+    """A node of which two ticks and one status were received."""
     watch = Watch()
     result = WatchedNode("/drone1/identifier", watch)
     names = entry_names(STRUCTURES[structure])
@@ -89,11 +89,8 @@ def text(result: WatchedNode, width: int = 80, encoding: str = "utf-8") -> str:
 def test_everything_fits_on_80_columns_and_24_lines(structure: str, scale: float) -> None:
     result, _ = received(structure, scale=scale)
     if "beta" in STRUCTURES[structure].regressors:  # force rows take the place of more inputs
-        few = {
-            k: v
-            for k, v in STATUS.items()
-            if not k.startswith(("airspeed", "armed", "rates: dropped: "))
-        }
+        left_out = ("airspeed", "armed", "rates: dropped")
+        few = {k: v for k, v in STATUS.items() if not k.startswith(left_out)}
         result.diagnosed("converged", few | {"rates: dropped": "0", "structure": structure})
     shown = text(result).splitlines()
     assert len(shown) <= 24
@@ -126,7 +123,7 @@ def test_every_number_is_where_it_belongs() -> None:
     assert "0.0 Hz  no message yet  dropped 0" in shown
     assert "delay     23 ms  estimated, sure" in shown
     assert "ticks     651  update 0.300 ms (p99)" in shown
-    assert "not told apart: qdot/1, qdot/az; rdot/p, rdot/r" in shown
+    assert "collinear: qdot/1, qdot/az; rdot/p, rdot/r" in shown
 
 
 def styles(result: WatchedNode) -> dict[str, str]:
@@ -135,7 +132,7 @@ def styles(result: WatchedNode) -> dict[str, str]:
     return {segment.text.strip(): str(segment.style) for segment in segments}
 
 
-def test_colours_tell_good_from_bad() -> None:
+def test_good_and_bad_differ_in_colour() -> None:
     found = styles(received()[0])
     assert found["usable"] == "bold green"
     assert found["fit 84 %"] == "green"
@@ -166,7 +163,7 @@ def test_a_verdict_of_the_past_is_not_usable() -> None:
     assert not latched.usable
 
 
-def test_nothing_heard_yet_is_said_in_words() -> None:
+def test_the_view_before_the_first_message() -> None:
     shown = text(WatchedNode("/identifier"))
     assert "no tick yet" in shown
     assert "no status on /diagnostics yet" in shown

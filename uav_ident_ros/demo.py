@@ -34,7 +34,7 @@ from uav_ident_ros.share import shared
 
 FAILED = 1
 
-DEFAULT_BAG = shared("bags/multisine")
+DEFAULT_BAG = shared("bags/c172p")
 DEFAULT_SPEED = 2.0
 """The 75 s of the default flight then take well under a minute."""
 
@@ -120,7 +120,7 @@ def parser() -> argparse.ArgumentParser:
         "leave its picture and report.",
     )
     result.add_argument(
-        "bag", nargs="?", type=Path, default=DEFAULT_BAG, help="bag to play (bags/multisine)"
+        "bag", nargs="?", type=Path, default=DEFAULT_BAG, help="bag to play (bags/c172p)"
     )
     result.add_argument(
         "--params-file",

@@ -38,27 +38,3 @@ def test_only_the_axis_concerned_and_what_comes_after_counts_as_noticed() -> Non
     assert fault_campaign.noticed(outcome, 10.0, 0) == 4.0
     assert fault_campaign.noticed(outcome, 10.0, 1) == 2.0
     assert fault_campaign.noticed(outcome, 10.0, 2) is None
-
-
-def test_the_table_counts_the_lost() -> None:
-    healthy = [
-        flight([1.0] * 4, controller=name, fault="healthy") for name in fault_campaign.CONTROLLERS
-    ]
-    faulty = [
-        flight([1.0, 5.0, 2.0, 1.0], 20.0 if name == "PID" else None, controller=name)
-        for name in fault_campaign.CONTROLLERS
-    ]
-    lines = list(fault_campaign.lines([*healthy, *faulty]))
-    row = next(line for line in lines if line.startswith("| aileron lost | PID"))
-    assert "| 1 | 1.00 | 5.00 | 2.00 | 1.00 | 1.00x | 1 |" in row
-
-
-def test_every_beginning_of_the_design_is_a_fair_sample() -> None:
-    names, faults = ["kite", "glider"], ["aileron lost", "rudder jams", "engine out"]
-    cells = fault_campaign.design(names, faults)
-    assert len(set(cells)) == len(cells) == 6 * fault_campaign.TIMES * fault_campaign.SEEDS
-    assert len({cell[:2] for cell in cells[:6]}) == 6
-    assert fault_campaign.design(names, faults) == cells
-    times = {fault_campaign.fault_time(k, 0) for k in range(fault_campaign.TIMES)}
-    assert len(times) == 5
-    assert all(15.0 <= t <= 25.0 for t in times)

@@ -5,8 +5,6 @@ import flights
 import numpy as np
 import pytest
 
-from uav_ident_ros.simulation.errors import SimulationError
-
 
 @pytest.mark.parametrize("name", flights.names())
 def test_every_definition_can_be_flown(name: str) -> None:
@@ -14,23 +12,6 @@ def test_every_definition_can_be_flown(name: str) -> None:
     plan = flights.plan_of(own)
     assert plan.duration > 0.0 and own["description"] and "seed" in own
     assert plan.rate % flights.sensors_of(own).rate == 0.0
-
-
-QUIET = {"plant": "small_uav", "duration": 1.0}
-
-
-@pytest.mark.parametrize(
-    ("named", "definition"),
-    [
-        ("either 'plant' or 'aircraft'", {}),
-        ("no entry 'inptus'", {**QUIET, "inptus": []}),
-        ("input has no entry 'amp'", {**QUIET, "inputs": [{"kind": "quiet", "amp": 1}]}),
-        ("'duration' is missing", {"plant": "small_uav"}),
-    ],
-)
-def test_what_no_flight_is_defined_by_is_named(named: str, definition: dict) -> None:
-    with pytest.raises(SimulationError, match=named):
-        flights.plan_of(definition)
 
 
 def test_a_loaded_flight_is_kept_and_the_same(

@@ -5,17 +5,17 @@ import mutations
 
 
 def test_constants_are_found_and_changed_alone() -> None:
-    found = set(mutations.constants("gates"))
-    assert {"REST_NOISE", "HOLD_TIME", "LONGEST_GLITCH"} <= found
+    found = set(mutations.constants("gates")) | set(mutations.constants("scales"))
+    assert {"REST_NOISE", "REST_TIME", "IN_A_ROW"} <= found
     assert "SIGNALS" not in found  # not a number
-    source = (mutations.ROOT / mutations.path_of("gates")).read_text(encoding="utf-8")
-    changed = mutations.mutated(source, "LONGEST_GLITCH", 2.0)
+    source = (mutations.ROOT / mutations.path_of("scales")).read_text(encoding="utf-8")
+    changed = mutations.mutated(source, "IN_A_ROW", 2.0)
     before, after = source.splitlines(), changed.splitlines()
     different = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
-    assert different == [("LONGEST_GLITCH = 3", "LONGEST_GLITCH = type(3)(3 * 2.0)")]
+    assert different == [("IN_A_ROW = 5", "IN_A_ROW = type(5)(5 * 2.0)")]
     namespace: dict[str, object] = {}
     exec(different[0][1], namespace)
-    assert namespace["LONGEST_GLITCH"] == 6
+    assert namespace["IN_A_ROW"] == 10
 
 
 def test_the_tests_named_exist() -> None:

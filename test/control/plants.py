@@ -62,7 +62,7 @@ def flown(
     disturbance: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),  # or (N, 3), a row a sample
     noise: float = 0.0,
     each: Callable[[int], None] = lambda t_ns: None,
-    delay_steps: int = DELAY_STEPS,  # True delay; the controller is told `DELAY_STEPS`
+    delay_steps: int = DELAY_STEPS,  # True delay; the controller assumes `DELAY_STEPS`
 ) -> FloatArray:
     """Rates of the plant, (N, 3); `effect` may change with time."""
     rng, healthy = np.random.default_rng(1), coefficients().values

@@ -35,7 +35,7 @@ def test_axes_that_are_known_are_adopted_and_the_others_stay() -> None:
     assert effect.values[1, 0] == -26.0
 
 
-def test_the_last_good_row_stays_when_the_identifier_says_no_or_nothing() -> None:
+def test_the_last_good_row_stays_while_the_estimate_is_unusable_or_old() -> None:
     chosen, source = choice()
     source.add(coefficients(0.5, LATER))
     chosen.update(LATER, Effectiveness())
@@ -67,7 +67,7 @@ def test_a_lost_aileron_is_adopted_for_the_rudder_still_rolls() -> None:
     assert chosen.update(LATER, Effectiveness()).sources[0] == "identified"
 
 
-def test_fixed_never_asks() -> None:
+def test_the_fixed_mode_never_changes_its_effect() -> None:
     chosen, source = choice(adaptive=False)
     source.add(coefficients(0.5, LATER))
     assert chosen.update(LATER, Effectiveness()).sources == ("nominal",) * 3
@@ -124,7 +124,7 @@ def test_a_halved_effect_is_flown_on_before_it_is_learned() -> None:
 
 
 @pytest.mark.parametrize(("steps", "speed"), [(0, 2.3), (6, 1.0), (8, 2.3)])
-def test_a_delay_told_wrongly_is_found_and_not_taken_for_another_effect(
+def test_a_wrongly_configured_delay_is_found_and_not_taken_for_another_effect(
     steps: int, speed: float
 ) -> None:
     """Told two steps. What is measured never makes the loop worse; what rings is mended."""

@@ -54,7 +54,7 @@ def test_a_dead_surface_leaves_the_other_axes_whole(law: Law, lost: int) -> None
     np.testing.assert_allclose(rates[-1, others], STEP[others], atol=0.01)
 
 
-def test_a_dead_axis_is_known_and_told_from_a_weak_one() -> None:
+def test_a_dead_axis_is_distinguished_from_a_weak_one() -> None:
     def swaying(t: float) -> FloatArray:
         return STEP * np.sin(2.0 * t)
 
@@ -65,7 +65,7 @@ def test_a_dead_axis_is_known_and_told_from_a_weak_one() -> None:
         assert flying.effectiveness.dead.tolist() == [dead, False, False]
 
 
-def test_what_is_repaired_is_alive_again() -> None:
+def test_a_repaired_surface_is_no_longer_dead() -> None:
     effect, x, found = coefficients().values[:3, INPUT_COLUMNS], np.zeros(3), []
     measured, response = Effectiveness(), Response()
     damping = dict.fromkeys(("pdot/p", "qdot/q", "rdot/r"), -3.0)

@@ -42,7 +42,7 @@ class Flown:
             residual = self._gust + (actual - BELIEVED) @ self._u
             f = np.zeros((1, 15))
             f[0, INPUT_COLUMNS] = self._u
-            samples = Regression(np.zeros((1, 3)), f, f, DT)
+            samples = Regression.of(np.zeros((1, 3)), f, f, DT)
             sample = RowSamples.of(samples, residual[None], LAYOUT)
             white = self._noise.whiten(sample, restarted=self.restarted)
             self.restarted = False
@@ -61,9 +61,19 @@ def test_nothing_is_confirmed_before_anything_has_moved() -> None:
     ]
 
 
-def test_surfaces_that_do_as_believed_are_confirmed() -> None:
+@pytest.mark.parametrize(
+    ("max_age", "then", "moved", "gap"),
+    [(MAX_AGE, 0.0, 1.0, False), (MAX_AGE, 1.0, 1.0, True), (0.0, 10.0 * MAX_AGE, 0.0, False)],
+    ids=["now", "after a gap", "for ever if there is no largest age"],
+)
+def test_surfaces_that_do_as_believed_are_confirmed(
+    max_age: float, then: float, moved: float, gap: bool
+) -> None:
     flight = Flown()
+    flight.max_age = max_age
     flight.fly(20.0)
+    flight.restarted = gap
+    flight.fly(then, moved=moved)
     assert flight.doubts() == ["", "", ""]
 
 
@@ -74,8 +84,7 @@ def test_a_surface_that_fails_speaks_against_itself(row: int, effect: float) -> 
     flight = Flown()
     flight.fly(2.0 * MAX_AGE)
     flight.fly(10.0, effect, row=row)
-    surface = ("da", "de", "dr")[row]
-    axis = ("pdot", "qdot", "rdot")[row]
+    surface, axis = ("da", "de", "dr")[row], ("pdot", "qdot", "rdot")[row]
     doubts = flight.doubts()
     assert doubts.pop(row) == f"{axis} does not follow {surface} as {axis}/{surface} says"
     assert doubts == ["", ""]
@@ -103,14 +112,6 @@ def test_what_does_not_move_fades_in_its_time() -> None:
     assert flight.doubts() == ["", "", ""]
 
 
-def test_without_an_age_nothing_fades() -> None:
-    flight = Flown()
-    flight.max_age = 0.0
-    flight.fly(60.0)
-    flight.fly(10.0 * MAX_AGE, moved=0.0)
-    assert flight.doubts() == ["", "", ""]
-
-
 def test_a_row_that_is_learned_anew_is_forgotten_alone() -> None:
     flight = Flown()
     flight.fly(60.0)
@@ -120,20 +121,12 @@ def test_a_row_that_is_learned_anew_is_forgotten_alone() -> None:
     assert [doubts[ROLL], doubts[YAW]] == ["", ""]
 
 
-def test_a_gap_does_not_undo_what_was_confirmed() -> None:
-    flight = Flown()
-    flight.fly(60.0)
-    flight.restarted = True
-    flight.fly(1.0)
-    assert flight.doubts() == ["", "", ""]
-
-
 def test_a_flight_without_noise_is_judged_too() -> None:
     confirmed, noise = Confirmation(), NoiseModel(3)
     for k in range(200):
         f = np.zeros((1, 15))
         f[0, INPUT_COLUMNS] = 0.05 * np.sin(0.3 * k * np.arange(1.0, 5.0))
-        samples = Regression(np.zeros((1, 3)), f, f, DT)
+        samples = Regression.of(np.zeros((1, 3)), f, f, DT)
         sample = RowSamples.of(samples, np.zeros((1, 3)), LAYOUT)
         white = noise.whiten(sample, restarted=k == 0)
         confirmed.add(white, LAYOUT.main_effect(BELIEVED, white), noise.variance, MAX_AGE)

@@ -14,16 +14,15 @@ from light_aircraft import LightFlight
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.delay import (
     ALIKE,
-    ANSWER_TIME,
-    CONTRADICTED,
     FEWEST_BLOCKS,
     LAGS,
-    SMALLEST_MOVE,
     STEP,
     SYSTEMATIC_ERROR,
     DelayBank,
     judge,
 )
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.feedback import ANSWER_TIMES
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings, SettingsError
@@ -115,18 +114,47 @@ def test_the_papers_differences_cannot_show_a_delay() -> None:
     assert caught.value.name == "actuators.estimate_delay"
 
 
-@pytest.mark.parametrize("more", [0.5 * CONTRADICTED, 3.0 * CONTRADICTED])
-def test_without_the_setting_nothing_moves_but_no_model_with_it_is_usable(more: float) -> None:
+def flown_with(
+    delay: float, told: float, lag_told: float = 0.0
+) -> tuple[OnlineIdentifier, Estimate]:
+    """Return an identifier, told a delay and a lag, after a flight whose servos have no lag."""
     peaks = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
-    segments = [Segment("multisine", 2.0, 35.0, peaks, seed=1)]
-    flight = LightFlight(segments, 35.0, gust=0.3, delay=0.02 + more, seed=1).fly()
+    segments = [Segment("multisine", 2.0, 40.0, peaks, seed=1)]
+    flight = LightFlight(segments, 40.0, gust=0.3, delay=delay, seed=1).fly()
     m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15))
-    identifier = OnlineIdentifier(settings(m, actuators__delay=0.02))
-    last = run(identifier, messages(m))[-1]
-    assert identifier.delay == 0.02
-    assert identifier.delay_confidence == "none"
-    assert last.usable == (more < CONTRADICTED), last.reason
-    assert ("later than 'actuators.delay'" in last.reason) == (more > CONTRADICTED)
+    own = settings(m, actuators__delay=told, actuators__time_constant=lag_told)
+    identifier = OnlineIdentifier(own)
+    return identifier, run(identifier, messages(m))[-1]
+
+
+def test_a_delay_that_is_a_little_off_makes_the_rows_less_sure() -> None:
+    """Each by how fast it settles: pdot by 7 1/s times 25 ms."""
+    told, off = (flown_with(0.045, told) for told in (0.045, 0.02))
+    assert told[1].usable
+    assert off[0].delay == 0.02
+    assert off[0].delay_confidence == "none"
+    structure, truth = told[0].structure, {"pdot/da": 45.0, "qdot/de": -30.0}
+    for name, value in truth.items():
+        i = structure.index(name)
+        assert off[1].sigma[i] > 2.0 * told[1].sigma[i]
+        assert off[1].coefficients[i] == pytest.approx(value, abs=2.0 * off[1].sigma[i])
+
+
+@pytest.mark.parametrize(
+    ("delay", "told", "lag", "words"),
+    [
+        (0.14, 0.02, 0.0, "later than 'actuators.delay'"),
+        (0.02, 0.08, 0.0, "earlier than 'actuators.delay'"),
+        (0.02, 0.02, 0.1, "this lag is too long"),
+    ],
+)
+def test_no_row_is_usable_that_inputs_would_falsify_by_a_quarter(
+    delay: float, told: float, lag: float, words: str
+) -> None:
+    identifier, last = flown_with(delay, told, lag)
+    assert identifier.delay == told
+    assert not any(last.usable_rows[:2])
+    assert words in last.reason
 
 
 def test_what_was_learned_with_the_wrong_delay_does_not_stay() -> None:
@@ -156,7 +184,7 @@ def test_the_delay_survives_a_gap_and_a_new_time_base() -> None:
 
 def test_small_differences_are_left_alone() -> None:
     estimate = late().delays.estimate
-    near = max(SMALLEST_MOVE, 2.0 * estimate.sigma)
+    near = 2.0 * estimate.sigma
     assert estimate.off(estimate.delay - 0.9 * near) == 0.0
     assert estimate.off(estimate.delay - 1.1 * near) == pytest.approx(1.1 * near)
 
@@ -213,7 +241,21 @@ def test_answers_make_the_delay_as_unsure_as_the_motion_is_unexplained() -> None
     errors = curve(0.11)
     share = np.sqrt((1.0 / errors.sum(axis=0)[0].max(axis=0)).mean() * errors[:, 0].shape[0])
     plain, answered = (judge(errors, DELAYS, opposed=o).sigma for o in (False, True))
-    assert math.sqrt(answered**2 - plain**2) == pytest.approx(ANSWER_TIME * share, rel=0.1)
+    assert math.sqrt(answered**2 - plain**2) == pytest.approx(ANSWER_TIMES[0] * share, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("best", "opposed", "told"), [(-0.03, False, True), (-0.03, True, False), (0.05, True, True)]
+)
+def test_answers_that_come_after_the_motion_are_no_early_inputs(
+    best: float, opposed: bool, told: bool
+) -> None:
+    early = STEP * np.arange(-6, 13)
+    bowl = np.exp(((early - best) / 0.1) ** 2)[:, None] * np.ones((6, len(LAGS), 1, 3))
+    noise = np.exp(0.01 * np.random.default_rng(1).normal(size=bowl.shape))
+    estimate = judge(bowl * noise, early, opposed=opposed)
+    assert estimate.sure == told
+    assert bool(estimate.off(0.2)) == told
 
 
 def test_lags_that_predict_alike_leave_their_sum_with_the_delay_unknown() -> None:

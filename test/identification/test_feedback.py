@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feedback: what answers a disturbance is found, and counts as little as it tells."""
+"""Feedback: inputs that answer a disturbance are found, and count as little as they identify."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def fly(
         answer = gusts[k, 0]
     y = np.zeros((n, LAYOUT.rows))
     y[:, 0] = -5.0 * f[:, P] + TRUE * f[:, AILERON] + gusts[:, 0]
-    return Regression(y, f, f, DT), gusts
+    return Regression.of(y, f, f, DT), gusts
 
 
 def shares(samples: Regression, residual: np.ndarray) -> np.ndarray:
@@ -43,7 +43,7 @@ def shares(samples: Regression, residual: np.ndarray) -> np.ndarray:
     looked = Feedback(LAYOUT)
     for k in range(len(samples.y)):
         part = slice(k, k + 1)
-        one = replace(samples, y=samples.y[part], f=samples.f[part], z=samples.z[part])
+        one = replace(samples, signals=samples.signals[part])
         looked.add(one, residual[part, :3], np.ones(3))
     return looked.share
 
@@ -61,7 +61,7 @@ def test_an_aileron_that_is_excited_is_not(seed: int) -> None:
     assert shares(*fly(0.0, 0.01, seed=seed)).tolist() == [0.0] * 4
 
 
-def test_what_is_excited_beside_the_answer_is_told_apart() -> None:
+def test_excitation_beside_feedback_separates_the_coefficients() -> None:
     """Half of the variance: the share is what the answer has of it."""
     samples, gusts = fly(0.02, 0.01)
     exciting = 0.01**2 * 8 / 2
@@ -104,7 +104,7 @@ def test_sigma_covers_what_no_residual_shows(seed: int) -> None:
 
 
 def test_an_answer_does_not_undo_what_was_known() -> None:
-    """A prior of 20 % holds where the flight tells a half of the truth, for as long as it lasts."""
+    """A prior of 20 % holds against a biased estimate, however long the flight lasts."""
     samples, gusts = fly(0.02, 0.005, seconds=600.0)
     biased, _ = learned(samples, gusts, 0.0, TRUE)
     held, sigma = learned(samples, gusts, shares(samples, gusts)[2] * 4.0, TRUE)
@@ -127,7 +127,7 @@ def test_excitation_outweighs_what_was_known() -> None:
 
 
 def test_a_whole_derivative_that_was_known_is_not_doubted_for_a_force() -> None:
-    """Before the flight tells anything sigma is the prior's, whatever the side force may be."""
+    """Before there are samples sigma is the prior's, whatever the side force may be."""
     start = start_from(Settings())
     values, sigma = start.values.copy(), start.sigma.copy()
     for name, value in (("rdot/dr", -4.0), ("rdot/beta", 8.0)):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from equations import matrix
 from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
 from light_aircraft import TRUTH, LightFlight
 
@@ -82,7 +83,7 @@ def observer() -> FlowObserver:
 
 @pytest.mark.parametrize(("bank", "h"), [(0.3, 0.02), (-0.8, 0.005), (-0.8, 0.02)])
 def test_the_attitude_of_a_coordinated_turn_does_not_level_out(bank: float, h: float) -> None:
-    """The accelerometer alone says level from the first second of the turn to the last."""
+    """The accelerometer alone reads level from the first second of the turn to the last."""
     roll, x, force = turn(bank, 60.0, h)
     _, attitude = observed(observer(), x, force, np.zeros((len(x) - 1, 4)), h)
     error = attitude - np.stack([roll[1:], 0.0 * roll[1:]], axis=1)[: len(attitude)]
@@ -97,7 +98,7 @@ def test_a_gyro_that_drifts_is_found_out() -> None:
     assert np.abs(attitude).max() > math.radians(1.0)
 
 
-def test_it_starts_at_the_attitude_that_the_first_samples_tell() -> None:
+def test_it_starts_at_the_attitude_of_the_first_samples() -> None:
     roll, pitch = 0.5, -0.3
     level = math.cos(pitch)
     down = np.array([-math.sin(pitch), math.sin(roll) * level, math.cos(roll) * level])
@@ -110,7 +111,7 @@ def test_it_starts_at_the_attitude_that_the_first_samples_tell() -> None:
     np.testing.assert_allclose(state.down, down, atol=1e-6)
 
 
-def test_a_fall_tells_nothing_of_where_down_is() -> None:
+def test_free_fall_does_not_move_the_attitude() -> None:
     """Without a force of about gravity the gyro alone turns the attitude."""
     roll, x, force = turn(0.6, 5.0, 0.01)
     after = np.zeros((200, 3))
@@ -121,14 +122,6 @@ def test_a_fall_tells_nothing_of_where_down_is() -> None:
 
 
 # --- flow angles --------------------------------------------------------------------------------
-
-
-def true_values(flight: Flight) -> FloatArray:
-    values = np.zeros(FLIGHT.mask.shape)
-    for name, value in flight.local_truth.items():
-        if name in FLIGHT.names:
-            values[FLIGHT.index(name)] = value
-    return values
 
 
 def flow_of(flight: Flight, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -152,7 +145,7 @@ def test_the_flow_angles_of_a_light_jsbsim_aircraft_are_its_own() -> None:
 
     segment = Segment("multisine", amplitudes=dict.fromkeys(("de", "dr", "da"), 0.05), seed=1)
     flight = AircraftFlight((segment,), 30.0, 200.0, aircraft="c172p").fly()
-    found, true = flow_of(flight, true_values(flight))
+    found, true = flow_of(flight, matrix(FLIGHT, flight.local_truth))
     assert (true.std(axis=0) > math.radians(0.3)).all()
     assert ((found - true).std(axis=0) < 0.2 * true.std(axis=0)).all()
 

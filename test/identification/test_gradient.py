@@ -11,14 +11,13 @@ from uav_ident_ros.identification.structure import STRUCTURES
 
 STRUCTURE = STRUCTURES["throttle_coupled"]
 RNG = np.random.default_rng(4)
-TRUE_A = np.where(STRUCTURE.mask, RNG.normal(size=(3, 12)), 0.0)
 PHASES = RNG.uniform(0.0, 2 * np.pi, 7)
 GAIN = np.diag(RNG.uniform(0.5, 2.0, 12))
 DURATION = 4.0
 
 
 def signals(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Smooth rates, their derivatives and inputs: any will do, the law asks for no plant."""
+    """Smooth rates, their derivatives and inputs: any will do, the law needs no plant."""
     w = 1.0 + 0.4 * np.arange(7)
     s = np.sin(w * t + PHASES)
     return s[:3], (w * np.cos(w * t + PHASES))[:3], s[3:]
@@ -26,9 +25,7 @@ def signals(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def equation_8(t: float, flat: np.ndarray) -> np.ndarray:
     """Right-hand side of (8), written as printed: with both states and their difference."""
-    xm_dim = 3
-    a = flat[xm_dim:].reshape(3, 12)
-    xm = flat[:xm_dim]
+    xm, a = flat[:3], flat[3:].reshape(3, 12)
     x, xdot, u = signals(t)
     f, fm = STRUCTURE.regressor(x, u), STRUCTURE.regressor(xm, u)
     xm_dot = a @ fm

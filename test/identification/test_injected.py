@@ -45,7 +45,7 @@ def cells(target: Sampler) -> tuple[FloatArray, FloatArray, FloatArray | None]:
 
 
 @pytest.mark.parametrize("time_constant", [0.0, 0.06])
-def test_what_is_injected_is_treated_as_the_inputs_are(time_constant: float) -> None:
+def test_excitation_is_delayed_lagged_and_averaged_as_the_inputs(time_constant: float) -> None:
     """Inputs that consist of nothing else must come out the same, cell by cell."""
     rng = np.random.default_rng(0)
     values = rng.normal(size=(len(INPUTS_NS), 4))
@@ -59,7 +59,7 @@ def test_what_is_injected_is_treated_as_the_inputs_are(time_constant: float) -> 
     np.testing.assert_allclose(excitation, u, atol=1e-12)
 
 
-def test_there_is_none_before_the_first_word_and_zero_after_the_last() -> None:
+def test_excitation_is_none_before_the_first_message_and_zero_after_the_timeout() -> None:
     target = sampler()
     add_rates(target, RATES_NS)
     add_inputs(target, INPUTS_NS)
@@ -85,7 +85,7 @@ def identifier_over(stream: list[tuple[str, int, tuple[float, ...]]]) -> OnlineI
     return identifier
 
 
-def test_a_word_calls_off_what_was_said_of_a_later_time() -> None:
+def test_a_message_cancels_what_was_scheduled_later() -> None:
     identifier = OnlineIdentifier(Settings())
     buffer = identifier.sampler.injected
     for k in range(4):
@@ -96,7 +96,7 @@ def test_a_word_calls_off_what_was_said_of_a_later_time() -> None:
     assert not buffer.v[-1].any()
 
 
-def test_a_late_word_counts_from_the_next_tick_on() -> None:
+def test_a_late_message_counts_from_the_next_tick_on() -> None:
     stream = [("rates", int(t), (0.0, 0.0, 0.0)) for t in RATES_NS[:200]]
     stream.insert(100, ("excitation", 500 * MS, (0.1,) * 4))
     identifier = identifier_over(stream)
@@ -114,7 +114,7 @@ def test_a_late_word_counts_from_the_next_tick_on() -> None:
         (9000 * MS, (0.1,) * 4, Drop.CLOCK_MISMATCH),
     ],
 )
-def test_bad_words_are_dropped_and_counted(
+def test_bad_excitation_is_dropped_and_counted(
     t_ns: int, values: tuple[float, ...], drop: Drop
 ) -> None:
     identifier = OnlineIdentifier(Settings())
@@ -123,7 +123,7 @@ def test_bad_words_are_dropped_and_counted(
     assert identifier.intake.drops[EXCITATION] == {drop: 1}
 
 
-def test_nobody_who_injects_nothing_changes_the_estimate() -> None:
+def test_zero_excitation_leaves_the_estimate_alone() -> None:
     rng = random.Random(0)
     plain = [("rates", int(t), (rng.gauss(0, 0.1), 0.0, 0.0)) for t in RATES_NS]
     plain += [("actuators", int(t), (0.0, 0.0, rng.gauss(0, 0.1), 0.0)) for t in INPUTS_NS]
@@ -148,7 +148,7 @@ def test_a_second_of_a_poor_model_does_not_outweigh_a_minute() -> None:
             y[:, 0] += -5.0 * f[:, RATE_COLUMNS.start] + 40.0 * f[:, da] + gust
             z = f.copy()
             z[:, RATE_COLUMNS] *= response
-            samples = Regression(y, f, z, dt, injected=True)
+            samples = Regression.of(y, f, z, dt, injected=True)
             residual = estimator.residual(samples)
             rows = RowSamples.of(samples, residual, problem)
             estimator.update(samples, rows, rows, np.ones(3))

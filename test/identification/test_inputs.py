@@ -50,7 +50,7 @@ def test_servo_lag_is_exact_for_inputs_held_over_the_cells() -> None:
         state = command + (state - command) * np.exp(-h / tau)
 
 
-def test_a_motors_thrust_goes_by_the_square_as_far_as_it_is_told() -> None:
+def test_a_motors_thrust_follows_its_curve() -> None:
     """PX4's model: thrust = f s^2 + (1 - f) s of the scaled command."""
     values = {
         "actuators.scale": [0.001, 1.0, 1.0, 1.0],

@@ -38,7 +38,7 @@ def block_of(u: FloatArray, h: float, *, restarted: bool = True) -> Block:
     t_ns = np.rint(np.arange(m + 1) * h * 1e9).astype(np.int64)
     x = np.tile(START[:3], (m + 1, 1))
     whole = np.tile(with_down(START), (m + 1, 1))
-    flow = FlowSignals(whole[:, 3:5], whole[:, 5:], SPEED)
+    flow = FlowSignals(whole, SPEED)
     return Block(t_ns, h, x, u, np.zeros((m + 1, 3)), restarted, flow=flow)
 
 
@@ -93,7 +93,7 @@ def test_a_force_row_of_nothing_leaves_no_moment_of_its_angle() -> None:
 
 
 def test_the_start_never_divides_by_a_slope_that_cannot_be() -> None:
-    """A zero in the initial coefficients says that nothing is known, not that there is no lift."""
+    """A zero in the initial coefficients stands for an unknown, not for no lift."""
     for given in (0.0, 5.0):
         values = np.full((5, FLIGHT.size), given)
         start = start_from(

@@ -81,7 +81,7 @@ def test_the_models_are_fitted_twice_a_second() -> None:
     assert fits == pytest.approx(2.0 * len(residual) * DT, abs=1)
 
 
-def test_what_can_be_foretold_leaves_the_loading_alone() -> None:
+def test_the_loading_is_a_hundredth_of_what_is_predictable() -> None:
     """A slow sine is foretold by its past; as an innovation a hundredth of it remains."""
     sine = np.sin(0.5 * DT * np.arange(2000))[:, None] * SPREAD
     model = NoiseModel(3)

@@ -46,7 +46,7 @@ class Signals:
             looker.look(t, np.hstack([self.rates[new], self.force[new]]), raw)
             for finding in looker.findings:
                 found.setdefault(finding.name, float(t))
-        self.accelerometer, self.fault = looker.accelerometer, looker.fault
+        self.fault = looker.fault
         return found
 
 
@@ -84,11 +84,10 @@ def only(found: Mapping[str, float], name: str, at: float = 4.1) -> None:
 def test_a_flight_raises_no_alarm(spec: dict[str, Any]) -> None:
     signals = Signals(**spec)
     assert signals.findings() == {}
-    assert signals.accelerometer
 
 
 def test_the_wrong_convention_is_named_with_the_right_one() -> None:
-    only(Signals().findings(imu__convention="flu"), "mounting", 5.1)
+    only(Signals().findings(imu__convention="flu"), "mounting")
     looker = Plausibility(settings_of(imu__convention="flu"))
     text = looker._better_mounting(np.array([0.0, 0.0, 1.0]))
     assert text.startswith("imu.convention 'frd' would fit, not 'flu', or the board is mounted")
@@ -109,7 +108,7 @@ def test_a_board_mounted_otherwise_is_named_with_the_angles_that_fit(
     matrix: Any, rpy: tuple[float, float, float]
 ) -> None:
     signals = turned(Signals(), matrix)
-    only(signals.findings(), "mounting", 5.1)
+    only(signals.findings(), "mounting")
     mean = signals.force.mean(axis=0)
     text = Plausibility(settings_of())._better_mounting(mean / np.linalg.norm(mean))
     assert f"[{rpy[0]:.2f}, {rpy[1]:.2f}, yaw]" in text
@@ -150,7 +149,7 @@ def test_rolling_and_looping_are_no_wrong_units() -> None:
 def test_a_force_in_other_units_is_named(factor: float, words: str) -> None:
     signals = Signals()
     signals.force *= factor
-    only(signals.findings(), "force size", 5.1)
+    only(signals.findings(), "force size")
     assert words in signals.fault
 
 
@@ -159,7 +158,6 @@ def test_an_accelerometer_that_repeats_itself_is_none() -> None:
         signals = Signals()
         signals.force[:] = [0.0, 0.0, value]
         assert signals.findings() == {}
-        assert signals.accelerometer is False
 
 
 def test_trim_in_degrees_is_named() -> None:
@@ -228,6 +226,23 @@ def test_reversed_and_swapped_channels_are_named_once_that_is_sure() -> None:
         assert (found.name if found else None) == name, (changes, sigma)
 
 
+def test_a_doubt_stays_until_it_is_the_less_likely() -> None:
+    """Three sigma raise it; evidence that dips below them does not begin it anew."""
+    looker, nothing = Plausibility(settings_of(structure="augmented")), np.zeros((0, 6))
+    swapped = coefficients(pdot_da=3.0, pdot_dr=45.0, rdot_dr=-1.5, rdot_da=-9.0)
+    for t, values, sigma, named_ in (
+        (1.0, swapped, 9.0, []),
+        (3.0, swapped, 15.0, []),
+        (5.5, swapped, 9.0, ["swapped"]),
+        (6.0, coefficients(), 9.0, []),
+        (7.0, swapped, 15.0, []),
+        (12.0, swapped, 15.0, []),
+    ):
+        looker.look(t, nothing, nothing[:, :4])
+        looker.judge(values, np.full(STRUCTURE.mask.shape, sigma))
+        assert [finding.name for finding in looker.findings] == named_, t
+
+
 def test_an_unknown_expected_sign_is_refused() -> None:
     for entry in ("pdot/da", "+pdot/dx", "*pdot/da", ""):
         with pytest.raises(SettingsError, match="write \\+ or -"):
@@ -253,7 +268,7 @@ def test_how_long_an_aircraft_may_fly_inverted() -> None:
     while looker._mounting() is None:
         looker._follow(np.array([[0.0, 0.0, 9.81]]), 1.0)
         inverted += 1
-    assert 92 <= inverted <= 100  # a minute's memory turned to 0.6 the other way
+    assert 110 <= inverted <= 120  # a minute's memory turned to 0.7 the other way
 
 
 def test_the_mean_size_that_a_specific_force_can_have() -> None:
@@ -292,17 +307,17 @@ def test_what_makes_two_streams_of_one() -> None:
     for u, found in (
         (0.015 * (k % 2), None),
         (0.03 * (k % 2), "publishers"),
-        (0.09 * (k % 2) + 0.01 * k, None),
-        (0.13 * (k % 2) + 0.01 * k, "publishers"),
+        (0.06 * (k % 2) + 0.01 * k, None),
+        (0.08 * (k % 2) + 0.01 * k, "publishers"),
         (1.0 * (k % 14 == 0), None),
         (1.0 * (k % 7 == 0), "publishers"),
     ):
         assert named(plausibility._interleaved("de", u)) == found
-    for count, found in ((30, 0), (50, 4)):
+    for count, found in ((8, 0), (30, 4)):
         looker = Plausibility(settings_of())
-        looker.look(0.0, np.zeros((0, 6)), np.zeros((0, 4)))
         raw = np.tile([[0.0] * 4, [1.0] * 4], (count // 2, 1))
-        looker.look(4.5, np.zeros((0, 6)), raw)
+        for t, part in ((0.5, raw[:2]), (4.5, raw[2:])):
+            looker.look(t, np.zeros((0, 6)), part)
         assert len(looker.noted) == min(found, 1)
 
 
@@ -353,6 +368,6 @@ def test_evidence_is_held_and_then_forgotten() -> None:
         alarms.append(bool(looker.fault))
     after = np.flatnonzero(alarms) * TICK
     assert after[0] < 6.0
-    # 4 s in which they are still looked at, and 20 s in which they are remembered
-    assert after[-1] == pytest.approx(15.0 + 4.0 + 20.0, abs=1.5)
+    # 4 s in which they are still looked at, and 30 s in which they are remembered
+    assert after[-1] == pytest.approx(15.0 + 4.0 + 30.0, abs=1.5)
     assert list(looker.noted) == ["publishers"]

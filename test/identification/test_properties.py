@@ -347,7 +347,7 @@ def flown(legs: list[tuple[Fly, int]]) -> list[Sample]:
 def estimates_of(
     settings: Settings, samples: list[Sample], batches: Iterator[int]
 ) -> tuple[list[Estimate], dict[str, Any]]:
-    """Estimates, and what was dropped, when ticks are asked for after batches of samples."""
+    """Estimates, and what was dropped, when ticks are computed after batches of samples."""
     world = World(OnlineIdentifier(settings))
     left = next(batches)
     for sample in samples:
@@ -386,9 +386,9 @@ def shuffled(samples: list[Sample], wait_ns: int, seed: int) -> list[Sample]:
 def test_batching_and_order_change_no_bit(
     settings: Settings, legs: list[tuple[Fly, int]], sizes: list[int], seed: int
 ) -> None:
-    """The same samples, asked for one by one or in any batches, in any order that is in time.
+    """The same samples, computed one by one or in any batches, in any order that is in time.
 
-    What was due before the stamps jumped is computed, however late it is asked for.
+    What was due before the stamps jumped is computed, however late that is.
     """
     samples = flown(legs)
     reference, dropped = estimates_of(settings, samples, itertools.repeat(1))
@@ -445,15 +445,6 @@ def test_saving_and_loading_coefficients_is_the_identity(
     assert path.read_bytes() == before
 
 
-# Lists whose length is not that of the channels.
-LENGTHS = {
-    "imu.rpy": (3,),
-    "imu.lever_arm": (3,),
-    "model.inertia": (0, 4),
-    "excitation.amplitude": (4,),
-}
-
-
 def value_of(setting: Setting, channels: int, structure: str) -> st.SearchStrategy[Any]:
     """Any value that a setting allows; lists have the length that goes with the others."""
     n = STRUCTURES[structure].size
@@ -463,26 +454,27 @@ def value_of(setting: Setting, channels: int, structure: str) -> st.SearchStrate
         # C's strtod, and so rcl, does not read them.
         allow_subnormal=False,
     )
-    lengths = LENGTHS.get(setting.name, (channels,))
-    if setting.name == "actuators.channels":
-        indices = st.lists(st.integers(0, 2**31), min_size=channels, max_size=channels)
-        names = st.lists(st.text(min_size=1), min_size=channels, max_size=channels)
-        return st.one_of(indices, names).map(tuple)
-    if setting.name in ("actuators.scale", "actuators.trim"):
-        lengths = (0, channels)
-    if setting.name == "gradient.gains":
-        lengths = (0, n, n * n)
-    if setting.name == "initial_coefficients":
-        lengths = (0, len(STRUCTURES[structure].dense_rows) * n)
-    if setting.name == "fixed_coefficients":
-        known = st.sampled_from(STRUCTURES[structure].names)
-        return st.lists(known, unique=True).map(tuple)
-    if setting.name == "supervision.expected_signs":
-        known = st.sampled_from([s + name for s in "+-" for name in STRUCTURES[structure].names])
-        return st.lists(known, unique=True).map(tuple)
-    if setting.name == "excitation.band":  # the lower frequency first
-        return st.lists(number, min_size=2, max_size=2, unique=True).map(sorted).map(tuple)
+    names = STRUCTURES[structure].names
+    one_for_each = {"min_size": channels, "max_size": channels}
+    special = {
+        "actuators.channels": st.lists(st.integers(0, 2**31), **one_for_each)
+        | st.lists(st.text(min_size=1), **one_for_each),
+        "fixed_coefficients": st.lists(st.sampled_from(names), unique=True),
+        "supervision.expected_signs": st.lists(
+            st.sampled_from([sign + name for sign in "+-" for name in names]), unique=True
+        ),
+        # the lower frequency first
+        "excitation.band": st.lists(number, min_size=2, max_size=2, unique=True).map(sorted),
+    }
+    if setting.name in special:
+        return special[setting.name].map(tuple)
     if setting.type == "float[]":
+        lengths = {
+            "imu.rpy": (3,), "imu.lever_arm": (3,), "model.inertia": (0, 4),
+            "excitation.amplitude": (4,), "actuators.scale": (0, channels),
+            "actuators.trim": (0, channels), "gradient.gains": (0, n, n * n),
+            "initial_coefficients": (0, len(STRUCTURES[structure].dense_rows) * n),
+        }.get(setting.name, (channels,))  # fmt: skip
         return st.sampled_from(lengths).flatmap(
             lambda k: st.lists(number, min_size=k, max_size=k).map(tuple)
         )
@@ -511,4 +503,4 @@ def test_settings_survive_the_way_to_a_parameter_file_and_back(
     path = tmp_path_factory.mktemp("written") / "vehicle.yaml"
     path.write_text(render(settings), encoding="utf-8")
     loaded = Settings.from_values(load_parameters(path, "/drone1/identifier"))
-    assert repr(loaded) == repr(settings)  # repr tells 0.0 from -0.0
+    assert repr(loaded) == repr(settings)  # repr distinguishes 0.0 and -0.0

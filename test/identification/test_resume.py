@@ -67,7 +67,7 @@ def test_it_goes_on_with_the_values_as_good_as_they_were_and_is_soon_usable() ->
     assert (last.fit > cold.fit + 5.0).all()
 
 
-def test_it_does_not_claim_to_know_the_aircraft_of_today() -> None:
+def test_a_warm_start_enlarges_the_sigmas() -> None:
     identifier = fresh()
     identifier.resume(learned())
     started = identifier.coefficient_set()
@@ -110,7 +110,7 @@ def test_the_delay_that_was_found_is_kept_only_where_it_is_estimated() -> None:
         assert identifier.delay == wanted
 
 
-def test_nonsense_is_refused_and_leaves_the_identifier_as_it_was() -> None:
+def test_wrong_coefficients_are_refused_and_change_nothing() -> None:
     identifier = fresh()
     huge = replace(learned(), values=learned().values * 1e9)
     other = CoefficientSet("baseline", learned().values, learned().sigma)

@@ -62,7 +62,7 @@ def test_interpolation_is_exact_at_the_samples_and_straight_between() -> None:
     assert buffer.interpolate(requested)[:, 0].tolist() == [10.0, 15.0, 20.0, 35.0, 40.0]
 
 
-def test_what_nothing_asks_for_is_forgotten_but_not_what_is_young() -> None:
+def test_waiting_samples_are_dropped_once_they_are_old() -> None:
     buffer = SampleBuffer(1)
     for t in range(0, 10_000):
         buffer.append(t, (0.0,))

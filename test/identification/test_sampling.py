@@ -185,7 +185,7 @@ def test_a_straight_input_line_waits_for_its_end() -> None:
 # -- trim --------------------------------------------------------------------------------------
 
 
-def test_without_inputs_it_says_so() -> None:
+def test_without_inputs_no_block_is_made() -> None:
     target = sampler()
     add_rates(target, range(0, 1000 * MS, 5 * MS))
     assert list(blocks(target, 1000 * MS)) == []

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed scaling: one set of coefficients over a range of airspeeds."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -33,9 +34,10 @@ def scaled(speed: float) -> FloatArray:
     return PLANT.coefficients * ratio**power
 
 
-def flight(duration: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+@cache
+def flown() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times, rates and inputs of a plant whose coefficients follow the airspeed."""
-    t = np.arange(round(duration * RATE)) / RATE
+    t = np.arange(round(40.0 * RATE)) / RATE
     amplitudes = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
     u = sample_inputs([Segment("multisine", amplitudes=amplitudes, seed=1)], t)
     speed = airspeed(t)
@@ -60,21 +62,11 @@ def worst_linear(found: FloatArray, truth: FloatArray) -> float:
     return float(np.abs(found / np.where(linear, truth, 1.0) - 1.0)[linear].max())
 
 
-@pytest.fixture(scope="module")
-def flown() -> tuple[FloatArray, FloatArray, FloatArray]:
-    return flight(40.0)
-
-
-def identify(
-    flown: tuple[FloatArray, FloatArray, FloatArray], **values: Any
-) -> tuple[OnlineIdentifier, Estimate]:
-    identifier = OnlineIdentifier(
-        Settings.from_values(
-            {"structure": STRUCTURE.name, "imu.convention": "frd", "forgetting_time": 0.0, **values}
-        )
-    )
+def identify(**values: Any) -> tuple[OnlineIdentifier, Estimate]:
+    plain = {"structure": STRUCTURE.name, "imu.convention": "frd", "forgetting_time": 0.0}
+    identifier = OnlineIdentifier(Settings.from_values({**plain, **values}))
     estimates: list[Estimate] = []
-    for t, x, u in zip(*flown, strict=True):
+    for t, x, u in zip(*flown(), strict=True):
         t_ns = START_NS + round(t * 1e9)
         identifier.add_actuators(t_ns, u.tolist())
         identifier.add_airspeed(t_ns, float(airspeed(t)))
@@ -83,21 +75,16 @@ def identify(
     return identifier, estimates[-1]
 
 
-def test_one_set_of_coefficients_over_all_speeds(
-    flown: tuple[FloatArray, FloatArray, FloatArray],
-) -> None:
-    identifier, estimate = identify(
-        flown, **{"airspeed.type": "std_msgs/msg/Float64", "airspeed.reference": REFERENCE}
-    )
+def test_one_set_of_coefficients_over_all_speeds() -> None:
+    measured = {"airspeed.type": "std_msgs/msg/Float64", "airspeed.reference": REFERENCE}
+    identifier, estimate = identify(**measured)
     assert worst_linear(identifier.coefficient_set().values, PLANT.coefficients) < 0.02
     now = (estimate.t_ns - START_NS) * 1e-9
     assert worst_linear(estimate.coefficients, scaled(float(airspeed(np.array(now))))) < 0.02
 
 
-def test_without_an_airspeed_the_scaling_is_off(
-    flown: tuple[FloatArray, FloatArray, FloatArray],
-) -> None:
-    identifier, estimate = identify(flown)
+def test_without_an_airspeed_the_scaling_is_off() -> None:
+    identifier, estimate = identify()
     np.testing.assert_array_equal(identifier.coefficient_set().values, estimate.coefficients)
     assert worst_linear(estimate.coefficients, PLANT.coefficients) > 0.05
 
@@ -110,6 +97,8 @@ def test_beyond_three_times_the_reference_the_law_is_not_believed(
 ) -> None:
     scaling = SpeedScaling(AirspeedSettings("std_msgs/msg/Float64", REFERENCE), STRUCTURE)
     scaling.airspeed.append(START_NS, (speed,))
-    assert scaling.update(START_NS) == 0 and scaling.newest == speed
+    scaling.airspeed.merge(START_NS)
+    scaling.update(START_NS)
+    assert scaling.newest == speed
     assert scaling.scale[STRUCTURE.index("pdot/p")] == pytest.approx(ratio)
     assert scaling.scale[STRUCTURE.index("pdot/da")] == pytest.approx(ratio**2)

@@ -5,12 +5,12 @@ import pytest
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.intake import (
-    AGREEING_SAMPLES,
     LATEST_STAMP,
     Drop,
     Stamp,
     StampGuard,
 )
+from uav_ident_ros.identification.scales import IN_A_ROW
 from uav_ident_ros.identification.settings import Settings
 
 S = 1_000_000_000
@@ -31,9 +31,9 @@ def test_a_single_outlier_leaves_the_stream_alone_and_those_that_agree_are_a_new
     assert guard.check(base) is Stamp.OUTLYING
     assert guard.check(10_000 * S + S // 200) is Stamp.GOOD
     assert guard.newest == 10_000 * S + S // 200
-    verdicts = [guard.check(base + k * S // 200) for k in range(AGREEING_SAMPLES)]
-    assert verdicts == [Stamp.OUTLYING] * (AGREEING_SAMPLES - 1) + [Stamp.NEW_BASE]
-    assert guard.newest == base + (AGREEING_SAMPLES - 1) * S // 200
+    verdicts = [guard.check(base + k * S // 200) for k in range(IN_A_ROW)]
+    assert verdicts == [Stamp.OUTLYING] * (IN_A_ROW - 1) + [Stamp.NEW_BASE]
+    assert guard.newest == base + (IN_A_ROW - 1) * S // 200
     assert guard.check(base + S // 10) is Stamp.GOOD
 
 
@@ -59,7 +59,7 @@ def test_late_samples_are_good_stamps_and_do_not_turn_time_back() -> None:
 def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:
     identifier = OnlineIdentifier(Settings())
     beyond = LATEST_STAMP + 1
-    for k in range(2 * AGREEING_SAMPLES):
+    for k in range(2 * IN_A_ROW):
         t_ns = beyond + k * S // 200
         assert identifier.add_rates(t_ns, (0.1, 0.2, 0.3)) is Drop.BEYOND_STAMP
         assert identifier.add_actuators(t_ns, (0.0,) * 4) is Drop.BEYOND_STAMP

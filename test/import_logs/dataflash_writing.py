@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ArduPilot logs for the tests, as its documentation says; pymavlink reads them, too."""
+"""ArduPilot logs for the tests, as its documentation describes them; pymavlink reads them, too."""
 
 import struct
 from collections.abc import Iterable, Mapping

@@ -38,7 +38,7 @@ class Contents:
 
     imu_t_ns: np.ndarray
     rates: np.ndarray
-    force: np.ndarray
+    specific_force: np.ndarray
     frame_ids: set[str]
     actuator_t_ns: np.ndarray
     actuators: np.ndarray
@@ -86,7 +86,7 @@ def mixing(values: dict[str, Any]) -> np.ndarray:
 
 @dataclass
 class Imported:
-    """An imported log: the folder of the bag, and what was said of it, as one line."""
+    """An imported log: the folder of the bag, and what was printed of it, as one line."""
 
     folder: Path
     printed: str

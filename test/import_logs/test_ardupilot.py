@@ -73,10 +73,12 @@ def test_a_plane_with_reversed_servos(importer: Importer) -> None:
     assert "de (nose down) = -1 elevator" in printed
     assert "elevator: one unit is half of 1100 to 1900 us to either side" in printed
     assert "AHRS_ORIENTATION 8, roll 180 deg" in printed
+    assert "the logger lost" not in printed
+    assert "structure" not in found  # an aeroplane's: the default
 
 
 ELEVON, TAIL = [-0.5, -0.5], [-0.5, 0.5]
-"""Halves: Plane's mixer gives each of a pair half of what is asked of either (MIXING_GAIN)."""
+"""Halves: Plane's mixer gives each of a pair half of either demand (MIXING_GAIN)."""
 
 MIXERS = {
     # functions of the pins, parameters, and rows of the mixing
@@ -121,14 +123,8 @@ def test_an_unknown_frame_is_refused_with_a_way_out(importer: Importer) -> None:
 def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importer) -> None:
     slow = rcou(COMMAND_US[::10], PULSES[::10])
     requested = np.array([0.1, -0.2, 0.3, 0.4])
-    rates = [
-        (
-            int(t),
-            "RATE",
-            (0, 0, requested[0], 0, 0, requested[1], 0, 0, requested[2], 0, 0, requested[3]),
-        )
-        for t in COMMAND_US
-    ]
+    out = (0, 0, 0.1, 0, 0, -0.2, 0, 0, 0.3, 0, 0, 0.4)
+    rates = [(int(t), "RATE", out) for t in COMMAND_US]
     known = servos(33, 34, 35, 36) | {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
     bag, values, printed = imported(importer, imu() + slow + rates, known)
     assert (
@@ -141,7 +137,9 @@ def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importe
 
 
 @pytest.mark.parametrize(("mask", "advice"), [(830, ": make it 831,"), (831, ", although it has")])
-def test_what_to_log_is_said_by_name(importer: Importer, mask: int, advice: str) -> None:
+def test_slow_actuators_name_the_bit_of_log_bitmask(
+    importer: Importer, mask: int, advice: str
+) -> None:
     title = [(START, "MSG", (b"ArduCopter V4.5.7 (0358a9c2)",))]
     frame = {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "LOG_BITMASK": mask}
     rows = title + imu() + rcou(COMMAND_US[::10], PULSES[::10])
@@ -167,7 +165,7 @@ def test_raw_rates_are_preferred_and_stamped_when_sampled(importer: Importer) ->
     bag, _, printed = imported(importer, imu() + raw + rcou(), PLANE)
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
     np.testing.assert_array_equal(bag.rates, 2.0 * RATES)
-    np.testing.assert_array_equal(bag.force, FORCE)
+    np.testing.assert_array_equal(bag.specific_force, FORCE)
     assert "of the flight there is GYR at 250 Hz over 100 %, IMU at 250 Hz over 100 %" in printed
     assert "low-passed" not in printed
 
@@ -234,7 +232,7 @@ def test_a_log_that_begins_in_flight(importer: Importer) -> None:
     assert "attitude: ATT" in printed
 
 
-def test_a_parameter_that_changes_is_told(importer: Importer) -> None:
+def test_a_parameter_that_changes_is_noted(importer: Importer) -> None:
     later = [(25_000_000, "PARM", (b"SERVO1_TRIM", 1520.0, float("nan")))]
     printed = imported(importer, imu() + rcou() + later, PLANE).printed
     assert "SERVO1_TRIM became 1520 at 25.0 s: the first value is used" in printed
@@ -273,6 +271,7 @@ def test_a_copter_of_2014(importer: Importer) -> None:
     np.testing.assert_array_equal(bag.actuators[:, :4], PULSES)
     np.testing.assert_allclose(mixing(values), QUADROTOR.mixing, atol=1e-12)
     np.testing.assert_allclose(values["actuators.scale"], 1 / 800)
+    assert values["structure"] == "augmented"  # no wings: no angle of attack
     assert "4 pins carry pulses: they are its motors" in printed
     assert "the motors are on the pins of their numbers" in printed
 

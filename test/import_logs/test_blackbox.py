@@ -1,29 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blackbox logs of quadrotors, and those that cannot be used."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from blackbox_writing import ACC, COUNT, FIELDS, GYRO, MOTORS, T_US, blackbox
 from imported import Importer
-from programs import python
 
 
-def written(importer: Importer, content: bytes) -> Path:
-    path = importer.folder / "log.bbl"
+def written(importer: Importer, content: bytes, name: str = "log.bbl") -> Path:
+    path = importer.folder / name
     path.write_bytes(content)
     return path
 
 
 def test_a_quadrotor_of_betaflight(importer: Importer) -> None:
-    log = importer.folder / "LOG00001.BFL"
-    log.write_bytes(blackbox(50) + blackbox())
+    log = written(importer, blackbox(50) + blackbox(), "LOG00001.BFL")
     found, values, printed = importer(log)
     assert len(found.imu_t_ns) >= COUNT - 1  # orangebox leaves out a frame before the end
     kept = slice(0, len(found.imu_t_ns))
     np.testing.assert_array_equal(found.imu_t_ns, T_US[kept] * 1000)
     np.testing.assert_allclose(found.rates, np.radians(GYRO[kept]), rtol=1e-12)
-    np.testing.assert_allclose(found.force, ACC[kept] * 9.80665 / 2048, rtol=1e-12)
+    np.testing.assert_allclose(found.specific_force, ACC[kept] * 9.80665 / 2048, rtol=1e-12)
     np.testing.assert_array_equal(found.actuators, MOTORS[kept])
     assert found.frame_ids == {"base_link"}
     assert values["imu.convention"] == "flu"
@@ -52,11 +52,15 @@ def test_a_firmware_with_an_odd_name(importer: Importer) -> None:
     assert values["imu.convention"] == "flu"
 
 
-def test_a_log_that_is_cut_off(importer: Importer) -> None:
-    whole = blackbox()
-    found, _, printed = importer(written(importer, whole[: len(whole) // 2]))
+def test_a_log_that_is_cut_off_or_damaged(importer: Importer) -> None:
+    whole, half = blackbox(), len(blackbox()) // 2
+    found, _, printed = importer(written(importer, whole[:half]))
     assert "cut off at its end" in printed
     assert len(found.imu_t_ns) > COUNT // 3
+    spoilt = whole[:half] + b"\xff" * 60 + whole[half + 60 :]
+    found, _, printed = importer(written(importer, spoilt))
+    assert "3 of 600 frames are missing or damaged, in 1 places" in printed
+    assert len(found.imu_t_ns) == COUNT - 3
 
 
 def test_blackboxes_that_cannot_be_used(importer: Importer) -> None:
@@ -70,15 +74,10 @@ def test_blackboxes_that_cannot_be_used(importer: Importer) -> None:
         assert words in importer.refused(written(importer, content))
 
 
-def test_without_orangebox_its_extra_is_named(tmp_path: Path) -> None:
-    (tmp_path / "log.bbl").write_bytes(blackbox(50))
-    program = (
-        "import sys; sys.modules['orangebox'] = None\n"
-        "from uav_ident_ros.import_logs.cli import main\n"
-        f"sys.exit(main([{str(tmp_path / 'log.bbl')!r}, '--output', {str(tmp_path / 'bag')!r}]))"
-    )
-    done = python("-c", program)
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
+def test_without_orangebox_its_extra_is_named(
+    importer: Importer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "orangebox", None)
+    line = importer.refused(written(importer, blackbox(50)))
     assert "orangebox is not installed" in line
     assert "uav_ident_ros[blackbox]" in line

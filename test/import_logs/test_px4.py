@@ -70,11 +70,14 @@ def test_rotors_mix_as_in_the_simulation(importer: Importer) -> None:
 
 
 def test_elevons_mix_as_in_the_simulation(importer: Importer) -> None:
-    """PX4 counts trailing edge up as positive, the simulation down."""
-    surfaces = noise(2)
+    """PX4 counts trailing edge up as positive, the simulation down.
+
+    It publishes motors and servos of one cycle some microseconds apart: they are one message.
+    """
+    motors, servos = 0.5 + noise(1), noise(2)
     topics = combined() | {
-        ("actuator_servos", 0): commands(COMMAND_NS, padded(surfaces, 8), "control"),
-        ("actuator_motors", 0): commands(COMMAND_NS, padded(0.5 + noise(1), 12), "control"),
+        ("actuator_servos", 0): commands(COMMAND_NS + 30_000, padded(servos, 8), "control"),
+        ("actuator_motors", 0): commands(COMMAND_NS, padded(motors, 12), "control"),
     }
     airframe = {
         "CA_AIRFRAME": 1, "CA_ROTOR_COUNT": 1, "CA_SV_CS_COUNT": 2,
@@ -87,6 +90,8 @@ def test_elevons_mix_as_in_the_simulation(importer: Importer) -> None:
     expected = ELEVON.mixing[:, [3, 0, 1]] * [1.0, -1.0, -1.0]
     np.testing.assert_allclose(mixing(values), expected * [[1], [0], [1], [1]], atol=1e-12)
     np.testing.assert_allclose(values["actuators.trim"], [0.0, 0.0, 0.1])
+    np.testing.assert_array_equal(bag.actuator_t_ns, COMMAND_NS + 30_000)
+    np.testing.assert_array_equal(bag.actuators, np.hstack([motors, servos]).astype(np.float32))
 
 
 def test_flaps_are_recorded_but_not_used(importer: Importer) -> None:
@@ -128,22 +133,6 @@ def test_pulse_widths_by_the_functions_of_their_pins(importer: Importer) -> None
     np.testing.assert_allclose(values["actuators.scale"], [-2.0 / 800.0, 1.0 / 950.0])
     np.testing.assert_allclose(values["actuators.trim"], [1500.0, 1000.0])
     np.testing.assert_allclose(mixing(values), [[-1, 0], [0, 0], [0, 0], [0, 1]])
-
-
-def test_motors_and_servos_of_one_cycle_are_one_message(importer: Importer) -> None:
-    """PX4 publishes the two some microseconds apart."""
-    motors, servos = 0.5 + noise(1), noise(1)
-    topics = combined() | {
-        ("actuator_motors", 0): commands(COMMAND_NS, padded(motors, 12), "control"),
-        ("actuator_servos", 0): commands(COMMAND_NS + 30_000, padded(servos, 8), "control"),
-    }
-    airframe = {
-        "CA_AIRFRAME": 1, "CA_ROTOR_COUNT": 1, "CA_SV_CS_COUNT": 1,
-        "CA_SV_CS0_TYPE": 4, "CA_SV_CS0_TRQ_Y": 1.0,
-    }  # fmt: skip
-    bag, _, _ = imported(importer, topics, airframe)
-    np.testing.assert_array_equal(bag.actuator_t_ns, COMMAND_NS + 30_000)
-    np.testing.assert_array_equal(bag.actuators, np.hstack([motors, servos]).astype(np.float32))
 
 
 def test_a_vtol_has_two_sets_of_setpoints(importer: Importer) -> None:
@@ -226,7 +215,7 @@ def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(importer: Importer) -
     assert found["structure"] == "throttle_coupled"
 
 
-def test_filtered_rates_are_the_last_resort_and_said_to_be_filtered(importer: Importer) -> None:
+def test_filtered_rates_are_the_last_resort_and_noted(importer: Importer) -> None:
     velocity = commands(IMU_NS + 400_000, RATES, "xyz", delay_us=400)
     acceleration = {"timestamp": stamps(IMU_NS), "xyz": FORCE.astype(np.float32)}
     topics = TORQUES | {
@@ -237,7 +226,7 @@ def test_filtered_rates_are_the_last_resort_and_said_to_be_filtered(importer: Im
     assert "low-passed at 40 Hz (IMU_GYRO_CUTOFF)" in printed
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)
     np.testing.assert_array_equal(bag.rates, RATES.astype(np.float32))
-    np.testing.assert_allclose(bag.force, FORCE, rtol=1e-6)
+    np.testing.assert_allclose(bag.specific_force, FORCE, rtol=1e-6)
     topics |= combined()
     printed = imported(importer, topics, {}).printed
     assert "rates: sensor_combined" in printed
@@ -393,7 +382,7 @@ def test_the_lever_arm_and_learnt_trim(importer: Importer) -> None:
     assert found["actuators.learn_trim_time"] == 2.0
 
 
-def test_gaps_and_dropouts_are_told(importer: Importer) -> None:
+def test_gaps_and_dropouts_are_listed(importer: Importer) -> None:
     kept = np.r_[0:101, 131:COUNT]
     topics = TORQUES | {
         ("sensor_combined", 0): sensor_combined(IMU_NS[kept], RATES[kept], FORCE[kept])
@@ -413,7 +402,7 @@ def test_a_recorded_log(tmp_path: Path, importer: Importer) -> None:
     controls = log.get_dataset("actuator_controls_0").data
     np.testing.assert_array_equal(bag.imu_t_ns // 1000, gyro["timestamp"])
     np.testing.assert_array_equal(bag.rates[:, 1], gyro["gyro_rad[1]"])
-    np.testing.assert_array_equal(bag.force[:, 2], gyro["accelerometer_m_s2[2]"])
+    np.testing.assert_array_equal(bag.specific_force[:, 2], gyro["accelerometer_m_s2[2]"])
     np.testing.assert_array_equal(bag.actuator_t_ns // 1000, controls["timestamp"])
     np.testing.assert_array_equal(bag.column("pitch"), controls["control[1]"])
     assert "17070 samples over 68.9 s at 250 Hz" in printed

@@ -44,7 +44,10 @@ def measured() -> Measurements:
     return flight()
 
 
-def px4_topics(measured: Measurements, *actuators: tuple[str, np.ndarray, str]) -> dict:
+Samples = Measurements | Contents
+
+
+def px4_topics(measured: Samples, *actuators: tuple[str, np.ndarray, str]) -> dict:
     columns = sensor_combined(measured.imu_t_ns, measured.rates, measured.specific_force)
     topics = {("sensor_combined", 0): columns}
     for name, values, field in actuators:
@@ -52,7 +55,7 @@ def px4_topics(measured: Measurements, *actuators: tuple[str, np.ndarray, str]) 
     return topics
 
 
-def allocated(measured: Measurements) -> dict:
+def allocated(measured: Samples) -> dict:
     values = measured.actuators * PLAIN_SIGNS
     return px4_topics(
         measured,
@@ -66,7 +69,7 @@ def assert_same(measured: Measurements, it: Imported, dtype: type, inputs_off: f
     bag = it.bag
     np.testing.assert_array_equal(bag.imu_t_ns, measured.imu_t_ns)
     np.testing.assert_array_equal(bag.rates, measured.rates.astype(dtype))
-    np.testing.assert_array_equal(bag.force, measured.specific_force.astype(dtype))
+    np.testing.assert_array_equal(bag.specific_force, measured.specific_force.astype(dtype))
     assert bag.frame_ids == {measured.frame_id} == {"base_link_frd"}
     np.testing.assert_array_equal(bag.actuator_t_ns, measured.actuator_t_ns)
     expected = measured.actuators - np.median(measured.actuators, axis=0)
@@ -217,7 +220,7 @@ def test_tables_of_other_units(tmp_path: Path, measured: Measurements, importer:
     options = ("--columns", str(tmp_path / "columns.yaml"), "--airspeed")
     imported, values, _ = importer(tmp_path / "flight.csv", *options)
     np.testing.assert_allclose(imported.rates, measured.rates, rtol=1e-12)
-    np.testing.assert_allclose(imported.force, measured.specific_force, rtol=1e-12)
+    np.testing.assert_allclose(imported.specific_force, measured.specific_force, rtol=1e-12)
     np.testing.assert_allclose(imported.airspeed, 20.0, rtol=1e-12)
     np.testing.assert_array_equal(imported.imu_t_ns, measured.imu_t_ns - measured.imu_t_ns[0])
     assert imported.frame_ids == {"base_link"}
@@ -244,24 +247,13 @@ def delayed(bag: Path = BAGS / "c172p") -> Contents:
 
 def px4_example(recorded: Contents, folder: Path) -> Path:
     """The flight as a PX4 log."""
-    values = recorded.actuators * PLAIN_SIGNS
-    seldom = recorded.actuator_t_ns[::5]
-    topics = {
-        ("sensor_combined", 0): sensor_combined(
-            recorded.imu_t_ns, recorded.rates * TO_FRD, recorded.force * TO_FRD
-        ),
-        ("actuator_motors", 0): commands(
-            recorded.actuator_t_ns, padded(values[:, 3:], 12), "control"
-        ),
-        ("actuator_servos", 0): commands(
-            recorded.actuator_t_ns, padded(values[:, :3], 8), "control"
-        ),
-        ("vehicle_gps_position", 0): {
-            "timestamp": stamps(seldom),
-            "vel_m_s": np.full(len(seldom), SPEED, np.float32),
-        },
-    }
-    return write_ulog(folder / "c172p.ulg", topics, FIXED_WING)
+    seldom = stamps(recorded.actuator_t_ns[::5])
+    speed = {"timestamp": seldom, "vel_m_s": np.full(len(seldom), SPEED, np.float32)}
+    turned = {name: getattr(recorded, name) * TO_FRD for name in ("rates", "specific_force")}
+    topics = allocated(dataclasses.replace(recorded, **turned))
+    return write_ulog(
+        folder / "c172p.ulg", topics | {("vehicle_gps_position", 0): speed}, FIXED_WING
+    )
 
 
 def test_the_whole_way_from_a_log_to_a_verdict(

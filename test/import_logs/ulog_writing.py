@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PX4 logs for the tests, as its documentation says: any topics, any parameters."""
+"""PX4 logs for the tests, as its documentation describes them: any topics, any parameters."""
 
 import struct
 from collections.abc import Mapping

@@ -3,11 +3,8 @@
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from uav_ident_ros.process import NodeProcess
-
-ROOT = Path(__file__).parents[2]
 
 PATIENCE = 120.0
 """Seconds after which something that must happen is missed: nothing waits for them otherwise, and

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from excerpts import decoded
-from node_process import ROOT
+from excerpts import BAGS, decoded
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 
@@ -21,7 +20,6 @@ from uav_ident_ros.player import Outputs, Player
 from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.ros import stamp_ns
 
-BAGS = ROOT / "bags"
 RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
 TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC)
 NODE = "/identifier"
@@ -104,7 +102,7 @@ def shown(player: Player) -> dict[str, str]:
 
 
 def wait_for_words(player: Player, words: str) -> None:
-    """Wait until the diagnostics have said the words."""
+    """Wait until the words are in the diagnostics."""
     player.wait_until(lambda: any(words in s.message for s in player.outputs.status), words)
 
 

@@ -6,9 +6,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from node_process import ROOT
 from programs import Capture, python, refusal
 from recordings import recording, write_bag
+from repository import ROOT
 
 from uav_ident_ros.demo import main
 

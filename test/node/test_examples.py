@@ -6,9 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from node_process import PATIENCE, ROOT, StartNode
+from node_process import PATIENCE, StartNode
 from programs import python
 from recordings import MakePlayer, recording
+from repository import ROOT
 
 EXAMPLES = ROOT / "examples"
 
@@ -35,7 +36,7 @@ def test_what_reads_results_reads_those_of_a_replay(replayed_example: Path) -> N
     assert row.startswith("c172p           usable ")
 
 
-def test_what_listens_hears_a_running_node(
+def test_live_plot_and_read_coefficients_follow_a_running_node(
     start_node: StartNode, make_player: MakePlayer, tmp_path: Path
 ) -> None:
     flight = recording("multisine", 60.0)
@@ -47,7 +48,7 @@ def test_what_listens_hears_a_running_node(
         player.wait_for_node()
         topic = "/identifier/coefficients_named"
         player.wait_until(lambda: player.node.count_subscribers(topic) == 2, "live_plot")
-        # counted is not connected yet: the node flies on until the plot has heard enough of it
+        # counted is not connected yet: the node flies on until the plot has received enough
         begin = flight.messages[0].log_ns
         for second in range(60):
             if plot.poll() is None:

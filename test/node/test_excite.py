@@ -44,7 +44,7 @@ def flight() -> Recording:
 
 
 def listen(player: Player) -> list[JointState]:
-    """Collect what the node asks for from now on."""
+    """Collect the excitation that the node publishes from now on."""
     received: list[JointState] = []
     player.node.create_subscription(JointState, f"{NODE}/excitation", received.append, 1000)
     return received
@@ -60,7 +60,7 @@ def player(flight: Recording, shared_fly: Fly) -> Player:
     return shared_fly(flight, parameters=PARAMETERS, sim_time=True)[1]
 
 
-def test_a_run_is_asked_for_tick_by_tick_and_aborted_at_once(
+def test_a_run_is_published_tick_by_tick_and_aborted_at_once(
     flight: Recording, player: Player
 ) -> None:
     received = listen(player)
@@ -106,10 +106,10 @@ def test_a_run_is_aborted_when_the_inputs_fail(flight: Recording, player: Player
     assert not positions(received[-1:]).any()
 
 
-def test_a_replay_of_the_flight_reads_what_the_node_asked_for(
+def test_a_replay_of_the_flight_reads_the_excitation_of_the_node(
     flight: Recording, player: Player, tmp_path: Path
 ) -> None:
-    """The node is told of its own excitation; from a bag it comes as messages, to the bit."""
+    """Live it is known at once, from a bag it comes as messages: the same to the bit."""
     received = listen(player)
     player.play_in_step(part(flight, 0.0, 2.0))
     live = published(player.outputs)
@@ -130,7 +130,7 @@ def test_a_replay_of_the_flight_reads_what_the_node_asked_for(
     assert {t: offline[t] for t in common} == {t: live[t] for t in common}
 
 
-def test_a_probe_says_what_the_inputs_do(flight: Recording, player: Player) -> None:
+def test_a_probe_measures_the_effect_of_the_inputs(flight: Recording, player: Player) -> None:
     player.play_in_step(part(flight, 0.0, 2.0))
     call(player, SetBool, "excite", data=False)
     change(player, {"excitation.form": "probe", "excitation.band": [1.0, 5.0]})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A controller adds excitation, and stops when nobody asks any more."""
+"""A controller adds excitation, and stops when no more of it comes."""
 
 import time
 
@@ -21,7 +21,7 @@ START_UP = 120.0
 
 
 class Controller(Guest):
-    """A controller that does nothing but to add what it is asked to, on the wall clock."""
+    """A controller that does nothing but to add the excitation, on the wall clock."""
 
     def __init__(self) -> None:
         super().__init__("controller")

@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from node_process import ROOT
 from rclpy.serialization import deserialize_message
 from recordings import NODE, RATES_TOPIC, Fly, recording
+from repository import ROOT
 from sensor_msgs.msg import JointState
 
 from uav_ident_ros.identification.structure import STRUCTURES
@@ -146,7 +146,7 @@ def test_the_layouts_draw_what_the_node_publishes(messages: dict[str, Any]) -> N
     light = PANELS["Indicator!usable"]["path"]
     for path, label in [(c["value"], c["label"]) for c in CURVES] + [(light, "usable")]:
         name = paths[path]
-        if name.startswith(f"{NAMED}/"):  # an index says nothing by itself: the label must be right
+        if name.startswith(f"{NAMED}/"):  # an index needs its label
             entry = name.removeprefix(f"{NAMED}/").rpartition("/")[0]
             assert entry.removeprefix("verdict/") == label
 

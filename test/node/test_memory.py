@@ -83,16 +83,6 @@ def test_every_node_has_a_file_of_its_own(monkeypatch: pytest.MonkeyPatch) -> No
     assert state_path(replace(Settings(), state_file="none"), "/identifier") is None
 
 
-def test_what_was_saved_is_started_from(path: Path) -> None:
-    first = Vehicle(path)
-    first.learn(3.5)
-    assert first.memory.save(first.estimate(usable=False))[0]
-    second = Vehicle(path)
-    assert np.array_equal(second.values, first.values)
-    second.identifier.reset()
-    assert not second.values.any(), "a reset goes back to the configured start"
-
-
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
@@ -111,7 +101,7 @@ def test_what_was_saved_is_started_from(path: Path) -> None:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_what_cannot_be_used_is_named_and_kept_aside(
+def test_a_state_file_that_cannot_be_used_is_named_and_kept_aside(
     path: Path, capfd: Capture, spoil: Callable[[str], str], reason: str
 ) -> None:
     write(path, coefficients(2.0), saved=NOW, learned_with={"actuators.scale": "[]"})
@@ -128,7 +118,9 @@ def test_what_cannot_be_used_is_named_and_kept_aside(
 
 
 @pytest.mark.parametrize("kind", ["folder", "pipe", "another structure"])
-def test_what_is_no_file_of_it_is_refused(path: Path, kind: str, capfd: Capture) -> None:
+def test_a_folder_a_pipe_or_another_structure_is_no_state_file(
+    path: Path, kind: str, capfd: Capture
+) -> None:
     path.parent.mkdir()
     if kind == "another structure":
         write(path, coefficients(2.0, "baseline"), saved=NOW)
@@ -144,7 +136,7 @@ def test_what_is_no_file_of_it_is_refused(path: Path, kind: str, capfd: Capture)
 
 
 def test_age_is_that_of_the_computers_clock(path: Path, capfd: Capture) -> None:
-    """The message time is 5 ns, as simulated time may be: it says nothing."""
+    """The message time is 5 ns, as simulated time may be: it does not count."""
     day = timedelta(days=1)
     for age, started in ((day, True), (6 * day, True), (8 * day, False)):
         write(path, coefficients(2.0), saved=NOW - age)
@@ -212,7 +204,7 @@ def test_what_a_killed_process_left_is_removed(path: Path) -> None:
     assert left == [f".identifier.yaml.{running}.tmp", "identifier.yaml"]
 
 
-def test_spans_are_said_in_words() -> None:
+def test_spans_of_time_have_a_unit_that_suits() -> None:
     spans = (1.2, 90.0, 130.0, 7300.0, 200_000.0)
     words = ["1 s", "90 s", "2 min", "2 h", "2 days"]
     assert [in_words(timedelta(seconds=s)) for s in spans] == words

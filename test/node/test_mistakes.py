@@ -80,14 +80,14 @@ def frozen() -> Spoil:
 NO_RATES = [-1.0, *[0.0] * 8]
 DROPPED = "every message on '{}' is dropped: {}"
 MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
-    # what is wrong: what must be said, and how to make it so
-    "armed is set, nobody tells it": ("no message on '/armed' yet: nobody", {"armed": None}),
+    # mistake: message that must come, and how the mistake is made
+    "armed is set, nobody publishes it": ("no message on '/armed' yet: nobody", {"armed": None}),
     "no driver": (
         "nobody publishes '/imu/data': no other topic fits: does its source run, with ROS_DOMAIN",
         {"imu": None}),
     "another name": (
         "'/imu/data_raw' carries sensor_msgs/msg/Imu: start with -r imu/data:=/imu/data_raw",
-        {"imu": ("/imu/data_raw", Imu, False)}),
+        {"imu": ("/imu/data_raw", Imu, False), "armed": ("/gimbal/orientation", Imu, False)}),
     "another sensor on the topic": (
         "'/imu/data' of /source carries sensor_msgs/msg/MagneticField, but",
         {"imu": ("/imu/data", MagneticField, False)}),
@@ -101,7 +101,10 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
     "QoS that does not fit": (
         "'qos_overrides./actuators.subscription.reliability' asks for reliable: set it to best_",
         {"actuators": ("/actuators", JointState, False)}),
-    "actuators end": ("no message on '/actuators' for more than 2 s: nobody", {"actuators": None}),
+    # the node's own coefficients are of their type, and no input
+    "actuators end": (
+        "on '/actuators' for more than 2 s: nobody publishes '/actuators': no other topic fits",
+        {"actuators": None}),
     "airspeed is set, nobody measures it": (
         "no message on '/airspeed' for more than 2 s: nobody publishes", {"airspeed": None}),
     "airspeed of another type": ("set 'airspeed.type' to geometry_msgs/msg/TwistStamped",
@@ -147,7 +150,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
 
 
 class Source(Guest):
-    """Publishes what the node listens to, right or with a mistake, and hears /diagnostics."""
+    """Publishes what the node listens to, right or with a mistake, and receives /diagnostics."""
 
     def __init__(self) -> None:
         super().__init__("source")
@@ -213,7 +216,7 @@ class Source(Guest):
         self._executor.spin_once(timeout_sec=PERIOD)
 
     def reports(self, words: str) -> bool:
-        """Go on until /diagnostics says the words, or has not in time."""
+        """Go on until the words are in /diagnostics, or are late."""
 
         def ended() -> bool:
             self.send()
@@ -241,7 +244,7 @@ def source() -> Iterator[Source]:
 
 
 def until_all_is_well(source: Source) -> None:
-    """Publish as is right until the node hears every stream."""
+    """Publish without a mistake until the node receives every stream."""
     source.make({})
 
     def well() -> bool:

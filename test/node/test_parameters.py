@@ -9,10 +9,10 @@ from pathlib import Path
 import parameter_docs
 import pytest
 import rclpy
-from node_process import ROOT
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from repository import ROOT
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Settings, declarations
@@ -31,7 +31,7 @@ def context() -> Iterator[Context]:
 
 
 def changing(context: Context) -> tuple[Node, list[Settings]]:
-    """A node whose parameters may change, and the settings that it was told to use."""
+    """A node whose parameters may change, and the settings that it has applied."""
     node = make_node(context)
     settings = settings_of(node, ())
     declare(node, settings)
@@ -70,6 +70,8 @@ def test_every_parameter_is_declared_with_its_value_and_described(context: Conte
         assert described.description.startswith(setting.description)
         assert setting.unit in described.description
         assert described.read_only == setting.read_only
+        # indices or names
+        assert described.dynamic_typing == (setting.name == "actuators.channels"), setting.name
         if setting.type == "float" and math.isfinite(setting.high):
             assert described.floating_point_range[0].to_value == setting.high
 

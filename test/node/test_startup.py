@@ -41,15 +41,15 @@ import contextlib, io, json, sys
 from uav_ident_ros.node.__main__ import main
 found = []
 for arguments in json.load(sys.stdin):
-    said, printed = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(printed):
+    errors, printed = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(printed):
         status = main(["identifier", *arguments])
-    found.append((status, said.getvalue(), printed.getvalue()))
+    found.append((status, errors.getvalue(), printed.getvalue()))
 json.dump(found, sys.stdout)
 """
 
 
-def test_what_is_wrong_at_the_start_is_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
+def test_wrong_parameters_are_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
     """Parameters, parameter files, stray arguments: status 2, and one line."""
     cases = [
         (["--ros-args", "-p", given], words_printed) for given, words_printed in WRONG_PARAMETERS
@@ -68,7 +68,7 @@ def test_what_is_wrong_at_the_start_is_refused_in_one_line_with_the_fix(tmp_path
     cases.append((arguments, "has nothing for node '/drone1/identifier'"))
     given = json.dumps([arguments for arguments, _ in cases])
     run = python("-c", REFUSALS, input=given, timeout=PATIENCE, check=True)
-    assert run.stderr == "", "rcl says nothing by itself"
+    assert run.stderr == "", "rcl prints nothing by itself"
     for (arguments, wanted), (status, words_printed, printed) in zip(
         cases, json.loads(run.stdout), strict=True
     ):

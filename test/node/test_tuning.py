@@ -41,7 +41,7 @@ def set_all(player: Player, settings: list[Setting], values: dict[str, Any]) -> 
         assert result.successful, (setting.name, result.reason)
 
 
-def test_what_needs_no_restart_changes_no_bit(fly: Fly, tmp_path: Path) -> None:
+def test_settings_that_need_no_restart_change_no_bit(fly: Fly, tmp_path: Path) -> None:
     """Thresholds, the signal to inject, how often it saves: set them all, and the model goes on."""
     flight = recording("multisine", 16.0)
     _, player = fly(flight)

@@ -144,6 +144,6 @@ class Browser:
         return base64.b64decode(answer["data"])
 
     def pdf(self) -> bytes:
-        """Print the page, on the paper that its style sheet asks for."""
+        """Print the page, on the paper of its style sheet."""
         answer = self.call("Page.printToPDF", preferCSSPageSize=True, printBackground=False)
         return base64.b64decode(answer["data"])

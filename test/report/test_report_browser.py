@@ -102,7 +102,7 @@ def middle_of(browser: Browser, chart: str) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("width", [TELEPHONE, DESK])
-def test_it_fits_the_window_and_asks_for_nothing(
+def test_it_fits_the_window_and_requests_nothing(
     browser: Browser, report: Path, width: int
 ) -> None:
     open_page(browser, report, width)
@@ -110,7 +110,7 @@ def test_it_fits_the_window_and_asks_for_nothing(
     assert browser.value(OVERFLOWING) == []
     complaints = [event["params"] for event in browser.events if event["method"] in COMPLAINTS]
     kinds = {event.get("type") or event.get("entry", {}).get("level") for event in complaints}
-    assert kinds <= {"log", "info"}  # Bokeh says its version
+    assert kinds <= {"log", "info"}  # Bokeh logs its version
     requests = [e for e in browser.events if e["method"] == "Network.requestWillBeSent"]
     urls = [request["params"]["request"]["url"] for request in requests]
     assert urls[0] == report.as_uri()
@@ -122,7 +122,7 @@ def test_it_fits_the_window_and_asks_for_nothing(
         assert browser.value("document.querySelector(':target').tagName") == "SECTION"
 
 
-def test_a_drag_in_one_chart_moves_all_and_a_line_tells_its_values(
+def test_a_drag_in_one_chart_moves_all_and_a_line_shows_its_values(
     browser: Browser, report: Path
 ) -> None:
     at_the_desk(browser, report)
@@ -159,7 +159,7 @@ def test_a_drag_in_one_chart_moves_all_and_a_line_tells_its_values(
     assert re.search(r"measured:?\s*[-−]?\d\.\d{4}", shown_text), shown_text
 
 
-def test_the_night_is_dark(browser: Browser, report: Path) -> None:
+def test_the_page_is_dark_for_who_prefers_it(browser: Browser, report: Path) -> None:
     def brightness(scheme: str) -> int:
         browser.prefer(scheme)
         browser.call("Runtime.evaluate", expression=NEXT_FRAME, awaitPromise=True)

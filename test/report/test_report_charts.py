@@ -29,7 +29,7 @@ from uav_ident_ros.report.charts import (
 from uav_ident_ros.report.flight import Flight, Predictions, collect, predict
 from uav_ident_ros.report.page import _embed
 from uav_ident_ros.report.picture import with_sigma
-from uav_ident_ros.report.style import COLORS, REGRESSORS, SERIES
+from uav_ident_ros.report.style import COLORS, REGRESSORS
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
 
 
@@ -53,7 +53,7 @@ def test_a_thinned_line_keeps_every_peak() -> None:
     y[rng.integers(0, len(t), 5)] = 50.0
     thinned = thin(t, {"y": y, "z": -2.0 * y}, 300)
     thin_t, thin_y = thinned["t"], thinned["y"]
-    assert len(thin_t) <= 600
+    assert 500 < len(thin_t) <= 600
     assert (np.diff(thin_t) >= 0.0).all()
     assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
     assert (thinned["z"].min(), thinned["z"].max()) == (-2.0 * y.max(), -2.0 * y.min())
@@ -73,16 +73,6 @@ def test_a_gap_breaks_the_line() -> None:
 
 
 # --- predictions -----------------------------------------------------------------------------
-
-
-def test_the_flight_is_all_there(flight: Flight, run: OfflineRun) -> None:
-    t_ns, rates, force = run.measured()
-    np.testing.assert_array_equal(flight.rates, rates)
-    np.testing.assert_array_equal(flight.force, force)
-    np.testing.assert_allclose(flight.t, (t_ns - t_ns[0]) * 1e-9)
-    assert len(flight.tick_t) == len(run.estimates)
-    expected = [(e.t_ns - t_ns[0]) * 1e-9 for e in run.estimates]
-    np.testing.assert_allclose(flight.tick_t, expected)
 
 
 def test_predictions_are_beside_what_was_measured(flight: Flight) -> None:
@@ -230,26 +220,6 @@ def test_every_state_has_a_colour_and_a_rank() -> None:
     words = {state.value for state in State}
     assert words == set(GRAVEST)
     assert words <= COLORS.keys()
-
-
-def luminance(shade: str) -> float:
-    """Relative luminance, as the Web Content Accessibility Guidelines define it."""
-    parts = [int(shade[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
-    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
-def contrast(a: str, b: str) -> float:
-    high, low = sorted((luminance(a), luminance(b)), reverse=True)
-    return (high + 0.05) / (low + 0.05)
-
-
-def test_text_and_lines_stand_out_from_the_paper() -> None:
-    paper = "#fefefd"
-    for name in ("ink", "muted", "tick"):  # tick: links
-        assert contrast(COLORS[name], paper) >= 4.5, name
-    for name in (*SERIES, "measured"):
-        assert contrast(COLORS[name], paper) >= 3.0, name
 
 
 def test_names_that_change_from_run_to_run_are_replaced_and_numbers_are_not() -> None:

@@ -36,7 +36,7 @@ def cessna() -> Flight:
 
 
 @pytest.mark.parametrize("name", airframe_names())
-def test_every_aircraft_flies_as_its_true_derivatives_say(name: str) -> None:
+def test_the_true_derivatives_explain_the_flight_of_every_aircraft(name: str) -> None:
     flight = spec_of(name).fly()
     truth = linearise_cruise(name).derivatives
     matrix = np.array(
@@ -68,14 +68,6 @@ def test_another_speed_is_flown_with_its_own_derivatives() -> None:
     assert ratio == pytest.approx((15.0 / 17.0) ** 2, rel=0.02)
 
 
-def test_recorded_delay_separates_command_and_surface() -> None:
-    flight = spec_of("c172p", 8.0, delay=0.06).fly()
-    index = command_index(flight)
-    known = index >= 0
-    wanted = flight.trim + flight.inputs[index]
-    np.testing.assert_allclose(flight.extra["surfaces"][known], wanted[known], atol=1e-9)
-
-
 def test_specific_force_is_that_of_the_centre_of_gravity(cessna: Flight) -> None:
     # From the kinematics alone: velocity over the air (calm) turned with the body, minus
     # gravity. Independent of JSBSim's forces and masses.
@@ -98,11 +90,14 @@ def test_specific_force_is_that_of_the_centre_of_gravity(cessna: Flight) -> None
     assert np.sqrt(np.mean(away[:, 1:] ** 2)) > 0.15
 
 
-def test_a_halved_surface_does_half() -> None:
-    flight = spec_of("c172p", 8.0, changes=(CoefficientChange(5.0, {"da": 0.5}),)).fly()
-    command = flight.inputs[command_index(flight)]
-    applied = flight.extra["surfaces"] - flight.trim
-    before = flight.time < 4.9995
+def test_surfaces_follow_the_commands_after_the_delay_and_a_halved_one_does_half() -> None:
+    halved = (CoefficientChange(5.0, {"da": 0.5}),)
+    flight = spec_of("c172p", 8.0, delay=0.06, changes=halved).fly()
+    index = command_index(flight)
+    known = index >= 0
+    command = flight.inputs[index[known]]
+    applied = (flight.extra["surfaces"] - flight.trim)[known]
+    before = flight.time[known] < 4.9995
     np.testing.assert_allclose(applied[before], command[before], atol=1e-9)
     np.testing.assert_allclose(applied[~before, 2], 0.5 * command[~before, 2], atol=1e-9)
     np.testing.assert_allclose(applied[~before, 0], command[~before, 0], atol=1e-9)

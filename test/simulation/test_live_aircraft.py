@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The aircraft in the loop: commands act when they should, faults do what they say."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.closed_loop import CONFIG
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import Fault, parse_fault
@@ -48,6 +50,19 @@ def undisturbed() -> list[Sample]:
 
 def rate_gained(samples: list[Sample], axis: int) -> float:
     return float(samples[-1].rates[axis] - samples[0].rates[axis])
+
+
+def test_its_airspeed_is_measured_ten_times_a_second() -> None:
+    sensors = replace(PERFECT, airspeed_noise=0.0, airspeed_bias=0.5)
+    aircraft, measured = LiveAircraft("c172p", sensors), []
+    for _ in range(30):
+        measured.append(aircraft.sample().measured_airspeed)
+        aircraft.command(None)
+        aircraft.advance()
+    told = [k for k, speed in enumerate(measured) if speed is not None]
+    assert told == [0, 10, 20]
+    assert measured[0] == pytest.approx(airframe("c172p").speed + 0.5, abs=0.3)
+    assert LiveAircraft("c172p", PERFECT).sample().measured_airspeed is None
 
 
 def test_a_command_acts_after_the_delay_and_not_before() -> None:
@@ -121,7 +136,7 @@ def test_ballast_raises_the_inertia_that_it_names(axis: str) -> None:
     assert mass < fdm["inertia/mass-slugs"] < 1.1 * mass
 
 
-def test_turbulence_comes_when_it_is_told_to() -> None:
+def test_turbulence_begins_at_its_time() -> None:
     _, samples = flown("2.0: turbulence 4", size=0.0, seconds=6.0)
     rates = np.array([sample.rates for sample in samples])
     assert np.abs(rates[:200]).max() < 0.02

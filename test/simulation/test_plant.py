@@ -105,7 +105,7 @@ def test_the_autopilot_feeds_back_and_its_commands_are_recorded() -> None:
     np.testing.assert_allclose(held.rates[:201:10], replayed, rtol=0.0, atol=1e-9)
 
 
-def test_the_plants_are_what_they_say() -> None:
+def test_the_plants_have_their_published_coefficients() -> None:
     a, index = SMALL_UAV.coefficients, STRUCTURES["throttle_coupled"].index
     assert a[index("pdot/p")] == pytest.approx(-10.0, rel=0.01)
     assert a[index("qdot/pp")] == -a[index("qdot/rr")]

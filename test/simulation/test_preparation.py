@@ -38,7 +38,7 @@ def test_what_is_identified_is_true(small: Prepared, tmp_path: Path) -> None:
         assert value == pytest.approx(truth[name], rel=0.15), name
 
 
-def test_the_files_say_what_the_nodes_need(small: Prepared, tmp_path: Path) -> None:
+def test_the_parameter_file_has_the_sections_of_the_nodes(small: Prepared, tmp_path: Path) -> None:
     write(small, tmp_path)
     path = tmp_path / f"{NAME}.yaml"
     plant, controller = (load_parameters(path, f"/{n}") for n in ("simulated_plant", "controller"))

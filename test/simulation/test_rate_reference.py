@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rates that the reference asks for lead where it wants to go."""
+"""The reference rates lead to the wanted attitude."""
 
 import math
 

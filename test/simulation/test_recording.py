@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
 
-from uav_ident_ros.bags.messages import VECTOR, vector_stamped
+from uav_ident_ros.bags.messages import TWIST, VECTOR, vector_stamped
 from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.simulation.inputs import Segment
@@ -52,6 +53,25 @@ def test_rosbags_reads_back_what_was_measured(tmp_path: Path, convention: str) -
     assert offered["/imu/data"].reliability is QosReliability.BEST_EFFORT
     assert offered["/imu/data"].depth == 500
     assert offered["/actuators"].reliability is QosReliability.RELIABLE
+
+
+def test_a_measured_airspeed_is_recorded_and_the_identifier_told_to_read_it(tmp_path: Path) -> None:
+    flight = FLIGHT.fly("fast")
+    flight = replace(flight, airspeed=np.full(len(flight.t_ns), 20.0))
+    measured = measure(flight, Sensors(airspeed_noise=0.3, latency=0.003), 5)
+    write_bag(measured, tmp_path / "bag")
+    settings = Settings.from_values(parameters(measured))
+    assert settings.airspeed.type == TWIST and settings.airspeed.reference == 20.0
+    with AnyReader([tmp_path / "bag"]) as reader:
+        (connection,) = (c for c in reader.connections if c.topic == "/airspeed")
+        rows = [
+            (t, reader.deserialize(raw, connection.msgtype))
+            for _, t, raw in reader.messages([connection])
+        ]
+    assert connection.msgtype == TWIST
+    assert [t for t, _ in rows] == measured.airspeed_log_ns.tolist()
+    assert [seconds(m.header.stamp) for _, m in rows] == measured.airspeed_t_ns.tolist()
+    assert [m.twist.linear.x for _, m in rows] == measured.airspeed.tolist()
 
 
 def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:

@@ -90,12 +90,14 @@ REFUSED: list[tuple[str, Callable[[], object]]] = [
 
 
 @pytest.mark.parametrize(("named", "refused"), REFUSED)
-def test_what_cannot_be_is_named(named: str, refused: Callable[[], object]) -> None:
+def test_an_impossible_flight_sensor_or_fault_is_named(
+    named: str, refused: Callable[[], object]
+) -> None:
     with pytest.raises(SimulationError, match=f"(?s){named}"):
         refused()
 
 
-def test_without_jsbsim_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_jsbsim_the_error_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "jsbsim", None)
     with pytest.raises(SimulationError, match="pip install jsbsim"):
         jsbsim()

@@ -21,7 +21,7 @@ def flight() -> Flight:
     return spec.fly()
 
 
-def test_noise_and_bias_are_as_asked(flight: Flight) -> None:
+def test_noise_and_bias_have_the_configured_size(flight: Flight) -> None:
     bias = (0.1, -0.2, 0.05)
     measured = measure(flight, dataclasses.replace(NOISY, gyro_bias=bias, convention="frd"), seed=3)
     error = measured.rates - measured.true_rates
@@ -32,6 +32,24 @@ def test_noise_and_bias_are_as_asked(flight: Flight) -> None:
     assert np.abs(correlation).max() < 0.03
     force = measured.specific_force - flight.specific_force
     np.testing.assert_allclose(force.std(axis=0), 0.1, rtol=0.03)
+
+
+def test_the_airspeed_is_measured_at_its_own_rate_where_there_is_a_sensor(flight: Flight) -> None:
+    fast = dataclasses.replace(flight, airspeed=20.0 + flight.rates[:, 0])
+    pitot = dataclasses.replace(NOISY, airspeed_noise=0.3, airspeed_bias=0.5)
+    measured, blind = measure(fast, pitot), measure(fast, NOISY)
+    assert measured.airspeed_t_ns.tolist() == fast.t_ns[::100].tolist()
+    error = measured.airspeed - fast.airspeed[::100]
+    assert error.mean() == pytest.approx(0.5, abs=0.07) and error.std() == pytest.approx(
+        0.3, rel=0.2
+    )
+    assert (
+        len(blind.airspeed)
+        == len(blind.airspeed_log_ns)
+        == len(measure(flight, pitot).airspeed)
+        == 0
+    )
+    np.testing.assert_array_equal(measured.rates, blind.rates)
 
 
 def test_flu_and_frd_are_the_same_flight(flight: Flight) -> None:

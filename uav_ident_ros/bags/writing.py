@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -37,8 +39,9 @@ class BagWriteError(Exception):
     """A bag cannot be written; the message names the path or topic and why."""
 
 
-def write_file(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all; its folder is made.
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a place to write a file to, which takes its own once it is whole; its folder is made.
 
     Raises
     ------
@@ -48,10 +51,16 @@ def write_file(path: Path, text: str) -> None:
     part = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(text, encoding="utf-8")
+        yield part
         part.replace(path)
     except OSError as error:
         raise BagWriteError(f"cannot write '{path}': {error.strerror}") from None
+
+
+def write_file(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all; raises as `whole_file` does."""
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def qos(

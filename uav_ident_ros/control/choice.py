@@ -130,9 +130,8 @@ class AxisChoice:
             self._scale(t_ns, measured, certain)
         values = self._rows.copy()
         values[MAINS] = self._main
-        sources = tuple(
-            MEASURED if self._rescaled(i) else source for i, source in enumerate(self._sources)
-        )
+        rescaled = zip(self._rescaled.tolist(), self._sources, strict=True)
+        sources = tuple(MEASURED if other else source for other, source in rescaled)
         return Effect(values, _over(self._main, self.nominal[MAINS]), sources, (*self._reasons,))
 
     def forget_measured(self) -> None:
@@ -141,32 +140,45 @@ class AxisChoice:
 
     def _adopt(self, t_ns: int, measured: Effectiveness) -> None:
         newest = self._source.newest(t_ns)
-        old = newest is None or newest is self._seen
+        fresh = None if newest is self._seen else newest  # any other was weighed when it came
         self._seen = newest
-        found, known = (None, None) if newest is None else control_derivatives(newest)
-        if newest is not None and newest.structure.name != self.model.structure.name:
-            self.model = AttitudeModel(newest.structure, newest.values, newest.known)
-        own = self.model.values.copy()
+        adopted = []
         for i in range(len(ROWS)):
             reason = self._source.refusal(t_ns, i)
             if not reason:
-                if old:
-                    continue  # it was weighed when it came
-                assert newest is not None and found is not None and known is not None
+                if fresh is None:
+                    continue
+                found, known = control_derivatives(fresh)
                 row = np.where(known[i], found[i], self._rows[i])
                 reason = self._against(i, row, bool(known[MAINS][i]), measured)
                 if not reason:
                     self._rows[i], self._main[i] = row, row[MAIN[ROWS[i]]]
-                    own[i], own[len(ROWS) :] = newest.values[i], newest.values[len(ROWS) :]
                     self._sources[i] = IDENTIFIED
+                    adopted.append(i)
             if reason and self._sources[i] == IDENTIFIED:
                 self._sources[i] = LAST_GOOD
             self._reasons[i] = reason
-        if newest is not None and not old:
-            self.model = replace(self.model, values=own, flow=newest.flow)
+        if fresh is not None:
+            self._follow(fresh, adopted)
 
-    def _rescaled(self, i: int) -> bool:
-        return bool(abs(_over(self._main, self._rows[MAINS])[i] - 1.0) > NOTICEABLE)
+    def _follow(self, newest: Coefficients, adopted: list[int]) -> None:
+        """Let the model have the rows that were adopted, with the forces that go with them."""
+        if newest.structure.name != self.model.structure.name:
+            self.model = AttitudeModel(newest.structure, newest.values, newest.known)
+        values = self.model.values.copy()
+        if adopted:
+            rows = [*adopted, *range(len(ROWS), len(values))]
+            values[rows] = newest.values[rows]
+        self.model = replace(self.model, values=values, flow=newest.flow)
+
+    @property
+    def _flown(self) -> FloatArray:
+        """Main derivatives flown on over those adopted, (3,): 1 where nothing else was measured."""
+        return _over(self._main, self._rows[MAINS])
+
+    @property
+    def _rescaled(self) -> BoolArray:
+        return np.asarray(np.abs(self._flown - 1.0) > NOTICEABLE)
 
     def _against(self, i: int, found: FloatArray, known: bool, measured: Effectiveness) -> str:
         """Why a row is not adopted; empty if it is."""
@@ -179,9 +191,8 @@ class AxisChoice:
         share = float(_over(found[MAIN[row]], self._main[i]))
         if share < 0.0 and not measured.reversed[i]:
             return f"{row} would turn its sign, which the flight does not show"
-        if self._rescaled(i) and abs(share - 1.0) > 2.0 * NOTICEABLE:
-            flown = _over(self._main, self._rows[MAINS])[i]
-            return f"{row} is measured to have {flown:.2f} times its effect"
+        if self._rescaled[i] and abs(share - 1.0) > 2.0 * NOTICEABLE:
+            return f"{row} is measured to have {self._flown[i]:.2f} times its effect"
         return ""
 
     def _turn(self, measured: Effectiveness, certain: BoolArray) -> None:

@@ -101,15 +101,13 @@ class Response:
 def own_motion(model: AttitudeModel) -> FloatArray:
     """Return A of ``d/dt (p, q, r, beta, alpha, phi)`` about level flight, shape (6, 6).
 
-    Where nobody knows the airspeed, what sideslip and angle of attack do is left out: in a turn
-    they would add up.
+    Where nobody knows the airspeed it is that of the rates alone: in a turn sideslip would add up.
     """
     out = np.zeros((len(STATES), len(STATES)))
     condition = Condition(math.inf if model.flow is None else model.flow.airspeed)
     a, _ = linearise(model.structure, model.values, condition)
-    out[: len(a), : len(a)] = a
-    if model.flow is None:
-        out[AXES, len(ROWS) :] = 0.0
+    known = AXES if model.flow is None else slice(0, len(a))
+    out[known, known] = a[known, known]
     flow = np.arange(len(ROWS), len(STATES))
     out[flow, flow] -= 1.0 / FORGETTING
     return out

@@ -9,6 +9,8 @@ confirmed fades.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from uav_ident_ros.identification.regression import RowSamples
@@ -18,15 +20,12 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
 )
 
-CONFIRMED = 4.6
+CONFIRMED = math.log(100.0)
 """Logarithm of the odds, a hundred to one, from which on a derivative counts as confirmed."""
 
 LARGEST_ODDS = 2.0 * CONFIRMED
 """Logarithm of the odds beyond which more evidence adds nothing: what has failed is noticed
 soon, however long it had worked."""
-
-LEAST_VARIANCE = 1e-12
-"""Variance of an innovation below which there is no noise, rad^2/s^4."""
 
 
 class Confirmation:
@@ -57,7 +56,7 @@ class Confirmation:
         """
         # Squared residual if the input did nothing, less the squared residual as it is.
         gain = effect * (2.0 * white.residual[: len(ROWS)] + effect)
-        variance = np.maximum(variance[: len(ROWS)], LEAST_VARIANCE)
+        variance = np.maximum(variance[: len(ROWS)], np.finfo(float).eps)
         if max_age > 0.0:
             # From the largest odds to those that confirm in just this time.
             self._odds *= (CONFIRMED / LARGEST_ODDS) ** (effect.shape[1] * white.dt / max_age)

@@ -14,9 +14,13 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
+from uav_ident_ros.identification.feedback import ANSWER_TIMES
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.prior import (
     CONSTANT_SIGMA,
@@ -33,32 +37,22 @@ from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
 STEP = 0.025
 """Step of the bank and of its models, s: the cost is smooth over three of them."""
 
-EARLY = 2
-"""Steps by which the bank goes below no delay at all, so that none is a minimum, too."""
-
 LAGS = (0.0, 0.06, 0.12)
 """Servo lags of the bank, beyond the one in use, s."""
 
-LAG_MEMORY = 20
-"""Steps after which a lag has forgotten: four of the longest."""
+_LAG_STEPS = math.ceil(4.0 * LAGS[-1] / STEP)  # the longest has forgotten by then
 
-WINDOW, WINDOWS = 40, 5
+WINDOW, WINDOWS = round(1.0 / STEP), 5
 """Steps of a prediction, 1 s, and predictions of a block."""
 
 SAMPLE = 4
 """Steps over which the equation of motion is integrated, 0.1 s, for a sample of the regression."""
 
-LEARNING_BLOCKS = 2
-"""Blocks, of 5 s, that are learned from before predictions count."""
-
-MEMORY = 120.0
-"""Time constant of forgetting of the models, s."""
-
 BLOCKS = 60
-"""Blocks that are judged, the newest: five minutes."""
+"""Blocks that are judged, the newest, and in which the models forget: five minutes."""
 
-FEWEST_BLOCKS = 3
-"""Blocks from which their spread tells anything."""
+FEWEST_BLOCKS = 2
+"""Blocks that are learned from before predictions count, and predicted before they are judged."""
 
 RIDGE = 0.01
 """Residual variance times its correlation time that weighs the prior of the models, rad^2/s^3."""
@@ -68,31 +62,17 @@ ALIKE = 0.08
 50 %. Least squares in gusts turns some of a lag into slower damping."""
 
 APART = 3
-"""Steps at which a wrong delay must predict worse."""
+"""Steps at which a wrong delay must predict worse. The bank goes twice as far below no delay:
+commands may be known too late."""
 
 SURE_RISE = 4.0
 """By how many of its standard deviations it must; an autopilot's answers alone reach 3.5."""
 
-SURE_SIGMA = 0.015
-"""Standard deviation up to which a delay counts as known, s: off by more it costs the fit."""
-
-SYSTEMATIC_ERROR = 0.007
+SYSTEMATIC_ERROR = 0.0075
 """What blocks do not tell, s: noise and gusts in the regressors, inputs held between samples."""
 
-ANSWER_TIME = 0.1
-"""Time in which an autopilot answers a rate, s: where its answers outweigh what is injected, motion
-that nothing explains makes the inputs look as much later, times its share. With flow angles, gusts
-are explained."""
-
-LARGEST_RATE = 100.0
-"""Rate to which a prediction diverges at most, rad/s."""
-
-SMALLEST_MOVE = 0.005
-"""The delay in use moves by no less than this, s: the fit is flat about the right one."""
-
-CONTRADICTED = 0.05
-"""Error of the delay in use from which no model can be right, s: a control derivative is off by a
-quarter and more."""
+SURE_SIGMA = 2.0 * SYSTEMATIC_ERROR
+"""Standard deviation up to which a delay counts as known, s: off by more it costs the fit."""
 
 KEPT_WEIGHT = 0.02
 """What was learned with another delay counts for so much: it is biased, by tens of percent for
@@ -113,7 +93,7 @@ _LEAST_SLOPES = 0.1 * np.array([SIDE_FORCE_SLOPE, LIFT_SLOPE])
 class DelayEstimate:
     """What the flight says about the delay."""
 
-    delay: float = 0.0  # That goes with the lag in use, s
+    delay: float = 0.0  # That goes with the lag in use, s; below zero where that is too long
     sigma: float = math.inf  # Its standard deviation, s
     total: float = 0.0  # Delay and lag together, whatever the lag, s
     total_sigma: float = math.inf  # Its standard deviation, s
@@ -137,17 +117,17 @@ class DelayEstimate:
     def off(self, delay: float) -> float:
         """By how much a delay in use is too short, s; 0 where it is not known to be wrong."""
         off = self.delay - delay
-        return off if self.sure and abs(off) > max(SMALLEST_MOVE, 2.0 * self.sigma) else 0.0
+        wrong = self.rise >= SURE_RISE and abs(off) > 2.0 * self.sigma
+        return off if wrong else 0.0
 
     def contradiction(self, delay: float) -> str:
-        """Return why no model can be right with a delay in use, s; empty if it can."""
+        """Return in words how a delay in use is off, s."""
         off = self.off(delay)
-        if abs(off) < CONTRADICTED:
-            return ""
         word = "later" if off > 0.0 else "earlier"
+        cure = "" if self.delay >= 0.0 else ": their stamps are late, or this lag is too long"
         return (
             f"the inputs act {1e3 * abs(off):.0f} ms {word} than 'actuators.delay' and "
-            f"'actuators.time_constant' say: a delay of {self.delay:.3f} s predicts best"
+            f"'actuators.time_constant' say: a delay of {self.delay:.3f} s predicts best{cure}"
         )
 
 
@@ -164,6 +144,23 @@ class _Signals:
     airspeed: float
     u: FloatArray  # Means of the inputs over steps, from the earliest that matters, (M, 4)
 
+    @cached_property
+    def means(self) -> FloatArray:
+        """Rates, a one, and the forces: means over the samples, (W, samples, 6)."""
+        one = np.ones((*self.x.shape[:2], 1))
+        return _means(np.concatenate((self.x, one, self.force), axis=2))
+
+    @cached_property
+    def slopes(self) -> FloatArray:
+        """Rates of change of rates and forces over the samples, (W, samples, 5)."""
+        return _slopes(np.concatenate((self.x, self.force), axis=2))
+
+    @cached_property
+    def turning(self) -> FloatArray:
+        """What the kinematics of sideslip and angle of attack say, (W, samples, 2), rad/s."""
+        by_force = (self.force + GRAVITY * self.down) / self.airspeed
+        return _means(by_force + self.x[..., 2:0:-1] * (-1.0, 1.0))
+
 
 class DelayBank:
     """Light models, one for each delay and lag, and how well each has predicted."""
@@ -175,11 +172,14 @@ class DelayBank:
     ) -> None:
         self._lag = lag
         self._back = round(longest / STEP)
-        self.delays: FloatArray = STEP * np.arange(-EARLY, self._back + 1)
+        self._early = 2 * APART + math.ceil(lag / STEP)
+        self._before_ns = round((self._back + _LAG_STEPS + 1) * STEP / NS)
+        self._length_ns = round((WINDOW * WINDOWS + self._early + 1) * STEP / NS)
+        self.delays: FloatArray = STEP * np.arange(-self._early, self._back + 1)
         count = len(self.delays)
         self._models = [_Models(count) for _ in LAGS]
         steps = WINDOW * np.arange(WINDOWS)[:, None] + np.arange(-1, WINDOW + 1)
-        first = self._back + 1 + EARLY - np.arange(count)
+        first = self._back + 1 + self._early - np.arange(count)
         self._pick = first[:, None, None] + steps  # (J, W, N + 2): one more step on both sides
         self._errors: deque[FloatArray] = deque(maxlen=BLOCKS)
         self._block: Iterator[FloatArray | None] | None = None
@@ -210,18 +210,17 @@ class DelayBank:
         if self._parts and (self._parts[-1].t_ns[-1] != edges[0] or delay_ns != self._delay_ns):
             self.restart()
         self._delay_ns = delay_ns
-        start = round(self.delays[-1] / NS) + round((LAG_MEMORY + 1) * STEP / NS) - delay_ns
+        before = max(self._before_ns - delay_ns, 0)
         if self._first is None:
-            self._first = int(edges[0]) + max(start, 0)
+            self._first = int(edges[0]) + before
         self._parts.append(block)
         renewed = self._work()
-        length = round((WINDOW * WINDOWS + EARLY + 1) * STEP / NS)
-        while edges[-1] - max(delay_ns, 0) >= self._first + length:
+        while edges[-1] - max(delay_ns, 0) >= self._first + self._length_ns:
             while self._block is not None:
                 renewed = self._work() or renewed
             self._block = self._judge_models(self._signals(self._first))
             self._first += WINDOW * WINDOWS * round(STEP / NS)
-            keep = self._first - max(start, 0)
+            keep = self._first - before
             self._parts = [part for part in self._parts if part.t_ns[-1] >= keep]
         return renewed
 
@@ -238,8 +237,8 @@ class DelayBank:
         grid = STEP * np.arange(WINDOW * WINDOWS + 1)
         signals = _interpolate(grid, t, values)
         added = np.vstack((np.zeros(len(INPUTS)), np.cumsum(u * np.diff(t)[:, None], axis=0)))
-        before = self._back + LAG_MEMORY + 1
-        grid = STEP * np.arange(-before, WINDOW * WINDOWS + EARLY + 2)
+        before = self._back + _LAG_STEPS + 1
+        grid = STEP * np.arange(-before, WINDOW * WINDOWS + self._early + 2)
         means = np.diff(_interpolate(grid, t - self._delay_ns * NS, added), axis=0) / STEP
         places = WINDOW * np.arange(WINDOWS)[:, None] + np.arange(WINDOW + 1)
         x, force, down = np.split(signals[places], [3, 5], axis=2)
@@ -259,16 +258,16 @@ class DelayBank:
             return False
         self._errors.append(np.stack(found))
         if len(self._errors) >= FEWEST_BLOCKS:
-            opposed = False if self._has_flow else self._models[0].opposed(EARLY)
+            opposed = False if self._has_flow else self._models[0].opposed(self._early)
             self.estimate = judge(np.stack(self._errors), self.delays, self._lag, opposed)
         return True
 
     def _judge_models(self, signals: _Signals) -> Iterator[FloatArray | None]:
         """Yield the prediction errors of the models with each lag, (J, 3), and teach them."""
         for lag, models in zip(LAGS, self._models, strict=True):
-            u = _lagged(signals.u, lag)[self._pick]
-            yield models.score(signals, u)
-            models.learn(signals, u)
+            u = _lagged(signals.u, lag)
+            yield models.score(signals, u[self._pick])
+            models.learn(signals, u, self._pick[..., 1:-1:SAMPLE])
             yield None
 
 
@@ -287,35 +286,35 @@ class _Models:
         u: FloatArray,  # (J, W, N + 2, 4) Inputs with each delay
     ) -> FloatArray | None:
         """Return squared errors of p, q, r, (J, 3), with what was learned; None at first."""
-        if self._blocks < LEARNING_BLOCKS:
+        if self._blocks < FEWEST_BLOCKS:
             return None
-        predicted = self._predict(signals, u)
-        errors = ((predicted - signals.x[:, 1:]) ** 2).sum(axis=2)
+        with np.errstate(over="ignore", invalid="ignore"):
+            errors = ((self._predict(signals, u) - signals.x[:, 1:]) ** 2).sum(axis=2)
         spread = (signals.x - signals.x.mean(axis=(0, 1))) ** 2
         worst = np.maximum(spread.sum(axis=1), spread.sum(axis=(0, 1)) / WINDOWS)
         # One that diverged has failed, no more.
         return np.asarray(np.fmin(errors, worst).sum(axis=1))
 
-    def learn(self, signals: _Signals, u: FloatArray) -> None:
-        """Add a block to what the models are solved from; parameters as in `score`."""
+    def learn(
+        self,
+        signals: _Signals,
+        u: FloatArray,  # (M, 4) Inputs with the lag
+        first: NDArray[np.intp],  # (J, W, samples) First step of each sample, with each delay
+    ) -> None:
+        """Add a block to what the models are solved from."""
         self._blocks += 1
-        keep = math.exp(-WINDOW * WINDOWS * STEP / MEMORY)
-        x, force, v = signals.x, signals.force, signals.airspeed
-        turning = _means((force + GRAVITY * signals.down) / v + x[..., 2:0:-1] * (-1.0, 1.0))
-        count = len(u)
-        own = np.concatenate((_means(x), np.ones((*x.shape[:1], WINDOW // SAMPLE, 1)),
-                              _means(force)), axis=2)  # fmt: skip
-        steps = u[:, :, 1:-1].reshape(count, WINDOWS, WINDOW // SAMPLE, SAMPLE, -1)
-        f = np.empty((count, *own.shape[:2], len(_PRECISION)))
-        f[..., :3], f[..., _CONSTANT:] = own[..., :3], own[..., 3:]
-        f[..., _INPUTS] = np.add.reduce(steps, axis=3) / SAMPLE
-        self._moments = keep * self._moments + _products(f, _slopes(x))
-        edges = 0.5 * (u[:, :, 1:] + u[:, :, :-1])
+        keep = math.exp(-1.0 / BLOCKS)
+        own, slopes = signals.means, signals.slopes
+        means = sliding_window_view(u, SAMPLE, axis=0).mean(axis=-1)
+        f = np.empty((*first.shape, len(_PRECISION)))
+        f[..., :3], f[..., _INPUTS], f[..., _CONSTANT:] = own[..., :3], means[first], own[..., 3:]
+        self._moments = keep * self._moments + _products(f, slopes[..., :3])
+        edges = 0.5 * (u[1:] + u[:-1])  # the step at an index, and the one after
+        moved = (edges[first - 1 + SAMPLE] - edges[first - 1]) / (SAMPLE * STEP)
+        f = np.ones((*first.shape, 3))
         for k, surface in enumerate(_SURFACES):
-            f = np.ones((count, *own.shape[:2], 3))
-            f[..., 0] = turning[..., k]
-            f[..., 1] = _slopes(edges[..., surface, None])[..., 0]
-            self._forces[k] = keep * self._forces[k] + _products(f, _slopes(force)[..., k, None])
+            f[..., 0], f[..., 1] = signals.turning[..., k], moved[..., surface]
+            self._forces[k] = keep * self._forces[k] + _products(f, slopes[..., 3 + k, None])
 
     def opposed(
         self,
@@ -363,11 +362,10 @@ class _Models:
         on, states = ((np.eye(5) + half) @ after)[:, None], STEP * driven @ after[:, None]
         states[:, :, :1] += start[:, :, None] @ on
         reach = 1
-        with np.errstate(over="ignore", invalid="ignore"):
-            while reach < WINDOW:  # sums of all before, by doubling
-                states[:, :, reach:] += states[:, :, :-reach] @ on
-                on, reach = on @ on, 2 * reach
-        return states[..., :3].clip(-LARGEST_RATE, LARGEST_RATE)
+        while reach < WINDOW:  # sums of all before, by doubling
+            states[:, :, reach:] += states[:, :, :-reach] @ on
+            on, reach = on @ on, 2 * reach
+        return states[..., :3]
 
 
 def judge(
@@ -398,17 +396,19 @@ def judge(
     # The two, by the jackknife and by the halves.
     variance = (count - 1) * found[3:].var(axis=0) + 0.25 * (found[1] - found[2]) ** 2
     middle = int(np.argmin(cost[0, 0]))
-    answered = np.broadcast_to(opposed, total[0].shape)[middle]
-    variance += SYSTEMATIC_ERROR**2 + _feigned(total[0], middle, answered) ** 2
+    answered = np.broadcast_to(opposed, total[0].shape)
+    variance += SYSTEMATIC_ERROR**2 + _feigned(total[0], middle, answered[middle]) ** 2
     sides = np.clip([middle - APART, middle + APART], 0, len(delays) - 1)
     rises = cost[:, 0, sides] - cost[:, 0, [middle]]
     spread = np.sqrt((count - 1) * rises[3:].var(axis=0)) + np.finfo(float).tiny
+    # An autopilot's answers come after the motion, as if inputs acted before they are given.
+    told = inside[0, 0] and not (found[0, 0] < 0.0 and answered[np.abs(delays).argmin()].any())
     return DelayEstimate(
-        delay=max(float(found[0, 0]), 0.0),
+        delay=float(found[0, 0]),
         sigma=math.sqrt(variance[0]),
         total=max(float(mean[0]), 0.0) + lag,
         total_sigma=math.sqrt(variance[1] + between),
-        rise=float((rises[0] / spread).min()) if inside[0, 0] else 0.0,
+        rise=float((rises[0] / spread).min()) if told else 0.0,
     )
 
 
@@ -417,11 +417,16 @@ def _feigned(
     middle: int,  # Where they are least
     opposed: BoolArray,  # (3,) Whether the inputs act against p, q, r
 ) -> float:
-    """By how much answers to unexplained motion can make inputs look late, s."""
+    """By how much answers to unexplained motion can make inputs look late, s.
+
+    Where an autopilot's answers outweigh what is injected, motion that nothing explains makes the
+    inputs look later by the time of an answer, times its share. With flow angles gusts are
+    explained.
+    """
     beside = errors[[max(middle - 1, 0), min(middle + 1, len(errors) - 1)]].sum(axis=0)
     weight = np.maximum(beside / errors[middle] - 2.0, 0.0)
     share = np.where(opposed, np.sqrt(errors[middle] / errors.max(axis=0)), 0.0)
-    return ANSWER_TIME * float((weight * share).sum() / max(float(weight.sum()), STEP))
+    return float(ANSWER_TIMES[0]) * float((weight * share).sum() / max(float(weight.sum()), STEP))
 
 
 def _vertices(
@@ -447,12 +452,12 @@ def _interpolate(grid: FloatArray, t: FloatArray, values: FloatArray) -> FloatAr
 
 
 def _lagged(u: FloatArray, lag: float) -> FloatArray:
-    """Means over steps of inputs after a first-order lag; without its first `LAG_MEMORY` steps."""
+    """Means over steps of inputs after a first-order lag; without its first `_LAG_STEPS` steps."""
     if lag == 0.0:
-        return u[LAG_MEMORY:]
+        return u[_LAG_STEPS:]
     keep = math.exp(-STEP / lag)
     mean = (1.0 - keep) * lag / STEP
-    weights = [1.0 - mean, *((1.0 - keep) * mean * keep ** np.arange(LAG_MEMORY))]
+    weights = [1.0 - mean, *((1.0 - keep) * mean * keep ** np.arange(_LAG_STEPS))]
     weights[-1] += 1.0 - sum(weights)
     return np.stack([np.convolve(column, weights, "valid") for column in u.T], axis=1)
 

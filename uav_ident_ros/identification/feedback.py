@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from uav_ident_ros.identification.regression import Layout, Regression
-from uav_ident_ros.identification.scales import LONG_MEMORY, SURE
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME, LONG_MEMORY, SURE
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
@@ -29,17 +29,8 @@ from uav_ident_ros.identification.structure import (
 ANSWER_TIMES = np.array([0.1, 0.5, 2.5])
 """Time constants in which past residuals fade, s: from a rate loop to one that holds attitudes."""
 
-LOOK_TIME = 1.0
-"""Time between two looks, s."""
-
 CORRELATION_TIME = 0.3
 """Time after which disturbances count as independent, s."""
-
-LOADING = 1e-6
-"""Added to the information, relative to its diagonal."""
-
-LARGEST_SHARE = 0.99
-"""Share of an input beyond which nothing of it is anything but an answer."""
 
 
 class Feedback:
@@ -78,7 +69,7 @@ class Feedback:
         self.answering: FloatArray | None = answering if share.any() else None
 
     def add(self, samples: Regression, residual: FloatArray, weight: FloatArray) -> None:
-        """Take samples; they are looked at every `LOOK_TIME`.
+        """Take samples; they are looked at every `INDEPENDENT_TIME`.
 
         Parameters
         ----------
@@ -91,7 +82,7 @@ class Feedback:
         """
         self._gathered.append((samples, residual, samples.dt * max(weight.tolist())))
         self._since_look += samples.time
-        if self._since_look >= LOOK_TIME:
+        if self._since_look >= INDEPENDENT_TIME:
             self._since_look = 0.0
             self._count()
             if self._products[self._answers - 1, self._answers - 1]:
@@ -125,7 +116,7 @@ class Feedback:
         covariance = self._products / time - np.outer(mean, mean)
         matrix = covariance[: n - 1, : n - 1].copy()
         diagonal = np.einsum("jj->j", matrix)
-        diagonal += LOADING * diagonal + np.finfo(float).tiny
+        diagonal += np.sqrt(np.finfo(float).eps) * diagonal + np.finfo(float).tiny
         across = covariance[: n - 1, n:]
         explained = np.einsum("ji,ji->i", across, np.linalg.solve(matrix, across))
         variance = np.diag(covariance)[n:]
@@ -134,4 +125,4 @@ class Feedback:
         # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
         chance = (n - 1) * CORRELATION_TIME / time
         sure = share > chance * (1.0 + SURE * np.sqrt(2.0 / (n - 1)))
-        self._set_share(np.where(sure, np.clip(share - chance, 0.0, LARGEST_SHARE), 0.0))
+        self._set_share(np.where(sure, share - chance, 0.0))

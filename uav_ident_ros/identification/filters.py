@@ -106,11 +106,16 @@ class BlockFilter:
         self._kernels: dict[int, FloatArray] = {}
 
     def _kernel(self, m: int) -> FloatArray:
-        """Matrix from the state at the start and the inputs of `m` cells to the states."""
+        """Matrix from the state at the start and the inputs over `m` cells to the states."""
         if m not in self._kernels:
             free, left, right = self._response
-            parts = [free[:, :m], left[:, :m, :m], right[:, :m, :m]]
-            self._kernels[m] = np.concatenate(parts, axis=2).reshape(len(free) * m, -1)
+            d = len(free)
+            kernel = np.zeros((d, m, d + m + 1 + m))
+            kernel[..., :d] = free[:, :m]
+            kernel[..., d : d + m] = kernel[..., d + m + 1 :] = left[:, :m, :m]
+            kernel[..., d + 1 : d + m + 1] += right[:, :m, :m]
+            kernel[..., d + m + 1 :] += right[:, :m, :m]
+            self._kernels[m] = kernel.reshape(d * m, -1)
         return self._kernels[m]
 
     @staticmethod
@@ -123,25 +128,27 @@ class BlockFilter:
             forced[:, i, : i + 1] = impulse[i::-1].T
         return forced
 
-    def apply(self, left: FloatArray, right: FloatArray) -> FloatArray:
-        """Advance over m cells.
+    def apply(self, lines: FloatArray, held: FloatArray) -> FloatArray:
+        """Advance over m cells; the input is the sum of both.
 
         Parameters
         ----------
-        left, right : (m, N) array
-            Inputs at the left and the right end of each cell.
+        lines : (m + 1, N) array
+            Inputs that are straight lines over the cells, at their edges.
+        held : (m, N) array
+            Inputs that are constant over the cells.
 
         Returns
         -------
         (d, m, N) array
             The states at the right end of each cell.
         """
-        parts = []
-        for start in range(0, len(left), BLOCK):
-            a, b = left[start : start + BLOCK], right[start : start + BLOCK]
-            d, channels = self.state.shape
-            known = np.concatenate((self.state, a, b))
-            states = (self._kernel(len(a)) @ known).reshape(d, len(a), channels)
+        parts, (d, channels) = [], self.state.shape
+        for start in range(0, len(held), BLOCK):
+            u = held[start : start + BLOCK]
+            m = len(u)
+            known = np.concatenate((self.state, lines[start : start + m + 1], u))
+            states = (self._kernel(m) @ known).reshape(d, m, channels)
             self.state = states[:, -1].copy()
             parts.append(states)
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)

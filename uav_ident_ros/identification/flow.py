@@ -154,12 +154,13 @@ class FlowObserver:
             self._restart(samples[0], a, v)
         edges = [(*self.angles, *self.down)]
         for dt, sample in zip(plan.times, samples, strict=True):
-            m, weight = _gravity(sample[-3:], sample[:3], v)
-            self._turn(dt, sample[:3], m, ATTITUDE_GAIN * weight)
-            self._follow_angles(dt, sample, self._measured_angles(sample, a), v, missing)
+            rates, force = sample[:3], sample[-3:]
+            m, weight = _gravity(force, rates, v)
+            self._turn(dt, rates, m, ATTITUDE_GAIN * weight)
+            measured = self._measured_angles(sample, a)
+            self._follow_angles(dt, rates, force, measured, v, missing)
             edges.append((*self.angles, *self.down))
-        found = plan.lines @ np.array(edges)
-        return FlowSignals(found[:, :2], found[:, 2:], v)
+        return FlowSignals(np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1), v)
 
     def _measured_angles(self, sample: list[float], a: list[list[float]]) -> list[float]:
         """Flow angles at which the force rows give the measured forces, rad."""
@@ -200,13 +201,14 @@ class FlowObserver:
     def _follow_angles(
         self,
         dt: float,
-        sample: list[float],
+        rates: list[float],
+        force: list[float],
         measured: list[float],
         v: float,
         missing: list[tuple[float, float]],
     ) -> None:
         """Move the flow angles on, exactly for signals that are constant over `dt`."""
-        keep, rates, force = exp(-self._rate * dt), sample[:3], sample[-3:]
+        keep = exp(-self._rate * dt)
         for k, turning in ((0, -rates[2]), (1, rates[1])):
             by_p, bias = missing[k]
             rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v

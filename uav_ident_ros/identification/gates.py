@@ -12,22 +12,20 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from uav_ident_ros.identification.scales import LONG_MEMORY, LOOK_TIME, OUTLYING
-from uav_ident_ros.identification.settings import (
-    ActuatorSettings,
-    Settings,
-    SupervisionSettings,
+from uav_ident_ros.identification.scales import (
+    IN_A_ROW,
+    INDEPENDENT_TIME,
+    LONG_MEMORY,
+    LOOK_TIME,
+    OUTLYING,
+    SHORT_MEMORY,
 )
+from uav_ident_ros.identification.settings import ActuatorSettings, Settings
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
-
-HOLD_TIME = 0.5
-"""Time for which bad signals echo in the filters, s: more than five of the default filter's
-time constants. It pauses for so long after the last bad sample."""
 
 REST_TIME = 2.0
 """Time over which motion is looked for, s: a turning aircraft has moved by then."""
@@ -39,24 +37,8 @@ by 3 to 6, aircraft in the smoothest flight by 11 and more."""
 REST_SWAY = 0.01
 """Swing of the rates of an aircraft that stands, rad/s: wind and an idling engine rock it."""
 
-GLITCH = 0.25
-"""Jump of a rate from one sample to the next, relative to the gyro's range, that no aircraft
-makes: 9 rad/s within milliseconds."""
-
-LONGEST_GLITCH = 3
-"""Samples in a row that are a glitch; the next ones are a gyro at its range."""
-
 SIGNALS = ("p", "q", "r", "ax", "ay", "az")
 """What an Imu measures, in its own axes."""
-
-KNOWN_RESIDUAL = 10.0
-"""Time after which there is a usual size, s."""
-
-RECENT_TIME = 2.0
-"""Memory of the present size of the residuals, s."""
-
-LARGEST_GROWTH = 4.0
-"""Squared residual, relative to what is usual, as which larger ones are counted in the usual."""
 
 
 class Look(NamedTuple):
@@ -105,8 +87,6 @@ class Gates:
 
     Parameters
     ----------
-    settings : Settings
-        Channels and their limits.
     more : sequence of Gate
         Gates of one's own, beside those of the table.
 
@@ -118,8 +98,8 @@ class Gates:
         Whether the signals of this tick must not be scored either.
     """
 
-    def __init__(self, settings: Settings, more: Sequence[Gate] = ()) -> None:
-        self._limits, self._more = LimitGate(settings.actuators), more
+    def __init__(self, more: Sequence[Gate] = ()) -> None:
+        self._more = more
         self._ticks = 0
         self._closed: Counter[str] = Counter()
         self._reasons = {name: reason for name, (_, reason) in ROW_GATES.items()}
@@ -127,28 +107,26 @@ class Gates:
 
     def restart(self) -> None:
         """Begin a new stretch of signals; what was counted stays."""
-        sensors, rest = SensorGate(), RestGate()
         self.closed, self.unreadable = "", False
         self.table: tuple[Gate, ...] = (
             Gate("implausible", "supervision.plausibility", lambda look: look.implausible, True),
-            Gate("adaptation", "adapt_on_start", _switched_off),
-            Gate("ground", "supervision.min_airspeed", _grounded),
             Gate(
-                "Imu",
-                "supervision.max_rate, stuck_time",
-                lambda look: sensors.check(look.t, look.samples, look.settings.supervision),
-                unreadable=True,
+                "adaptation",
+                "adapt_on_start",
+                lambda look: "" if look.adapt else "adaptation is switched off",
             ),
+            Gate(
+                "ground",
+                "supervision.min_airspeed",
+                lambda look: grounded(look.settings, look.armed, look.airspeed),
+            ),
+            Gate("Imu", "supervision.max_rate, stuck_time", SensorGate().check, unreadable=True),
             Gate(
                 "channel limit",
                 "actuators.lower_limit, upper_limit",
-                lambda look: self._limits.check(look.raw),
+                lambda look: at_limit(look.raw, look.settings.actuators),
             ),
-            Gate(
-                "rest",
-                "supervision.min_motion, min_force_motion",
-                lambda look: rest.check(look.t, look.samples, look.settings.supervision),
-            ),
+            Gate("rest", "supervision.min_motion, min_force_motion", RestGate().check),
             *self._more,
         )
 
@@ -181,15 +159,6 @@ class Gates:
         }
 
 
-def _switched_off(look: Look) -> str:
-    return "" if look.adapt else "adaptation is switched off"
-
-
-def _grounded(look: Look) -> str:
-    has_topic = look.settings.armed.type != ""
-    return grounded(look.armed, has_topic, look.airspeed, look.settings.supervision.min_airspeed)
-
-
 def largest(values: FloatArray) -> float:
     """Return the largest magnitude."""
     return float(np.maximum.reduce(np.abs(values), axis=None))
@@ -201,15 +170,13 @@ class GlitchFilter:
     def __init__(self) -> None:
         self._run = 0
 
-    def find(self, rates: FloatArray, before: FloatArray | None, max_rate: float) -> BoolArray:
-        """Return which samples are glitches, shape (k,); of a longer saturation the first alone.
+    def find(self, rates: FloatArray, max_rate: float) -> BoolArray:
+        """Return which samples are glitches, shape (k,).
 
         Parameters
         ----------
         rates : (k, 3) array
             New rates, rad/s, Imu axes.
-        before : (3,) array or None
-            The rates before them; None if there are none.
         max_rate : float
             Range of the gyro, rad/s; 0 if it is not known, and nothing is a glitch.
         """
@@ -218,12 +185,8 @@ class GlitchFilter:
             self._run = 0
             return out
         for k, sample in enumerate(rates):
-            if largest(sample) < max_rate:
-                before, self._run = sample, 0
-                continue
-            self._run += 1
-            if before is not None and self._run <= LONGEST_GLITCH:
-                out[k] = largest(sample - before) > GLITCH * max_rate
+            self._run = self._run + 1 if largest(sample) >= max_rate else 0
+            out[k] = 0 < self._run < IN_A_ROW
         return out
 
 
@@ -241,29 +204,18 @@ class SensorGate:
         self._bad_until = -np.inf
         self._reason = ""
 
-    def check(self, t: float, samples: FloatArray, settings: SupervisionSettings) -> str:
-        """Return why to pause; empty if there is no reason.
-
-        Parameters
-        ----------
-        t : float
-            Time of the tick, s.
-        samples : (k, 6) array
-            Rates, rad/s, and specific forces, m/s^2, that came with this tick, Imu axes.
-        settings : SupervisionSettings
-            Range of the gyro, and how long a signal may repeat itself.
-        """
+    def check(self, look: Look) -> str:
+        """Return why to pause; empty if there is no reason."""
+        t, samples, settings = look.t, look.samples, look.settings.supervision
         if len(samples):
             problem = self._stuck(t, samples, settings.stuck_time)
             problem = self._saturated(samples, settings.max_rate) or problem
             if problem:
-                self._reason, self._bad_until = problem, t + HOLD_TIME
+                self._reason, self._bad_until = problem, t + INDEPENDENT_TIME
         return self._reason if t < self._bad_until else ""
 
     def _saturated(self, samples: FloatArray, max_rate: float) -> str:
-        if max_rate <= 0.0:
-            return ""
-        if largest(samples[:, :3]) < max_rate:
+        if max_rate <= 0.0 or largest(samples[:, :3]) < max_rate:
             return ""
         signal = SIGNALS[int(np.abs(samples[:, :3]).max(axis=0).argmax())]
         return f"the gyro is saturated: {signal} reaches {max_rate:g} rad/s"
@@ -298,8 +250,9 @@ class RestGate:
         self._reason = ""
         self._begun = False
 
-    def check(self, t: float, samples: FloatArray, settings: SupervisionSettings) -> str:
-        """Return why to pause; empty if there is no reason; parameters as in `SensorGate`."""
+    def check(self, look: Look) -> str:
+        """Return why to pause; empty if there is no reason."""
+        t, samples, settings = look.t, look.samples, look.settings.supervision
         if len(samples):
             if self._begun:  # the first tick may have one sample alone, which is noisier
                 self._ticks.append((t, np.add.reduce(samples) / len(samples)))
@@ -331,36 +284,21 @@ def _noise(rates: FloatArray) -> float:
     return float(np.sqrt(np.mean(second * second, axis=0).max() / 6.0))
 
 
-class LimitGate:
-    """Closed while a channel is at its limit: there the surface need not follow the command.
+def at_limit(raw: FloatArray, settings: ActuatorSettings) -> str:
+    """Return which channel is at its limit: there the surface need not follow the command.
 
     Parameters
     ----------
+    raw : (k, N) array
+        Values of the channels that are still at work in the filters.
     settings : ActuatorSettings
         The channels and their limits.
     """
-
-    def __init__(self, settings: ActuatorSettings) -> None:
-        self._names: Sequence[int | str] = settings.channels
-        n = len(settings.channels)
-        self._low = np.array(settings.lower_limit or (-np.inf,) * n)
-        self._high = np.array(settings.upper_limit or (np.inf,) * n)
-        self._limited = bool(settings.lower_limit or settings.upper_limit)
-
-    def check(self, raw: FloatArray) -> str:
-        """Return why to pause; empty if there is no reason.
-
-        Parameters
-        ----------
-        raw : (k, N) array
-            Values of the channels that are still at work in the filters.
-        """
-        if not self._limited or not len(raw):
-            return ""
-        at_limit = np.logical_or.reduce((raw <= self._low) | (raw >= self._high))
-        if not at_limit.any():
-            return ""
-        return f"channel {self._names[int(at_limit.argmax())]} is at its limit"
+    if not len(raw) or not (settings.lower_limit or settings.upper_limit):
+        return ""
+    low, high = settings.lower_limit or -np.inf, settings.upper_limit or np.inf
+    at = np.logical_or.reduce((raw <= np.array(low)) | (raw >= np.array(high)))
+    return f"channel {settings.channels[int(at.argmax())]} is at its limit" if at.any() else ""
 
 
 class ResidualGate:
@@ -372,11 +310,12 @@ class ResidualGate:
     """
 
     def __init__(self) -> None:
-        self._rows = (_RowResidual(), _RowResidual(), _RowResidual())
+        self._usual: FloatArray = np.zeros(3)  # Mean squares of the residuals, rad^2/s^4
+        self._time: FloatArray = np.zeros(3)  # Time over which they were taken, s
 
     def release(self, row: int) -> None:
         """Learn anew what is usual in a row."""
-        self._rows[row].time = 0.0
+        self._time[row] = 0.0
 
     def weigh(
         self, residual: FloatArray, dt: float, max_residual: float, clear: BoolArray
@@ -394,58 +333,34 @@ class ResidualGate:
         clear : (3,) bool array
             Rows in which the inputs stand out from all else that moves the aircraft.
         """
-        squares = (np.add.reduce(residual * residual) / len(residual)).tolist()
-        weights = [
-            row.weigh(square, dt, max_residual, clear=stands_out)
-            for row, square, stands_out in zip(self._rows, squares, clear.tolist(), strict=True)
-        ]
-        return np.array(weights)
-
-
-@dataclass
-class _RowResidual:
-    """Mean squares of the residuals of one row, rad^2/s^4; plain floats, since there are few."""
-
-    # usual, recent: Over a long and over a short time
-    usual: float = 0.0
-    recent: float = 0.0
-    time: float = 0.0  # Time over which the usual one was taken, s
-
-    def weigh(self, square: float, dt: float, max_residual: float, *, clear: bool) -> float:
-        """Return how much samples with the mean square `square` count, 0 ... 1."""
-        usual = self.usual if self.time >= KNOWN_RESIDUAL else math.inf
-        self.time = min(self.time + dt, LONG_MEMORY)
-        clipped = min(square, (LARGEST_GROWTH if clear else 1.0) * usual)
-        self.usual += dt / self.time * (clipped - self.usual)
+        square = np.add.reduce(residual * residual) / len(residual)
+        usual = np.where(self._time >= SHORT_MEMORY, self._usual, np.inf)
+        self._time = np.minimum(self._time + dt, LONG_MEMORY)
+        clipped = np.minimum(square, np.where(clear, OUTLYING, 1.0) * usual)
+        self._usual += dt / self._time * (clipped - self._usual)
         if max_residual <= 0.0:
-            return 1.0
-        limit = max_residual * max_residual * usual
-        # No knock is so hard that it is remembered for more than a few seconds.
-        recent = min(square, LARGEST_GROWTH * limit)
-        self.recent += min(dt / RECENT_TIME, 1.0) * (recent - self.recent)
-        largest = max(square, self.recent)
-        if largest <= OUTLYING * usual:
-            return 1.0
-        return OUTLYING * usual / largest if clear and largest <= limit else 0.0
+            return np.ones(3)
+        near = square <= OUTLYING * usual
+        counted = clear & (square <= max_residual * max_residual * usual)
+        square, usual = np.where(near, 1.0, square), np.where(near, 1.0, usual)
+        return np.where(near, 1.0, np.where(counted, OUTLYING * usual / square, 0.0))
 
 
-def grounded(
-    armed: bool | None, has_armed_topic: bool, airspeed: float | None, min_airspeed: float
-) -> str:
+def grounded(settings: Settings, armed: bool | None, airspeed: float | None) -> str:
     """Return why it does not fly; empty if there is no reason to think so.
 
     Parameters
     ----------
+    settings : Settings
+        Whether there is a topic that tells of being armed, and the airspeed below which it does not
+        fly.
     armed : bool or None
         Whether the motors are armed; None if nothing was heard of it.
-    has_armed_topic : bool
-        Whether there is a topic that tells.
     airspeed : float or None
         True airspeed, m/s; None if there is none.
-    min_airspeed : float
-        Airspeed below which it does not fly, m/s.
     """
-    if has_armed_topic and not armed:
+    min_airspeed = settings.supervision.min_airspeed
+    if settings.armed.type and not armed:
         return "not armed" if armed is not None else "nothing was heard of being armed"
     if airspeed is not None and airspeed < min_airspeed:
         return f"not flying: the airspeed is below {min_airspeed:g} m/s"

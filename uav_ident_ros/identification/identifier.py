@@ -18,7 +18,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.frames import BodyFrame
-from uav_ident_ros.identification.gates import Gate, GlitchFilter
+from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look
 from uav_ident_ros.identification.intake import (
     ACTUATORS,
     AIRSPEED,
@@ -44,9 +44,10 @@ from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.samples import NS, SampleBuffer
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
+from uav_ident_ros.identification.setup_errors import SetupError, delay_error, height_error
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.stretches import Stretch, Stretches
-from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import ROWS, STRUCTURES, FloatArray
 from uav_ident_ros.identification.supervision import State, Supervisor
 
 STRETCH_TIME = 0.1
@@ -199,6 +200,7 @@ class OnlineIdentifier:
         )
         self.intake.fault = ""
         self._noise = NoiseModel(self._layout.rows)
+        self._errors: list[SetupError] = []  # as of the last tick
         self._learned_time = 0.0
         self.restart()
 
@@ -250,8 +252,10 @@ class OnlineIdentifier:
 
         What was learned with another delay is biased.
         """
-        if self.settings.actuators.estimate_delay and self.delays.estimate.off(self.delay):
-            self.sampler.delay = self.delays.estimate.delay
+        estimate, in_use = self.delays.estimate, self.delay
+        found = max(in_use + estimate.off(in_use), 0.0) if estimate.sure else in_use
+        if self.settings.actuators.estimate_delay and found != in_use:
+            self.sampler.delay = found
             self.estimator.forget(KEPT_WEIGHT)
             self._learned_time = 0.0
 
@@ -340,14 +344,11 @@ class OnlineIdentifier:
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
-        drops, rates = self.intake.drops, self.sampler.rates
-        drops[RATES][Drop.DUPLICATE] += rates.merge(t_ns)
-        drops[ACTUATORS][Drop.DUPLICATE] += self.sampler.raw_inputs.merge(t_ns)
-        drops[AIRSPEED][Drop.DUPLICATE] += self._speed.update(t_ns)
-        drops[ARMED][Drop.DUPLICATE] += self._armed.merge(t_ns)
-        self.sampler.injected.merge(t_ns)
+        self.intake.merge(t_ns)
+        self._speed.update(t_ns)
         if self._as_paper:
-            self._look(t_ns, rates.v[:0], self.sampler.raw_inputs.v[:0])  # it knows no gates
+            rates, inputs = self.sampler.rates, self.sampler.raw_inputs
+            self._look(t_ns, rates.v[:0], inputs.v[:0])  # it knows no gates
             fed = self._paper_tick(t_ns)
         else:
             self._look(t_ns, self._new_rates(), self.sampler.raw_inputs.v)
@@ -359,8 +360,7 @@ class OnlineIdentifier:
         rates = self.sampler.rates
         new, limit = rates.after(self._looked_ns), self.settings.supervision.max_rate
         if new < len(rates.t):
-            before = rates.v[new - 1, :3] if new else None
-            which = self._glitches.find(rates.v[new:, :3], before, limit)
+            which = self._glitches.find(rates.v[new:, :3], limit)
             if which.any():
                 rates.leave_out(which)
                 self.intake.drops[RATES][Drop.GLITCH] += int(which.sum())
@@ -377,15 +377,20 @@ class OnlineIdentifier:
             fresh = channels[self.sampler.raw_inputs.after(self._looked_ns) :]
             self.plausibility.look(t_ns * NS, samples, fresh)
         self._looked_ns = t_ns
-        fault = self.plausibility.signal_fault
-        self.supervisor.look(t_ns * NS, samples, channels, self._speed.newest, fault)
+        supervisor, airspeed = self.supervisor, self._speed.newest
+        look = Look(
+            t_ns * NS, samples, channels, airspeed, supervisor.armed, supervisor.adapt,
+            self.plausibility.signal_fault, self.settings,
+        )  # fmt: skip
+        supervisor.gates.look(look)
 
     def _filtered_tick(self) -> bool:
         """Learn from the blocks that this tick completes; return whether there were any."""
         fed = False
         for block in self.sampler.blocks():
             fed = True
-            self._look_for_accelerometer(block)
+            if not self._has_accelerometer and self._parallel.flow is not None:
+                self._look_for_accelerometer(block)
             length = STRETCH_TIME if self._learned_time >= START_TIME else 0.0
             for stretch in self._stretches.add(self._follow(block), length):
                 self._learn(stretch)
@@ -442,14 +447,14 @@ class OnlineIdentifier:
         rows = RowSamples.of(samples, residual, self._layout)
         white = self._noise.whiten(rows, restarted=samples.restarted)
         weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
-        supervisor.confirm(white, self._layout, self._noise.variance, estimator.inputs)
+        effect = self._layout.main_effect(estimator.inputs, white)
+        max_age = self.settings.supervision.max_age
+        supervisor.confirmed.add(white, effect, self._noise.variance, max_age)
         estimator.update(samples, rows, white, weight)
         supervisor.follow(t, estimator, ticks)
 
     def _look_for_accelerometer(self, block: Block) -> None:
         """Leave out the flow angles while nothing tells of them."""
-        if self._parallel.flow is None or self._has_accelerometer:
-            return
         force, before = block.specific_force, self._has_accelerometer
         # A real one changes from sample to sample.
         self._has_accelerometer = bool((force[1:] != force[:-1]).any())
@@ -465,6 +470,27 @@ class OnlineIdentifier:
         """Coefficients at the airspeed flown, shape (R, n)."""
         return self.estimator.coefficients * self._speed.scale
 
+    def _setup_errors(self) -> Iterator[SetupError]:
+        """Yield what settings that are off do to the derivatives at the reference airspeed."""
+        if not self.structure.has_flow:
+            return  # every gust looks like a late input
+        values, delays = self.estimator.coefficients, self.delays.estimate
+        # What was known beforehand stands against a delay that inputs seem to have which answer
+        # gusts.
+        if delays.off(self.delay) and not (self._warm and self.estimator.answers.any()):
+            airspeed = self.settings.airspeed.reference
+            yield delay_error(delays, self.delay, self.structure, values, airspeed)
+        if self.estimator.height:
+            yield height_error(self.estimator.height, self.structure, values)
+
+    def _sigma(self) -> FloatArray:
+        """Return the standard deviations at the reference airspeed, shape (R, n); 0 where fixed."""
+        sigma = self.estimator.sigma.copy()
+        moments = sigma[: len(ROWS)]
+        for found in self._errors:
+            np.hypot(moments, found.errors, where=moments > 0.0, out=moments)
+        return sigma
+
     def coefficient_set(self, t_ns: int = 0) -> CoefficientSet:
         """Coefficients to save and to start from again: at the reference airspeed.
 
@@ -476,7 +502,7 @@ class OnlineIdentifier:
         return CoefficientSet(
             self.structure.name,
             self.estimator.coefficients.copy(),
-            self.estimator.sigma.copy(),
+            self._sigma(),
             t_ns,
         )
 
@@ -509,7 +535,9 @@ class OnlineIdentifier:
         newest = self._newest_rates if self._newest_rates is not None else np.zeros(3)
         predicted, flow = self._parallel.model.state[:3], self._parallel.flow
         coefficients = self._coefficients()
-        sigma = self.estimator.sigma * self._speed.scale
+        if self._news:
+            self._errors = list(self._setup_errors())
+        sigma = self._sigma() * self._speed.scale
         self._judge(t_ns, coefficients, sigma)
         state, reason = self._waiting(fed) or self.supervisor.state(self._verdict)
         sound = state is not State.FAULT and not self.plausibility.doubted
@@ -535,11 +563,11 @@ class OnlineIdentifier:
         if not self._news:
             return
         self._news = False
-        # What was known beforehand stands against a delay that inputs seem to have which answer
-        # gusts; and without flow angles every gust looks like a late input.
-        denied = ""
-        if self.structure.has_flow and not (self._warm and self.estimator.answers.any()):
-            denied = self.delays.estimate.contradiction(self.delay)
+        denied = [""] * len(ROWS)
+        for found in self._errors:
+            far = found.denies(self.estimator.coefficients, self.settings.supervision.min_t_ratio)
+            denied = [past or (found.reason if lost else "")
+                      for past, lost in zip(denied, far, strict=True)]  # fmt: skip
         learned_time = math.inf if self._warm else self._learned_time
         self._verdict = self.supervisor.judge(
             t_ns * NS, coefficients, sigma, self.running_fit, self.estimator.model_error,

@@ -78,7 +78,7 @@ class ServoLag:
         if restarted:
             self._filter.state = u[:1].copy()
         before = self._filter.state
-        after = self._filter.apply(u, u)[0]
+        after = self._filter.apply(np.zeros((len(u) + 1, u.shape[1])), u)[0]
         start = np.concatenate([before, after[:-1]])
         # The lag's own equation integrated over the cell: mean = u - T (s1 - s0) / h.
         return np.asarray(u - self._ratio * (after - start))
@@ -111,7 +111,7 @@ def cell_means(
     last = t_ns.searchsorted(edges_ns, side="right") - 1
     since = (edges_ns - t_ns[last])[:, None]
     width = (t_ns[1:] - t_ns[:-1])[:, None]
-    integral = np.zeros_like(u)
+    integral = np.zeros(u.shape)
     if interpolation == "linear":
         slope = np.zeros_like(u)
         slope[:-1] = (u[1:] - u[:-1]) / width

@@ -18,6 +18,7 @@ from functools import partial
 import numpy as np
 
 from uav_ident_ros.identification.samples import SampleBuffer, TimeArray
+from uav_ident_ros.identification.scales import IN_A_ROW
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
@@ -33,22 +34,15 @@ NO_TICK = -(2**62)
 LARGEST_GYRO_RATE = 100.0
 """Rate that no gyro of an aircraft measures, rad/s: 5700 deg/s."""
 
-LARGEST_FORCE = 1000.0
-"""Specific force that no aircraft survives, m/s^2: 100 g."""
+LARGEST_MOTION = 1000.0
+"""Specific force, m/s^2, and airspeed, m/s, that no aircraft survives."""
 
 LARGEST_CHANNEL = 1e5
 """Raw channel value of no known unit: radians, fractions, PWM microseconds and motor speeds
 all stay below."""
 
-LARGEST_AIRSPEED = 1000.0
-"""Airspeed beyond any of these aircraft, m/s."""
-
-
 LATEST_STAMP = (2**31 - 1) * 1_000_000_000
 """Last time that a ROS stamp can hold, ns: there is no message with the ticks after it."""
-
-AGREEING_SAMPLES = 5
-"""So many consecutive samples on a new time base are believed: one outlier is not."""
 
 
 class Drop(StrEnum):
@@ -130,7 +124,7 @@ class StampGuard:
         agrees = self._agreeing and 0 < t_ns - self._candidate <= self._jump_ns
         self._agreeing = self._agreeing + 1 if agrees else 1
         self._candidate = t_ns
-        if self._agreeing < AGREEING_SAMPLES:
+        if self._agreeing < IN_A_ROW:
             return Stamp.OUTLYING
         self.newest = t_ns
         self._agreeing = 0
@@ -186,7 +180,7 @@ class Intake:
         channels = len(settings.actuators.channels)
         self._streams = {
             ACTUATORS: Stream(channels, LARGEST_CHANNEL),
-            AIRSPEED: Stream(1, LARGEST_AIRSPEED),
+            AIRSPEED: Stream(1, LARGEST_MOTION),
             ARMED: Stream(1, 1.0, kept_if_late=True),
             EXCITATION: Stream(len(INPUTS), LARGEST_CHANNEL, kept_if_late=True, calls_off=True),
         }
@@ -235,7 +229,7 @@ class Intake:
             return None
         problem = (
             value_problem(pqr, 3, LARGEST_GYRO_RATE)
-            or value_problem(force, 3, LARGEST_FORCE)
+            or value_problem(force, 3, LARGEST_MOTION)
             or time_problem(t_ns)
         )
         if problem is None:
@@ -246,7 +240,7 @@ class Intake:
             elif stamp is Stamp.NEW_BASE:
                 self._move_to_new_base((t_ns, pqr, force))
             else:
-                self._outlying = self._outlying[1 - AGREEING_SAMPLES :]
+                self._outlying = self._outlying[1 - IN_A_ROW :]
                 self._outlying.append((t_ns, pqr, force))
                 problem = Drop.OUTLYING_STAMP
         if problem is not None:
@@ -268,7 +262,7 @@ class Intake:
 
     def _move_to_new_base(self, sample: Sample) -> None:
         """Start anew with the samples that agreed on the new base, once no tick is due."""
-        agreed = self._outlying[1 - AGREEING_SAMPLES :]
+        agreed = self._outlying[1 - IN_A_ROW :]
         self.drops[RATES][Drop.OUTLYING_STAMP] -= len(agreed)
         self._held = [partial(self.add_rates, *held) for held in (*agreed, sample)]
         if not self._due:
@@ -300,7 +294,7 @@ class Intake:
             ((steps > 0) & (steps <= self._jump_ns)).all()
             and t_ns[-1] <= LATEST_STAMP
             and (largest[:3] <= LARGEST_GYRO_RATE).all()
-            and (largest[3:] <= LARGEST_FORCE).all()
+            and (largest[3:] <= LARGEST_MOTION).all()
         )
 
     def add_orderly_rates(self, t_ns: Sequence[int], values: Sequence[Sequence[float]]) -> None:
@@ -357,7 +351,7 @@ class Intake:
             self._mismatches, self.fault = 0, ""
         elif problem is Drop.CLOCK_MISMATCH and newest is not None:
             self._mismatches += 1
-            if self._mismatches >= AGREEING_SAMPLES:
+            if self._mismatches >= IN_A_ROW:
                 self.fault = (
                     f"the actuators are stamped {(t_ns - newest) / SECOND_NS:+.1f} s from the Imu: "
                     "they run on different clocks. Play a bag with --clock and set use_sim_time, "
@@ -365,6 +359,12 @@ class Intake:
                 )
 
     # -- ticks -----------------------------------------------------------------------------
+
+    def merge(self, t_ns: int) -> None:
+        """Bring the samples of all streams stamped at or before `t_ns` into use."""
+        for name, buffer in self._buffers.items():
+            if duplicates := buffer.merge(t_ns):
+                self.drops[name][Drop.DUPLICATE] += duplicates
 
     @property
     def due(self) -> int | None:

@@ -101,6 +101,18 @@ def linearise(
     return a, b
 
 
+def damping(structure: Structure, values: FloatArray, airspeed: float) -> FloatArray:
+    """Return how fast roll, pitch and yaw settle at an airspeed in m/s, 1/s, (3,).
+
+    With flow angles pitch and yaw settle with what alpha and beta add: of the short period and the
+    Dutch roll that is twice damping ratio times frequency.
+    """
+    settling = -np.diag(values[: len(ROWS), RATE_COLUMNS])
+    for row, flow in zip((2, 1), structure.flow, strict=False):  # yaw: beta, pitch: alpha
+        settling[row] -= values[flow.force, flow.angle] / airspeed
+    return settling
+
+
 @dataclass(frozen=True)
 class Mode:
     """A mode of the linear model, as its eigenvalue and in the words of the field.

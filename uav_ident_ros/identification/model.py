@@ -104,26 +104,32 @@ def rates_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
     callable
         Its drive is the part of pdot, qdot, rdot that does not depend on the state.
     """
-    return _rates_derivative(_entries(a), leak)
+    moments = _moments(_entries(a), leak)
+
+    def derivative(state: State, drive: Any) -> State:
+        pdot, qdot, rdot = moments(*state)
+        return [pdot + drive[0], qdot + drive[1], rdot + drive[2]]
+
+    return derivative
 
 
-def _rates_derivative(rows: list[Any], leak: float) -> Derivative:
+def _moments(rows: list[Any], leak: float) -> Callable[..., tuple[Number, Number, Number]]:
+    """Return the part of pdot, qdot, rdot that p, q, r make, as a function of these."""
     first, second, third = rows[:3]
     a1, a2, a3, a4, a5, a6, a7, a8 = first[STATE_COLUMNS]
     b1, b2, b3, b4, b5, b6, b7, b8 = second[STATE_COLUMNS]
     c1, c2, c3, c4, c5, c6, c7, c8 = third[STATE_COLUMNS]
     a6, b7, c8 = a6 - leak, b7 - leak, c8 - leak
 
-    def derivative(state: State, drive: Any) -> State:
-        p, q, r = state
+    def moments(p: Number, q: Number, r: Number) -> tuple[Number, Number, Number]:
         pq, qr, pr, pp, rr = p * q, q * r, p * r, p * p, r * r
-        return [
-            a1 * pq + a2 * qr + a3 * pr + a4 * pp + a5 * rr + a6 * p + a7 * q + a8 * r + drive[0],
-            b1 * pq + b2 * qr + b3 * pr + b4 * pp + b5 * rr + b6 * p + b7 * q + b8 * r + drive[1],
-            c1 * pq + c2 * qr + c3 * pr + c4 * pp + c5 * rr + c6 * p + c7 * q + c8 * r + drive[2],
-        ]
+        return (
+            a1 * pq + a2 * qr + a3 * pr + a4 * pp + a5 * rr + a6 * p + a7 * q + a8 * r,
+            b1 * pq + b2 * qr + b3 * pr + b4 * pp + b5 * rr + b6 * p + b7 * q + b8 * r,
+            c1 * pq + c2 * qr + c3 * pr + c4 * pp + c5 * rr + c6 * p + c7 * q + c8 * r,
+        )
 
-    return derivative
+    return moments
 
 
 def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
@@ -143,7 +149,7 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
         what is added to the rate of change of d.
     """
     rows = _entries(a)
-    moments = _rates_derivative(rows, leak)
+    moments = _moments(rows, leak)
     beta_column, alpha_column = range(LAST_COLUMNS.start, LAST_COLUMNS.stop)
     l_beta, n_beta, y_beta = (rows[i][beta_column] for i in (0, 2, 3))
     m_alpha, z_alpha = (rows[i][alpha_column] for i in (1, 4))
@@ -153,19 +159,19 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
 
     def derivative(state: State, drive: Any) -> State:
         p, q, r, beta, alpha, dx, dy, dz = state
-        pdot, qdot, rdot = moments(state[:3], drive)
-        per_speed = drive[7]
-        ay = y_beta * beta + y_p * p + y_r * r + drive[3]
-        az = z_alpha * alpha + drive[4]
+        p0, q0, r0, ay0, az0, beta0, alpha0, per_speed, dx0, dy0, dz0 = drive
+        pdot, qdot, rdot = moments(p, q, r)
+        ay = y_beta * beta + y_p * p + y_r * r + ay0
+        az = z_alpha * alpha + az0
         return [
-            pdot + l_beta * beta,
-            qdot + m_alpha * alpha,
-            rdot + n_beta * beta,
-            (ay + GRAVITY * dy) * per_speed - r + beta_p * p + drive[5] - leak * beta,
-            (az + GRAVITY * dz) * per_speed + q + drive[6] - leak * alpha,
-            dy * r - dz * q + drive[8] - leak * dx,
-            dz * p - dx * r + drive[9] - leak * dy,
-            dx * q - dy * p + drive[10] - leak * dz,
+            pdot + p0 + l_beta * beta,
+            qdot + q0 + m_alpha * alpha,
+            rdot + r0 + n_beta * beta,
+            (ay + GRAVITY * dy) * per_speed - r + beta_p * p + beta0 - leak * beta,
+            (az + GRAVITY * dz) * per_speed + q + alpha0 - leak * alpha,
+            dy * r - dz * q + dx0 - leak * dx,
+            dz * p - dx * r + dy0 - leak * dy,
+            dx * q - dy * p + dz0 - leak * dz,
         ]
 
     return derivative
@@ -285,7 +291,7 @@ class IdentifiedModel:
         coefficients[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1] = 0.0
         still, flow = np.zeros_like, block.flow
         if flow is not None:
-            flow = FlowSignals(still(flow.angles), still(flow.down), flow.airspeed)
+            flow = FlowSignals(still(flow.states), flow.airspeed)
         alone = replace(
             block,
             x=still(block.x),
@@ -309,7 +315,15 @@ class IdentifiedModel:
             drive[:, 5:7] += pull[:, 3:5]
             drive[:, 8:] += pull[:, 5:]
         form = flight_derivative if self._structure.has_flow else rates_derivative
-        return _over_steps(form(a, leak), start, drive, plan)
+        cells, split = zip(drive.tolist(), plan.times, strict=True), plan.split
+        steps = [(u, u, u, dt / split) for u, dt in cells for _ in range(split)]
+        first = start.tolist()
+        states = [first, *integrate(form(a, leak), first, steps)]
+        coarse = np.array(states[::split])
+        if diverged(states[-1]):
+            # Diverged is diverged: what lies between infinite states would be no number.
+            coarse = bounded(coarse)
+        return np.asarray(plan.lines @ coarse)
 
     def euler(
         self,
@@ -351,21 +365,6 @@ class IdentifiedModel:
         if exogenous.shape[1] > 4:
             rates_drive += exogenous[:, 4] + plan.means @ block.force @ exogenous[:, 5:].T
         return rates_drive
-
-
-def _over_steps(
-    derivative: Derivative, start: FloatArray, drive: FloatArray, plan: Steps
-) -> FloatArray:
-    """Integrate over the steps of a block; straight lines between them."""
-    cells = zip(drive.tolist(), plan.times, strict=True)
-    split, first = plan.split, start.tolist()
-    steps = [(drive, drive, drive, dt / split) for drive, dt in cells for _ in range(split)]
-    states = list(integrate(derivative, first, steps))
-    coarse = np.array([first, *states[split - 1 :: split]])
-    if diverged(states[-1]):
-        # Diverged is diverged: what lies between infinite states would be no number.
-        coarse = bounded(coarse)
-    return np.asarray(plan.lines @ coarse)
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ class NoiseModel:
         self._covariances: FloatArray = np.zeros((rows, ORDER + 1))
         self._time = self._since_fit = 0.0
         self._lags = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
+        # What turns `ORDER` + m signals into m innovations, (rows, m, `ORDER` + m)
         self._matrices: dict[int, FloatArray] = {}
         self._past: FloatArray | None = None
         self._known = 0
@@ -77,7 +78,12 @@ class NoiseModel:
         self._past = signals[:, -ORDER:]
         m = new.shape[1]
         self._learn(signals[:, :, 0], samples.dt)
-        white = self._whitening(m) @ signals
+        if m not in self._matrices:
+            matrix = self._matrices[m] = np.zeros((len(self.weights), m, ORDER + m))
+            for k in range(m):
+                matrix[:, k, k : k + ORDER] = -self.weights[:, ::-1]
+                matrix[:, k, k + ORDER] = 1.0
+        white = self._matrices[m] @ signals
         if self._known < ORDER:
             white[:, : ORDER - self._known] = 0.0
             self._known += m
@@ -96,15 +102,6 @@ class NoiseModel:
         if self._since_fit >= FIT_TIME:
             self._since_fit = 0.0
             self._fit()
-
-    def _whitening(self, m: int) -> FloatArray:
-        """Matrices that turn `ORDER` + m signals into m innovations, (rows, m, `ORDER` + m)."""
-        if m not in self._matrices:
-            matrix = self._matrices[m] = np.zeros((len(self.weights), m, ORDER + m))
-            for k in range(m):
-                matrix[:, k, k : k + ORDER] = -self.weights[:, ::-1]
-                matrix[:, k, k + ORDER] = 1.0
-        return self._matrices[m]
 
     def _fit(self) -> None:
         """Solve the Yule-Walker equations."""

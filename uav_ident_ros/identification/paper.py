@@ -46,4 +46,4 @@ class BackwardDifference:
             return None
         f = without_negligible(self._structure.regressor(x, u, force))[None]
         y = without_negligible((x - before[1]) / dt)[None]
-        return Regression(y, f, f, dt)
+        return Regression.of(y, f, f, dt)

@@ -71,14 +71,11 @@ class ParallelModel:
         if self.flow is not None:
             block.flow = self.flow.follow(block, coefficients, airspeed)
         states = self.model.run(coefficients, block, leak_time)
-        if not self._answers(block):
+        self._since_injected += block.time
+        if block.excitation is None:
+            return states, False
+        if block.excitation.any():
+            self._since_injected = 0.0
+        if self._since_injected >= ANSWER_TIME:
             return states, False
         return self._response.respond(coefficients, block, leak_time), True
-
-    def _answers(self, block: Block) -> bool:
-        """Whether the aircraft still answers inputs that were injected on purpose."""
-        if block.excitation is not None and block.excitation.any():
-            self._since_injected = 0.0
-        else:
-            self._since_injected += block.time
-        return block.excitation is not None and self._since_injected < ANSWER_TIME

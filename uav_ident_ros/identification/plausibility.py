@@ -19,45 +19,37 @@ import numpy as np
 from uav_ident_ros.identification.frames import BodyFrame, rotation
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.scales import LONG_MEMORY, SURE
+from uav_ident_ros.identification.scales import (
+    INDEPENDENT_TIME,
+    LONG_MEMORY,
+    MEMORY,
+    OUTLYING,
+    SURE,
+)
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray, Structure
 
-LOOK_TIME = 1.0
-"""Time between two looks at all that was gathered, s."""
+ENOUGH = 4.0
+"""Time before anything is found, s: a launch is over by then, and the mistake named within ten.
+Channels are looked at over as long."""
 
-WINDOW = 8.0
+WINDOW = 2.0 * ENOUGH
 """Time over which the specific force is turned back, s: a change of velocity of 20 m/s counts for
 a quarter of a g."""
-
-INPUT_WINDOW = 4.0
-"""Time of channels that are looked at, s."""
-
-ENOUGH = 4.0
-"""Time before anything is found, s: a launch is over by then, and the mistake named within ten."""
-
-HELD = 20.0
-"""Time for which a finding stays after it was last seen, s: evidence comes and goes with motion."""
 
 LARGEST_TILT = math.cos(math.radians(60.0))
 """Cosine of the mean tilt from which the Imu is mounted otherwise: none flies so on average."""
 
-STEADY = 0.6
-"""Length of the mean direction of the specific force from which it is one direction: in rolls and
-loops there is none."""
-
 GRAVITY_LEFT = 0.7
-"""Mean specific force, in g, turned back by the gyro, below which the gyro contradicts gravity;
-0.9 or more on every flight known, turbulence and turns included."""
+"""Length of a mean of directions, or of forces in g, from which they are one: less is left in rolls
+and loops, and where the gyro turns gravity wrongly. Turned back by a right one 0.9 or more is left
+on every flight known, turbulence and turns included."""
 
 LARGEST_MEAN_RATE = 2.0
 """Mean size of the angular rate, rad/s, of no aircraft over seconds but in aerobatics."""
 
 SMALLEST_FORCE, LARGEST_FORCE = 4.0, 60.0
 """Mean size of the specific force, m/s^2: none is weightless, or pulls six g, on average."""
-
-GRAVITY_IN_G = (0.6, 2.5)
-"""Mean specific force of a flight told in g."""
 
 LARGEST_TRIM = 0.6
 """Mean deviation from trim, rad, that no surface is flown with for seconds: 34 degrees."""
@@ -71,14 +63,8 @@ LARGEST_DEFLECTION = math.pi
 STEP = 0.02
 """Step of an input that is no noise, rad or throttle."""
 
-RETURN = 5.0
-"""Steps that are undone by the next sample, relative to the usual change over two samples."""
-
 RETURNING_SHARE = 0.1
 """Share of samples that are undone by the next from which two publishers are at work."""
-
-FEWEST_SAMPLES = 40
-"""Samples of the channels that tell anything."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +87,6 @@ class Plausibility:
 
     Attributes
     ----------
-    accelerometer : bool or None
-        Whether there is one; None before that is known. One that repeats a value is none.
     noted : dict
         Everything that was found since the start, by name, as it was last seen.
     """
@@ -116,7 +100,6 @@ class Plausibility:
         self._sums: FloatArray = np.zeros(7)
         """Of the direction of the specific force, of itself, and of its size, times s."""
         self._time = 0.0
-        self.accelerometer: bool | None = None
         self._found: dict[str, tuple[float, Finding]] = {}
         self.noted: dict[str, Finding] = {}
         self.restart()
@@ -162,13 +145,15 @@ class Plausibility:
         coefficients, sigma : (rows, n) arrays
             Estimate and standard deviations.
         """
-        found = coefficient_finding(self._structure, coefficients, sigma, self._expected)
-        if found is None:
-            self._doubted = None
-        elif self._doubted is None or self._doubted[1].name != found.name:
-            self._doubted = (self._now, found)
-        else:
-            self._doubted = (self._doubted[0], found)
+        known = (self._structure, coefficients, sigma, self._expected)
+        since, before = self._doubted or (self._now, None)
+        found = coefficient_finding(*known)
+        if found is None and before is not None:  # it stays until it is the less likely
+            found = coefficient_finding(*known, sure=0.0)
+            found = found if found is not None and found.name == before.name else None
+        if before is None or found is None or found.name != before.name:
+            since = self._now
+        self._doubted = None if found is None else (since, found)
 
     def look(self, t: float, samples: FloatArray, raw: FloatArray) -> None:
         """Look at what came with a tick.
@@ -187,43 +172,31 @@ class Plausibility:
             self._began = self._looked = t
         if len(samples):
             self._motion.append((t, np.add.reduce(samples) / len(samples)))
-            self._find_accelerometer(samples)
         if len(raw):
             self._inputs.append((t, raw))
-        if t - self._looked < LOOK_TIME:
+        if t - self._looked < INDEPENDENT_TIME:
             return
         span, self._looked = t - self._looked, t
-        for stream, window in ((self._motion, WINDOW), (self._inputs, INPUT_WINDOW)):
+        for stream, window in ((self._motion, WINDOW), (self._inputs, ENOUGH)):
             while stream and t - stream[0][0] > window:
                 stream.popleft()
-        self._found = {n: f for n, f in self._found.items() if t - f[0] < HELD}
+        # Evidence comes and goes with motion.
+        self._found = {n: f for n, f in self._found.items() if t - f[0] < MEMORY}
         found = [*self._look_at_motion(t, span), *self._look_at_inputs()]
         self._found.update({f.name: (t, f) for f in found if t - self._began >= ENOUGH})
         self.noted.update({f.name: f for f in self.findings})
 
-    def _find_accelerometer(self, samples: FloatArray) -> None:
-        """Note whether the accelerometer has moved; no finding, a statement."""
-        if self.accelerometer:
-            return
-        first = self._motion[0][1][3:]
-        if np.any(samples[:, 3:] != samples[0, 3:]) or not np.allclose(
-            samples[0, 3:], first, rtol=1e-9, atol=0.0
-        ):
-            self.accelerometer = True
-        elif self._began is not None and self._motion[-1][0] - self._began > ENOUGH:
-            self.accelerometer = False
-
     # -- gravity ---------------------------------------------------------------------------
 
     def _look_at_motion(self, t: float, span: float) -> list[Finding]:
-        if not self.accelerometer or len(self._motion) < 2:
-            return []
         times = np.array([time for time, _ in self._motion])
+        if len(times) < 2:
+            return []
         signals = np.concatenate([signal for _, signal in self._motion]).reshape(-1, 6)
+        if np.allclose(signals[:, 3:], signals[0, 3:], rtol=1e-9, atol=0.0):
+            return []  # an accelerometer that repeats itself is none
         rates = self._frame.to_body(signals[:, :3])
         force = self._frame.to_body(signals[:, 3:])
-        if times[-1] - times[0] < ENOUGH - LOOK_TIME:
-            return []
         recent = force[times > t - span]
         if len(recent):
             self._follow(recent, span)
@@ -242,8 +215,6 @@ class Plausibility:
 
     def _size(self) -> Finding | None:
         """Find a specific force in another unit, or without gravity."""
-        if self._time < ENOUGH - LOOK_TIME:
-            return None
         size = float(self._sums[6]) / self._time
         mean = float(np.linalg.norm(self._sums[3:6])) / self._time
         if SMALLEST_FORCE <= size <= LARGEST_FORCE:
@@ -251,7 +222,7 @@ class Plausibility:
         evidence = f"the specific force is {size:.2g} m/s^2 on average, gravity alone is 9.8: "
         if size > LARGEST_FORCE:
             cure = "it looks like milli-g or cm/s^2. Convert it to m/s^2 (REP-103)"
-        elif GRAVITY_IN_G[0] <= mean <= GRAVITY_IN_G[1]:
+        elif mean * GRAVITY > SMALLEST_FORCE:
             cure = "it looks like g. Multiply it by 9.80665 (REP-103: m/s^2)"
         else:
             cure = (
@@ -262,11 +233,9 @@ class Plausibility:
 
     def _mounting(self) -> Finding | None:
         """Find an Imu that is mounted, or whose axes are named, otherwise."""
-        if self._time < ENOUGH - LOOK_TIME:
-            return None
         mean = self._sums[:3] / self._time
         length = float(np.linalg.norm(mean))
-        if length < STEADY or -mean[2] > LARGEST_TILT * length:
+        if length < GRAVITY_LEFT or -mean[2] > LARGEST_TILT * length:
             return None
         direction = mean / length
         evidence = ", ".join(f"{GRAVITY * v:+.1f}" for v in direction)
@@ -301,7 +270,7 @@ class Plausibility:
     ) -> Finding | None:
         """Find a gyro that turns gravity as no aircraft does, and would not in deg/s."""
         speed = float(np.mean(np.linalg.norm(rates, axis=1)))
-        if times[-1] - times[0] < WINDOW - LOOK_TIME or speed < LARGEST_MEAN_RATE:
+        if times[-1] - times[0] < WINDOW - INDEPENDENT_TIME or speed < LARGEST_MEAN_RATE:
             return None
         left = _gravity_left(times, rates, force)
         if left > GRAVITY_LEFT or _gravity_left(times, np.deg2rad(rates), force) < GRAVITY_LEFT:
@@ -316,27 +285,20 @@ class Plausibility:
     # -- channels --------------------------------------------------------------------------
 
     def _look_at_inputs(self) -> list[Finding]:
-        if not self._inputs:
+        if not self._inputs or self._inputs[-1][0] - self._inputs[0][0] < ENOUGH - INDEPENDENT_TIME:
             return []
         raw = np.concatenate([values for _, values in self._inputs])
-        if len(raw) < FEWEST_SAMPLES:
-            return []
         u = self._map.apply(raw)
         without_trim = raw @ self._map.matrix.T
         found = []
         for i, name in enumerate(INPUTS):
-            own, untrimmed = u[:, i], without_trim[:, i]
+            own = u[:, i]
             if np.ptp(own) == 0.0:  # not used, or not armed yet
                 continue
-            found += [
-                _interleaved(name, own),
-                # Throttles come in all units, motor speeds among them.
-                *(
-                    (_counts(name, own), _trim(name, own, untrimmed), _degrees(name, own))
-                    if name != "dth"
-                    else ()
-                ),
-            ]
+            found.append(_interleaved(name, own))
+            if name != "dth":  # throttles come in all units, motor speeds among them
+                trim = _trim(name, own, without_trim[:, i])
+                found += [_counts(name, own), trim, _degrees(name, own)]
         return [finding for finding in found if finding is not None]
 
 
@@ -403,13 +365,14 @@ def _degrees(name: str, u: FloatArray) -> Finding | None:
 
 def _interleaved(name: str, u: FloatArray) -> Finding | None:
     """Find samples that the next one takes back: two streams in turn."""
+    if len(u) < OUTLYING:
+        return None
     step, over_two = np.abs(u[1:] - u[:-1]), np.abs(u[2:] - u[:-2])
     away = np.minimum(step[:-1], step[1:])
-    if away.max() <= STEP:
-        return None
-    returns = away > np.maximum(RETURN * np.maximum(over_two, np.median(over_two)), STEP)
+    returns = away > np.maximum(SURE * np.maximum(over_two, np.median(over_two)), STEP)
     share = float(np.mean(returns))
-    if share < RETURNING_SHARE:
+    # A count is known to its square root.
+    if share < RETURNING_SHARE or returns.sum() < OUTLYING:
         return None
     return Finding(
         "publishers",
@@ -419,7 +382,11 @@ def _interleaved(name: str, u: FloatArray) -> Finding | None:
 
 
 def coefficient_finding(
-    structure: Structure, coefficients: FloatArray, sigma: FloatArray, expected: tuple[str, ...]
+    structure: Structure,
+    coefficients: FloatArray,
+    sigma: FloatArray,
+    expected: tuple[str, ...],
+    sure: float = SURE,
 ) -> Finding | None:
     """Find channels that are swapped or reversed, by what they were found to do.
 
@@ -431,32 +398,36 @@ def coefficient_finding(
         Estimate and standard deviations.
     expected : tuple of str
         Signs of control derivatives, as in ``+pdot/da``.
+    sure : float
+        Standard deviations from which it counts.
     """
     for entry in expected:
         sign, index = entry[0], structure.index(entry[1:])
         value, spread = float(coefficients[index]), float(sigma[index])
-        if value * (1.0 if sign == "+" else -1.0) < -SURE * spread < 0.0:
+        if spread > 0.0 and value * (1.0 if sign == "+" else -1.0) < -sure * spread:
             return Finding(
                 "signs",
                 f"{entry[1:]} is {value:.3g} +- {spread:.2g}, expected is {sign}: a surface is "
                 "connected the wrong way round, or its sign in actuators.mixing",
             )
-    return _swapped(structure, coefficients, sigma)
+    return _swapped(structure, coefficients, sigma, sure)
 
 
-def _swapped(structure: Structure, coefficients: FloatArray, sigma: FloatArray) -> Finding | None:
+def _swapped(
+    structure: Structure, coefficients: FloatArray, sigma: FloatArray, sure: float
+) -> Finding | None:
     """Find a rudder that rolls more than the aileron does, and does not clearly yaw more.
 
     The true rudder's side force has no column under the aileron's name, so that the yaw of both
     is told apart late, if at all.
     """
 
-    def exceeds(larger: str, smaller: str) -> bool:
+    def exceeds(larger: str, smaller: str, sure: float) -> bool:
         i, j = structure.index(larger), structure.index(smaller)
         by = abs(float(coefficients[i])) - abs(float(coefficients[j]))
-        return by > SURE * math.hypot(float(sigma[i]), float(sigma[j]))
+        return by > sure * math.hypot(float(sigma[i]), float(sigma[j]))
 
-    if not exceeds("pdot/dr", "pdot/da") or exceeds("rdot/dr", "rdot/da"):
+    if not exceeds("pdot/dr", "pdot/da", sure) or exceeds("rdot/dr", "rdot/da", SURE):
         return None
     return Finding(
         "swapped",

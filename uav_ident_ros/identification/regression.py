@@ -16,7 +16,7 @@ angle::
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Self
 
@@ -48,6 +48,10 @@ NEGLIGIBLE = 1e-30
 """Magnitude below which a signal counts as zero, SI: no sensor resolves it, and the square of
 its square must be a number still."""
 
+
+_STATES = (RATE_COLUMNS, LAST_COLUMNS)
+_FLOW_STATE = [j for columns in _STATES for j in range(columns.start, columns.stop)]
+"""Columns of p, q, r, sideslip and angle of attack."""
 
 _MOMENTS, _MAIN_INPUTS = np.arange(len(ROWS)), MAIN_COLUMNS - INPUT_COLUMNS.start
 
@@ -96,20 +100,42 @@ class Layout:
         """Entry of the main input in each moment row, (3,)."""
         return np.array([self.index[i].tolist().index(j) for i, j in enumerate(MAIN_COLUMNS)])
 
+    @cached_property
+    def rolling(self) -> list[int]:
+        """Entry of p in the row of ay; none without that row."""
+        places = self.place[len(ROWS) : len(ROWS) + 1]
+        return [row[:, 1].tolist().index(RATE_COLUMNS.start) for row in places]
+
     def main_effect(self, inputs: FloatArray, samples: RowSamples) -> FloatArray:
         """Return what main inputs with the derivatives `inputs` (3, 4) make in samples, (3, m)."""
         derivatives = inputs[_MOMENTS, _MAIN_INPUTS]
         return np.asarray(derivatives[:, None] * samples.f[_MOMENTS, :, self.main])
 
     @cached_property
-    def _entries(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        return np.nonzero(self.used)[0], self.index[self.used]
+    def signals(self) -> tuple[NDArray[np.intp], FloatArray]:
+        """Columns of `Regression.signals` that `RowSamples` has, (rows, 2 + 2 k), and 1 or 0.
+
+        The first is for the residual. The factor, (rows, 1, 2 + 2 k), is 0 where none is used.
+        """
+        own = np.arange(self.rows)[:, None]
+        regressors = self.rows + self.index
+        picked = np.hstack((own, own, regressors, regressors + self.size))
+        there = np.ones(picked.shape)
+        there[:, 2:] = np.tile(self.used, 2)
+        return picked, there[:, None]
+
+    @cached_property
+    def _places(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Where the entries are that are used, and where their columns."""
+        used, rows = np.flatnonzero(self.used), np.arange(self.rows)[:, None]
+        return used, (self.size * rows + self.index).ravel()[used]
 
     def matrix(self, linear: FloatArray) -> FloatArray:
         """Return coefficients (rows, k) in the place of their columns, shape (rows, c)."""
-        matrix = np.zeros((self.rows, self.size))
-        matrix[self._entries] = linear[self.used]
-        return matrix
+        entries, columns = self._places
+        matrix = np.zeros(self.rows * self.size)
+        matrix[columns] = linear.ravel()[entries]
+        return matrix.reshape(self.rows, self.size)
 
 
 def differentiated_columns(structure: Structure) -> list[int]:
@@ -150,39 +176,55 @@ class Regression:
 
     Parameters
     ----------
-    y : (m, rows) array
-        Angular accelerations, filtered, rad/s^2; with flow angles also aydot, azdot, m/s^3.
-    f : (m, c) array
-        Regressors, filtered.
-    z : (m, c) array
-        Instruments: the regressors of the model's own state, filtered.
+    signals : (m, rows + 2 c) array
+        y, f and z side by side.
+    rows : int
+        Columns of y.
     dt : float
         Time that each sample stands for, s.
     restarted : bool
         Whether the first sample does not continue those before.
     injected : bool
         Whether the instruments are driven by what was injected on purpose alone.
+
+    Attributes
+    ----------
+    y : (m, rows) array
+        Angular accelerations, filtered, rad/s^2; with flow angles also aydot, azdot, m/s^3.
+    f : (m, c) array
+        Regressors, filtered.
+    z : (m, c) array
+        Instruments: the regressors of the model's own state, filtered.
+    time : float
+        Time that all samples together stand for, s.
     """
 
-    y: FloatArray
-    f: FloatArray
-    z: FloatArray
+    signals: FloatArray
+    rows: int
     dt: float
     restarted: bool = False
     injected: bool = False
 
-    @property
-    def time(self) -> float:
-        """Time that all samples together stand for, s."""
-        return self.dt * len(self.y)
+    def __post_init__(self) -> None:
+        m, columns = self.signals.shape
+        instruments = (columns + self.rows) // 2
+        self.y = self.signals[:, : self.rows]
+        self.f = self.signals[:, self.rows : instruments]
+        self.z = self.signals[:, instruments:]
+        self.time = self.dt * m
+
+    @classmethod
+    def of(cls, y: FloatArray, f: FloatArray, z: FloatArray, dt: float, **flags: bool) -> Self:
+        """Return the samples of y, f and z."""
+        return cls(np.concatenate((y, f, z), axis=1), y.shape[1], dt, **flags)
 
     def means(self) -> Regression:
         """Return the means over stretches of `SAMPLE_TIME`, or nearly."""
-        m = len(self.y)
+        m = len(self.signals)
         count = min(m, max(1, round(self.time / SAMPLE_TIME)))
         begin, width = _parts(m, count)
-        y, f, z = (np.add.reduceat(part, begin) / width for part in (self.y, self.f, self.z))
-        return Regression(y, f, z, self.time / count, self.restarted, self.injected)
+        means = np.add.reduceat(self.signals, begin) / width
+        return replace(self, signals=means, dt=self.time / count)
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
         """Return ``e = y - A f`` of coefficients of shape (rows, c); shape (m, rows)."""
@@ -221,10 +263,9 @@ class RowSamples:
     @classmethod
     def of(cls, samples: Regression, residual: FloatArray, layout: Layout) -> Self:
         """Return samples with residuals (m, rows), picked by the layout of their problem."""
-        rows = cls(np.empty((layout.rows, len(residual), 2 + 2 * layout.width)), samples.dt)
-        rows.residual[:], rows.y[:] = residual.T, samples.y.T
-        for into, part in ((rows.f, samples.f), (rows.z, samples.z)):
-            np.multiply(part.T[layout.index].swapaxes(1, 2), layout.used[:, None], out=into)
+        picked, there = layout.signals
+        rows = cls(samples.signals.take(picked, axis=1).swapaxes(0, 1) * there, samples.dt)
+        rows.residual[:] = residual.T
         return rows
 
     @classmethod
@@ -279,17 +320,30 @@ class StateVariableFilter:
         self._corrects_lever = bool(lever_arm.any()) and (
             structure.has_forces or structure.has_flow
         )
-        n = structure.size
         self._cutoff = cutoff
-        columns = differentiated_columns(structure)
+        columns, flows = differentiated_columns(structure), len(structure.flow)
         self._rates = [j for j in columns if j < INPUT_COLUMNS.start]
         self._surfaces = [j - INPUT_COLUMNS.start for j in columns if j >= INPUT_COLUMNS.start]
-        # what is differentiated (rates, with flow angles also ay, az and their surfaces), f, and
-        # what differs in z
-        self._y = 5 + len(self._surfaces) if structure.has_flow else 3
-        self._f = n + len(structure.flow)
-        self._z = INPUT_COLUMNS.stop + 2 * len(structure.flow)
-        self._filter = BlockFilter(low_pass(cutoff, h), self._y + self._f + self._z)
+        # Channels: what is differentiated (rates, with flow angles also ay, az and their surfaces),
+        # f, and what differs in z.
+        rows, size = 3 + flows, structure.size + flows
+        self._f = slice(rows + len(self._surfaces), rows + len(self._surfaces) + size)
+        self._z = slice(self._f.stop, self._f.stop + INPUT_COLUMNS.stop + 2 * flows)
+        self._filter = BlockFilter(low_pass(cutoff, h), self._z.stop)
+        # Of y, f and z side by side: which of the channels, and then of their derivatives.
+        low, slope = np.arange(2 * self._z.stop).reshape(2, -1)
+        turning = [j - RATE_COLUMNS.start for j in self._rates]
+        f = [*low[self._f], *slope[turning], *slope[rows : self._f.start]]
+        z, own = f.copy(), low[self._z]
+        z[: INPUT_COLUMNS.stop] = own[: INPUT_COLUMNS.stop]
+        if flows:
+            z[LAST_COLUMNS] = own[INPUT_COLUMNS.stop : INPUT_COLUMNS.stop + flows]
+            z[structure.size : size] = own[INPUT_COLUMNS.stop + flows :]
+            z[size : size + len(turning)] = slope[self._z][self._rates]
+        injected = z.copy()
+        injected[size + len(turning) :] = slope[self._z][INPUT_COLUMNS][self._surfaces]
+        self._picked = [np.array([*slope[:rows], *f, *part]) for part in (z, injected)]
+        self._rows = rows
 
     def apply(
         self,
@@ -316,139 +370,85 @@ class StateVariableFilter:
             Inputs that the model ran on: the part that was injected on purpose, where the
             instruments are to be free of feedback; all of them if left out.
         """
-        inputs = block.u if driven_by is None else driven_by
-        left, right = self._edges(block, model_states, inputs, coefficients)
-        if scale is not None:
-            self._scale(left, scale)
-            self._scale(right, scale)
-        if block.restarted:
-            self._filter.state = np.zeros((2, left.shape[1]))
-            self._filter.state[0, : self._y] = left[0, : self._y]
-        states = without_negligible(self._filter.apply(left, right))
         injected = driven_by is not None
-        if block.flow is None:
-            return self._moments(states, block, injected=injected)
-        return self._with_forces(states, block, block.flow.airspeed, scale, injected=injected)
+        inputs = block.u if driven_by is None else driven_by
+        lines, held = self._channels(block, model_states, inputs, coefficients)
+        if scale is not None:
+            factor = self._factor(scale)
+            lines *= factor
+            held *= factor
+        if block.restarted:
+            self._filter.state = np.zeros((2, self._z.stop))
+            known = slice(0, self._f.start)
+            self._filter.state[0, known] = lines[0, known] + held[0, known]
+        low, slope = self._filter.apply(lines, held)
+        signals = np.concatenate((low, slope), axis=1).take(self._picked[injected], axis=1)
+        signals = without_negligible(signals)
+        found = Regression(signals, self._rows, block.h, block.restarted, injected)
+        if scale is not None and self._rates:
+            first = self._f.stop - self._f.start
+            found.f[:, first : first + len(self._rates)] *= scale[self._rates]
+        if self._corrects_lever:
+            self._correct_lever(found.y, found.f, low, block)
+        return found
 
-    def _edges(
+    def _channels(
         self,
         block: Block,
         model_states: FloatArray,
         driven_by: FloatArray,
         coefficients: FloatArray | None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Signals at the left and the right edges of the cells."""
+        """Return the channels over the cells: straight lines at the edges, and what is held."""
         n, points = self._structure.size, len(block.x)
-        both = self._structure.regressor(
-            np.concatenate((block.x, model_states[:, :3])), np.zeros(len(INPUTS))
-        )
-        edges = np.empty((points, self._y + self._f + self._z))
-        edges[:, :3] = block.x
-        f = edges[:, self._y : self._y + self._f]
-        z = edges[:, self._y + self._f :]
+        lines, held = np.zeros((points, self._z.stop)), np.zeros((points - 1, self._z.stop))
+        states = np.concatenate((block.state, model_states))
+        both = self._structure.regressor(states[:, :3], np.zeros(len(INPUTS)))
+        f, z = lines[:, self._f], lines[:, self._z]
+        lines[:, :3] = block.x
         f[:, :n] = both[:points]
         if n > CONSTANT_COLUMN:
             f[:, LAST_COLUMNS] = block.force
         z[:, STATE_COLUMNS] = both[points:, STATE_COLUMNS]
-        flow = block.flow
-        if flow is None:
-            left, right = edges[:-1].copy(), edges[1:]
-        else:
+        if block.flow is not None:
             assert coefficients is not None
-            edges[:, 3:5] = block.force
-            f[:, n:] = _turning(block.x, block.force, flow.down, flow.airspeed)
-            made = _force_of_states(model_states, coefficients)
-            turning = _turning(model_states, made, model_states[:, 5:], flow.airspeed)
-            z[:, INPUT_COLUMNS.stop :] = np.concatenate((made, turning), axis=1)
-            left, right = edges[:-1].copy(), edges[1:].copy()
-            by_inputs = driven_by @ coefficients[3:5, INPUT_COLUMNS].T
-            more = np.concatenate((by_inputs, by_inputs / flow.airspeed), axis=1)
-            for side in (left, right):
-                side[:, 5 : self._y] = block.u[:, self._surfaces]
-                side[:, -more.shape[1] :] += more
-        inputs = slice(self._y + INPUT_COLUMNS.start, self._y + INPUT_COLUMNS.stop)
-        left[:, inputs] = right[:, inputs] = block.u
-        inputs = slice(inputs.start + self._f, inputs.stop + self._f)
-        left[:, inputs] = right[:, inputs] = driven_by
-        return left, right
+            made, v, angles = coefficients[3:5], block.flow.airspeed, INPUT_COLUMNS.stop
+            force = np.concatenate((block.force, model_states[:, :5] @ made[:, _FLOW_STATE].T))
+            turning = (force + GRAVITY * states[:, 6:]) / v
+            turning += states[:, 2:0:-1] * (-1.0, 1.0)
+            lines[:, 3:5] = block.force
+            f[:, n:] = turning[:points]
+            z[:, angles : angles + 2], z[:, angles + 2 :] = force[points:], turning[points:]
+            held[:, 5 : self._f.start] = block.u[:, self._surfaces]
+            by_inputs = driven_by @ made[:, INPUT_COLUMNS].T
+            held[:, -4:-2], held[:, -2:] = by_inputs, by_inputs / v
+        held[:, self._f][:, INPUT_COLUMNS] = block.u
+        held[:, self._z][:, INPUT_COLUMNS] = driven_by
+        return lines, held
 
-    def _scale(self, edge: FloatArray, scale: FloatArray) -> None:
-        """Take regressors to the reference airspeed; forces stand for angles as they are."""
-        f = edge[:, self._y : self._y + self._f]
-        z = edge[:, self._y + self._f :]
+    def _factor(self, scale: FloatArray) -> FloatArray:
+        """Return what takes the channels to the reference airspeed; forces stand for angles."""
+        factor = np.ones(self._z.stop)
+        f, z = factor[self._f], factor[self._z]
         kept = CONSTANT_COLUMN + 1 if self._structure.has_flow else len(scale)
-        f[:, :kept] *= scale[:kept]
-        z[:, : INPUT_COLUMNS.stop] *= scale[: INPUT_COLUMNS.stop]
+        f[:kept] = scale[:kept]
+        z[: INPUT_COLUMNS.stop] = scale[: INPUT_COLUMNS.stop]
         if self._structure.has_flow:
-            edge[:, 5 : self._y] *= scale[INPUT_COLUMNS][self._surfaces]
-            f[:, -2:] *= scale[-1]
-            z[:, -2:] *= scale[-1]
+            factor[5 : self._f.start] = scale[INPUT_COLUMNS][self._surfaces]
+            f[-2:] = z[-2:] = scale[-1]
+        return factor
 
-    def _moments(self, states: FloatArray, block: Block, *, injected: bool) -> Regression:
-        """Regression problem of the moments alone, from the filters' states."""
-        low, slope = states
-        f = low[:, self._y : self._y + self._f]
-        z = f.copy()
-        z[:, : INPUT_COLUMNS.stop] = low[:, self._y + self._f :]
-        y = slope[:, :3]
-        if self._corrects_lever:
-            f = f.copy()
-            f[:, LAST_COLUMNS] -= y @ self._lever.T
-        return Regression(y, f, z, block.h, block.restarted, injected)
-
-    def _with_forces(
-        self,
-        states: FloatArray,
-        block: Block,
-        airspeed: float,
-        scale: FloatArray | None,
-        *,
-        injected: bool,
-    ) -> Regression:
-        """Regression problem of moments and forces, from the filters' states."""
-        low, slope = states
-        n, known = self._structure.size, INPUT_COLUMNS.stop
-        kinematics = slice(n, n + 2)
-        rates = slice(n + 2, n + 2 + len(self._rates))
-        low_z, slope_z = low[:, self._y + self._f :], slope[:, self._y + self._f :]
-        y = slope[:, :5]
-        turning = slope[:, [j - RATE_COLUMNS.start for j in self._rates]]
-        if scale is not None:
-            turning = turning * scale[self._rates]
-        f = np.concatenate((low[:, self._y : self._y + self._f], turning, slope[:, 5 : self._y]), 1)
-        z = f.copy()
-        z[:, :known] = low_z[:, :known]
-        z[:, LAST_COLUMNS] = low_z[:, known : known + 2]
-        z[:, kinematics] = low_z[:, known + 2 :]
-        z[:, rates] = slope_z[:, self._rates]
-        if injected:
-            z[:, rates.stop :] = slope_z[:, [INPUT_COLUMNS.start + j for j in self._surfaces]]
-        if self._corrects_lever:
-            y = y.copy()
-            offset = y[:, :3] @ self._lever.T
-            f[:, LAST_COLUMNS] -= offset
-            f[:, kinematics] -= offset / airspeed
-            y[:, 3:] -= self._jerk(low, slope, block) @ self._lever.T
-        return Regression(y, f, z, block.h, block.restarted, injected)
-
-    def _jerk(self, low: FloatArray, slope: FloatArray, block: Block) -> FloatArray:
-        """Second derivative of the filtered rates, shape (m, 3), by the filter's own equation."""
-        w = self._cutoff
-        return np.asarray(w * w * (block.x[1:] - low[:, :3]) - np.sqrt(2.0) * w * slope[:, :3])
-
-
-def _turning(x: FloatArray, force: FloatArray, down: FloatArray, v: float) -> FloatArray:
-    """Rates of change of sideslip and angle of attack by their kinematics, (m, 2), rad/s."""
-    turning = np.empty((len(x), 2))
-    turning[:, 0] = (force[:, 0] + GRAVITY * down[:, 1]) / v - x[:, 2]
-    turning[:, 1] = (force[:, 1] + GRAVITY * down[:, 2]) / v + x[:, 1]
-    return turning
-
-
-def _force_of_states(states: FloatArray, a: FloatArray) -> FloatArray:
-    """Specific forces ay, az that the states of the model make, without inputs, (m, 2), m/s^2."""
-    slopes = a[[3, 4], [LAST_COLUMNS.start, LAST_COLUMNS.start + 1]]
-    return np.asarray(states[:, :3] @ a[3:5, RATE_COLUMNS].T + states[:, 3:5] * slopes)
+    def _correct_lever(self, y: FloatArray, f: FloatArray, low: FloatArray, block: Block) -> None:
+        """Take the forces from the accelerometer to the centre of gravity."""
+        offset = y[:, :3] @ self._lever.T
+        f[:, LAST_COLUMNS] -= offset
+        if block.flow is not None:
+            n = self._structure.size
+            f[:, n : n + 2] -= offset / block.flow.airspeed
+            # second derivative of the filtered rates, by the filter's own equation
+            w = self._cutoff
+            jerk = w * w * (block.x[1:] - low[:, :3]) - np.sqrt(2.0) * w * y[:, :3]
+            y[:, 3:] -= jerk @ self._lever.T
 
 
 def without_negligible(signals: FloatArray) -> FloatArray:

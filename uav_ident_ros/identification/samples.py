@@ -90,11 +90,9 @@ class SampleBuffer:
         duplicates = 0 if self._ordered else self._order()
         ready = bisect_right(self._waiting_t, t_ns)
         if ready:
-            t = np.array(self._waiting_t[:ready], dtype=np.int64)
-            v = np.array(self._waiting_v[:ready], dtype=np.float64)
+            self.t = np.concatenate((self.t, np.array(self._waiting_t[:ready], dtype=np.int64)))
+            self.v = np.concatenate((self.v, np.array(self._waiting_v[:ready], dtype=np.float64)))
             del self._waiting_t[:ready], self._waiting_v[:ready]
-            self.t = np.concatenate([self.t, t])
-            self.v = np.concatenate([self.v, v])
         return duplicates
 
     def _order(self) -> int:
@@ -131,8 +129,7 @@ class SampleBuffer:
         """
         if len(self.t) == len(t_ns) and np.array_equal(self.t, t_ns):
             return self.v
-        right = np.minimum(np.maximum(self.t.searchsorted(t_ns), 1), len(self.t) - 1)
-        left = right - 1
-        share = (t_ns - self.t[left]) / (self.t[right] - self.t[left])
-        low = self.v[left]
-        return np.asarray(low + share[:, None] * (self.v[right] - low))
+        left = np.maximum(self.t.searchsorted(t_ns) - 1, 0)
+        since, low = self.t[left], self.v[left]
+        share = (t_ns - since) / (self.t[left + 1] - since)
+        return np.asarray(low + share[:, None] * (self.v[left + 1] - low))

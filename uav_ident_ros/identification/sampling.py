@@ -16,6 +16,7 @@ import numpy as np
 from uav_ident_ros.identification.frames import BodyFrame, centripetal
 from uav_ident_ros.identification.inputs import InputMap, ServoLag, cell_means
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
+from uav_ident_ros.identification.scales import IN_A_ROW
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, MAX_DELAY, Settings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
@@ -25,22 +26,9 @@ RATE_SAMPLES = 20
 FASTEST_CELL_NS = 1_000_000
 """Shortest cell, ns: 1 kHz, the highest Imu rate worth following."""
 
-LOST_INTERVALS = 5
-"""Inputs that come at a steady rate are lost when so many intervals pass without one: to hold
-the last value for longer would teach a response to an input that was not there."""
-
 SHORTEST_LOSS_NS = 100_000_000
-"""But not sooner than this, ns: two or three messages lost on a radio link do no harm."""
-
-STEADY_INTERVALS = 10
-"""Intervals from which a steady rate is told from one that depends on the values."""
-
-STEADY_SPREAD = 1.5
-"""Ratio of the upper quartile of the intervals to their median up to which a rate is steady."""
-
-STALE_LOOK = 10
-"""Ticks between two looks at how often the inputs come: their rate does not change in flight."""
-
+"""Time before which no input counts as lost, ns: two or three messages lost on a radio link do no
+harm."""
 Edges = TypeVar("Edges", TimeArray, FloatArray)
 
 STEADY_RATE = 0.1
@@ -53,17 +41,25 @@ class FlowSignals:
 
     Parameters
     ----------
-    angles : (m + 1, 2) array
-        Sideslip and angle of attack, rad.
-    down : (m + 1, 3) array
-        Unit vector that points down, body axes FRD.
+    states : (m + 1, 8) array
+        Its state as measured: p, q, r, rad/s; sideslip and angle of attack, rad; unit vector that
+        points down, body axes FRD.
     airspeed : float
         True airspeed, m/s.
     """
 
-    angles: FloatArray
-    down: FloatArray
+    states: FloatArray
     airspeed: float
+
+    @property
+    def angles(self) -> FloatArray:
+        """Sideslip and angle of attack, rad, shape (m + 1, 2)."""
+        return self.states[:, 3:5]
+
+    @property
+    def down(self) -> FloatArray:
+        """Unit vector that points down, body axes FRD, shape (m + 1, 3)."""
+        return self.states[:, 5:]
 
 
 @dataclass
@@ -89,9 +85,7 @@ class Block:
     @property
     def state(self) -> FloatArray:
         """Measured state of the model at the edges, shape (m + 1, 3), or (m + 1, 8) with flow."""
-        if self.flow is None:
-            return self.x
-        return np.concatenate((self.x, self.flow.angles, self.flow.down), axis=1)
+        return self.x if self.flow is None else self.flow.states
 
     @property
     def time(self) -> float:
@@ -108,8 +102,7 @@ def join(blocks: Sequence[Block]) -> Block:
         parts = [np.zeros_like(b.u) if b.excitation is None else b.excitation for b in blocks]
         excitation = np.concatenate(parts)
     if flows := [block.flow for block in blocks if block.flow is not None]:
-        angles, down = edge_values([f.angles for f in flows]), edge_values([f.down for f in flows])
-        flow = FlowSignals(angles, down, flows[0].airspeed)
+        flow = FlowSignals(edge_values([f.states for f in flows]), flows[0].airspeed)
     return Block(
         edge_values([block.t_ns for block in blocks]),
         first.h,
@@ -160,7 +153,6 @@ class Sampler:
         self.injected.clear()
         self.h_ns: int | None = None
         self._stale_ns = self._timeout_ns
-        self._calls = 0
         self._edge_ns: int | None = None
         self._continues = False
         self.waiting_for = "rates"
@@ -193,9 +185,7 @@ class Sampler:
         """Yield the blocks that the samples in use complete."""
         if not self._ready():
             return
-        if self._calls % STALE_LOOK == 0:
-            self._stale_ns = self._find_stale_age()
-        self._calls += 1
+        self._find_stale_age()
         first_ns = 0
         for first_ns, last_ns in self._runs():
             yield from self._cut(first_ns, last_ns)
@@ -229,15 +219,15 @@ class Sampler:
         self.waiting_for = ""
         return True
 
-    def _find_stale_age(self) -> int:
-        """Age, ns, at which an input no longer counts."""
+    def _find_stale_age(self) -> None:
+        """Find the age, ns, at which an input is lost.
+
+        To hold its last value for longer would teach a response to an input that was not there.
+        """
         steps = np.sort(np.diff(self.raw_inputs.t))
-        if len(steps) < STEADY_INTERVALS:
-            return self._stale_ns
-        typical = int(steps[len(steps) // 2])
-        if steps[3 * len(steps) // 4] > STEADY_SPREAD * typical:
-            return self._timeout_ns
-        return min(self._timeout_ns, max(LOST_INTERVALS * typical, SHORTEST_LOSS_NS))
+        if len(steps) >= IN_A_ROW:
+            usual = int(steps[3 * len(steps) // 4])
+            self._stale_ns = min(self._timeout_ns, max(IN_A_ROW * usual, SHORTEST_LOSS_NS))
 
     def _learn_trim(self) -> bool:
         """Take the mean raw channels over the first steady stretch of flight as trim."""
@@ -250,7 +240,7 @@ class Sampler:
         x = self.rates.v[:, :3]
         spread = np.maximum(np.abs(x.mean(axis=0)), x.std(axis=0))
         window = np.array([newest - span_ns, newest], dtype=np.int64)
-        if spread.max() > STEADY_RATE or self._known_runs(window, 0) != [(0, 2)]:
+        if spread.max() > STEADY_RATE or self._known_runs(window) != [(0, 2)]:
             return False
         # By time, not by sample: some publish only what changes.
         mean = cell_means(
@@ -281,10 +271,12 @@ class Sampler:
         edges = np.arange(start, self._usable(last_ns) + 1, self.h_ns, dtype=np.int64)
         if len(edges) < 2:
             return
-        runs = self._known_runs(edges, self._delay_ns)
+        at = edges - self._delay_ns
+        runs = self._known_runs(at)
         for begin, end in runs:
             if end - begin > 1:
-                yield self._block(edges[begin:end], begin > 0 or not self._continues)
+                run = slice(begin, end)
+                yield self._block(edges[run], at[run], begin > 0 or not self._continues)
                 self._continues = True
         self._continues = bool(runs) and runs[-1][1] == len(edges) and end - begin > 1
         self._edge_ns = int(edges[-1])
@@ -299,12 +291,12 @@ class Sampler:
         newest = int(self.raw_inputs.t[-1]) + self._delay_ns
         return min(last_ns, newest) if last_ns - newest <= self._stale_ns else last_ns
 
-    def _known_runs(self, edges: TimeArray, delay_ns: int) -> list[tuple[int, int]]:
-        """Begin and end (exclusive) of each run of edges at which a fresh enough input acts."""
-        at, t = edges - delay_ns, self.raw_inputs.t
+    def _known_runs(self, at: TimeArray) -> list[tuple[int, int]]:
+        """Begin and end (exclusive) of each run of times at which an input was fresh enough."""
+        t = self.raw_inputs.t
         first = int(t.searchsorted(at[0], side="right")) - 1
         if first >= 0 and at[-1] - t[first] <= self._stale_ns and not self._linear:
-            return [(0, len(edges))]  # nearly always
+            return [(0, len(at))]  # nearly always
         last = t.searchsorted(at, side="right") - 1
         begin = t[np.maximum(last, 0)]
         if self._linear:
@@ -315,13 +307,14 @@ class Sampler:
         flips = np.flatnonzero(np.diff(known.astype(np.int8), prepend=0, append=0)).tolist()
         return list(zip(flips[::2], flips[1::2], strict=True))
 
-    def _block(self, edges: TimeArray, restarted: bool) -> Block:
+    def _block(self, edges: TimeArray, at: TimeArray, restarted: bool) -> Block:
+        """Return the signals over cells, whose inputs were commanded `at` their edges."""
         assert self.h_ns is not None
         signals = self.rates.interpolate(edges).reshape(-1, 2, 3)
         x, force = self._frame.to_body(signals).transpose(1, 0, 2)
         if self._offset:
             force[:, 1:] -= centripetal(x, self._arm)
-        at, raw = edges - self._delay_ns, self.raw_inputs
+        raw = self.raw_inputs
         done = self.input_map.curved(raw.v)
         means = cell_means(raw.t, done, at, self._actuators.interpolation)
         u, injected = self._lag.apply(self.input_map.mix(means), restarted=restarted), None

@@ -23,3 +23,6 @@ SURE = 3.0
 
 OUTLYING = SURE**2
 """Square, relative to its variance or mean, from which samples count less."""
+
+IN_A_ROW = 5
+"""Samples in a row that are no chance: a gyro is saturated, a clock has jumped, inputs are lost."""

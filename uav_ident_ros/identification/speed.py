@@ -80,9 +80,8 @@ class SpeedScaling:
         self.scale: FloatArray = np.ones_like(self._power)
         self.newest: float | None = None
 
-    def update(self, t_ns: int) -> int:
-        """Take the newest airspeed stamped at or before `t_ns`; return the duplicates."""
-        duplicates = self.airspeed.merge(t_ns)
+    def update(self, t_ns: int) -> None:
+        """Take the newest airspeed in use at `t_ns`."""
         if self.enabled and len(self.airspeed.t):
             self.newest = float(self.airspeed.v[-1, 0])
             ratio = self.newest / self._reference
@@ -90,4 +89,3 @@ class SpeedScaling:
             self.scale = ratio**self._power
             self.known = True
             self.airspeed.trim(t_ns)
-        return duplicates

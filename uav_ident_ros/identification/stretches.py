@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from uav_ident_ros.identification.sampling import Block, edge_values, join
 from uav_ident_ros.identification.structure import FloatArray
@@ -37,10 +37,10 @@ class Stretch:
     injected: bool
     blocks: int = 1
 
-    def continued_by(self, other: Stretch) -> bool:
-        """Whether another one may be joined to it."""
-        alike = (self.learns, self.readable, self.injected)
-        return not other.block.restarted and alike == (other.learns, other.readable, other.injected)
+    @property
+    def kind(self) -> tuple[bool, bool, bool]:
+        """What those must have alike that are joined."""
+        return self.learns, self.readable, self.injected
 
 
 class Stretches:
@@ -51,7 +51,7 @@ class Stretches:
 
     def add(self, part: Stretch, length: float) -> Iterator[Stretch]:
         """Take a block; yield the stretches that end with it or before it, at `length` s."""
-        if self._parts and not self._parts[-1].continued_by(part):
+        if self._parts and (part.block.restarted or part.kind != self._parts[0].kind):
             yield self._ended()
         self._parts.append(part)
         if sum(p.block.time for p in self._parts) >= length - 0.5 * part.block.h:
@@ -60,6 +60,7 @@ class Stretches:
     def _ended(self) -> Stretch:
         """Join the parts so far."""
         parts, self._parts = self._parts, []
+        if len(parts) == 1:
+            return parts[0]
         block, states = join([p.block for p in parts]), edge_values([p.states for p in parts])
-        first = parts[0]
-        return Stretch(block, states, first.learns, first.readable, first.injected, len(parts))
+        return replace(parts[0], block=block, states=states, blocks=len(parts))

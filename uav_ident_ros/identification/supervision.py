@@ -16,12 +16,11 @@ from uav_ident_ros.identification.gates import (
     TOO_QUIET,
     Gate,
     Gates,
-    Look,
     ResidualGate,
     grounded,
 )
-from uav_ident_ros.identification.regression import Layout, RowSamples
 from uav_ident_ros.identification.running_fit import RunningFit
+from uav_ident_ros.identification.scales import MEMORY, SURE
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
     MAIN_INPUTS,
@@ -31,10 +30,7 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
-MIN_PREDICTIONS = 5
-"""Predictions before the running fit counts."""
-
-JUDGED_FROM = 30.0
+JUDGED_FROM = MEMORY
 """Time of learning from which a cold start is judged, s. Lag, delay and saturation that nobody told
 have shown by then: after 10 to 28 s on two aircraft (benchmarks/false_usable.py, unmodelled), since
 `ModelError` needs more blocks of a second than the eleven coefficients that it solves for."""
@@ -46,7 +42,7 @@ LARGEST_MODEL_ERROR = 0.25
 travel that halve a control derivative take 0.33 to 0.9, a delay of 25 ms up to 0.2, and what is
 right nothing."""
 
-RELEARNED_T_RATIO = 6.0
+RELEARNED_T_RATIO = 2.0 * SURE
 """Value over sigma from which a coefficient that has changed is known again."""
 
 RELEARNED_SIGMA = 2.0
@@ -138,6 +134,8 @@ class Supervisor:
         The gates, and what each has cost.
     changed : list of Change
         The changes found in flight, the oldest first.
+    confirmed : Confirmation
+        Which control derivatives the flight has confirmed.
     """
 
     def __init__(self, settings: Settings, structure: Structure, more: Sequence[Gate] = ()) -> None:
@@ -145,7 +143,7 @@ class Supervisor:
         self.adapt = settings.adapt_on_start
         self.armed: bool | None = None
         self._structure = structure
-        self.gates = Gates(settings, more)
+        self.gates = Gates(more)
         self.reset()
 
     def reset(self) -> None:
@@ -155,8 +153,8 @@ class Supervisor:
         self._residuals = ResidualGate()
         self._within: BoolArray = np.ones(3, dtype=bool)
         self._learned: BoolArray = np.ones(3, dtype=bool)
-        self._confirmed = Confirmation()
-        self._sigma: FloatArray | None = None
+        self.confirmed = Confirmation()
+        self._sigma: FloatArray = np.full(self._structure.mask.shape, np.inf)
         self._proven = False
         self.restart()
 
@@ -169,24 +167,9 @@ class Supervisor:
         """Why nothing is learned at this tick; empty if no gate is closed."""
         return self.gates.closed
 
-    def look(
-        self,
-        t: float,
-        samples: FloatArray,
-        raw: FloatArray,
-        airspeed: float | None,
-        implausible: str = "",
-    ) -> None:
-        """Show the signals of a tick to the gates; parameters as in `Look`."""
-        look = Look(t, samples, raw, airspeed, self.armed, self.adapt, implausible, self.settings)
-        self.gates.look(look)
-
     def grounded(self, airspeed: float | None) -> str:
         """Return why it does not fly, at an airspeed, m/s; empty if there is no reason."""
-        has_armed_topic = self.settings.armed.type != ""
-        return grounded(
-            self.armed, has_armed_topic, airspeed, self.settings.supervision.min_airspeed
-        )
+        return grounded(self.settings, self.armed, airspeed)
 
     def weigh(self, residual: FloatArray, time: float, clear: BoolArray) -> FloatArray:
         """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
@@ -220,31 +203,12 @@ class Supervisor:
         self.gates.charge("residual", ticks * within.count(False) / len(ROWS))
         self.gates.charge("excitation", ticks * quiet / len(ROWS))
         for i, j in estimator.changes:
-            before = float("inf") if self._sigma is None else float(self._sigma[i, j])
-            change = Change(f"{ROWS[i]}/{self._structure.regressors[j]}", t, before)
+            name = f"{ROWS[i]}/{self._structure.regressors[j]}"
+            change = Change(name, t, float(self._sigma[i, j]))
             self._relearning[i, j] = change
             self.changed.append(change)
             self._residuals.release(i)
-            self._confirmed.forget(i)
-
-    def confirm(
-        self, white: RowSamples, layout: Layout, variance: FloatArray, inputs: FloatArray
-    ) -> None:
-        """Let what the inputs did confirm the control derivatives, or contradict them.
-
-        Parameters
-        ----------
-        white : RowSamples
-            Whitened samples.
-        layout : Layout
-            What their columns are.
-        variance : (rows,) array
-            Variance of their residuals, the innovations.
-        inputs : (3, 4) array
-            Control derivatives that go with their residuals.
-        """
-        effect = layout.main_effect(inputs, white)
-        self._confirmed.add(white, effect, variance, self.settings.supervision.max_age)
+            self.confirmed.forget(i)
 
     def pauses(self) -> dict[str, str]:
         """Return why each row that does not learn pauses: row to reason."""
@@ -263,44 +227,65 @@ class Supervisor:
         sigma: FloatArray,
         running: RunningFit,
         model_error: FloatArray,
-        denied: str,
+        denied: Sequence[str],
         learned_time: float,
     ) -> Verdict:
-        """Give the verdict on the coefficients at `t` s.
+        """Give the verdict on the coefficients at `t` s, row by row.
 
-        Parameters are those of `judge`, and how long it has learned since a cold start, s; inf
-        after a warm one.
+        Usable is a row that predicts the next second clearly better than holding the rate does, of
+        late and over the flight, whose main control derivative is known well, and was confirmed by
+        what its input did not long ago.
+
+        Parameters
+        ----------
+        coefficients, sigma : (R, n) arrays
+            Estimate and standard deviations.
+        running : RunningFit
+            Fit of the coefficients.
+        model_error : (3,) array
+            What the main inputs do otherwise than the model says, relative to their effect.
+        denied : sequence of 3 str
+            What speaks against each row beforehand; empty if nothing does.
+        learned_time : float
+            How long it has learned since a cold start, s; inf after a warm one.
         """
         self._sigma = sigma
-        if not denied and learned_time < JUDGED_FROM:
-            learned = int(learned_time)
-            denied = f"learned from {learned} s, {JUDGED_FROM:g} s are needed to judge"
+        young = "" if running.predictions else "no second was predicted yet to judge by"
+        if learned_time < JUDGED_FROM:
+            young = f"learned from {int(learned_time)} s, {JUDGED_FROM:g} s are needed to judge"
+        relearning: dict[int, str] = {}
         for (i, j), change in list(self._relearning.items()):
-            enough = max(
-                RELEARNED_SIGMA * change.sigma, abs(float(coefficients[i, j])) / RELEARNED_T_RATIO
-            )
+            ratio = abs(float(coefficients[i, j])) / RELEARNED_T_RATIO
+            enough = max(RELEARNED_SIGMA * change.sigma, ratio)
             if t - change.t > SHORTEST_RELEARNING and sigma[i, j] <= enough:
                 del self._relearning[i, j]
-        relearning = [""] * len(ROWS)
-        for (i, _), change in self._relearning.items():
-            relearning[i] = f"{change.name} changed in flight and is learned anew"
-        thresholds = self.settings.supervision
-        found = judge(
-            thresholds,
-            self._structure,
-            coefficients,
-            sigma,
-            running,
-            model_error,
-            self._confirmed,
-            denied,
-        )
+            else:
+                relearning[i] = f"{change.name} changed in flight and is learned anew"
+        settings = self.settings.supervision
         first, second, third = (
-            changed or reason for changed, reason in zip(relearning, found.reasons, strict=True)
+            relearning.get(i)
+            or denied[i]
+            or young
+            or _poor_fit(settings, running, i)
+            or _incomplete(i, float(model_error[i]))
+            or self._unknown_input(i, coefficients, sigma)
+            or self.confirmed.doubt(i)
+            for i in range(len(ROWS))
         )
         verdict = Verdict((first, second, third))
         self._proven = self._proven or verdict.usable
         return verdict
+
+    def _unknown_input(self, row: int, coefficients: FloatArray, sigma: FloatArray) -> str:
+        """Return how the main control derivative of a row is not known; empty if it is."""
+        surface, needed = MAIN_INPUTS[ROWS[row]], self.settings.supervision.min_t_ratio
+        name = f"{ROWS[row]}/{surface}"
+        index = self._structure.index(name)
+        value, spread = abs(float(coefficients[index])), float(sigma[index])
+        ratio = value / spread if spread > 0.0 else (np.inf if value > 0.0 else 0.0)
+        if ratio >= needed:
+            return ""
+        return f"{name} has a t-ratio of {ratio:.1f} ({needed:.1f} needed): move {surface}"
 
     def state(self, verdict: Verdict) -> tuple[State, str]:
         """Return the state word, and why it is not learning or not usable."""
@@ -312,53 +297,6 @@ class Supervisor:
         if verdict.usable:
             return State.CONVERGED, ""
         return State.LEARNING, verdict.reason
-
-
-def judge(
-    settings: SupervisionSettings,
-    structure: Structure,
-    coefficients: FloatArray,
-    sigma: FloatArray,
-    running: RunningFit,
-    model_error: FloatArray,
-    confirmed: Confirmation,
-    denied: str = "",
-) -> Verdict:
-    """Give the verdict on a set of coefficients, row by row.
-
-    Usable is a row that predicts the next second clearly better than holding the rate does, of
-    late and over the flight, whose main control derivative is known well, and was confirmed by
-    what its input did not long ago.
-
-    Parameters
-    ----------
-    settings : SupervisionSettings
-        Thresholds.
-    structure : Structure
-        Names the coefficients.
-    coefficients, sigma : (R, n) arrays
-        Estimate and standard deviations.
-    running : RunningFit
-        Fit of the coefficients.
-    model_error : (3,) array
-        What the main inputs do otherwise than the model says, relative to their effect.
-    confirmed : Confirmation
-        Which control derivatives the flight has confirmed.
-    denied : str
-        What speaks against all rows alike; empty if nothing does.
-    """
-    if running.predictions < MIN_PREDICTIONS:
-        few = f"only {running.predictions} predictions of 1 s to judge by"
-        return Verdict((few, few, few))
-    first, second, third = (
-        denied
-        or _poor_fit(settings, running, i)
-        or _incomplete(i, float(model_error[i]))
-        or _unknown_input(settings, structure, i, coefficients, sigma)
-        or confirmed.doubt(i)
-        for i in range(len(ROWS))
-    )
-    return Verdict((first, second, third))
 
 
 def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str:
@@ -384,24 +322,4 @@ def _incomplete(row: int, share: float) -> str:
     return (
         f"{100.0 * share:.0f} % of what {surface} does to {ROWS[row]} comes late, or is missing "
         "where much is asked: a servo lag, a delay or a limit of travel that is not told"
-    )
-
-
-def _unknown_input(
-    settings: SupervisionSettings,
-    structure: Structure,
-    row: int,
-    coefficients: FloatArray,
-    sigma: FloatArray,
-) -> str:
-    """Return how the main control derivative of a row is not known; empty if it is."""
-    name = f"{ROWS[row]}/{MAIN_INPUTS[ROWS[row]]}"
-    index = structure.index(name)
-    value, spread = abs(float(coefficients[index])), float(sigma[index])
-    ratio = value / spread if spread > 0.0 else (np.inf if value > 0.0 else 0.0)
-    if ratio >= settings.min_t_ratio:
-        return ""
-    return (
-        f"{name} has a t-ratio of {ratio:.1f} ({settings.min_t_ratio:.1f} needed): move "
-        f"{MAIN_INPUTS[ROWS[row]]}"
     )

@@ -308,9 +308,9 @@ def _foot(watched: WatchedNode, glyphs: Glyphs) -> Iterator[Text]:
         line += _line("ticks", ticks["count"], f"  update {cost} ms (p99)" if cost else "")
     if line:
         yield line
-    apart = status.values.get("not told apart", "nothing")
-    if apart != "nothing":
-        yield Text.assemble(("not told apart: ", "yellow"), apart, no_wrap=True)
+    collinear = status.values.get("collinear", "nothing")
+    if collinear != "nothing":
+        yield Text.assemble(("collinear: ", "yellow"), collinear, no_wrap=True)
 
 
 def _excitation(values: Mapping[str, str]) -> Iterator[Text]:

@@ -132,7 +132,7 @@ def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
     yield "delay [s]", f"{identifier.delay:.4f}"
     yield "delay confidence", identifier.delay_confidence
     groups = identifier.estimator.information.collinear()
-    yield "not told apart", "; ".join(", ".join(group) for group in groups) or "nothing"
+    yield "collinear", "; ".join(", ".join(group) for group in groups) or "nothing"
     costs = identifier.supervisor.gates.costs().items()
     gates = (f"{name} {100.0 * cost.share:.0f} ({cost.setting})" for name, cost in costs)
     yield "gates [% of the flight]", ", ".join(gates) or "nothing"

@@ -44,7 +44,7 @@ examples:
   simulate --output pulses --input 3211 --unstamped --noise 0
   simulate --output quiet --duration 60 --quiet 600 --autopilot --gusts 1.0
   simulate --output quadrotor --plant quadrotor --delay 0.01
-  simulate --output cessna --jsbsim c172p --delay 0.06
+  simulate --output cessna --jsbsim c172p --delay 0.06 --airspeed-noise 0.3
 """
 
 
@@ -105,6 +105,8 @@ def make_parser() -> argparse.ArgumentParser:
     add("--lever-arm", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
         help="accelerometer from the centre of gravity, FRD, m (0 0 0)")  # fmt: skip
     add("--convention", choices=tuple(FRAME_IDS), default="flu", help="axes of the Imu (flu)")
+    add("--airspeed-noise", type=float, metavar="RMS",
+        help="aircraft: /airspeed is recorded, with this noise, m/s")  # fmt: skip
     add("--unstamped", action="store_true", help="actuators as Float64MultiArray, no stamp")
     add("--channels", choices=tuple(CHANNEL_SETS),
         help="what the raw actuator channels are (plain; motors)")  # fmt: skip
@@ -145,6 +147,7 @@ def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:
         gyro_noise=options.noise,
         gyro_bias=tuple(options.bias),
         accelerometer_noise=options.accelerometer_noise,
+        airspeed_noise=options.airspeed_noise,
         lever_arm=tuple(options.lever_arm),
         stamp_jitter=options.jitter,
         drop=options.drop,
@@ -179,7 +182,7 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
     others, owner = (
         (("gusts", "servo_lag", "autopilot"), "a plant")
         if options.jsbsim
-        else (("turbulence", "bank", "speed"), "an aircraft (--jsbsim)")
+        else (("turbulence", "bank", "speed", "airspeed_noise"), "an aircraft (--jsbsim)")
     )
     for name in others:
         if getattr(options, name):

@@ -56,7 +56,7 @@ class LiveAircraft(Live):
         self.aircraft = Aircraft(name, rate, speed)  # JSBSim's aircraft
         self.autopilot, self.signals = settle(self.aircraft, sensors.rate)
         self.trim = self.outputs = self._acting = self.aircraft.surfaces
-        self._airspeed = self.signals[COLUMN["airspeed"]]
+        self._wanted = self._airspeed()
         self._seed, self._effect, self._jammed = seed, np.ones(4), np.full(4, np.nan)
 
     def apply(self, fault: Fault) -> None:
@@ -84,7 +84,7 @@ class LiveAircraft(Live):
                 add_ballast(self.aircraft.fdm, fault.what, fault.value or 1.0)
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
-        slow = (self._airspeed - self.signals[COLUMN["airspeed"]]) * FOOT
+        slow = self._wanted - self._airspeed()
         commanded = self.outputs[:3] if surfaces is None else surfaces
         return self.aircraft.clip(np.append(commanded, self.trim[3] + SPEED_GAIN * slow))
 
@@ -98,6 +98,9 @@ class LiveAircraft(Live):
 
     def _tilt(self) -> Sequence[float]:
         return self.signals[COLUMN["roll"]], self.signals[COLUMN["pitch"]]
+
+    def _airspeed(self) -> float:
+        return float(self.signals[COLUMN["airspeed"]] * FOOT)
 
     def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         signals = self.aircraft.to_si(np.array(self.signals))

@@ -24,7 +24,7 @@ from uav_ident_ros.simulation.flight import (
     whole_steps,
 )
 from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
-from uav_ident_ros.simulation.noise import Sensors
+from uav_ident_ros.simulation.noise import Sensors, airspeed_step
 
 SIMULATION_RATE = 1000.0
 """Rate of the simulation, Hz."""
@@ -45,6 +45,8 @@ class Sample:
     # measured_rates, measured_force: (3,) With bias and noise: rad/s, m/s^2
     measured_rates: FloatArray
     measured_force: FloatArray
+    # With bias and noise, m/s; None without a sensor, and where its slower rate has no sample
+    measured_airspeed: float | None
     attitude: FloatArray  # (3,) True roll, pitch, yaw, rad
     surfaces: FloatArray  # (4,) Where elevator, rudder, aileron (rad) and throttle are
 
@@ -116,7 +118,7 @@ class Live:
         self._substeps = whole_steps(1.0 / sensors.rate, rate, f"rate {sensors.rate:g} Hz")
         self._delay = whole_steps(delay, rate, f"delay {delay:g} s")
         self._sensors, self.rate = sensors, rate
-        self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(2)]
+        self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(3)]
         self._scheduled = sorted(faults, key=lambda fault: fault.time)
         self._step = 0
         self._underway: deque[tuple[int, FloatArray]] = deque()
@@ -143,6 +145,10 @@ class Live:
     def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return rates, specific force, attitude and surfaces."""
         raise NotImplementedError
+
+    def _airspeed(self) -> float | None:
+        """Return the true airspeed, m/s; None of what carries no pitot tube."""
+        return None
 
     def _tilt(self) -> Sequence[float]:
         """Return roll and pitch, rad."""
@@ -246,13 +252,22 @@ class Live:
     def sample(self) -> Sample:
         """Measure it as it is; to be called once for each sample."""
         rates, force, attitude, surfaces = self._state()
-        gyro, accelerometer = (rng.standard_normal(3) for rng in self._noise)
+        gyro, accelerometer = (rng.standard_normal(3) for rng in self._noise[:2])
         sensors = self._sensors
         return Sample(
             time=self.time,
             rates=rates,
             measured_rates=rates + np.asarray(sensors.gyro_bias) + sensors.gyro_noise * gyro,
             measured_force=force + sensors.accelerometer_noise * accelerometer,
+            measured_airspeed=self._measured_airspeed(),
             attitude=attitude,
             surfaces=surfaces,
         )
+
+    def _measured_airspeed(self) -> float | None:
+        sensors, airspeed = self._sensors, self._airspeed()
+        every = self._substeps * airspeed_step(sensors.rate)
+        if airspeed is None or sensors.airspeed_noise is None or self._step % every:
+            return None
+        error = sensors.airspeed_noise * float(self._noise[2].standard_normal())
+        return airspeed + sensors.airspeed_bias + error

@@ -17,8 +17,16 @@ FRAME_IDS = {"flu": "base_link", "frd": "base_link_frd"}
 FRD_TO_FLU = np.array([1.0, -1.0, -1.0])
 """Half a turn about x: its own inverse."""
 
+AIRSPEED_RATE = 10.0
+"""Rate of a measured airspeed, Hz: about that of PX4 and MAVROS."""
+
 RATE_TOLERANCE = 1e-6
 """Largest relative misfit of the Imu rate and a whole fraction of the flight's rate."""
+
+
+def airspeed_step(rate: float) -> int:
+    """Return how many samples of a rate, Hz, lie between two of the airspeed."""
+    return max(1, round(rate / AIRSPEED_RATE))
 
 
 @dataclass(frozen=True)
@@ -30,6 +38,9 @@ class Sensors:
     # (3,) Constant error of the rates, rad/s, FRD
     gyro_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     accelerometer_noise: float = 0.0  # White noise of each specific-force sample, rms, m/s^2
+    # White noise of each sample of the airspeed, rms, m/s; None: nothing measures it
+    airspeed_noise: float | None = None
+    airspeed_bias: float = 0.0  # Its constant error, m/s
     # (3,) Position of the accelerometer from the centre of gravity, FRD, m
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     stamp_jitter: float = 0.0  # The Imu's stamps are off by a uniform error of at most this, s
@@ -49,8 +60,9 @@ class Sensors:
             raise SimulationError(
                 f"channel set '{self.channels}' is unknown: use {', '.join(CHANNEL_SETS)}"
             )
-        for name in ("gyro_noise", "accelerometer_noise", "stamp_jitter", "latency"):
-            if not 0.0 <= getattr(self, name) < math.inf:
+        names = ("gyro_noise", "accelerometer_noise", "airspeed_noise", "stamp_jitter", "latency")
+        for name in names:
+            if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
                 raise SimulationError(f"{name} is {getattr(self, name)}: it must be 0 or more")
         if not 0.0 <= self.drop < 1.0:
             raise SimulationError(f"drop is {self.drop}: it must be 0 or more and below 1")
@@ -73,6 +85,10 @@ class Measurements:
     actuator_t_ns: IntArray
     actuator_log_ns: IntArray
     actuators: FloatArray  # (M, C) Raw channels
+    # (K,) Stamps and log times of the airspeeds, ns, and their values, m/s; K = 0 without a sensor
+    airspeed_t_ns: IntArray
+    airspeed_log_ns: IntArray
+    airspeed: FloatArray
 
     @property
     def channel_set(self) -> ChannelSet:
@@ -111,8 +127,8 @@ def measure(
     """
     sensors = sensors or Sensors()
     every = _decimation(flight, sensors)
-    gyro, accelerometer, drops, jitter, delays = (
-        np.random.default_rng([seed, 100 + k]) for k in range(5)
+    gyro, accelerometer, drops, jitter, delays, pitot = (
+        np.random.default_rng([seed, 100 + k]) for k in range(6)
     )
     count = len(flight.t_ns)
     rates = flight.rates + np.asarray(sensors.gyro_bias)
@@ -125,6 +141,12 @@ def measure(
     offset = sensors.stamp_jitter * jitter.uniform(-1.0, 1.0, count)
     true_t_ns = flight.t_ns[keep]
     axes = FRD_TO_FLU if sensors.convention == "flu" else np.ones(3)
+    airspeed, noise = flight.airspeed, sensors.airspeed_noise
+    if airspeed is None or noise is None:
+        airspeed, noise = np.empty(0), 0.0
+    samples = slice(None, None, airspeed_step(flight.rate))
+    airspeed = airspeed[samples] + sensors.airspeed_bias
+    airspeed_t_ns = flight.t_ns[samples][: len(airspeed)]
     return Measurements(
         flight=flight,
         sensors=sensors,
@@ -136,6 +158,9 @@ def measure(
         actuator_t_ns=flight.actuator_t_ns,
         actuator_log_ns=_log_times(flight.actuator_t_ns, sensors.latency, delays),
         actuators=flight.channels(CHANNEL_SETS[sensors.channels]),
+        airspeed_t_ns=airspeed_t_ns,
+        airspeed_log_ns=_log_times(airspeed_t_ns, sensors.latency, delays),
+        airspeed=airspeed + noise * pitot.standard_normal(len(airspeed)),
     )
 
 

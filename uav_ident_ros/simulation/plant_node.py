@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `simulated_plant`: a JSBSim aircraft for controllers to fly.
 
-It publishes the Imu and what the actuators were told, and takes commands. In step
-(``lock_step``) it is the source of /clock and waits, after each Imu sample, for the command that
-answers it, so that a flight comes out the same on any machine, and as fast as the loop allows.
+It publishes the Imu, the airspeed of an aeroplane and what the actuators were told, and takes
+commands. In step (``lock_step``) it is the source of /clock and waits, after each Imu sample, for
+the command that answers it, so that a flight comes out the same on any machine, and as fast as the
+loop allows.
 Otherwise it flies in real time, stamped with the wall clock, and waits for nobody.
 """
 
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import Quaternion, Vector3, Vector3Stamped
+from geometry_msgs.msg import Quaternion, Twist, TwistStamped, Vector3, Vector3Stamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -72,6 +73,8 @@ PARAMETERS: dict[str, Any] = {
     "gyro_noise": 0.005,  # rms of a sample, rad/s
     "gyro_bias": [0.002, -0.001, 0.001],  # FRD, rad/s
     "accelerometer_noise": 0.05,  # rms of a sample, m/s^2
+    "airspeed_noise": 0.3,  # rms of a sample, m/s; below 0 for no sensor
+    "airspeed_bias": 0.3,  # m/s
     "seed": 0,
     "duration": 0.0,  # s; 0 for ever
     "lock_step": True,
@@ -107,6 +110,8 @@ class PlantNode(Node):
             gyro_noise=self._value("gyro_noise"),
             gyro_bias=tuple(self._value("gyro_bias")),
             accelerometer_noise=self._value("accelerometer_noise"),
+            airspeed_noise=noise if (noise := self._value("airspeed_noise")) >= 0.0 else None,
+            airspeed_bias=self._value("airspeed_bias"),
         )
         faults = [parse_fault(text) for text in self._value("faults") if text]
         name, delay, seed = (self._value(key) for key in ("aircraft", "delay", "seed"))
@@ -134,6 +139,7 @@ class PlantNode(Node):
         self._clock = StepClock(self, self._executor, self._period_ns, self._lock_step)
         self._imu = self.create_publisher(Imu, "imu/data", RELIABLE)
         self._actuators = self.create_publisher(JointState, "actuators", RELIABLE)
+        self._airspeed = self.create_publisher(TwistStamped, "airspeed", RELIABLE)
         self.create_subscription(JointState, "command", self._on_command, RELIABLE)
         self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, RELIABLE)
         self.create_subscription(String, "~/fault", self._on_fault, RELIABLE)
@@ -223,6 +229,9 @@ class PlantNode(Node):
         self._now_ns = self._start_ns + round(self._aircraft.time * NS_PER_S)
         sample = self._aircraft.sample()
         self._clock.advance(self._now_ns)
+        if (speed := sample.measured_airspeed) is not None:
+            header, along = Header(stamp=to_stamp(self._now_ns)), Vector3(x=float(speed))
+            self._airspeed.publish(TwistStamped(header=header, twist=Twist(linear=along)))
         self._imu.publish(_imu_message(self._now_ns, sample))
         if self._lock_step:
             self._wait_for_answers()

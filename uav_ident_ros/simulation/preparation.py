@@ -6,8 +6,10 @@ coefficients become the nominal set of the controller and the start of the ident
 """
 
 import heapq
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import repeat
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +17,14 @@ import numpy as np
 import yaml
 
 from uav_ident_ros.files.coefficients_file import save_coefficients
-from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.share import shared
 from uav_ident_ros.simulation.airframe import Airframe, airframe
 from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import EPOCH_NS
+from uav_ident_ros.simulation.flight import EPOCH_NS, IntArray
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, LiveAircraft
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
@@ -34,8 +36,10 @@ CONFIG = shared("config/closed_loop")
 EXCITED_TIME = 90.0
 """Length of the flight that identifies an aircraft, s."""
 
-SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
-"""Of that flight and of the aircraft in the loop: a MEMS Imu after its low-pass."""
+SENSORS = Sensors(
+    rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05, airspeed_noise=0.3, airspeed_bias=0.3
+)
+"""Of that flight and of the aircraft in the loop: a MEMS Imu after its low-pass, a pitot tube."""
 
 EXCITED_SHARE = 0.1
 """Excitation in the loop, over half of the travel of each surface."""
@@ -72,30 +76,29 @@ def prepare(
     frame = airframe(name, speed)
     segment = Segment("multisine", start=2.0, amplitudes=frame.excitation, seed=seed)
     flight = AircraftFlight((segment,), time, aircraft=name, speed=speed, seed=seed).fly()
-    found = identify(measure(flight, SENSORS, seed))
+    found = identify(measure(flight, SENSORS, seed), frame.speed)
     live = LiveAircraft(name, SENSORS, speed=speed)
     return Prepared(name, frame, live.trim, live.aircraft.limits, widened(found))
 
 
-def identify(m: Measurements) -> CoefficientSet:
-    """Run the identifier over a flight, online, and return what it has at the end."""
-    identifier = OnlineIdentifier(Settings.from_values(parameters(m)))
-    signals = np.hstack([m.rates, m.specific_force]).tolist()
-    messages = heapq.merge(  # at equal stamps the actuators come first
-        zip(m.actuator_t_ns.tolist(), repeat(False), m.actuators.tolist()),
-        zip(m.imu_t_ns.tolist(), repeat(True), signals),
+def identify(m: Measurements, speed: float) -> CoefficientSet:
+    """Run the identifier over a flight, online; return what it has in the end, at `speed`, m/s."""
+    settings = Settings.from_values(parameters(m) | {"airspeed.reference": float(speed)})
+    identifier = OnlineIdentifier(settings)
+    rates = zip(m.rates.tolist(), m.specific_force.tolist(), strict=True)
+    streams: Iterable[tuple[IntArray, Callable[..., object], Iterable[Any]]] = (
+        (m.actuator_t_ns, identifier.add_actuators, zip(m.actuators.tolist())),
+        (m.airspeed_t_ns, identifier.add_airspeed, zip(m.airspeed.tolist())),
+        (m.imu_t_ns, identifier.add_rates, rates),  # the last of equal stamps: it makes ticks due
     )
-    estimates: list[Estimate] = []
-    for t_ns, is_rates, values in messages:
-        if not is_rates:
-            identifier.add_actuators(t_ns, values)
-            continue
-        identifier.add_rates(t_ns, values[:3], values[3:])
-        estimates = list(identifier.advance()) or estimates
-    if not estimates:
+    calls = (zip(t_ns.tolist(), repeat(add), values) for t_ns, add, values in streams)
+    ticks = 0
+    for t_ns, add, values in heapq.merge(*calls, key=itemgetter(0)):
+        add(t_ns, *values)
+        ticks += sum(1 for _ in identifier.advance())
+    if not ticks:
         raise SimulationError("the flight is too short to identify anything")
-    last = estimates[-1]
-    return CoefficientSet(identifier.settings.structure, last.coefficients, last.sigma, last.t_ns)
+    return identifier.coefficient_set()
 
 
 def widened(found: CoefficientSet) -> CoefficientSet:

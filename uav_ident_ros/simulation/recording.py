@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured flights as bags: /imu/data and /actuators, and the parameters that fit them."""
+"""Measured flights as bags, and the parameters that fit their topics."""
 
 import heapq
 from collections.abc import Iterator, Mapping
@@ -10,13 +10,22 @@ from typing import Any
 import numpy as np
 import yaml
 
-from uav_ident_ros.bags.messages import ARRAY, IMU, JOINT_STATE, array, imu, joint_state
+from uav_ident_ros.bags.messages import (
+    ARRAY,
+    IMU,
+    JOINT_STATE,
+    TWIST,
+    array,
+    imu,
+    joint_state,
+    twist_stamped,
+)
 from uav_ident_ros.bags.writing import BagWriter, qos
 from uav_ident_ros.files.truth_file import TRUTH_FILE
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.simulation.noise import Measurements
 
-IMU_TOPIC, ACTUATOR_TOPIC = "/imu/data", "/actuators"
+IMU_TOPIC, ACTUATOR_TOPIC, AIRSPEED_TOPIC = "/imu/data", "/actuators", "/airspeed"
 
 PARAMETER_FILE = "identifier.yaml"
 
@@ -49,6 +58,14 @@ def actuator_messages(measurements: Measurements) -> Iterator[tuple[int, str, An
         yield log, ACTUATOR_TOPIC, message
 
 
+def airspeed_messages(measurements: Measurements) -> Iterator[tuple[int, str, Any]]:
+    """(log time, topic, message) of every measured airspeed."""
+    m = measurements
+    columns = (m.airspeed_log_ns.tolist(), m.airspeed_t_ns.tolist(), m.airspeed.tolist())
+    for log, t, speed in zip(*columns, strict=True):
+        yield log, AIRSPEED_TOPIC, twist_stamped(t, (speed, 0.0, 0.0))
+
+
 def write_bag(
     measurements: Measurements,  # The flight
     path: Path | str,  # Folder of the new bag
@@ -65,8 +82,11 @@ def write_bag(
     with BagWriter(path, compress) as bag:
         bag.topic(IMU_TOPIC, IMU, qos(500, reliable=False))
         bag.topic(ACTUATOR_TOPIC, actuator_type(measurements), qos(10))
+        streams = [actuator_messages(measurements), imu_messages(measurements)]
+        if len(measurements.airspeed):
+            bag.topic(AIRSPEED_TOPIC, TWIST, qos(10))
+            streams.append(airspeed_messages(measurements))
         # At equal log times the actuators come first, as the command precedes its effect.
-        streams = (actuator_messages(measurements), imu_messages(measurements))
         for log, topic, message in heapq.merge(*streams, key=lambda entry: entry[0]):
             bag.write(topic, log, message)
     meaning = "What the topics of this bag mean: parameters for the identifier and for replay."
@@ -96,6 +116,8 @@ def parameters(measurements: Measurements) -> dict[str, Any]:
     flight = measurements.flight
     if flight.airspeed is not None:
         values["airspeed.reference"] = round(float(flight.airspeed.mean()), 1)
+        if len(measurements.airspeed):
+            values["airspeed.type"] = TWIST
     elif flight.structure:
         # The plant has no aerodynamic forces: its own structure has its coefficients.
         values["structure"] = "augmented"

@@ -53,6 +53,10 @@ class Estimator(Protocol):
         """What the main inputs do otherwise than the model says, relative to their effect, (3,)."""
 
     @property
+    def height(self) -> float:
+        """Height of the accelerometer above where it is said to be, m; 0 if no more than chance."""
+
+    @property
     def answers(self) -> FloatArray:
         """Share of each input that answers disturbances, shape (4,), 0 ... 1."""
 

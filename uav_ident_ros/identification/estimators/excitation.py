@@ -13,15 +13,12 @@ from collections import deque
 import numpy as np
 
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.scales import LOOK_TIME
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME, LOOK_TIME
 from uav_ident_ros.identification.settings import SupervisionSettings
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
 
 WINDOW_TIME = 3.0
 """Time over which the variance of an input is taken, s: a slow multisine still moves in it."""
-
-NEWEST_PART = 3
-"""The residuals are taken over the newest third of the window: a gust front shows at once."""
 
 CLEAR_SIGNAL = 0.5
 """Variance that the inputs explain in a row, relative to that of the residual, below which they
@@ -61,7 +58,7 @@ class ExcitationGate:
     def __init__(self, free: BoolArray, settings: SupervisionSettings) -> None:
         self.settings = settings
         self._watched: BoolArray = free[:, INPUT_COLUMNS]
-        self._gathered: list[tuple[Regression, FloatArray]] = []
+        # of each update: time, and the integrals of u, u^2 and the squared residuals
         self._window: deque[FloatArray] = deque()
         self._window_time = 0.0
         self._since_look = 0.0
@@ -87,22 +84,13 @@ class ExcitationGate:
         coefficients : (3, n) array
             What is known.
         """
-        self._gathered.append((samples, residual))
+        u = samples.f[:, INPUT_COLUMNS]
+        signals = np.concatenate((np.ones((len(u), 1)), u, u * u, residual * residual), axis=1)
+        self._window.append(samples.dt * np.add.reduce(signals))
         self._since_look += samples.time
-        if self._since_look >= LOOK_TIME - 0.5 * samples.dt or not self._window:
-            self._add_up()
+        if self._since_look >= LOOK_TIME - 0.5 * samples.dt or len(self._window) == 1:
             self._look(coefficients[:, INPUT_COLUMNS])
         return self.weight
-
-    def _add_up(self) -> None:
-        """Put time, and the sums of u, u^2 and the squared residuals over it, into the window."""
-        gathered, self._gathered = self._gathered, []
-        u = np.concatenate([samples.f[:, INPUT_COLUMNS] for samples, _ in gathered])
-        residual = np.concatenate([residual for _, residual in gathered])
-        signals = np.concatenate((np.ones((len(u), 1)), u, u * u, residual * residual), axis=1)
-        counts = [len(residual) for _, residual in gathered]
-        sums = np.add.reduceat(signals, np.cumsum([0, *counts[:-1]]))
-        self._window.extend(s.dt * row for (s, _), row in zip(gathered, sums, strict=True))
 
     def _look(self, effect: FloatArray) -> None:
         """Compare the inputs over the window with what is usual, and with the residuals."""
@@ -110,10 +98,10 @@ class ExcitationGate:
         self._window_time += elapsed
         while self._window_time > WINDOW_TIME and len(self._window) > 1:
             self._window_time -= self._window.popleft()[0]
-        sums = np.concatenate(self._window).reshape(-1, 12)
-        means = np.add.reduce(sums)
-        means /= means[0]
-        newest = np.add.reduce(sums[len(sums) - len(sums) // NEWEST_PART - 1 :])
+        sums = np.add.accumulate(np.array(self._window)[::-1])
+        means = sums[-1] / sums[-1, 0]
+        # The residuals over the newest part: a gust front shows at once.
+        newest = sums[np.searchsorted(sums[:-1, 0], INDEPENDENT_TIME)]
         variance = np.maximum(means[5:9] - means[1:5] ** 2, 0.0)
         self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
         residual = np.maximum(newest[9:] / newest[0], np.finfo(float).tiny)

@@ -140,6 +140,7 @@ class GradientEstimator:
         self.start = start
         self.learning: BoolArray = np.ones(3, dtype=bool)
         self.model_error: FloatArray = np.zeros(3)  # nor at this
+        self.height = 0.0  # nor at this
         self.answers: FloatArray = np.zeros(len(INPUTS))  # nor at this
         self.clear: BoolArray = np.ones(3, dtype=bool)  # it does not look
         self.changes: list[tuple[int, int]] = []

@@ -56,6 +56,9 @@ control derivatives are off by 2.4 % rms, all dominant ones by 3.4 (benchmarks/d
 KNOWN_BLOCKS = 1000.0
 """Blocks that what is known counts as: its covariance owes nothing to the scatter of a few."""
 
+POWERLESS = float(np.finfo(float).tiny) ** 0.5
+"""Power below which an instrument has none: the product of two scales is a number still."""
+
 COLLINEAR_EIGENVALUE = 0.02
 """Eigenvalue of the scaled information below which its direction is unknown; 1 if all
 regressors are uncorrelated."""
@@ -69,40 +72,44 @@ class Sums:
 
     Parameters
     ----------
+    table : (parts, rows, k (1 + 4 k) + 2) array
+        All of it, row by row: the attributes are views of it.
+    k : int
+        Coefficients of a row.
+
+    Attributes
+    ----------
     products : (parts, rows, k, 1 + 3 k) array
         Side by side, each times dt: ``r = sum z y``, ``R = sum z f^T``, ``S = sum z z^T``, and
         ``sum q z z^T`` with q as `Feedback` has it: what answers disturbances.
     scores : (parts, rows, k, k) array
         Sum of ``g g^T`` over blocks, ``g`` the sum of ``z e`` over a block, times dt.
-    counts : (2, parts, rows) array
+    blocks, answer_time : (parts, rows) array
         Number of blocks, and time with answers, s.
     """
 
-    def __init__(self, products: FloatArray, scores: FloatArray, counts: FloatArray) -> None:
-        self.products, self.scores, self.counts = products, scores, counts
-        k = products.shape[2]
-        self.zy, self.zf = products[..., :1], products[..., 1 : 1 + k]
-        self.zz, self.answers = products[..., 1 + k : 1 + 2 * k], products[..., 1 + 2 * k :]
+    def __init__(self, table: FloatArray, k: int) -> None:
+        self.table, self.k = table, k
+        first, last = k * (1 + 3 * k), k * (1 + 4 * k)
+        self.products = table[..., :first].reshape(*table.shape[:2], k, 1 + 3 * k)
+        self.scores = table[..., first:last].reshape(*table.shape[:2], k, k)
+        self.blocks, self.answer_time = table[..., last], table[..., last + 1]
+        self.zy, self.zf = self.products[..., :1], self.products[..., 1 : 1 + k]
+        self.zz = self.products[..., 1 + k : 1 + 2 * k]
+        self.answers = self.products[..., 1 + 2 * k :]
 
     @classmethod
     def nothing(cls, parts: int, rows: int, k: int) -> Self:
         """Return sums of nothing."""
-        products, scores = np.zeros((parts, rows, k, 1 + 3 * k)), np.zeros((parts, rows, k, k))
-        return cls(products, scores, np.zeros((2, parts, rows)))
+        return cls(np.zeros((parts, rows, k * (1 + 4 * k) + 2)), k)
 
     def __getitem__(self, parts: slice) -> Sums:
         """Return some of the parts: views, not copies."""
-        return Sums(self.products[parts], self.scores[parts], self.counts[:, parts])
+        return Sums(self.table[parts], self.k)
 
     def copy(self) -> Sums:
         """Return an independent copy."""
-        return Sums(self.products.copy(), self.scores.copy(), self.counts.copy())
-
-    def plus(self, other: Sums) -> Sums:
-        """Return the sums of both."""
-        return Sums(
-            self.products + other.products, self.scores + other.scores, self.counts + other.counts
-        )
+        return Sums(self.table.copy(), self.k)
 
     def add(
         self, samples: RowSamples, weight: FloatArray, answering: FloatArray | None = None
@@ -118,32 +125,19 @@ class Sums:
         answering : (rows, k, k) array, optional
             q of each pair of instruments; nothing answers a disturbance without it.
         """
-        k = samples.width
+        k = self.k
         weighted = samples.z * (samples.dt * weight)[:, None, None]
         products = weighted.swapaxes(-1, -2) @ samples.signals
         self.products[..., : 1 + 2 * k] += products[..., 1:]
         if answering is not None:
             self.answers += products[..., 2 + k :] * answering
-            answered = np.add.reduce(answering, axis=(1, 2)) > 0.0
-            self.counts[1] += samples.time * weight * answered
+            self.answer_time += samples.time * weight * answering.any(axis=(1, 2))
         return np.asarray(products[..., 0])
 
     def weigh(self, keep: FloatArray) -> None:
         """Let all samples so far count for `keep` of what they did, (rows,) or (parts, 1)."""
-        square = keep[..., None, None]
-        self.products *= square
-        self.scores *= square * square
-        self.counts *= keep
-
-    def discount(self, keep: float) -> None:
-        """Let what they tell be worth `keep` of what it was: sigma grows."""
-        for part in (self.products, self.scores, self.counts):
-            part *= keep
-
-    def set_row(self, row: int, other: Sums) -> None:
-        """Take one row from other sums."""
-        self.products[:, row], self.scores[:, row] = other.products[:, row], other.scores[:, row]
-        self.counts[:, :, row] = other.counts[:, :, row]
+        self.table *= keep[..., None]
+        self.scores *= keep[..., None, None]
 
     def set_known(
         self, row: int, mean: FloatArray, covariance: FloatArray, free: BoolArray, unit: FloatArray
@@ -167,11 +161,11 @@ class Sums:
         precision = np.zeros_like(covariance)
         precision[pairs] = np.linalg.inv(covariance[pairs])
         known = unit[:, None, None] * precision
+        self.table[:, row] = 0.0
         self.zf[:, row] = self.zz[:, row] = known
         self.zy[:, row] = (known @ mean)[..., None]
-        self.answers[:, row] = 0.0
         self.scores[:, row] = unit[:, None, None] * known
-        self.counts[:, :, row] = np.array([[KNOWN_BLOCKS], [0.0]])
+        self.blocks[:, row] = KNOWN_BLOCKS
 
 
 @dataclass
@@ -191,7 +185,9 @@ class Solution:
     transform : (rows, k, k) array
         T, from the structure's coefficients to the linear ones.
     projected, matrix : (parts, rows, k, k) array
-        ``B^T S^-1``, and ``B^T S^-1 B + P``.
+        ``B^T S^-1`` without the last scale, and ``B^T S^-1 B + P``.
+    scale : (parts, rows, k, 1) array
+        Of the instruments.
     prior : (parts, rows, k) array
         Diagonal of P.
     """
@@ -201,6 +197,7 @@ class Solution:
     sums: Sums
     transform: FloatArray
     projected: FloatArray
+    scale: FloatArray
     matrix: FloatArray
     prior: FloatArray
 
@@ -253,11 +250,17 @@ class Information:
         self.forgetting_time = forgetting_time
         self._structure = structure
         self._unit_time = correlation_time
-        self._instrumental = np.array(instrumental)
+        self._instrumental = tuple(instrumental)
         parts, rows, k = len(instrumental), layout.rows, layout.width
         self._i, self._j = layout.place[..., 0], layout.place[..., 1]
-        self._row, self._column = self._i[layout.used], self._j[layout.used]
-        self._flow = _flow_entries(structure, layout)
+        self._used = np.flatnonzero(layout.used)
+        self._places = (structure.size * self._i + self._j).ravel()[self._used]
+        defined = [
+            (at.row, column, entry, at.angle, at.rows.force)
+            for at in _flow_entries(structure, layout)
+            for entry, column in ((at.angle, at.rows.angle), *at.others)
+        ]
+        self._flow = np.array(defined, dtype=np.intp).reshape(-1, 5).T
         self._transform = Transform(structure, layout)
         self.start = start
         self.sums = Sums.nothing(parts, rows, k)
@@ -278,13 +281,17 @@ class Information:
     def start(self, start: Start) -> None:
         self._start = start
         used = self.layout.used
-        self._initial = np.where(used, start.values[self._i, self._j], 0.0)
+        self._initial = np.where(used, start.values[self._i, self._j], 0.0)[..., None]
         self.free: BoolArray = used & start.free[self._i, self._j]
         self._precision = np.where(self.free, start.precision[self._i, self._j], 0.0)
         self._prior_variance = np.where(self.free, start.sigma[self._i, self._j] ** 2, 0.0)
-        self._known_before = used & start.known_before(self._structure)[self._i, self._j]
-        self._pairs = (self.free[:, :, None] & self.free[:, None, :]) * 1.0
-        self._rest = np.where(self.free, 0.0, 1.0)
+        known = used & start.known_before(self._structure)[self._i, self._j]
+        rows = known.any(axis=1)
+        rows[: len(ROWS)] = known[range(len(ROWS)), self.layout.main]
+        self._before = rows[:, None, None] / self._unit_time
+        self._moves: FloatArray = self.free * 1.0
+        self._pairs = self._moves[:, :, None] * self._moves[:, None, :]
+        self._rest = np.where(self.free, np.finfo(float).tiny, 1.0)
         self._lost = self.free.sum(axis=1)
 
     @property
@@ -294,8 +301,15 @@ class Information:
 
     @property
     def known(self) -> Sums:
-        """All that was accumulated."""
-        return self.sums if self._fading is None else self.sums.plus(self._fading)
+        """All that was accumulated; not to be changed."""
+        return self._sums(slice(None))
+
+    def _sums(self, parts: slice) -> Sums:
+        """Return all that was accumulated of some parts."""
+        table = self.sums.table[parts]
+        if self._fading is not None:
+            table = table + self._fading.table[parts]
+        return Sums(table, self.sums.k)
 
     def add(
         self,
@@ -307,59 +321,49 @@ class Information:
 
         Parameters are those of `Sums.add`.
         """
-        stack = self._stack(samples)
-        time, known = weight * stack.time, self.time > 0.0
+        if self.warming_up and self.time.max() >= WARM_UP_TIME:
+            self._end_warm_up()
+        stack = RowSamples(np.array([part.signals for part in samples]), samples[0].dt)
+        for part, instrumental in enumerate(self._instrumental):
+            if self.warming_up or not instrumental:  # the regressors are their own instruments
+                stack.z[part] = stack.f[part]
+        time, begun = weight * stack.time, self.time > 0.0
         if self._fading is not None:
-            self._fade(np.exp(-time / FADE_TIME))
+            keep = np.exp(time / -FADE_TIME)
+            self._fading.weigh(keep)
+            self._faded *= keep
+            if self._faded.max() < FADED:
+                self._fading = None
         score = self.sums.add(stack, weight, answering)
         residual = stack.residual
         # What coefficients that know nothing leave is no residual.
         square = np.minimum(residual * residual, OUTLYING * self.variance[..., None])
-        share = known * np.minimum(
-            time / np.minimum(SHORT_MEMORY, self.time + INDEPENDENT_TIME), 1.0
-        )
+        share = np.minimum(time / np.minimum(SHORT_MEMORY, self.time + INDEPENDENT_TIME), begun)
         mean = np.add.reduce(square, axis=-1) / residual.shape[-1]
         self.variance += share * (mean - self.variance)
         self.time += time
-        self._score += known[:, None] * score
+        self._score += begun[:, None] * score
         self._score_time += time
         if max(self._score_time.tolist()) >= INDEPENDENT_TIME:
             self._close_blocks(self._score_time >= INDEPENDENT_TIME)
 
-    def _stack(self, samples: Sequence[RowSamples]) -> RowSamples:
-        """Put samples of all parts together; least squares has its regressors as instruments."""
-        if self.warming_up and self.time.max() >= WARM_UP_TIME:
-            self.warming_up = False
-            self._fading = self.sums.copy()
-            self._fading.weigh(self._instrumental[:, None] * 1.0)
-            self.sums.weigh(~self._instrumental[:, None] * 1.0)
-        stack = RowSamples(np.array([part.signals for part in samples]), samples[0].dt)
-        plain = self._uninstrumented
-        stack.z[plain] = stack.f[plain]
-        return stack
-
-    @property
-    def _uninstrumented(self) -> BoolArray:
-        """Parts whose regressors are their own instruments now, (parts,)."""
-        return self.warming_up | ~self._instrumental
+    def _end_warm_up(self) -> None:
+        """Begin with instruments; what was accumulated without them fades."""
+        self.warming_up = False
+        self._fading = self.sums.copy()
+        for part, instrumental in enumerate(self._instrumental):
+            (self.sums if instrumental else self._fading).table[part] = 0.0
 
     def instrumented(self, samples: RowSamples) -> RowSamples:
         """Return samples with the instruments that the first part has now."""
-        return samples.uninstrumented() if self._uninstrumented[0] else samples
-
-    def _fade(self, keep: FloatArray) -> None:
-        """Let the start count for `keep` (rows,) of what it did."""
-        assert self._fading is not None
-        self._fading.weigh(keep)
-        self._faded *= keep
-        if self._faded.max() < FADED:
-            self._fading = None
+        plain = self.warming_up or not self._instrumental[0]
+        return samples.uninstrumented() if plain else samples
 
     def _close_blocks(self, full: BoolArray) -> None:
         """Count the scores of the rows whose block is full, and forget."""
         score = full[:, None] * self._score
         self.sums.scores += score[..., :, None] * score[..., None, :]
-        self.sums.counts[0] += full
+        self.sums.blocks += full
         if self.forgetting_time > 0.0:
             self.sums.weigh(np.exp(full * self._score_time / -self.forgetting_time))
         self._score[:, full] = 0.0
@@ -367,21 +371,26 @@ class Information:
 
     def discount(self, keep: float) -> None:
         """Let all that was accumulated be worth `keep` of what it was."""
-        self.sums.discount(keep)
+        self.sums.table *= keep
         if self._fading is not None:
-            self._fading.discount(keep)
+            self._fading.table *= keep
 
     def set_row(self, row: int, sums: Sums) -> None:
         """Replace all that is known in one row."""
-        self.sums.set_row(row, sums)
+        self.sums.table[:, row] = sums.table[:, row]
         if self._fading is not None:
-            parts, rows = self.variance.shape
-            self._fading.set_row(row, Sums.nothing(parts, rows, self.layout.width))
+            self._fading.table[:, row] = 0.0
 
     # -- solution --------------------------------------------------------------------------
 
     def solve(self, values: FloatArray, parts: slice = slice(None)) -> Solution:
         """Solve for what differs from the start, with instruments scaled to a unit diagonal of S.
+
+        What answers disturbances is as good as a few samples, however long it lasts. In rows
+        whose control derivative was known before S counts it so (the weights of the generalised
+        method of moments; Hansen 1982): the prior counts for more, and the instrument of a
+        coefficient that it holds does not pull at the others. Elsewhere the prior only keeps
+        noise out, and counts as it is.
 
         Parameters
         ----------
@@ -390,46 +399,27 @@ class Information:
         parts : slice
             Which parts; all if left out.
         """
-        sums, transform = self.known[parts], self._transform(values)
-        instruments = sums.zz * self._pairs
-        power = np.einsum("pijj->pij", instruments)
-        dead = power <= 0.0
-        power = power + dead
-        scale = 1.0 / np.sqrt(power)
-        prior = self._prior(sums, power, self.variance[parts])
-        instruments *= scale[..., :, None] * scale[..., None, :]
-        np.einsum("pijj->pij", instruments)[...] += RIDGE + dead
+        sums, transform = self._sums(parts), self._transform(values)
+        weighed = sums.zz + sums.answer_time[..., None, None] * self._before * sums.answers
+        power = np.maximum(weighed.diagonal(axis1=2, axis2=3), POWERLESS)
+        scale = (self._moves / np.sqrt(power))[..., None]
+        prior = self._precision * self.unit[parts][..., None]
+        instruments = weighed * (scale * scale.swapaxes(-1, -2))
+        np.einsum("pijj->pij", instruments)[...] += RIDGE
         slope = sums.zf @ transform
-        target = scale[..., None] * (sums.zy - slope @ self._initial[..., None])
-        slope *= self._pairs * scale[..., None]
+        target = scale * (sums.zy - slope @ self._initial)
+        slope *= scale * self._pairs
         projected = np.linalg.solve(instruments, slope).swapaxes(-1, -2)
         matrix = projected @ slope
-        diagonal = np.einsum("pijj->pij", matrix)
-        diagonal += prior + self._rest
-        # Columns without power have neither data nor, where fixed, a prior.
-        diagonal[diagonal <= 0.0] = 1.0
+        np.einsum("pijj->pij", matrix)[...] += prior + self._rest
         try:
-            change = np.linalg.solve(matrix, projected @ target)[..., 0]
+            change: FloatArray = np.linalg.solve(matrix, projected @ target)
         except np.linalg.LinAlgError:
-            change = np.full_like(prior, np.nan)
-        physical = self._initial + np.where(self.free, change, 0.0)
-        linear = (transform @ physical[..., None])[..., 0]
-        found = self._placed(physical, self._start.values)
-        projected = projected * scale[..., None, :]
-        return Solution(found, linear, sums, transform, projected, matrix, prior)
-
-    def _prior(self, sums: Sums, power: FloatArray, variance: FloatArray) -> FloatArray:
-        """Return how much the prior counts, (parts, rows, k), where samples count as their time.
-
-        What answers disturbances is as good as a few samples, however long it lasts: beside it
-        what was learned before counts for more. What only keeps noise out does not.
-        """
-        prior = self._precision * (variance * self._unit_time)[..., None]
-        if np.add.reduce(sums.counts[1], axis=None) > 0.0:
-            share = np.einsum("pijj->pij", sums.answers) / power
-            samples = (sums.counts[1] / self._unit_time)[..., None]
-            prior *= 1.0 + self._known_before * share * samples
-        return np.asarray(prior)
+            change = np.full_like(target, np.nan)
+        physical = self._initial + change
+        linear = (transform @ physical)[..., 0]
+        found = self._placed(physical[..., 0], self._start.values)
+        return Solution(found, linear, sums, transform, projected, scale, matrix, prior)
 
     def spread(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
         """Return how well the coefficients of all parts are known.
@@ -447,16 +437,15 @@ class Information:
             Standard deviations of the coefficients of the structure.
         """
         sums, transform, prior = solution.sums, solution.transform, solution.prior
-        blocks, answer_time = sums.counts
         try:
             inverse = np.linalg.inv(solution.matrix)
         except np.linalg.LinAlgError:
             inverse = np.full_like(solution.matrix, np.nan)
-        gain = self._pairs * (inverse @ solution.projected)
+        gain = inverse @ solution.projected * solution.scale.swapaxes(-1, -2)
         # Few blocks: their scatter underestimates; p coefficients cost p degrees of freedom.
-        correction = 1.0 + self._lost / np.maximum(blocks - self._lost, 1.0)
+        correction = 1.0 + self._lost / np.maximum(sums.blocks - self._lost, 1.0)
         middle = sums.scores * correction[..., None, None]
-        middle += (self.variance * answer_time)[..., None, None] * sums.answers
+        middle += (self.variance * sums.answer_time)[..., None, None] * sums.answers
         held = inverse * (prior**2 * self._prior_variance)[..., None, :]
         covariance = gain @ middle @ gain.swapaxes(-1, -2) + held @ inverse.swapaxes(-1, -2)
         resolution = 1.0 - np.einsum("pijj->pij", inverse) * prior
@@ -474,17 +463,15 @@ class Information:
         """
         variance = np.maximum(np.einsum("pijj->pij", covariance), 0.0)
         out = self._placed(variance, np.zeros_like(self._start.values))
-        for at in self._flow:
-            share, force = linear[:, at.row, at.angle] ** 2, out[:, at.rows.force]
-            for entry, column in ((at.angle, at.rows.angle), *at.others):
-                resolved = resolution[:, at.row, entry] ** 2
-                out[:, at.row, column] += share * force[:, column] * resolved
+        row, column, entry, angle, force = self._flow
+        share, resolved = linear[:, row, angle] ** 2, resolution[:, row, entry] ** 2
+        out[:, row, column] += share * out[:, force, column] * resolved
         return np.where(self._start.free, np.sqrt(out), self._start.sigma)
 
     def _placed(self, entries: FloatArray, over: FloatArray) -> FloatArray:
         """Entries (parts, rows, k) at their places in the structure, over (R, n)."""
         out = np.array([over] * len(entries))
-        out[:, self._row, self._column] = entries[:, self.layout.used]
+        out.reshape(len(out), -1)[:, self._places] = entries.reshape(len(out), -1)[:, self._used]
         return out
 
     # -- what the flight has told, by the first part -----------------------------------------
@@ -598,14 +585,15 @@ class Transform:
             for rows, entry in _kinematic_entries(structure, layout)
         ]
         columns = np.array(entries, dtype=np.intp).reshape(-1, 6).T
-        self._at, self._sign = tuple(columns[:3]), columns[3]
-        self._over, self._under = columns[4:]
+        self._at = np.ravel_multi_index(tuple(columns[:3]), self._one.shape)
+        self._sign, self._over, self._under = columns[3:]
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Return the matrices for coefficients of the structure (R, n)."""
         matrices = self._one.copy()
-        known = np.append(values, 1.0)
-        matrices[self._at] = self._sign * known[self._over] / known[self._under]
+        known = np.ones(values.size + 1)
+        known[:-1] = values.ravel()
+        matrices.ravel()[self._at] = self._sign * known[self._over] / known[self._under]
         return matrices
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a surface does otherwise than the model says: late, or less the more is asked of it.
+"""What flights show that the model has no term for: lateness, saturation, an Imu beside the centre.
 
 A servo lag or a limit of travel that nobody told leaves little in the residual: damping takes up
 most of it. So they are looked for beside all other regressors of a row, in a regression of its own,
@@ -9,18 +9,23 @@ most of it. So they are looked for beside all other regressors of a row, in a re
 with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16). Where
 c1 takes away from what the input does, it saturates; where c2 does, it acts late. Then the control
 derivative is off by about as much.
+
+An accelerometer h above the centre of gravity measures `h pdot` as side force. In the row of ay,
+with p in the place of u, c2 is h.
 """
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from uav_ident_ros.identification.regression import Layout, RowSamples
-from uav_ident_ros.identification.scales import INDEPENDENT_TIME
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME, LONG_MEMORY
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
-BLOCKS = 60
-"""Blocks that are looked at, the newest: a minute."""
+BLOCKS = round(LONG_MEMORY / INDEPENDENT_TIME)
+"""Blocks that are looked at, the newest."""
 
 LEAST_T = 4.0
 """Value over sigma from which it is no chance: one look in ten thousand."""
@@ -48,33 +53,35 @@ class ModelError:
     share : (3,) array
         What is taken away by lateness or saturation, whichever is more, relative to what the input
         does, both in rms; 0 where it is no more than chance.
+    height : float
+        Of the accelerometer above where it is said to be, m; 0 where it is no more than chance.
     """
 
     def __init__(self, layout: Layout) -> None:
-        self._entries = layout.main
-        rows = len(ROWS)
-        # samples, their weights (3,) times dt, and whether they do not continue those before
-        self._gathered: list[tuple[RowSamples, FloatArray, bool]] = []
-        # sum of z f^T, z z^T and z y side by side, and of the squared residuals, a block each
-        k = layout.width + EXTRA
-        self._blocks: FloatArray = np.zeros((BLOCKS, rows, k, 2 * k + 1))
-        self._squares: FloatArray = np.zeros((BLOCKS, rows))
-        self._closed = 0
-        self._ratio: FloatArray = np.zeros(rows)
-        self._time = 0.0
-        self._before: FloatArray | None = None
-        self._sure: BoolArray = np.zeros((rows, EXTRA), dtype=bool)
-        self.share: FloatArray = np.zeros(rows)
+        self._entries = [*layout.main, *layout.rolling]
+        # samples, and their weights (3,) times dt
+        self._gathered: list[tuple[RowSamples, FloatArray]] = []
+        # of each block, the sum of z f^T, z z^T and z y side by side, and of the squared residuals
+        self._blocks: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=BLOCKS)
+        self._sure: BoolArray = np.zeros((len(self._entries), EXTRA), dtype=bool)
+        self.share: FloatArray = np.zeros(len(ROWS))
+        self.height = 0.0
 
     def forget(self, row: int) -> None:
         """Forget what a row has shown: it is learned anew."""
-        self._blocks[:, row] = self._squares[:, row] = self.share[row] = 0.0
-        for _, weight, _ in self._gathered:
-            weight[row] = 0.0
-        self._sure[row] = False
+        self._gathered.clear()
+        for products, squares in self._blocks:
+            products[row] = squares[row] = 0.0
+        self._sure[row], self.share[row] = False, 0.0
 
     def add(
-        self, samples: RowSamples, weight: FloatArray, ratio: FloatArray, *, restarted: bool
+        self,
+        samples: RowSamples,
+        weight: FloatArray,
+        ratio: FloatArray,
+        effect: FloatArray,
+        *,
+        restarted: bool,
     ) -> None:
         """Take samples; they are looked at in blocks of `INDEPENDENT_TIME`.
 
@@ -86,45 +93,45 @@ class ModelError:
             How much they count in each row.
         ratio : (3, k) array
             q of the instruments as `Feedback` has it: an input that answers looks late.
+        effect : (3,) array
+            Control derivative of each row's main input.
         restarted : bool
             Whether the first does not continue those before.
         """
-        self._gathered.append((samples, samples.dt * weight, restarted))
-        self._time += samples.time
-        if self._time >= INDEPENDENT_TIME - 0.5 * samples.dt:
-            self._time = 0.0
-            self._ratio = ratio[range(len(ROWS)), self._entries]
+        if restarted:
+            self._gathered.clear()
+        self._gathered.append((samples, samples.dt * weight))
+        if sum(part.time for part, _ in self._gathered) >= INDEPENDENT_TIME - 0.5 * samples.dt:
             self._close_block()
-            self._look()
+            own = np.zeros(len(self._entries))
+            own[: len(ROWS)] = ratio[range(len(ROWS)), self._entries[: len(ROWS)]]
+            self._look(own, effect)
 
     def _close_block(self) -> None:
         """Add up what was gathered."""
-        gathered, self._gathered = self._gathered, []
-        signals = np.concatenate([part.signals[: len(ROWS)] for part, _, _ in gathered], axis=1)
-        counts = [part.count for part, _, _ in gathered]
-        weight = np.repeat([weight for _, weight, _ in gathered], counts, axis=0).T
-        step = np.repeat([part.dt for part, _, _ in gathered], counts)
-        k = gathered[0][0].width
-        # Both inputs, as regressor and as instrument; a restart's first has no slope.
-        places = np.array([[2 + entry, 2 + k + entry] for entry in self._entries])
-        u = np.take_along_axis(signals, places[:, None], axis=2)
-        first = u[:, :1] if self._before is None else self._before
-        slope = np.diff(np.concatenate((first, u), axis=1), axis=1) / step[:, None]
-        restarted = [begins for _, _, begins in gathered]
-        slope[:, np.cumsum([0, *counts[:-1]])[restarted]] = 0.0
-        self._before = u[:, -1:]
-        extra = np.stack((u * np.abs(u), slope), axis=-1)  # (3, m, of f or z, EXTRA)
-        y, f, z = signals[:, :, 1:2], signals[:, :, 2 : 2 + k], signals[:, :, 2 + k :]
-        f, z = (np.concatenate((part, extra[:, :, i]), axis=2) for i, part in enumerate((f, z)))
+        parts, weights = zip(*self._gathered, strict=True)
+        self._gathered.clear()
+        samples = RowSamples.join(parts, sum(part.count for part in parts))
+        rows = slice(len(self._entries))
+        weight = np.repeat(weights, [part.count for part in parts], axis=0).T
+        weight = weight[[0, 1, 2, 0][rows]]  # a roll tells the row of ay
+        weight[:, 0] = 0.0  # its slope is not known
+        f, z = (self._extended(part[rows], samples.dt) for part in (samples.f, samples.z))
         weighted = (z * weight[:, :, None]).transpose(0, 2, 1)
-        newest = self._closed % BLOCKS
-        self._blocks[newest] = weighted @ np.concatenate((f, z, y), axis=2)
-        self._squares[newest] = np.add.reduce(weight * signals[:, :, 0] ** 2, axis=1)
-        self._closed += 1
+        products = weighted @ np.concatenate((f, z, samples.y[rows, :, None]), axis=2)
+        squares = np.add.reduce(weight * samples.residual[rows] ** 2, axis=1)
+        self._blocks.append((products, squares))
 
-    def _look(self) -> None:
+    def _extended(self, regressors: FloatArray, dt: float) -> FloatArray:
+        """Regressors (rows, m, k), or instruments, with u|u| and du/dt of each row's u."""
+        u = regressors[range(len(self._entries)), :, self._entries]
+        slope = np.diff(u, axis=1, prepend=u[:, :1]) / dt
+        return np.concatenate((regressors, np.stack((u * np.abs(u), slope), axis=-1)), axis=2)
+
+    def _look(self, ratio: FloatArray, effect: FloatArray) -> None:
         """Solve in units of each regressor's rms, and compare the extra ones with their sigma."""
-        k, blocks = self._blocks.shape[2], self._blocks[: self._closed]
+        blocks, squares = (np.array(part) for part in zip(*self._blocks, strict=True))
+        k = blocks.shape[2]
         if len(blocks) <= k:
             return  # as many coefficients leave no scatter to judge by
         total = np.add.reduce(blocks)
@@ -143,12 +150,17 @@ class ModelError:
         lost = k / (len(blocks) - k)
         variance = (1.0 + lost) * np.add.reduce(scatter**2)
         # An input that answers looks late, but not as if it stopped short.
-        answers = self._ratio * np.add.reduce(self._squares)
+        answers = ratio * np.add.reduce(squares)
         variance[:, -1] += answers * np.einsum(
             "ij,ijk,ik->i", gain[:, -1], instruments, gain[:, -1]
         )
-        extra, effect = linear[:, -EXTRA:], linear[range(len(ROWS)), self._entries, None]
-        away = np.divide(-extra, effect, out=np.zeros_like(extra), where=effect != 0.0)
+        # What the input does by itself this regression, without a prior, does not know where a loop
+        # moves it as the flow goes, or about one large deflection, as another speed asks for.
+        extra, whole = linear[:, -EXTRA:], linear[range(len(linear)), self._entries, None]
+        whole[: len(ROWS), 0] = effect / scale[range(len(ROWS)), self._entries[: len(ROWS)]]
+        away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
         least = np.where(self._sure, ACQUITTED_T, LEAST_T)
         self._sure = extra**2 > least**2 * variance
-        self.share = np.where(self._sure, np.maximum(away, 0.0), 0.0).max(axis=1)
+        self.share = np.where(self._sure, np.maximum(away, 0.0), 0.0).max(axis=1)[: len(ROWS)]
+        for row in range(len(ROWS), len(extra)):
+            self.height = float(extra[row, 1] * scale[row, -1]) if self._sure[row, 1] else 0.0

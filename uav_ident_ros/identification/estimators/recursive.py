@@ -9,24 +9,14 @@ while its coefficients are still poor).
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.change import (
-    CONSTANT,
-    LIVELY_SHARE,
-    WINDOW_TIME,
-    ChangeDetector,
-)
+from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
-from uav_ident_ros.identification.estimators.information import (
-    MODEL_ERROR,
-    Information,
-    Sums,
-)
+from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information
 from uav_ident_ros.identification.estimators.model_error import ModelError
 from uav_ident_ros.identification.feedback import Feedback
 from uav_ident_ros.identification.prior import Start, slope_bounds, weak_sigma
@@ -44,22 +34,6 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
 )
 
-SNAPSHOT_TIME = 0.5
-"""Time between the copies of the information that a change goes back to, s."""
-
-READD_TIME = 2.5
-"""Newest stretch that lies after a noticed change, s, or very nearly."""
-
-SLOPE_ERROR = 0.5
-"""Relative error of the slope by which a change shows: its window straddles the change."""
-
-TRIAL_TIME = 10.0
-"""Time in which a covariance reset has to prove itself, s."""
-
-TRIAL_RATIO = 0.8
-"""Squared residual of the new coefficients, relative to the old ones', above which a reset
-is taken back: a real change leaves the old ones far behind, a false alarm does not."""
-
 
 class Known(NamedTuple):
     """What an estimate says."""
@@ -67,25 +41,6 @@ class Known(NamedTuple):
     linear: FloatArray  # (rows, k) Coefficients of the regression problem
     covariance: FloatArray  # (rows, k, k) Their covariance, row by row
     sigma: FloatArray  # (R, n) Standard deviations of the coefficients of the structure
-
-
-@dataclass
-class Trial:
-    """A covariance reset on trial.
-
-    Parameters
-    ----------
-    before : Sums
-        The information before the reset, of the estimate in use as it would be without it.
-    old : (k,) array
-        The row's coefficients before the reset.
-    """
-
-    before: Sums
-    old: FloatArray
-    old_error: float = 0.0
-    new_error: float = 0.0
-    time: float = 0.0
 
 
 class RecursiveRegression:
@@ -127,7 +82,7 @@ class RecursiveRegression:
         self._error = ModelError(self._layout)
         inputs_known = start.known_before(self._structure)[: len(ROWS), INPUT_COLUMNS]
         self._known_before = inputs_known.any(axis=1, keepdims=True)
-        self._feedback, self._no_feedback = Feedback(self._layout), Feedback(self._layout)
+        self._feedback = Feedback(self._layout)
         self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
         self._injected = False
         self._start = start
@@ -152,12 +107,7 @@ class RecursiveRegression:
     def _begin_changes(self) -> None:
         """Look for changes from now on."""
         self._detector = ChangeDetector(self._start.free[:3], self._cutoff)
-        self._recent: deque[RowSamples] = deque()
-        self._recent_time = 0.0
-        self._snapshots: deque[Known] = deque(maxlen=round(WINDOW_TIME / SNAPSHOT_TIME))
-        self._since_snapshot = 0.0
         self._since_sigma = np.inf
-        self._trials: dict[int, Trial] = {}
 
     @property
     def start(self) -> Start:
@@ -179,6 +129,11 @@ class RecursiveRegression:
     def model_error(self) -> FloatArray:
         """What the main inputs do otherwise than the model says, relative to their effect, (3,)."""
         return self._error.share
+
+    @property
+    def height(self) -> float:
+        """Height of the accelerometer above where it is said to be, m; 0 if no more than chance."""
+        return self._error.height
 
     @property
     def answers(self) -> FloatArray:
@@ -211,17 +166,18 @@ class RecursiveRegression:
         if samples.injected:
             share = self._influence(samples)
             rows, white = rows.times(share), white.times(share)
-            feedback = self._no_feedback
         else:
-            feedback = self._feedback
-            feedback.add(samples, moments, weight)
-        # Late or answering gusts: where nothing was known before, either is a reason to deny.
-        ratio = self._known_before * feedback.ratio[: len(ROWS)]
-        self._error.add(rows, weight, ratio, restarted=samples.restarted)
+            self._feedback.add(samples, moments, weight)
+        # No disturbance is in what is injected. Late or answering gusts: where nothing was known
+        # before, either is a reason to deny.
+        ratio = self._known_before * self._feedback.ratio[: len(ROWS)] * (not samples.injected)
+        effect = self._linear[range(len(ROWS)), MAIN_COLUMNS]
+        self._error.add(rows, weight, ratio, effect, restarted=samples.restarted)
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
-        self.information.add(parts, weight, feedback.answering)
-        self._follow_changes(samples, rows, weight)
+        answering = None if samples.injected else self._feedback.answering
+        self.information.add(parts, weight, answering)
+        self._follow_changes(samples)
         self._since_sigma += samples.time
         self._solve(0.5 * samples.dt)
 
@@ -261,8 +217,7 @@ class RecursiveRegression:
         if due:
             self._white = Known(solution.linear[1], covariance[1], sigmas[1])
             self._since_sigma, self.sigma = 0.0, sigma
-        self._solution = solution.linear[0]
-        self._linear = self._layout.matrix(self._solution)
+        self._linear = self._layout.matrix(solution.linear[0])
         self.coefficients = np.minimum(values, self._bounds)
 
     def _sigma(self, values: FloatArray, sigmas: FloatArray) -> FloatArray:
@@ -289,84 +244,40 @@ class RecursiveRegression:
 
     # -- changes in flight -----------------------------------------------------------------
 
-    def _follow_changes(self, samples: Regression, rows: RowSamples, weight: FloatArray) -> None:
-        """Release what has changed, and take back a release that does not prove itself."""
-        self._recent.append(rows)
-        self._recent_time += rows.time
-        while self._recent_time > READD_TIME + 0.5 * rows.dt:
-            self._recent_time -= self._recent.popleft().time
-        for row in list(self._trials):
-            self._continue_trial(row, rows, weight)
+    def _follow_changes(self, samples: Regression) -> None:
+        """Release what has changed."""
         self.changes = []
         if self._detector.add(samples):
-            lively = self._gate.share >= LIVELY_SHARE
-            linear = self._layout.matrix(self._white.linear)[: len(ROWS)]
+            linear = self._layout.matrix(self._white.linear)
             sigma = self._white.sigma[: len(ROWS), INPUT_COLUMNS]
-            for i, j in self._detector.look(linear, sigma, lively, self.clear):
-                column = CONSTANT_COLUMN if j == CONSTANT else INPUT_COLUMNS.start + j
-                self.changes.append((i, column))
-                self._release(i, column)
-        self._since_snapshot += samples.time
-        if self._since_snapshot >= SNAPSHOT_TIME - 0.5 * samples.dt:
-            self._snapshots.append(self._white)
-            self._since_snapshot = 0.0
+            for change in self._detector.look(linear, sigma):
+                self.changes.append((change.row, change.column))
+                self._release(change)
 
-    def _release(self, row: int, column: int) -> None:
-        """Forget what an input did in one row, back to before the change, and learn it anew.
+    def _release(self, change: Change) -> None:
+        """Forget what a regressor did in one row, and learn it anew from after the change.
 
         A covariance reset: of all that was known before, the covariance of this coefficient and of
         the constant, which takes up part of any change about a trim, are set to what a change
-        by so much allows. Where the constant alone has changed, by a step, what came before the
-        step tells nothing of it.
+        by so much allows.
         """
-        found, information = self._detector.found, self.information
-        before = information.known.copy()
-        self._trials[row] = Trial(before, self._white.linear[row].copy())
-        known = self._snapshots[0] if self._snapshots else self._white
-        mean, covariance = known.linear[row].copy(), known.covariance[row].copy()
-        columns = self._layout.index[row].tolist()
-        newest = sum(part.count for part in self._recent)
-        entry = columns.index(column)
-        if column == CONSTANT_COLUMN:
-            step = self._detector.step(row)
-            mean[entry] += step.size
-            newest = step.samples
-        else:
-            j = column - INPUT_COLUMNS.start
-            shift = float(found.slope[row, j])
-            mean[entry] += shift
-            spread = max(float(found.deviation[row, j]), SLOPE_ERROR * abs(shift))
-            covariance[entry, entry] += spread**2
-            self._forget_prior(row, column)
-        if CONSTANT_COLUMN in columns:
-            constant = columns.index(CONSTANT_COLUMN)
-            covariance[constant, constant] += self._start.sigma[row, CONSTANT_COLUMN] ** 2
-        sums = before.copy()
+        row, information, weak = change.row, self.information, weak_sigma(self._structure)
+        # Nothing from before the flight holds the coefficient where it was.
+        sigma = self._start.sigma.copy()
+        sigma[row, change.column] = weak[row, change.column]
+        self.start = replace(self._start, sigma=sigma)
+        mean, covariance = (part[row].copy() for part in self._white[:2])
+        columns = self._layout.index[row]
+        changed = columns == change.column
+        mean[changed] += change.size
+        constant = np.where(columns == CONSTANT_COLUMN, sigma[row, columns], 0.0)
+        covariance += np.diag(constant**2 + changed * change.size**2)
+        sums = information.known.copy()
         sums.set_known(row, mean, covariance, information.free[row], information.unit[:, row])
-        alone = np.zeros(self._layout.rows)
-        alone[row] = 1.0
-        # The others follow by themselves.
-        sums[:1].add(information.instrumented(RowSamples.join(self._recent, newest)), alone)
+        after = RowSamples.of(change.after, self.residual(change.after), self._layout)
+        # The other parts follow by themselves.
+        alone = 1.0 * (np.arange(self._layout.rows) == row)
+        sums[:1].add(information.instrumented(after), alone)
         information.set_row(row, sums)
         self._error.forget(row)
         self._since_sigma = np.inf
-
-    def _forget_prior(self, row: int, column: int) -> None:
-        """Let nothing from before the flight hold a coefficient where it was."""
-        sigma = self._start.sigma.copy()
-        sigma[row, column] = weak_sigma(self._structure)[row, column]
-        self.start = replace(self._start, sigma=sigma)
-
-    def _continue_trial(self, row: int, samples: RowSamples, weight: FloatArray) -> None:
-        """Compare the old with the new coefficients on samples that neither has seen."""
-        trial = self._trials[row]
-        trial.before[:1].add(self.information.instrumented(samples), weight)
-        y, f = samples.y[row], samples.f[row]
-        trial.old_error += float(((y - f @ trial.old) ** 2).sum())
-        trial.new_error += float(((y - f @ self._solution[row]) ** 2).sum())
-        trial.time += samples.time
-        if trial.time >= TRIAL_TIME:
-            del self._trials[row]
-            if trial.new_error > TRIAL_RATIO * trial.old_error:
-                self.information.set_row(row, trial.before)
-                self._since_sigma = np.inf
