@@ -36,6 +36,21 @@ WRONG_FILES = [
      "has nothing for node '/identifier': its sections are /uav_ident; write '/identifier:'"),
 ]  # fmt: skip
 
+HAIL = """
+import os, signal, time
+from uav_ident_ros.node.ending import SIGNALS, Ending
+Ending()
+parent = os.getpid()
+if (child := os.fork()) == 0:
+    while os.getppid() == parent:
+        for number in SIGNALS:
+            os.kill(parent, number)
+for _ in range(60_000):
+    Ending().close()
+os.kill(child, signal.SIGKILL)
+print("done")
+"""
+
 REFUSALS = """
 import contextlib, io, json, sys
 from uav_ident_ros.node.__main__ import main
@@ -117,6 +132,13 @@ def test_many_signals_end_it_once(start_node: StartNode) -> None:
             node.send_signal(number)
     assert node.wait(PATIENCE) == 0, node.log
     assert "Traceback" not in node.log
+
+
+def test_no_signal_falls_between_two_handlers() -> None:
+    """Many ends under a hail of signals: one in ten thousand left a traceback."""
+    done = python("-c", HAIL)
+    assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_a_signal_before_it_runs_is_not_lost(start_node: StartNode) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The end of a program that was asked to end: once, in order, whatever signals follow."""
 
+import ctypes
 import signal
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -26,6 +27,13 @@ class Ending:
         self.requested = True
 
     def close(self) -> None:
-        """Ignore what still comes: Python would put the deadly handlers back as it ends."""
+        """Ignore what still comes: Python would put the deadly handlers back as it ends.
+
+        The system ignores a signal first, and Python then: one that arrives between Python's own
+        two steps would still call for a handler that is gone, and leave a traceback.
+        """
+        set_handler = ctypes.pythonapi.PyOS_setsig
+        set_handler.argtypes, set_handler.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
         for number in SIGNALS:
+            set_handler(number, int(signal.SIG_IGN))
             signal.signal(number, signal.SIG_IGN)
