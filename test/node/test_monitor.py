@@ -113,9 +113,11 @@ def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
 
     monitor = start_monitor("--node", "identifier/")
     ticks: list[float] = []
+    lines: list[str] = []
 
     def read() -> None:
         for line in monitor.stdout or ():
+            lines.append(line)
             ticks.extend(float(t) for t in re.findall(r"  tick ([\d.]+) s$", line))
             if SILENT.match(line):  # what was usable is so no more
                 monitor.send_signal(signal.SIGTERM)
@@ -125,6 +127,7 @@ def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
     reader.start()
     play_until(lambda: len(ticks) >= 3)
     reader.join(PATIENCE)
+    assert not reader.is_alive(), "".join(lines[-80:])
     assert monitor.wait(PATIENCE) == 0
     assert monitor.stderr is not None
     assert "Traceback" not in monitor.stderr.read()
