@@ -25,7 +25,7 @@ from uav_ident_ros.identification.settings import (
 )
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages import types
-from uav_ident_ros.messages.imu import decode_imu_block, decode_imu_cdr
+from uav_ident_ros.messages.imu import decode_imu_cdr
 from uav_ident_ros.messages.published import (
     coefficients_layout,
     dense_coefficients,
@@ -230,15 +230,6 @@ def test_cdr_reader_leaves_other_encodings_alone() -> None:
     assert decode_imu_cdr(b"\x00\x07" + data[2:]) is None
     assert decode_imu_cdr(data[:16] + b"\xff" + data[17:]) is None  # frame_id is not UTF-8
     assert decode_imu_cdr(data[:12] + b"\xff\xff\xff\xff" + data[16:]) is None
-
-
-def test_block_decoder_leaves_what_is_not_alike_other_byte_orders_and_short_messages() -> None:
-    little, big = serialized(imu()), serialized(imu(), little_endian=False)
-    for other in (imu("body_link"), imu("longer_name"), imu(rates=False)):
-        assert decode_imu_block([little, serialized(other)]) is None
-    assert decode_imu_block([big]) is None
-    assert decode_imu_block([little[:100]]) is None
-    assert decode_imu_block([little]) is not None
 
 
 def test_import_type() -> None:

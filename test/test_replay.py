@@ -106,11 +106,8 @@ def published(output: Path) -> dict[str, list[tuple[int, Any]]]:
         ("c172p", "pdot,qdot,rdot,ay,az"),
     ],
 )
-def test_estimates_are_those_of_the_core_to_the_bit(
-    name: str, rows: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_estimates_are_those_of_the_core_to_the_bit(name: str, rows: str, tmp_path: Path) -> None:
     """With the default structure angle of attack, sideslip and attitude, too, and two more rows."""
-    monkeypatch.setattr("uav_ident_ros.offline.run.BATCH", 100)  # blocks, from the second on
     bag, output = excerpt(tmp_path / "bag", 6.0, name), tmp_path / "out"
     main([str(bag), *options(name), "--output", str(output)])
     identifier, estimates = fed_by_hand(name, bag)
@@ -272,6 +269,21 @@ def test_jump_of_the_time_base_is_not_scored_across(tmp_path: Path) -> None:
     # everything after the jump is late enough: 14 s of ticks less the last window
     assert 12 * 20 <= fit.windows <= 13 * 20
     assert (fit.model > 80.0).all()
+
+
+@pytest.mark.parametrize("name", ["c172p", "multisine"])
+def test_the_score_in_pieces_is_that_of_the_whole(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = replayed_run(excerpt(tmp_path / "bag", 9.0, name), parameters(name))
+    index = run.structure.free[-1]
+    assert run.estimates.history(index)[1].tolist() == [e.sigma[index] for e in run.estimates]
+    whole = run.score()
+    monkeypatch.setattr("uav_ident_ros.offline.run.PIECE", 61)
+    for selection, fit in run.score().items():
+        np.testing.assert_allclose(fit.free, whole[selection].free, rtol=1e-9)
+        np.testing.assert_allclose(fit.measured_force, whole[selection].measured_force, rtol=1e-9)
+        assert (fit.windows, fit.samples) == (whole[selection].windows, whole[selection].samples)
 
 
 def test_initial_coefficients_file_is_the_start(tmp_path: Path) -> None:

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The messages of a bag into an identifier, in log-time order, as the node takes them in flight.
-
-Imu messages that are all alike, and that is nearly all of them, are read as arrays; the others, and
-all other messages, one by one. What the identifier is told is the same.
-"""
+"""The messages of a bag into an identifier, in log-time order, as the node takes them in flight."""
 
 from array import array
-from bisect import bisect_left
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -20,7 +15,6 @@ from uav_ident_ros.identification.intake import ACTUATORS, EXCITATION, RATES
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.messages.feed import Feed
-from uav_ident_ros.messages.imu import IMU_TYPE, ImuBlock, decode_imu_block
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import ChannelError
 from uav_ident_ros.offline.inputs import Inputs
@@ -51,12 +45,6 @@ class Record:
         self._t.append(t_ns)
         self._values.extend(values)
         self._era.append(era)
-
-    def extend(self, t_ns: TimeArray, values: FloatArray, era: int) -> None:
-        """Keep samples: stamps (k,), values (k, width)."""
-        self._t.frombytes(t_ns.tobytes())
-        self._values.frombytes(values.tobytes())
-        self._era.extend([era] * len(t_ns))
 
     def of_era(self, era: int) -> tuple[TimeArray, FloatArray]:
         """Return stamps (k,), strictly rising, and values (k, width) of one time base.
@@ -149,57 +137,8 @@ class Intake:
         feed = self._feeds[stream]
         return Refusals(feed.received, {reason: n for reason, n in sorted(feed.drops().items())})
 
-    def take(self, messages: Sequence[Message], tick: Callable[[], None]) -> None:
-        """Take messages in their order; `tick` is called whenever ticks may have come due."""
-        imu = [i for i, m in enumerate(messages) if m.topic == self._inputs.streams[RATES]]
-        block = self._block([messages[i].data for i in imu])
-        if block is None:
-            for message in messages:
-                self._take_one(message)
-                tick()
-            return
-        self._feeds[RATES].received += len(imu)
-        self.rates.extend(block.t_ns, block.values, self.era)
-        self._newest_ns = int(block.t_ns[-1])
-        stamps, values = block.t_ns.tolist(), block.values.tolist()
-        taken = begin = 0
-        others = np.setdiff1d(np.arange(len(messages)), imu).tolist()
-        for place in [*others, len(messages)]:
-            # the rates that were logged before this other message
-            end = begin + place - taken
-            self._take_orderly(stamps, values, begin, end, tick)
-            if place < len(messages):
-                self._take_one(messages[place])
-            begin, taken = end, place + 1
-
-    def _block(self, data: list[bytes]) -> ImuBlock | None:
-        """Read rates at one go, if there is nothing about them to look at one by one."""
-        if self._inputs.settings.imu.type != IMU_TYPE or not data:
-            return None
-        block = decode_imu_block(data)
-        if block is None or block.frame_id != self.frame_id or self.fault:
-            return None
-        return block if self._identifier.intake.orderly(block.t_ns, block.values) else None
-
-    def _take_orderly(
-        self,
-        stamps: list[int],
-        values: list[list[float]],
-        begin: int,
-        end: int,
-        tick: Callable[[], None],
-    ) -> None:
-        """Take samples `begin` to `end` of a block, with a halt at each that makes a tick due."""
-        add = self._identifier.intake.add_orderly_rates
-        while begin < end:
-            due_ns = self._identifier.intake.next_due_ns
-            stop = min(bisect_left(stamps, due_ns, begin, end) + 1, end)
-            add(stamps[begin:stop], values[begin:stop])
-            if stamps[stop - 1] >= due_ns:
-                tick()
-            begin = stop
-
-    def _take_one(self, message: Message) -> None:
+    def take(self, message: Message) -> None:
+        """Take the next message; ticks may come due with it."""
         stream = self._stream_of[message.topic]
         taken = self._feeds[stream].take(message.data, message.log_ns)
         if stream == RATES and self.frame_id is not None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +35,6 @@ from uav_ident_ros.offline.intake import Intake, Refusals
 from uav_ident_ros.offline.ticks import Ticks
 
 __all__ = ["Inputs", "OfflineRun", "Refusals", "Stretch", "choose_inputs"]
-
-BATCH = 2048
-"""Messages that are read at a time: enough to make the arrays of a batch worth their while."""
 
 BLOCK = 8192
 """Samples of an Imu that are conditioned at a time: a minute or less, which takes some MB."""
@@ -115,9 +111,9 @@ class OfflineRun:
         """
         self.intake.read_with(bag)
         topics = self.inputs.topics
-        messages = iter(wrap(bag.messages(topics), sum(bag.counts[topic] for topic in topics)))
-        while batch := list(islice(messages, BATCH)):
-            self.intake.take(batch, self._tick)
+        for message in wrap(bag.messages(topics), sum(bag.counts[topic] for topic in topics)):
+            self.intake.take(message)
+            self._tick()
 
     def _tick(self) -> None:
         identifier = self.identifier
