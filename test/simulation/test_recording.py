@@ -11,6 +11,7 @@ from rosbags.interfaces import QosReliability
 from uav_ident_ros.bags.messages import TWIST, VECTOR, vector_stamped
 from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
 from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.simulation import recording
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import PlantFlight, vehicle
@@ -122,6 +123,20 @@ def test_the_writer_names_the_topic_that_is_wrong(tmp_path: Path) -> None:
         message = reader.deserialize(raw, connection.msgtype)
     assert (t, message.header.stamp.sec, message.header.stamp.nanosec) == (7, 1, 500_000_000)
     assert message.vector.z == 3.0
+
+
+def test_nothing_half_written_stays_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: object) -> dict[str, object]:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(recording, "truth", full)
+    with pytest.raises(BagWriteError, match=r"cannot write .*bag.: No space left on device"):
+        recorded(tmp_path / "bag")
+    assert not list(tmp_path.iterdir())
+    monkeypatch.undo()
+    recorded(tmp_path / "bag")
+    with pytest.raises(BagWriteError, match="bag exists already"):
+        recorded(tmp_path / "bag")
 
 
 def test_an_exception_leaves_no_finished_bag(tmp_path: Path) -> None:

@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+import heapq
+import shutil
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -40,26 +43,35 @@ class BagWriteError(Exception):
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Give a place to write a file to, which takes its own once it is whole; its folder is made.
+def whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
+    """Give a place for a file or a folder, which takes that of `path` once it is whole.
+
+    Nothing half-written stays behind; the folder that it is in is made.
 
     Raises
     ------
     BagWriteError
-        If it cannot be written.
+        If it cannot be written, or is a folder that is there already and not to be replaced.
     """
-    part = path.with_name(f".{path.name}.part")
+    if path.is_dir() and not replace:
+        raise BagWriteError(f"{path} exists already, not overwriting.")
+    working = path.parent / f".{path.name}.part"
+    shutil.rmtree(working, ignore_errors=True)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield part
-        part.replace(path)
+        working.mkdir(parents=True)
+        yield working / path.name
+        if path.is_dir():
+            shutil.rmtree(path)
+        (working / path.name).replace(path)
     except OSError as error:
         raise BagWriteError(f"cannot write '{path}': {error.strerror}") from None
+    finally:
+        shutil.rmtree(working, ignore_errors=True)
 
 
 def write_file(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all; raises as `whole_file` does."""
-    with whole_file(path) as part:
+    """Write a text file, whole or not at all; raises as `whole` does."""
+    with whole(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
@@ -201,3 +213,12 @@ class BagWriter:
         if dataclasses.is_dataclass(message):
             message = self.types.serialize_cdr(message, connection.msgtype)
         self._writer.write(connection, int(log_time_ns), message)
+
+    def merge(self, streams: Iterable[Iterable[tuple[int, str, Any]]]) -> None:
+        """Write the messages of streams, each in the order of its log times, by their log times.
+
+        At equal times the earlier stream comes first: actuators before rates, as the command
+        precedes its effect. Parameters of each message, and errors, as of `write`.
+        """
+        for log_ns, topic, message in heapq.merge(*streams, key=itemgetter(0)):
+            self.write(topic, log_ns, message)

@@ -102,13 +102,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"import_log: {error.name} is not installed: pip install rosbags", file=sys.stderr)
         return USAGE_ERROR
     folder: Path = options.output or Path(options.log.stem)
-    path = folder / PARAMETER_FILE
     try:
         if folder.exists():
             raise ImportLogError(f"'{folder}' exists already: choose another --output")
         log = read_log(options)
         fitting = Fitting.of(log, options.trim, options.airspeed)
-        write_import(log, folder, lambda: fitting.write(path))
+        write_import(log, folder, lambda bag: fitting.write(bag / PARAMETER_FILE))
     except (ImportLogError, BagWriteError) as error:
         print(f"import_log: {printable(str(error))}", file=sys.stderr)
         return USAGE_ERROR
@@ -117,7 +116,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"\n{title}")
         for sentence in sentences:
             print(textwrap.fill(sentence, WIDTH, initial_indent="  - ", subsequent_indent="    "))
-    print(f"\nwritten to {folder}; next: replay {folder} --params-file {path}")
+    parameters = folder / PARAMETER_FILE
+    print(f"\nwritten to {folder}; next: replay {folder} --params-file {parameters}")
     return DAMAGED if log.findings.damage else 0
 
 

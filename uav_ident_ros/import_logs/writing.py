@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """An imported log as a bag with the standard topics."""
 
-import heapq
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,13 +18,11 @@ from uav_ident_ros.bags.messages import (
     twist_stamped,
     vector_stamped,
 )
-from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
+from uav_ident_ros.bags.writing import BagWriter, qos, whole
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.import_logs.flight_log import FlightLog, Stream
 from uav_ident_ros.import_logs.stamps import inside, turned_at
-
-FRAME_IDS = {"frd": "base_link_frd", "flu": "base_link"}
-"""Frame of the Imu's header; the identifier takes the suffix as the convention."""
+from uav_ident_ros.messages.types import FRAME_IDS
 
 ARMED_STEP_NS = 1_000_000_000
 """Time between two messages that say the same of whether it is armed, ns: the type has no stamp."""
@@ -87,38 +83,29 @@ TOPICS = {
     "mode": Topic("/mode", STRING, lambda _: lambda _, name: plain(STRING, str(name))),
     "armed": Topic("/armed", BOOL, lambda _: lambda _, armed: plain(BOOL, bool(armed))),
 }
-"""Topic of each stream. At equal times the actuators come first, as the command precedes its
-effect."""
+"""Topic of each stream; at equal times they are written in this order."""
 
 
-def write_import(log: FlightLog, folder: Path, finish: Callable[[], None]) -> None:
-    """Write the bag, and let `finish` write what is to stand beside it.
+def write_import(log: FlightLog, folder: Path, finish: Callable[[Path], None]) -> None:
+    """Write the bag, and let `finish` write what is to stand beside it into its folder.
 
     Raises
     ------
     BagWriteError
-        If the folder exists or cannot be written; nothing half-written stays behind.
+        If it cannot be written; nothing half-written stays behind.
     """
-    existed = folder.exists()
     streams = {name: stream for name, stream in log.streams.items() if name in TOPICS}
     if log.armed is not None:
         streams["armed"] = _armed(log)
-    try:
-        with BagWriter(folder) as bag:
+    with whole(folder) as working:
+        with BagWriter(working) as bag:
             entries = []
             for name in sorted(streams, key=[*TOPICS].index):
                 topic = TOPICS[name]
                 bag.topic(topic.name, topic.msgtype, qos(topic.depth, reliable=name != "rates"))
                 entries.append(_entries(log, streams[name], name))
-            for log_ns, topic_name, message in heapq.merge(*entries, key=lambda entry: entry[0]):
-                bag.write(topic_name, log_ns, message)
-        finish()
-    except BaseException as error:
-        if not existed:
-            shutil.rmtree(folder, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise BagWriteError(f"cannot write to '{folder}': {error.strerror}") from None
-        raise
+            bag.merge(entries)
+        finish(working)
 
 
 def _entries(log: FlightLog, stream: Stream, name: str) -> Iterator[tuple[int, str, Any]]:

@@ -297,6 +297,10 @@ def listed(items: Sequence[object], nothing: str = "none") -> str:
     return (", ".join(shown) or nothing) + more
 
 
+FRAME_IDS = {"flu": "base_link", "frd": "base_link_frd"}
+"""frame_id of an Imu by the convention of its axes (REP-103, REP-147)."""
+
+
 class RatesReader:
     """Reads rates messages, and holds their axes against the settings."""
 

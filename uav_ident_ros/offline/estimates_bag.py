@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates as a bag: the node's own output topics, log time = tick time."""
 
-import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from uav_ident_ros.bags.messages import (
     joint_state,
     vector_stamped,
 )
-from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
+from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos, whole
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import Structure
 from uav_ident_ros.messages.published import (
@@ -47,30 +46,19 @@ def write_estimates(
         "prediction_error": (VECTOR, reliable),
     }
     layout = coefficients_layout(structure)
-    working = path.parent / f".{path.name}.part"
-    shutil.rmtree(working, ignore_errors=True)
-    try:
-        working.mkdir()
-        with BagWriter(working / path.name) as bag:
-            for topic, (msgtype, profile) in topics.items():
-                bag.topic(f"{node}/{topic}", msgtype, profile)
-            for e in estimates:
-                rates, errors = e.predicted_rates.tolist(), e.prediction_error.tolist()
-                messages = (
-                    joint_state(e.t_ns, *named_entries(e, structure)),
-                    array(dense_coefficients(e, structure), layout),
-                    vector_stamped(e.t_ns, rates, frame_id),
-                    vector_stamped(e.t_ns, errors, frame_id),
-                )
-                for topic, message in zip(topics, messages, strict=True):
-                    bag.write(f"{node}/{topic}", e.t_ns, message)
-        if path.exists():
-            shutil.rmtree(path)
-        (working / path.name).rename(path)
-    except OSError as error:
-        raise BagWriteError(f"cannot write bag '{path}': {error.strerror}") from None
-    finally:
-        shutil.rmtree(working, ignore_errors=True)
+    with whole(path, replace=True) as working, BagWriter(working) as bag:
+        for topic, (msgtype, profile) in topics.items():
+            bag.topic(f"{node}/{topic}", msgtype, profile)
+        for e in estimates:
+            rates, errors = e.predicted_rates.tolist(), e.prediction_error.tolist()
+            messages = (
+                joint_state(e.t_ns, *named_entries(e, structure)),
+                array(dense_coefficients(e, structure), layout),
+                vector_stamped(e.t_ns, rates, frame_id),
+                vector_stamped(e.t_ns, errors, frame_id),
+            )
+            for topic, message in zip(topics, messages, strict=True):
+                bag.write(f"{node}/{topic}", e.t_ns, message)
 
 
 def _is_bag(path: Path) -> bool:

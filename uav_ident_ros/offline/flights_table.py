@@ -10,7 +10,7 @@ from typing import Any
 
 import uav_ident_ros
 from uav_ident_ros.bags.reading import BagError
-from uav_ident_ros.bags.writing import whole_file
+from uav_ident_ros.bags.writing import whole
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.offline.job import VERDICTS, Outcome
 
@@ -109,7 +109,7 @@ def write_flights(folder: Path, rows: Sequence[FlightRow]) -> list[Path]:
     table = pa.Table.from_pylist([asdict(row) for row in rows], schema)
     files = {folder / CSV_FILE: pa.csv.write_csv, folder / PARQUET_FILE: pa.parquet.write_table}
     for path, write in files.items():
-        with whole_file(path) as part:
+        with whole(path) as part:
             write(table, part)
     return [*files]
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.channels import CHANNEL_SETS, QUADROTOR
 from uav_ident_ros.simulation.disturbance import ColouredNoise
@@ -17,7 +18,7 @@ from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.inputs import INPUT_KINDS, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Plan
-from uav_ident_ros.simulation.noise import FRAME_IDS, Sensors, measure
+from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT, VEHICLE_NAMES, PlantFlight, vehicle
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
 

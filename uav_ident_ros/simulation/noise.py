@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.channels import CHANNEL_SETS, ChannelSet
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import Flight, IntArray
-
-FRAME_IDS = {"flu": "base_link", "frd": "base_link_frd"}
-"""frame_id of the Imu by convention (REP-103, REP-147)."""
 
 FRD_TO_FLU = np.array([1.0, -1.0, -1.0])
 """Half a turn about x: its own inverse."""

@@ -36,7 +36,7 @@ from uav_ident_ros.client import (
 )
 from uav_ident_ros.guest import StepClock, listen
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages.types import NS_PER_S, header_ns
+from uav_ident_ros.messages.types import FRAME_IDS, NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import UsageError, node_usage, run
 from uav_ident_ros.ros import to_stamp
@@ -46,7 +46,7 @@ from uav_ident_ros.simulation.faults import Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live, Sample
-from uav_ident_ros.simulation.noise import FRAME_IDS, FRD_TO_FLU, Sensors
+from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
 from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
 
 PATIENCE = 5.0

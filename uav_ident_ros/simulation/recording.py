@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured flights as bags, and the parameters that fit their topics."""
 
-import heapq
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -20,7 +19,7 @@ from uav_ident_ros.bags.messages import (
     joint_state,
     twist_stamped,
 )
-from uav_ident_ros.bags.writing import BagWriter, qos
+from uav_ident_ros.bags.writing import BagWriter, qos, whole
 from uav_ident_ros.files.truth_file import TRUTH_FILE
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.simulation.noise import Measurements
@@ -76,24 +75,28 @@ def write_bag(
     Raises
     ------
     BagWriteError
-        If the folder exists or cannot be written.
+        If the folder exists or cannot be written; nothing half-written stays behind.
     """
-    path = Path(path)
-    with BagWriter(path, compress) as bag:
+    with whole(Path(path)) as folder:
+        _write_bag(measurements, folder, compress)
+        meaning = "What the topics of this bag mean: parameters for the identifier and for replay."
+        text = yaml_text({"/**": {"ros__parameters": parameters(measurements)}}, meaning)
+        (folder / PARAMETER_FILE).write_text(text, encoding="utf-8")
+        truth_text = yaml_text(
+            truth(measurements), "What is true of this flight, SI, aircraft axes."
+        )
+        (folder / TRUTH_FILE).write_text(truth_text, encoding="utf-8")
+
+
+def _write_bag(measurements: Measurements, folder: Path, compress: bool) -> None:
+    with BagWriter(folder, compress) as bag:
         bag.topic(IMU_TOPIC, IMU, qos(500, reliable=False))
         bag.topic(ACTUATOR_TOPIC, actuator_type(measurements), qos(10))
         streams = [actuator_messages(measurements), imu_messages(measurements)]
         if len(measurements.airspeed):
             bag.topic(AIRSPEED_TOPIC, TWIST, qos(10))
             streams.append(airspeed_messages(measurements))
-        # At equal log times the actuators come first, as the command precedes its effect.
-        for log, topic, message in heapq.merge(*streams, key=lambda entry: entry[0]):
-            bag.write(topic, log, message)
-    meaning = "What the topics of this bag mean: parameters for the identifier and for replay."
-    text = yaml_text({"/**": {"ros__parameters": parameters(measurements)}}, meaning)
-    (path / PARAMETER_FILE).write_text(text, encoding="utf-8")
-    truth_text = yaml_text(truth(measurements), "What is true of this flight, SI, aircraft axes.")
-    (path / TRUTH_FILE).write_text(truth_text, encoding="utf-8")
+        bag.merge(streams)
 
 
 def parameters(measurements: Measurements) -> dict[str, Any]:
