@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from uav_ident_ros.files.parameter_file import load_parameters, written
-from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError, printable
 from uav_ident_ros.import_logs.stamps import coverage
@@ -108,7 +108,13 @@ class Fitting:
         return lines
 
     def write(self, path: Path) -> None:
-        """Write the parameter file, with everything that was found out as comments."""
+        """Write the parameter file, with everything that was found out as comments.
+
+        Raises
+        ------
+        ImportLogError
+            If a value that follows from the log is none that the identifier takes.
+        """
         log, titled = self.log, self.findings()
         heading = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
         if log.parameters:
@@ -121,7 +127,10 @@ class Fitting:
         lines += ["/**:", "  ros__parameters:"]
         lines += [f"    {name}: {written(value)}" for name, value in self.values.items()]
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        Settings.from_values(load_parameters(path, "/identifier"))  # what was written can be used
+        try:
+            Settings.from_values(load_parameters(path, "/identifier"))
+        except SettingsError as error:
+            raise ImportLogError(f"log '{log.path}' gives no usable parameters: {error}") from None
 
 
 def _trim(log: FlightLog, trim: str) -> list[float]:
