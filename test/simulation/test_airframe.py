@@ -56,14 +56,17 @@ def test_another_speed_scales_what_surfaces_do() -> None:
         (TEXT.replace("50.0", "fast"), "speed is fast"),
         (TEXT.replace("model: c172p", "model: 737"), "model is the number 737: write it in quotes"),
         ("[1, 2]", "no entries like 'model: c172p'"),
-        ("a: [", "aircraft file"),
+        ("a: [", r"mine.yaml': line 1: "),
+        (b"\xff\xfe", "it is not text in UTF-8"),
+        (None, "there is no such file or folder"),
     ],
 )
 def test_a_wrong_file_is_named_with_what_would_be_right(
-    tmp_path: Path, text: str, words: str
+    tmp_path: Path, text: str | bytes | None, words: str
 ) -> None:
     path = tmp_path / "mine.yaml"
-    path.write_text(text)
+    if text is not None:
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(SimulationError, match=words) as raised:
         airframe(str(path))
     assert str(path) in str(raised.value)

@@ -9,7 +9,9 @@ import pytest
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 from light_aircraft import LightFlight
+from programs import Capture
 
+from uav_ident_ros.simulation import closed_loop
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.flight import CoefficientChange
@@ -75,6 +77,9 @@ REFUSED: list[tuple[str, Callable[[], object]]] = [
     ("vtail", lambda: sensed(channels="vtail")),
     ("gyro_noise", lambda: sensed(gyro_noise=-0.1)),
     ("gyro_noise", lambda: sensed(gyro_noise=float("nan"))),
+    ("gyro_bias", lambda: sensed(gyro_bias=(float("nan"), 0.0, 0.0))),
+    ("lever_arm", lambda: sensed(lever_arm=(0.0, float("inf"), 0.0))),
+    ("airspeed_bias", lambda: sensed(airspeed_bias=float("nan"))),
     ("drop", lambda: sensed(drop=1.0)),
     ("rate", lambda: sensed(rate=300.0)),
     ("surfaces are elevator, rudder, ail", lambda: parse_fault("flap effect 0.5")),
@@ -95,6 +100,22 @@ def test_an_impossible_flight_sensor_or_fault_is_named(
 ) -> None:
     with pytest.raises(SimulationError, match=f"(?s){named}"):
         refused()
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ("--duration 0", "duration is 0.0: it must be positive"),
+        ("--seed -1", "seed is -1: it must be 0 or more"),
+        ("--fault 5:x", "fault '5:x' is none of"),
+        ("--aircraft ufo", "aircraft 'ufo' is not set up here"),
+        ("--output /dev/null", "File exists: '/dev/null'"),
+    ],
+)
+def test_a_loop_that_cannot_be_flown_is_named(options: str, named: str, capsys: Capture) -> None:
+    assert closed_loop.main(options.split()) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("closed_loop: ") and named in line
 
 
 def test_without_jsbsim_the_error_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:

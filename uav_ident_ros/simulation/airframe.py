@@ -19,6 +19,9 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+import yaml
+
+from uav_ident_ros.files.strict_yaml import UNUSABLE, problem
 from uav_ident_ros.simulation.errors import SimulationError
 
 FOLDER = Path(__file__).parent / "airframes"
@@ -112,13 +115,11 @@ def airframe(
 
 
 def _read(path: Path) -> Airframe:
-    import yaml
-
     where = f"aircraft file '{path}'"
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError) as error:
-        raise SimulationError(f"{where}: {error}") from None
+    except UNUSABLE as error:
+        raise SimulationError(f"{where}: {problem(error)}") from None
     if not isinstance(content, dict):
         raise SimulationError(f"{where} has no entries like 'model: c172p'")
     nested = {"autopilot": (Gains, f"{where}, autopilot")}

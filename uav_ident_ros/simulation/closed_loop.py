@@ -21,12 +21,14 @@ from types import TracebackType
 
 import numpy as np
 
+from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.control import Law
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
+from uav_ident_ros.simulation.flight import check_positive
 from uav_ident_ros.simulation.preparation import CONFIG, prepare, write
 
 ROOT = CONFIG.parents[1]
@@ -216,7 +218,7 @@ def shipped() -> list[str]:
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(prog="scripts/closed_loop", description=__doc__)
+    parser = OneLineParser(prog="scripts/closed_loop", description=__doc__)
     add = parser.add_argument
     add("--aircraft", default="c172p", metavar="NAME",
         help=f"{', '.join(dict.fromkeys((*shipped(), *airframe_names())))}, or the path of a "
@@ -241,6 +243,9 @@ def make_parser() -> argparse.ArgumentParser:
 
 def loop_from(options: argparse.Namespace) -> Loop:
     """Return the flight that the options ask for; the aircraft is identified if need be."""
+    check_positive(options, "duration")
+    if options.seed < 0:
+        raise SimulationError(f"seed is {options.seed}: it must be 0 or more")
     faults = list(options.fault)
     if options.turbulence:
         faults.append(f"0: turbulence {options.turbulence}")
@@ -270,7 +275,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(running.log("simulated_plant"), end="")
             for line in report(record, min(times, default=0.5 * loop.duration)):
                 print(line)
-    except SimulationError as error:
+    except (SimulationError, OSError) as error:
         print(f"closed_loop: {error}", file=sys.stderr)
         return 1
     return int(np.isfinite(record["lost"][0]))

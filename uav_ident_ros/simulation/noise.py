@@ -62,6 +62,9 @@ class Sensors:
         for name in names:
             if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
                 raise SimulationError(f"{name} is {getattr(self, name)}: it must be 0 or more")
+        for name in ("gyro_bias", "airspeed_bias", "lever_arm"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise SimulationError(f"{name} is {getattr(self, name)}: finite numbers are needed")
         if not 0.0 <= self.drop < 1.0:
             raise SimulationError(f"drop is {self.drop}: it must be 0 or more and below 1")
 
