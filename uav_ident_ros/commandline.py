@@ -5,7 +5,9 @@ import argparse
 import os
 import signal
 import sys
-from typing import NoReturn
+from collections.abc import Callable
+from contextlib import suppress
+from typing import NoReturn, TypeVar
 
 USAGE_ERROR = 2
 """Exit status for a wrong command line or bad input."""
@@ -20,6 +22,26 @@ class OneLineParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End with the complaint, and where to look."""
         self.exit(USAGE_ERROR, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+Number = TypeVar("Number", int, float)
+
+
+def number(
+    kind: Callable[[str], Number],  # ``int`` or ``float``
+    least: Number,  # least, most: What it may be
+    most: Number,
+    words: str,  # What follows what was given, where that is no such number
+) -> Callable[[str], Number]:
+    """Return the type of an argument that is a number in a range."""
+
+    def read(text: str) -> Number:
+        with suppress(ValueError):
+            if least <= (value := kind(text)) <= most:
+                return value
+        raise argparse.ArgumentTypeError(f"'{text}'{words}")
+
+    return read
 
 
 def _interrupt(*_: object) -> NoReturn:

@@ -17,8 +17,14 @@ from pathlib import Path
 from typing import Any
 
 from uav_ident_ros.bags.reading import Bag, BagError, Message
-from uav_ident_ros.commandline import INTERRUPTED, USAGE_ERROR, OneLineParser, end_as_on_ctrl_c
-from uav_ident_ros.domain import own_domain
+from uav_ident_ros.commandline import (
+    INTERRUPTED,
+    USAGE_ERROR,
+    OneLineParser,
+    end_as_on_ctrl_c,
+    number,
+)
+from uav_ident_ros.domain import LAST_DOMAIN, own_domain
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.streams import STREAMS
@@ -129,7 +135,7 @@ def parser() -> argparse.ArgumentParser:
     )
     result.add_argument(
         "--speed",
-        type=_speed,
+        type=number(float, 0.1, 5.0, ": 0.1 to 5 times real time are possible"),
         help=f"times real time, 0.1 to 5 (default {DEFAULT_SPEED:g}; 1 if the actuators carry no "
         "stamp, as they are stamped on arrival)",
     )
@@ -140,16 +146,11 @@ def parser() -> argparse.ArgumentParser:
         help="folder for the results and the node's log (output)",
     )
     result.add_argument(
-        "--domain", type=int, help="ROS domain, to watch with other tools (one of its own)"
+        "--domain",
+        type=number(int, 0, LAST_DOMAIN, f" is no ROS domain: there are 0 to {LAST_DOMAIN}"),
+        help="ROS domain, to watch with other tools (one of its own)",
     )
     return result
-
-
-def _speed(text: str) -> float:
-    speed = float(text)
-    if not 0.1 <= speed <= 5.0:
-        raise argparse.ArgumentTypeError(f"'{text}': 0.1 to 5 times real time are possible")
-    return speed
 
 
 def run_demo(options: argparse.Namespace) -> int:

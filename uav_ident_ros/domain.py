@@ -10,6 +10,9 @@ from contextlib import contextmanager, nullcontext
 HIGHEST_DOMAIN = 101
 """Highest ROS domain whose ports are free of the system's ephemeral ones."""
 
+LAST_DOMAIN = 232
+"""The last that has ports at all."""
+
 CLAIM = "\0uav_ident_ros/domain/{}"
 """Abstract socket that stands for a domain: it belongs to one process and ends with it."""
 

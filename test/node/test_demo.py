@@ -38,7 +38,9 @@ def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_pa
     ("arguments", "printed"),
     [
         (("none",), "bag 'none' does not exist"),
-        (("--speed", "9"), "0.1 to 5"),
+        (("--speed", "9"), "'9': 0.1 to 5 times real time"),
+        (("--speed", "fast"), "'fast': 0.1 to 5 times real time"),
+        (("--domain", "233"), "'233' is no ROS domain: there are 0 to 232"),
         ((str(ROOT / "bags" / "multisine"), "--params-file", "none.yaml"), "there is no such file"),
     ],
 )

@@ -243,6 +243,7 @@ def test_without_rich_the_error_names_its_package() -> None:
     [
         (("--node", "/"), "no node name"),
         (("--timeout", "-1"), "positive"),
+        (("--timeout", "soon"), "positive"),
         (("--nod",), "expected one argument"),
         (("x",), "unrecognized"),
     ],

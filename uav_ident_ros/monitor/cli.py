@@ -11,7 +11,13 @@ from typing import NoReturn
 from diagnostic_msgs.msg import DiagnosticArray
 
 from uav_ident_ros.client import CoefficientSource, Fallback, subscribe
-from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c, reader_has_gone
+from uav_ident_ros.commandline import (
+    USAGE_ERROR,
+    OneLineParser,
+    end_as_on_ctrl_c,
+    number,
+    reader_has_gone,
+)
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.monitor.watched_node import WatchedNode
 
@@ -105,9 +111,14 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--plain", action="store_true",
         help="a block of text every second, as where there is no terminal")  # fmt: skip
     result.add_argument("--once", action="store_true", help="print one block and exit")
-    result.add_argument("--timeout", type=_seconds, default=TIMEOUT,
+    result.add_argument("--timeout", type=SECONDS, default=TIMEOUT,
         help=f"seconds that --once waits for the node at most ({TIMEOUT:g})")  # fmt: skip
     return result
+
+
+SECONDS = number(
+    float, math.ulp(0.0), sys.float_info.max, ": a positive number of seconds is needed"
+)
 
 
 def _full_name(text: str) -> str:
@@ -115,13 +126,6 @@ def _full_name(text: str) -> str:
     if not name.lstrip("/"):
         raise argparse.ArgumentTypeError(f"'{text}' is no node name: write /identifier")
     return name if name.startswith("/") else f"/{name}"
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not 0.0 < seconds < math.inf:
-        raise argparse.ArgumentTypeError(f"'{text}': a positive number of seconds is needed")
-    return seconds
 
 
 def _the_one(found: list[str]) -> str:

@@ -3,10 +3,11 @@
 
 import argparse
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
-from uav_ident_ros.commandline import OneLineParser
+from uav_ident_ros.commandline import OneLineParser, number
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 
 DESCRIPTION = """\
@@ -78,7 +79,8 @@ def _groups() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
         "several bags": [
             ("--jobs", "processes at a time for several bags or configurations (default: "
              "%(default)s)",
-             {"type": _positive, "default": os.cpu_count() or 1, "metavar": "N"}),
+             {"type": number(int, 1, sys.maxsize, " is not a number from 1 on"),
+              "default": os.cpu_count() or 1, "metavar": "N"}),
             ("--scheduler", "Dask scheduler whose workers do the work, such as tcp://host:8786; "
              "they must see the same paths", {"default": "", "metavar": "ADDRESS"}),
             ("--again", "replay all bags; without it those are skipped whose result is there "
@@ -101,13 +103,3 @@ def _remapping(text: str) -> tuple[str, str]:
             f"'{text}' is not NAME:=TOPIC with a NAME among {', '.join(streams)}"
         )
     return stream, f"/{topic.lstrip('/')}"
-
-
-def _positive(text: str) -> int:
-    try:
-        number = int(text)
-    except ValueError:
-        number = 0
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number from 1 on")
-    return number
