@@ -32,7 +32,7 @@ from uav_ident_ros.client import (
 from uav_ident_ros.control import Effect, Gains, Law, RateController
 from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.node.program import node_usage, run, spin
+from uav_ident_ros.node.program import node_usage, read_parameters, run, spin
 from uav_ident_ros.ros import stamp_ns
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
@@ -58,13 +58,20 @@ PARAMETERS: dict[str, Any] = {
 }
 """Parameters and their defaults."""
 
+DELAYS = ("delay", "coefficients_delay", "reference_delay")
+LEAST = dict.fromkeys((*DELAYS, "rate_gain", "bandwidth", "excitation_limit"), 0.0)
+"""What they must not be below."""
+
+WORDS = {"law": [law.value for law in Law], "mode": ["adaptive", "fixed"]}
+"""What they may be."""
+
 
 class ControllerExample(Node):
     """Rates and references in, commands out; one command for each Imu message."""
 
     def __init__(self) -> None:
         super().__init__("controller")
-        value = {name: self.declare_parameter(name, v).value for name, v in PARAMETERS.items()}
+        value = read_parameters(self, PARAMETERS, LEAST, WORDS)
         self._value = value
         self._law = Law(value["law"])
         self._adaptive = value["mode"] != "fixed"

@@ -36,6 +36,17 @@ WRONG_FILES = [
      "has nothing for node '/identifier': its sections are /uav_ident; write '/identifier:'"),
 ]  # fmt: skip
 
+WRONG_OF_OTHERS = [
+    ("controller_example", "law:=pid", "'law' is 'pid': allowed are incremental, inversion"),
+    ("controller_example", "rate_gain:=[5.0]", "'rate_gain' has 1 values: 3 are needed"),
+    ("controller_example", "delay:=-0.1", "'delay' is -0.1: allowed are numbers from 0 on"),
+    ("controller_example", "nominal_file:=none.yaml", "'none.yaml': there is no such file"),
+    ("simulation.rate_reference", "hold:=[1.0]", "'hold' has 1 values: 2 are needed"),
+    ("simulation.rate_reference", "seed:=-1", "'seed' is -1: allowed are numbers from 0 on"),
+    ("simulation.plant_node", "airspeed_noise:=.nan", "'airspeed_noise' is nan: allowed are fin"),
+    ("simulation.plant_node", "aircraft:=ufo", "'ufo' is not set up here: use one of"),
+]
+
 HAIL = """
 import os, signal, time
 from uav_ident_ros.node.ending import SIGNALS, Ending
@@ -52,13 +63,13 @@ print("done")
 """
 
 REFUSALS = """
-import contextlib, io, json, sys
-from uav_ident_ros.node.__main__ import main
+import contextlib, importlib, io, json, sys
 found = []
-for arguments in json.load(sys.stdin):
+for module, arguments in json.load(sys.stdin):
+    main = importlib.import_module(f"uav_ident_ros.{module}").main
     errors, printed = io.StringIO(), io.StringIO()
     with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(printed):
-        status = main(["identifier", *arguments])
+        status = main([module, *arguments])
     found.append((status, errors.getvalue(), printed.getvalue()))
 json.dump(found, sys.stdout)
 """
@@ -66,32 +77,37 @@ json.dump(found, sys.stdout)
 
 def test_wrong_parameters_are_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
     """Parameters, parameter files, stray arguments: status 2, and one line."""
+    own = "node.__main__"
     cases = [
-        (["--ros-args", "-p", given], words_printed) for given, words_printed in WRONG_PARAMETERS
+        (module, ["--ros-args", "-p", given], words_printed)
+        for module, given, words_printed in (
+            *((own, *case) for case in WRONG_PARAMETERS),
+            *WRONG_OF_OTHERS,
+        )
     ]
     for number, (text, words_printed) in enumerate(WRONG_FILES):
         path = tmp_path / f"{number}.yaml"
         path.write_text(text, encoding="utf-8")
-        cases.append((["--ros-args", "--params-file", str(path)], words_printed))
+        cases.append((own, ["--ros-args", "--params-file", str(path)], words_printed))
     cases += [
-        (["--ros-args", "--params-file", "none.yaml"], "'none.yaml': there is no such file"),
-        (["flight.yaml"], "--ros-args --params-file FILE"),
+        (own, ["--ros-args", "--params-file", "none.yaml"], "'none.yaml': there is no such file"),
+        (own, ["flight.yaml"], "--ros-args --params-file FILE"),
     ]
     dumped = tmp_path / "dumped.yaml"  # as `ros2 param dump` of a node in no namespace writes it
     dumped.write_text("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
     arguments = ["--ros-args", "--params-file", str(dumped), "-r", "__ns:=/drone1"]
-    cases.append((arguments, "has nothing for node '/drone1/identifier'"))
-    given = json.dumps([arguments for arguments, _ in cases])
+    cases.append((own, arguments, "has nothing for node '/drone1/identifier'"))
+    given = json.dumps([case[:2] for case in cases])
     run = python("-c", REFUSALS, input=given, timeout=PATIENCE, check=True)
     assert run.stderr == "", "rcl prints nothing by itself"
-    for (arguments, wanted), (status, words_printed, printed) in zip(
+    for (module, arguments, wanted), (status, words_printed, printed) in zip(
         cases, json.loads(run.stdout), strict=True
     ):
         assert (status, printed) == (2, ""), arguments
-        assert words_printed.startswith("identifier: ") and words_printed.count("\n") == 1, (
-            arguments
-        )
-        assert wanted in words_printed
+        name = {own: "identifier", "simulation.plant_node": "simulated_plant"}
+        program = name.get(module, module.rpartition(".")[2])
+        assert words_printed.startswith(f"{program}: "), arguments
+        assert words_printed.count("\n") == 1 and wanted in words_printed, arguments
 
 
 HELPS = {

@@ -2,6 +2,7 @@
 """A node as a program: started or refused in one line, run until it is asked to end."""
 
 import itertools
+import math
 import re
 import sys
 import textwrap
@@ -211,6 +212,37 @@ def node_usage(
     """Return the text of another node of this package."""
     head = f"usage: {name} {ROS_ARGUMENTS}\n\n{text.strip()}\n\nparameters, with their defaults:"
     return "\n".join((head, *(f"  {key} = {written(value)}" for key, value in parameters.items())))
+
+
+def read_parameters(
+    node: Node,  # Another node of this package
+    defaults: Mapping[str, Any],  # By name; a list of numbers has as many of them
+    least: Mapping[str, float],  # What numbers must not be below, by name; anything if left out
+    words: Mapping[str, Sequence[str]],  # What a word may be, by name; any if left out
+) -> dict[str, Any]:
+    """Declare the parameters of a node; return their values by name.
+
+    Raises
+    ------
+    UsageError
+        If a value is not allowed; the message says what is.
+    """
+    values = {name: node.declare_parameter(name, v).value for name, v in defaults.items()}
+    for name, value in values.items():
+        several = isinstance(defaults[name], list)
+        if value not in words.get(name, (value,)):
+            raise UsageError(f"'{name}' is '{value}': allowed are {', '.join(words[name])}")
+        if isinstance(defaults[name][0] if several else value, str):
+            continue
+        numbers, bound = (value or []) if several else [value], least.get(name, -math.inf)
+        if several and len(numbers) != len(defaults[name]):
+            raise UsageError(
+                f"'{name}' has {len(numbers)} values: {len(defaults[name])} are needed"
+            )
+        if not all(math.isfinite(number) and number >= bound for number in numbers):
+            allowed = "finite numbers" if bound == -math.inf else f"numbers from {bound:g} on"
+            raise UsageError(f"'{name}' is {value}: allowed are {allowed}")
+    return values
 
 
 def _entry(setting: Setting) -> str:

@@ -38,7 +38,7 @@ from uav_ident_ros.guest import StepClock, listen
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FRAME_IDS, NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
-from uav_ident_ros.node.program import UsageError, node_usage, run
+from uav_ident_ros.node.program import UsageError, node_usage, read_parameters, run
 from uav_ident_ros.ros import to_stamp
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.errors import SimulationError
@@ -86,6 +86,9 @@ PARAMETERS: dict[str, Any] = {
 }
 """Parameters and their defaults."""
 
+LEAST = dict.fromkeys(("seed", "duration", "excite_at", "speed"), 0.0)
+"""What they must not be below."""
+
 
 class PlantNode(Node):
     """The node: an aircraft, its messages, and the waiting for the others.
@@ -102,26 +105,25 @@ class PlantNode(Node):
     ) -> None:
         super().__init__("simulated_plant")
         self._ending = ending
-        for name, default in PARAMETERS.items():
-            self.declare_parameter(name, default)
-        rate = self._value("rate")
+        self._value = read_parameters(self, PARAMETERS, LEAST, {})
+        rate = self._value["rate"]
         sensors = Sensors(
             rate=rate,
-            gyro_noise=self._value("gyro_noise"),
-            gyro_bias=tuple(self._value("gyro_bias")),
-            accelerometer_noise=self._value("accelerometer_noise"),
-            airspeed_noise=noise if (noise := self._value("airspeed_noise")) >= 0.0 else None,
-            airspeed_bias=self._value("airspeed_bias"),
+            gyro_noise=self._value["gyro_noise"],
+            gyro_bias=tuple(self._value["gyro_bias"]),
+            accelerometer_noise=self._value["accelerometer_noise"],
+            airspeed_noise=noise if (noise := self._value["airspeed_noise"]) >= 0.0 else None,
+            airspeed_bias=self._value["airspeed_bias"],
         )
-        faults = [parse_fault(text) for text in self._value("faults") if text]
-        name, delay, seed = (self._value(key) for key in ("aircraft", "delay", "seed"))
+        faults = [parse_fault(text) for text in self._value["faults"] if text]
+        name, delay, seed = (self._value[key] for key in ("aircraft", "delay", "seed"))
         self._aircraft: Live
         if name == QUADROTOR.name:
             self._aircraft = LiveQuadrotor(sensors, delay, faults, seed)
         else:
-            speed = self._value("speed") or None
+            speed = self._value["speed"] or None
             self._aircraft = LiveAircraft(name, sensors, delay, faults, seed, speed)
-        self._lock_step: bool = self._value("lock_step")
+        self._lock_step: bool = self._value["lock_step"]
         self._period_ns = round(NS_PER_S / rate)
         self._now_ns = self._start_ns = EPOCH_NS
         self._samples: list[dict[str, Any]] = []
@@ -130,10 +132,10 @@ class PlantNode(Node):
         self._command: tuple[int, FloatArray | None] = (0, None)
         self._reference = (0, np.full(3, np.nan))
         self._coefficients_ns = 0
-        self._identifier_silent = not self._value("wait_for_identifier")
+        self._identifier_silent = not self._value["wait_for_identifier"]
         self._controller_silent = False
         self.missed = 0
-        self._excite_at: float = self._value("excite_at") or math.inf
+        self._excite_at: float = self._value["excite_at"] or math.inf
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
         self._clock = StepClock(self, self._executor, self._period_ns, self._lock_step)
@@ -147,9 +149,6 @@ class PlantNode(Node):
         subscribe(self, CoefficientSource(Fallback.REFUSE), callback=self._on_coefficients)
         self._requests = Excitation(UNLIMITED)
         subscribe_excitation(self, self._requests)
-
-    def _value(self, name: str) -> Any:
-        return self.get_parameter(name).value
 
     def _going(self) -> bool:
         return rclpy.ok() and not self._ending.requested
@@ -171,7 +170,7 @@ class PlantNode(Node):
         self._reference = header_ns(message), np.array([vector.x, vector.y, vector.z])
 
     def _on_coefficients(self, coefficients: Coefficients) -> None:
-        if self._identifier_silent and self._value("wait_for_identifier"):
+        if self._identifier_silent and self._value["wait_for_identifier"]:
             self.get_logger().info("the identifier is back")
             self._identifier_silent = False
         self._coefficients_ns = coefficients.t_ns
@@ -208,7 +207,7 @@ class PlantNode(Node):
         else:
             self._start_ns = time.time_ns()
         began = time.monotonic()
-        duration = self._value("duration") or math.inf
+        duration = self._value["duration"] or math.inf
         lost = math.nan
         try:
             while self._going() and self._aircraft.time < duration:
@@ -217,13 +216,19 @@ class PlantNode(Node):
             lost = self._aircraft.time
             raise
         finally:
-            if path := self._value("record_file"):
-                save_record(Path(path), self._samples, self._estimates, lost)
+            if path := self._value["record_file"]:
+                self._save_record(Path(path), lost)
         speed = self._aircraft.time / (time.monotonic() - began)
         self.get_logger().info(
             f"flew {self._aircraft.time:.1f} s at {speed:.1f} times real time; "
             f"{self.missed} samples without an answer"
         )
+
+    def _save_record(self, path: Path, lost: float) -> None:
+        try:
+            save_record(path, self._samples, self._estimates, lost)
+        except OSError as error:
+            self.get_logger().error(f"cannot write '{path}': {error.strerror}")
 
     def _one_interval(self, began: float) -> None:
         self._now_ns = self._start_ns + round(self._aircraft.time * NS_PER_S)
@@ -293,7 +298,7 @@ class PlantNode(Node):
 
     def _wait_for_everyone(self) -> None:
         """Listen until there is a controller, and an identifier if one is waited for."""
-        guided, identified = bool(self._value("wait_for_reference")), not self._identifier_silent
+        guided, identified = bool(self._value["wait_for_reference"]), not self._identifier_silent
         clock = self._clock.publisher
         assert clock is not None, "only in step"
 
@@ -318,7 +323,7 @@ class PlantNode(Node):
 
     def _wait_for_answers(self) -> None:
         """Listen until the newest sample is answered and the coefficients are not far behind."""
-        unguided = not self._value("wait_for_reference")
+        unguided = not self._value["wait_for_reference"]
 
         def answered() -> bool:
             referred_ns = self._reference[0]

@@ -16,7 +16,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
-from uav_ident_ros.node.program import node_usage, run, spin
+from uav_ident_ros.node.program import node_usage, read_parameters, run, spin
 from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 
 PARAMETERS: dict[str, Any] = {
@@ -27,6 +27,9 @@ PARAMETERS: dict[str, Any] = {
     "seed": 0,
 }
 """Parameters and their defaults."""
+
+LEAST = {"hold": 0.0, "airspeed": 1.0, "seed": 0.0}
+"""What they must not be below."""
 
 
 def attitude(q: Quaternion) -> tuple[float, float]:
@@ -41,10 +44,7 @@ class RateReference(Node):
 
     def __init__(self) -> None:
         super().__init__("rate_reference")
-        value = {
-            name: self.declare_parameter(name, default).value
-            for name, default in PARAMETERS.items()
-        }
+        value = read_parameters(self, PARAMETERS, LEAST, {})
         low, high = value.pop("hold")
         self._manoeuvres = Manoeuvres(hold=(low, high), **value)
         self._first_ns = self._last_ns = 0
