@@ -79,11 +79,7 @@ class StepClock:
 class Guest:
     """A node in a context of its own: without signal handlers Ctrl-C stays a KeyboardInterrupt."""
 
-    def __init__(
-        self,
-        name: str,  # Its name
-        **options: Any,  # Further arguments of `rclpy.node.Node`
-    ) -> None:
+    def __init__(self, name: str, **options: Any) -> None:
         context = Context()
         context.init(args=[])
         self.node = Node(

@@ -64,11 +64,7 @@ def decompressed(
 class _Bounded:
     """A file compressed as a whole, for reading."""
 
-    def __init__(
-        self,
-        file: IO[bytes],  # The compressed file
-        mode: str,  # ``rb``
-    ) -> None:
+    def __init__(self, file: IO[bytes], mode: str) -> None:
         self._content = _zstd.open(file, mode)
         size = file.seek(0, 2)
         file.seek(0)

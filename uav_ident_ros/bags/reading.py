@@ -51,10 +51,7 @@ class Ros1Reader:
     other types are read by the definitions in the bag.
     """
 
-    def __init__(
-        self,
-        path: Path,  # The file
-    ) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path  # The file
         self._reader = ReaderOfRos1(path)
         self._store = get_typestore(Stores.ROS2_JAZZY)

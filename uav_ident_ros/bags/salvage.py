@@ -68,10 +68,7 @@ class SalvageReader:
         If there is no message to be saved, or the mcap library is not installed.
     """
 
-    def __init__(
-        self,
-        path: Path,  # The file
-    ) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         try:
             import mcap.stream_reader  # noqa: F401

@@ -202,11 +202,8 @@ def _digits(value: float) -> str:
     return f"{mantissa}{separator}{exponent}"
 
 
-def load_coefficients(
-    path: Path | str,  # The file
-    structure: str | None = None,  # Structure that it must be for
-) -> CoefficientSet:
-    """Read a coefficients file and check all of it.
+def load_coefficients(path: Path | str, structure: str | None = None) -> CoefficientSet:
+    """Read a coefficients file and check all of it, and that it is for a structure, if given.
 
     Raises
     ------

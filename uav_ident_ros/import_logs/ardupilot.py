@@ -63,10 +63,7 @@ TYPES = {RAW, FILTERED, *PINS, "RATE", "AETR", "ACC", "CTUN", "ARM", "EV", "STAT
 """The messages that are read, beside the table's streams."""
 
 
-def read_ardupilot(
-    path: Path,  # Dataflash file
-    choice: Choice,  # What to take in place of the best
-) -> FlightLog:
+def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     """Read an ArduPilot dataflash log.
 
     Raises

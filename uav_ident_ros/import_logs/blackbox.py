@@ -31,10 +31,7 @@ GYROS = ("gyroUnfilt", "gyroADC")
 FRAMES = "the frames"
 
 
-def read_blackbox(
-    path: Path,  # Blackbox file
-    choice: Choice,  # What to take in place of the best: there is no choice
-) -> FlightLog:
+def read_blackbox(path: Path, choice: Choice) -> FlightLog:
     """Read the longest log of a file.
 
     Raises

@@ -179,10 +179,7 @@ EMPTY = ("", "nan", "NaN", "NA", "null")
 """Cells without a value: the stream has no sample in this row."""
 
 
-def read_csv(
-    path: Path,  # Table with a header line
-    columns: ColumnMap,  # What its columns mean
-) -> FlightLog:
+def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
     """Read a table.
 
     A row gives a sample of the rates if it has all three, one of the actuators if it has any

@@ -65,11 +65,8 @@ LANDED = "vehicle_land_detected"
 MOST_GYROS = 4
 
 
-def read_px4(
-    path: Path,  # ULog file, or a folder that ulog2csv has written
-    choice: Choice,  # What to take in place of the best
-) -> FlightLog:
-    """Read a PX4 log.
+def read_px4(path: Path, choice: Choice) -> FlightLog:
+    """Read a PX4 log: a ULog file, or a folder that ulog2csv has written.
 
     Raises
     ------

@@ -226,10 +226,7 @@ class ActuatorReader:
         If the type has no such array field, or channels are named and the type names none.
     """
 
-    def __init__(
-        self,
-        settings: ActuatorSettings,  # Type, field and channels
-    ) -> None:
+    def __init__(self, settings: ActuatorSettings) -> None:
         self._adapter = adapter = ACTUATORS[settings.type]
         self.field = settings.field or adapter.fields[0]  # The array field that is read
         if self.field not in adapter.fields:
@@ -304,10 +301,7 @@ FRAME_IDS = {"flu": "base_link", "frd": "base_link_frd"}
 class RatesReader:
     """Reads rates messages, and holds their axes against the settings."""
 
-    def __init__(
-        self,
-        settings: ImuSettings,  # Type and convention
-    ) -> None:
+    def __init__(self, settings: ImuSettings) -> None:
         self._settings = settings
         self._read = RATES[settings.type].read
         self.frame_id: str | None = None  # Frame of the newest message; None before the first

@@ -75,11 +75,8 @@ class Listener(Guest):
         self.spin_for(SETTLE)
         return self.identifiers()
 
-    def listen(
-        self,
-        node: str,  # Its full name
-    ) -> WatchedNode:
-        """Begin to listen to an identifier."""
+    def listen(self, node: str) -> WatchedNode:
+        """Begin to listen to an identifier, by its full name."""
         watched, topic = WatchedNode(node), f"{node}/{OUTPUT}"
 
         def take_status(message: DiagnosticArray) -> None:

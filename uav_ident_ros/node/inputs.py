@@ -34,11 +34,7 @@ _OVERRIDABLE = (
 class InputMonitor:
     """Watches the subscription to one input."""
 
-    def __init__(
-        self,
-        feed: Feed,  # Takes its messages
-        topic: str,  # Resolved name of the topic
-    ) -> None:
+    def __init__(self, feed: Feed, topic: str) -> None:
         self.feed, self.topic = feed, topic
         self.publishers: list[str] = []  # Nodes that publish it
         self._last_arrival: float | None = None

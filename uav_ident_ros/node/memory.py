@@ -54,10 +54,7 @@ else."""
 class Saver:
     """Writes coefficients to a file, one at a time."""
 
-    def __init__(
-        self,
-        path: Path,  # The file; its folder is made
-    ) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.written: CoefficientSet | None = None  # What was written last
         # Whether the file that is there is none of ours, and is kept under another name

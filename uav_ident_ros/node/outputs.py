@@ -23,11 +23,7 @@ from uav_ident_ros.ros import RELIABLE, latched, to_stamp
 class Outputs:
     """Publishes estimates."""
 
-    def __init__(
-        self,
-        node: Node,  # Owner of the publishers
-        structure: Structure,  # Structure of the estimates
-    ) -> None:
+    def __init__(self, node: Node, structure: Structure) -> None:
         self._structure = structure
         create = node.create_publisher
         self._named = create(JointState, "~/coefficients_named", latched(1))

@@ -78,11 +78,7 @@ class Refusals:
 class Intake:
     """Takes the messages of a bag."""
 
-    def __init__(
-        self,
-        inputs: Inputs,  # Topics and settings
-        identifier: OnlineIdentifier,  # Who gets the samples
-    ) -> None:
+    def __init__(self, inputs: Inputs, identifier: OnlineIdentifier) -> None:
         settings = inputs.settings
         self._inputs, self._identifier = inputs, identifier
         self._feeds = {

@@ -45,10 +45,7 @@ def ranked(outcomes: Sequence[Outcome]) -> list[Outcome]:
     return sorted(outcomes, key=lambda outcome: (outcome.status, -mean_fit(outcome)))
 
 
-def ranking(
-    bag: str,  # Name of the bag
-    outcomes: Sequence[Outcome],  # One for each configuration
-) -> str:
+def ranking(bag: str, outcomes: Sequence[Outcome]) -> str:
     """Return a table of the configurations of one bag, the best first."""
     rows = []
     for place, outcome in enumerate(ranked(outcomes), start=1):

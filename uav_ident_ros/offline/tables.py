@@ -159,10 +159,8 @@ WIDTH = 100
 """Columns of the longest line."""
 
 
-def write_table(
-    summary: Mapping[str, Any],  # Content of summary.json
-) -> str:
-    """Return the results of a replay in words and columns."""
+def write_table(summary: Mapping[str, Any]) -> str:
+    """Return the results of a replay, as in summary.json, in words and columns."""
     tables = [coefficients_table(summary), *fit_tables(summary)]
     tables += [modes_table(summary)] if summary["modes"] else []
     parts = [_heading(summary), *map(columns, tables), _verdict(summary)]

@@ -31,11 +31,7 @@ class _Packed(NamedTuple):
 class Ticks(Sequence[Estimate]):
     """Estimates of one structure, in order."""
 
-    def __init__(
-        self,
-        structure: Structure,  # Their structure
-        estimates: Iterable[Estimate] = (),  # The first of them
-    ) -> None:
+    def __init__(self, structure: Structure, estimates: Iterable[Estimate] = ()) -> None:
         self._structure = structure
         self._packed: list[_Packed] = []
         self._known: dict[Any, Any] = {}

@@ -199,10 +199,7 @@ class Predictions:
         return model, hold
 
 
-def predict(
-    flight: Flight,  # The flight
-    horizon: float,  # How far ahead, s
-) -> Predictions:
+def predict(flight: Flight, horizon: float) -> Predictions:
     """Run the model of every tick for `horizon` s."""
     parts = []
     for part in flight.stretches:

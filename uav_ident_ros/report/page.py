@@ -27,10 +27,7 @@ _NAMES = re.compile(r'(?<=")p\d{4,}(?=")')
 """Names that Bokeh makes up for its models, anew in every run."""
 
 
-def write_report(
-    path: Path,  # The file; its folder exists
-    replayed: Replayed,  # The replay
-) -> None:
+def write_report(path: Path, replayed: Replayed) -> None:
     """Write the report of a replay.
 
     Raises

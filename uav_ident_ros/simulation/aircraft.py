@@ -303,11 +303,8 @@ class Autopilot:
         return np.asarray(self.trim + correction)
 
 
-def settle(
-    aircraft: Aircraft,  # As trimmed
-    rate: float = AUTOPILOT_RATE,  # Of the autopilot, Hz
-) -> tuple[Autopilot, list[float]]:
-    """Fly on the autopilot until nothing moves any more.
+def settle(aircraft: Aircraft, rate: float = AUTOPILOT_RATE) -> tuple[Autopilot, list[float]]:
+    """Fly a trimmed aircraft on the autopilot, at `rate` Hz, until nothing moves any more.
 
     Returns
     -------

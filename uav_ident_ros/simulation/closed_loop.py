@@ -65,12 +65,8 @@ class Loop:
     # More parameters, by process: ``{"simulated_plant": {"rate": "200.0"}}``
     parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
-    def parameters_of(
-        self,
-        process: str,  # One of `MODULES`
-        record: Path,  # Where the plant leaves its record
-    ) -> dict[str, object]:
-        """Parameters of a process that are not in its file."""
+    def parameters_of(self, process: str, record: Path) -> dict[str, object]:
+        """Parameters of one of `MODULES` that are not in its file; the plant writes `record`."""
         coefficients = self.files / f"{self.aircraft}_coefficients.yaml"
         own: dict[str, dict[str, object]] = {
             "identifier": {"use_sim_time": self.lock_step},

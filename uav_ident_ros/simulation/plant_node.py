@@ -99,10 +99,7 @@ class PlantNode(Node):
         If the aircraft or a fault is not possible.
     """
 
-    def __init__(
-        self,
-        ending: Ending,  # Says when to stop
-    ) -> None:
+    def __init__(self, ending: Ending) -> None:
         super().__init__("simulated_plant")
         self._ending = ending
         self._value = read_parameters(self, PARAMETERS, LEAST, {})

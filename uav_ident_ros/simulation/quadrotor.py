@@ -65,10 +65,7 @@ class Body:
 class Quadrotor:
     """The state of a quadrotor in flight, and how it goes on."""
 
-    def __init__(
-        self,
-        body: Body,  # What it is
-    ) -> None:
+    def __init__(self, body: Body) -> None:
         self.body = body
         self.rates = [0.0] * 3  # p, q, r, rad/s
         self.angles = [0.0] * 3  # Roll, pitch, yaw, rad
