@@ -220,8 +220,6 @@ def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
         inputs = choose_inputs(bag, {})
         assert inputs.streams == {"rates": "/plane/imu", "actuators": "/plane/servos"}
         assert inputs.settings.actuators.type == "std_msgs/msg/Float64MultiArray"
-        with pytest.raises(BagError, match="no topic '/imu/data'; it has /plane/imu"):
-            choose_inputs(bag, {}, {"rates": "/imu/data"})
     with Bag(excerpt(tmp_path / "doubled", 1.0, "pulses", doubled)) as bag:
         with pytest.raises(BagError) as caught:
             choose_inputs(bag, {})
@@ -232,12 +230,6 @@ def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
             for topic in ("/imu_a", "/imu_b")
         ]
         assert choose_inputs(bag, {}, {"rates": "/imu_b"}).streams["rates"] == "/imu_b"
-        with pytest.raises(BagError, match="Float64MultiArray, but known are sensor_msgs/msg/Imu"):
-            choose_inputs(bag, {}, {"rates": ACTUATORS})
-    other = {"actuators.type": "mavros_msgs/msg/RCOut"}
-    words = r"but 'actuators\.type' is 'mavros_msgs/msg/RCOut'"
-    with Bag(BAGS / "pulses") as bag, pytest.raises(BagError, match=words):
-        choose_inputs(bag, other)
 
 
 @pytest.mark.parametrize("frame_id", ["imu_frd", "map_ned"])
