@@ -43,6 +43,7 @@ WRONG_OF_OTHERS = [
     ("controller_example", "nominal_file:=none.yaml", "'none.yaml': there is no such file"),
     ("simulation.rate_reference", "hold:=[1.0]", "'hold' has 1 values: 2 are needed"),
     ("simulation.rate_reference", "seed:=-1", "'seed' is -1: allowed are numbers from 0 on"),
+    ("simulation.rate_reference", "airspeed:=.inf", "is inf: allowed are numbers from 1 on"),
     ("simulation.plant_node", "airspeed_noise:=.nan", "'airspeed_noise' is nan: allowed are fin"),
     ("simulation.plant_node", "aircraft:=ufo", "'ufo' is not set up here: use one of"),
 ]
