@@ -257,7 +257,9 @@ def test_jump_of_the_time_base_is_not_scored_across(tmp_path: Path) -> None:
         return [(topic, log_ns, message)]
 
     path = excerpt(tmp_path / "bag", 28.0, "multisine", jumping)
-    fit = replayed_run(path, parameters()).score()["after_30_s"]
+    run = replayed_run(path, parameters())
+    assert run.intake.era == 1
+    fit = run.score()["after_30_s"]
     # everything after the jump is late enough: 14 s of ticks less the last window
     assert 12 * 20 <= fit.windows <= 13 * 20
     assert (fit.model > 80.0).all()
