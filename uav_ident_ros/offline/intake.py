@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The messages of a bag into an identifier, in log-time order, as the node takes them in flight."""
 
+from __future__ import annotations
+
 from array import array
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -26,36 +29,31 @@ _NO_FORCE = (0.0, 0.0, 0.0)
 
 
 class Record:
-    """Samples of one stream as the identifier took them."""
+    """Samples of one stream as the identifier took them, by their time base."""
 
     def __init__(
         self,
         width: int,  # Values per sample
     ) -> None:
         self._width = width
-        self._t = array("q")
-        self._values = array("d")
-        self._era = array("q")
+        self._t: dict[int, array[int]] = defaultdict(lambda: array("q"))
+        self._values: dict[int, array[float]] = defaultdict(lambda: array("d"))
 
     def __len__(self) -> int:
-        return len(self._t)
+        return sum(map(len, self._t.values()))
 
     def append(self, t_ns: int, values: Iterable[float], era: int) -> None:
         """Keep a sample; `era` counts the restarts of the time base before it."""
-        self._t.append(t_ns)
-        self._values.extend(values)
-        self._era.append(era)
+        self._t[era].append(t_ns)
+        self._values[era].extend(values)
 
     def of_era(self, era: int) -> tuple[TimeArray, FloatArray]:
         """Return stamps (k,), strictly rising, and values (k, width) of one time base.
 
         They may be those of the record itself: while they are in use, nothing can be added.
         """
-        chosen = np.frombuffer(self._era, np.int64) == era
-        values = np.frombuffer(self._values).reshape(-1, self._width)
-        t_ns = np.frombuffer(self._t, np.int64)
-        if not chosen.all():
-            t_ns, values = t_ns[chosen], values[chosen]
+        t_ns = np.frombuffer(self._t[era], np.int64)
+        values = np.frombuffer(self._values[era]).reshape(-1, self._width)
         if (t_ns[1:] > t_ns[:-1]).all():
             return t_ns, values
         t_ns, first = np.unique(t_ns, return_index=True)
