@@ -21,7 +21,7 @@ from typing import Any
 
 import yaml
 
-from uav_ident_ros.files.strict_yaml import UNUSABLE, problem
+from uav_ident_ros.files.strict_yaml import UNUSABLE, EntryError, mapping, problem
 from uav_ident_ros.simulation.errors import SimulationError
 
 FOLDER = Path(__file__).parent / "airframes"
@@ -147,15 +147,13 @@ def build(
     SimulationError
         If a name is no field of it, or a field without a default is missing.
     """
-    known = {item.name: item for item in fields(cls)}
-    for key in values:
-        if key not in known:
-            raise SimulationError(f"{where} has no entry '{key}': there are {', '.join(known)}")
-    for name, item in known.items():
-        optional = {item.default, item.default_factory} != {MISSING}
-        if name not in values and not optional:
-            raise SimulationError(f"{where}: '{name}' is missing")
-    out = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+    optional = [f.name for f in fields(cls) if {f.default, f.default_factory} != {MISSING}]
+    needed = [f.name for f in fields(cls) if f.name not in optional]
+    try:
+        given = mapping(values, where, needed, optional)
+    except EntryError as error:
+        raise SimulationError(str(error)) from None
+    out = {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
     for key, (inner, called) in (nested or {}).items():
         if isinstance(found := out.get(key), tuple):
             out[key] = tuple(build(inner, value, called) for value in found)
