@@ -21,7 +21,8 @@ from typing import Any
 
 import yaml
 
-from uav_ident_ros.files.strict_yaml import UNUSABLE, EntryError, mapping, problem
+from uav_ident_ros.files.strict_yaml import UNUSABLE, EntryError, finite, mapping, problem
+from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.simulation.errors import SimulationError
 
 FOLDER = Path(__file__).parent / "airframes"
@@ -126,6 +127,12 @@ def _read(path: Path) -> Airframe:
     found: Airframe = build(Airframe, {"name": path.stem, **content}, where, nested)
     if not isinstance(found.model, str):
         raise SimulationError(f"{where}: model is the number {found.model}: write it in quotes")
+    try:
+        peaks = mapping(found.excitation, "excitation", (), INPUTS)
+        for key, value in {**vars(found.autopilot), **peaks}.items():
+            finite(value, key)
+    except EntryError as error:
+        raise SimulationError(f"{where}: {error}") from None
     for key in ("speed", "altitude"):
         value = getattr(found, key)
         if not (isinstance(value, int | float) and value > 0.0):
@@ -135,7 +142,7 @@ def _read(path: Path) -> Airframe:
 
 def build(
     cls: Any,  # The dataclass
-    values: Mapping[str, Any],  # Its fields by name; lists become tuples
+    values: Any,  # Its fields by name; lists become tuples
     where: str,  # What they belong to, for messages
     # Fields that are dataclasses themselves, or sequences of them, with what one is called
     nested: Mapping[str, tuple[Any, str]] | None = None,
@@ -145,7 +152,7 @@ def build(
     Raises
     ------
     SimulationError
-        If a name is no field of it, or a field without a default is missing.
+        If it is none, a name is no field of it, or a field without a default is missing.
     """
     optional = [f.name for f in fields(cls) if {f.default, f.default_factory} != {MISSING}]
     needed = [f.name for f in fields(cls) if f.name not in optional]
@@ -157,6 +164,6 @@ def build(
     for key, (inner, called) in (nested or {}).items():
         if isinstance(found := out.get(key), tuple):
             out[key] = tuple(build(inner, value, called) for value in found)
-        elif isinstance(found, Mapping):
+        elif key in out and not isinstance(found, inner):
             out[key] = build(inner, found, called)
     return cls(**out)
