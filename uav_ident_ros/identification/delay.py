@@ -20,8 +20,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from uav_ident_ros.identification.estimators.information import FIRST_RESIDUAL_VARIANCE
 from uav_ident_ros.identification.feedback import ANSWER_TIMES
 from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.prior import (
     CONSTANT_SIGMA,
     FORCE_SIGMA,
@@ -32,29 +34,24 @@ from uav_ident_ros.identification.prior import (
 )
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.sampling import Block, join
+from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, SAMPLE_TIME, STEP
 from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
-
-STEP = 0.025
-"""Step of the bank and of its models, s: the cost is smooth over three of them."""
 
 LAGS = (0.0, 0.06, 0.12)
 """Servo lags of the bank, beyond the one in use, s."""
 
 _LAG_STEPS = math.ceil(4.0 * LAGS[-1] / STEP)  # the longest has forgotten by then
 
-WINDOW, WINDOWS = round(1.0 / STEP), 5
-"""Steps of a prediction, 1 s, and predictions of a block."""
+WINDOW, WINDOWS = round(HORIZONS[0] / STEP), round(HORIZONS[-1] / HORIZONS[0])
+"""Steps of a prediction, 1 s, and predictions of a block: as long as one that a pilot makes."""
 
-SAMPLE = 4
-"""Steps over which the equation of motion is integrated, 0.1 s, for a sample of the regression."""
-
-BLOCKS = 60
-"""Blocks that are judged, the newest, and in which the models forget: five minutes."""
+SAMPLE = round(2.0 * SAMPLE_TIME / STEP)
+"""Steps over which the equation of motion is integrated for a sample of the regression."""
 
 FEWEST_BLOCKS = 2
 """Blocks that are learned from before predictions count, and predicted before they are judged."""
 
-RIDGE = 0.01
+RIDGE = FIRST_RESIDUAL_VARIANCE * SAMPLE * STEP
 """Residual variance times its correlation time that weighs the prior of the models, rad^2/s^3."""
 
 ALIKE = 0.08
@@ -62,11 +59,9 @@ ALIKE = 0.08
 50 %. Least squares in gusts turns some of a lag into slower damping."""
 
 APART = 3
-"""Steps at which a wrong delay must predict worse. The bank goes twice as far below no delay:
-commands may be known too late."""
-
-SURE_RISE = 4.0
-"""By how many of its standard deviations it must; an autopilot's answers alone reach 3.5."""
+"""Steps at which a wrong delay must predict worse, by `DOUBTLESS` standard deviations: an
+autopilot's answers alone reach 3.5. The bank goes twice as far below no delay: commands may be
+known too late."""
 
 SYSTEMATIC_ERROR = 0.0075
 """What blocks do not tell, s: noise and gusts in the regressors, inputs held between samples."""
@@ -102,7 +97,7 @@ class DelayEstimate:
     @property
     def sure(self) -> bool:
         """Whether the delay is known."""
-        return self.sigma <= SURE_SIGMA and self.rise >= SURE_RISE
+        return self.sigma <= SURE_SIGMA and self.rise >= DOUBTLESS
 
     @property
     def total_sure(self) -> bool:
@@ -117,7 +112,7 @@ class DelayEstimate:
     def off(self, delay: float) -> float:
         """By how much a delay in use is too short, s; 0 where it is not known to be wrong."""
         off = self.delay - delay
-        wrong = self.rise >= SURE_RISE and abs(off) > 2.0 * self.sigma
+        wrong = self.rise >= DOUBTLESS and abs(off) > 2.0 * self.sigma
         return off if wrong else 0.0
 
     def contradiction(self, delay: float) -> str:

@@ -11,13 +11,13 @@ import numpy as np
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.programmed_input import ProgrammedInput
-from uav_ident_ros.identification.settings import ExcitationSettings
+from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, ExcitationSettings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray, Structure
 from uav_ident_ros.identification.sufficiency import Sufficiency
 from uav_ident_ros.identification.supervision import State
 from uav_ident_ros.identification.waveforms import WaveformError
 
-ZERO_TIME_NS = 500_000_000
+ZERO_TIME_NS = round(2e9 * EXCITATION_TIMEOUT)
 """How long zeros follow a run, ns, before it is silent: for a listener that missed the first."""
 
 RATE_NAMES = ("roll", "pitch", "yaw")

@@ -22,13 +22,11 @@ from uav_ident_ros.identification.scales import (
     LONG_MEMORY,
     LOOK_TIME,
     OUTLYING,
+    RESPONSE_TIME,
     SHORT_MEMORY,
 )
 from uav_ident_ros.identification.settings import ActuatorSettings, Settings
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
-
-REST_TIME = 2.0
-"""Time over which motion is looked for, s: a turning aircraft has moved by then."""
 
 REST_NOISE = 8.0
 """Swing of the rates, relative to the gyro's noise, up to which nothing moves: noise alone swings
@@ -257,7 +255,7 @@ class RestGate:
             if self._begun:  # the first tick may have one sample alone, which is noisier
                 self._ticks.append((t, np.add.reduce(samples) / len(samples)))
             self._begun = True
-        while self._ticks and t - self._ticks[0][0] > REST_TIME:
+        while self._ticks and t - self._ticks[0][0] > RESPONSE_TIME:
             self._ticks.popleft()
         # It opens at once, and closes when it next looks.
         if self._ticks and (self._reason or t - self._looked >= LOOK_TIME):

@@ -43,6 +43,7 @@ from uav_ident_ros.identification.regression import (
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.samples import NS, SampleBuffer
 from uav_ident_ros.identification.sampling import Block, Sampler
+from uav_ident_ros.identification.scales import SAMPLE_TIME, SHORT_MEMORY
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.setup_errors import SetupError, delay_error, height_error
 from uav_ident_ros.identification.speed import SpeedScaling
@@ -50,12 +51,12 @@ from uav_ident_ros.identification.stretches import Stretch, Stretches
 from uav_ident_ros.identification.structure import ROWS, STRUCTURES, FloatArray
 from uav_ident_ros.identification.supervision import State, Supervisor
 
-STRETCH_TIME = 0.1
+STRETCH_TIME = 2.0 * SAMPLE_TIME
 """Time that is learned from at once, s: the cost of an update hardly depends on how many samples it
 takes. With a quarter second, what the last moments tell of the trim comes late: a point of the fit
 of recorded flights."""
 
-START_TIME = 20.0
+START_TIME = 2.0 * SHORT_MEMORY
 """Time of learning for which the coefficients of a cold start count as poor, s: the model leaks,
 and every tick is learned from at once."""
 

@@ -28,6 +28,7 @@ import numpy as np
 
 from uav_ident_ros.identification.frames import lever_arm_matrix
 from uav_ident_ros.identification.sampling import Block, FlowSignals
+from uav_ident_ros.identification.scales import STEP
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     EXOGENOUS_COLUMNS,
@@ -41,10 +42,6 @@ from uav_ident_ros.identification.structure import (
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity, m/s^2."""
-
-STEP = 0.025
-"""Integration step aimed at, s: between steps the states are straight lines, which for a motion of
-10 rad/s are off by less than a percent. Shorter cells are joined, longer ones are cut."""
 
 LARGEST_RATE = 30.0
 """Rate beyond which the model's state has diverged, rad/s: no aircraft here turns faster."""
@@ -394,7 +391,7 @@ class Steps:
 
 @lru_cache(maxsize=64)
 def plan_steps(m: int, h: float) -> Steps:
-    """Return the steps over `m` cells of `h` s, none shorter than `STEP` where cells are."""
+    """Return the steps over `m` cells of `h` s; shorter ones are joined, longer ones are cut."""
     stride = max(1, round(STEP / h))
     begin = np.arange(0, m, stride)
     cells = np.minimum(stride, m - begin)

@@ -8,11 +8,9 @@ import numpy as np
 from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.model import IdentifiedModel
 from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.scales import RESPONSE_TIME
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray, Structure
-
-ANSWER_TIME = 2.0
-"""Time for which an aircraft still answers an input, s: a few periods of the short modes."""
 
 
 class ParallelModel:
@@ -40,7 +38,7 @@ class ParallelModel:
         arm = np.array(settings.imu.lever_arm)
         self.model = IdentifiedModel(structure, arm)
         self._response = IdentifiedModel(structure, arm)
-        self._since_injected = ANSWER_TIME
+        self._since_injected = RESPONSE_TIME
         self.flow: FlowObserver | None = None
         if structure.has_flow:
             self.flow = FlowObserver(structure, settings.filter.cutoff, settings.airspeed.reference)
@@ -76,6 +74,6 @@ class ParallelModel:
             return states, False
         if block.excitation.any():
             self._since_injected = 0.0
-        if self._since_injected >= ANSWER_TIME:
+        if self._since_injected >= RESPONSE_TIME:
             return states, False
         return self._response.respond(coefficients, block, leak_time), True

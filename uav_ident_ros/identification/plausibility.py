@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uav_ident_ros.identification.flow import GRAVITY_BAND
 from uav_ident_ros.identification.frames import BodyFrame, rotation
 from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.model import GRAVITY
@@ -40,7 +41,7 @@ a quarter of a g."""
 LARGEST_TILT = math.cos(math.radians(60.0))
 """Cosine of the mean tilt from which the Imu is mounted otherwise: none flies so on average."""
 
-GRAVITY_LEFT = 0.7
+GRAVITY_LEFT = 1.0 - GRAVITY_BAND
 """Length of a mean of directions, or of forces in g, from which they are one: less is left in rolls
 and loops, and where the gyro turns gravity wrongly. Turned back by a right one 0.9 or more is left
 on every flight known, turbulence and turns included."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.rigid_body import Inertia, product_coefficients
+from uav_ident_ros.identification.scales import SURE
 from uav_ident_ros.identification.settings import (
     LARGEST_COEFFICIENT,
     Settings,
@@ -69,10 +70,6 @@ changes the sideslip of the fin by its arm over the airspeed."""
 ANGLE_OF_ATTACK_SIGMA = 0.2
 """Prior standard deviation of ``betadot/p``, rad: the angle between the roll axis and the flow, at
 most the wing's at the stall."""
-
-RESUMED_WIDENING = 3.0
-"""Standard deviations of saved coefficients count so many times on a warm start: they hold for
-the flight that they were learned in."""
 
 RESUMED_CHANGE = 0.2
 """Change of a coefficient between two flights that is nothing unusual, relative to its value:
@@ -185,12 +182,12 @@ def without_flow(start: Start, structure: Structure) -> Start:
 def resumed(saved: CoefficientSet) -> CoefficientSet:
     """Coefficients of an earlier flight as the start of the next: the values, trusted less.
 
-    The variance is that of the file times `RESUMED_WIDENING` squared, plus that of a change
-    by `RESUMED_CHANGE` between the flights. So a t-ratio is never above five at the start, and
-    a second of excitation outweighs what was saved.
+    The sigma of the file holds for the flight that it was learned in: another one is sure to lie
+    within `SURE` of it. To that comes a change by `RESUMED_CHANGE` between the flights. So a
+    t-ratio is never above five at the start, and a second of excitation outweighs what was saved.
     """
     change = RESUMED_CHANGE * np.abs(saved.values)
-    sigma = np.where(saved.sigma > 0.0, np.hypot(RESUMED_WIDENING * saved.sigma, change), 0.0)
+    sigma = np.where(saved.sigma > 0.0, np.hypot(SURE * saved.sigma, change), 0.0)
     return replace(saved, sigma=sigma)
 
 

@@ -27,6 +27,7 @@ from uav_ident_ros.identification.filters import BlockFilter, low_pass
 from uav_ident_ros.identification.frames import lever_arm_matrix
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.scales import SAMPLE_TIME
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
@@ -40,9 +41,6 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
     Structure,
 )
-
-SAMPLE_TIME = 0.05
-"""Time over which the filtered signals are averaged, s: the filter leaves nothing quicker."""
 
 NEGLIGIBLE = 1e-30
 """Magnitude below which a signal counts as zero, SI: no sensor resolves it, and the square of

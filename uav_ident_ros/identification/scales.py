@@ -1,6 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scales of time and of chance that parts of the core share."""
 
+STEP = 0.025
+"""Step of all integration in flight, s: a motion of 10 rad/s turns by a quarter of a radian in it,
+and straight lines between the steps are off by less than a percent."""
+
+SAMPLE_TIME = 2.0 * STEP
+"""Time over which filtered signals are averaged, s: the regression's filter leaves nothing quicker.
+"""
+
 LOOK_TIME = 0.25
 """Time between two looks at what changes slowly, s."""
 
@@ -8,9 +16,12 @@ INDEPENDENT_TIME = 1.0
 """Time after which residuals count as independent, s: longer than the correlation of gusts and of
 the regression's filter."""
 
+RESPONSE_TIME = 2.0
+"""Time in which an aircraft answers an input, s: a few periods of the short modes."""
+
 SHORT_MEMORY = 10.0
 """Memory of a running mean square, s: that of the residuals weighs the prior, that of the rates
-what a model may answer."""
+what a model may answer. In it least squares builds the first model."""
 
 MEMORY = 30.0
 """Memory of what describes the flight of late, s: noise, fit, usual slopes."""
@@ -18,8 +29,14 @@ MEMORY = 30.0
 LONG_MEMORY = 60.0
 """Memory of what is usual, s: a flight has its calm and its lively parts within a minute."""
 
+BLOCKS = 60
+"""Blocks of a flight that are judged, the newest: the share of one in the scatter is small."""
+
 SURE = 3.0
 """Standard deviations from which something is no chance."""
+
+DOUBTLESS = 4.0
+"""The same where every second brings a new look: one in ten thousand."""
 
 OUTLYING = SURE**2
 """Square, relative to its variance or mean, from which samples count less."""

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from uav_ident_ros.identification.scales import SURE
+from uav_ident_ros.identification.scales import RESPONSE_TIME, SURE
 from uav_ident_ros.identification.structure import (
     FLOW_ANGLES,
     INPUTS,
@@ -21,9 +21,6 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
     Structure,
 )
-
-SHORTEST_SPAN = 2.0
-"""Time of a run from which its information is extrapolated, s: the filters' memory is over."""
 
 
 class Sufficiency:
@@ -112,7 +109,7 @@ class Sufficiency:
         start_ns, before = self._start
         span = (t_ns - start_ns) * 1e-9
         gained = information[unknown] - before[unknown]
-        if span < SHORTEST_SPAN or (gained <= 0.0).any():
+        if span < RESPONSE_TIME or (gained <= 0.0).any():
             return math.inf
         return float(((needed - information)[unknown] / gained).max() * span)
 

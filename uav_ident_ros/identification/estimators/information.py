@@ -31,9 +31,6 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
-WARM_UP_TIME = 10.0
-"""Time for which least squares builds the first model, s."""
-
 FADE_TIME = 8.0
 """Time constant with which the information of the least-squares start then fades, s. It is
 biased, so it must go; at once, too little would be left where a flight has told little yet."""
@@ -321,7 +318,7 @@ class Information:
 
         Parameters are those of `Sums.add`.
         """
-        if self.warming_up and self.time.max() >= WARM_UP_TIME:
+        if self.warming_up and self.time.max() >= SHORT_MEMORY:
             self._end_warm_up()
         stack = RowSamples(np.array([part.signals for part in samples]), samples[0].dt)
         for part, instrumental in enumerate(self._instrumental):

@@ -21,16 +21,10 @@ from collections import deque
 import numpy as np
 
 from uav_ident_ros.identification.regression import Layout, RowSamples
-from uav_ident_ros.identification.scales import INDEPENDENT_TIME, LONG_MEMORY
+from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
-BLOCKS = round(LONG_MEMORY / INDEPENDENT_TIME)
-"""Blocks that are looked at, the newest."""
-
-LEAST_T = 4.0
-"""Value over sigma from which it is no chance: one look in ten thousand."""
-
-ACQUITTED_T = 2.0
+ACQUITTED = 0.5 * DOUBTLESS
 """Value over sigma below which what was found is taken back: between the two no look is new."""
 
 LOADING = 1e-4
@@ -159,7 +153,7 @@ class ModelError:
         extra, whole = linear[:, -EXTRA:], linear[range(len(linear)), self._entries, None]
         whole[: len(ROWS), 0] = effect / scale[range(len(ROWS)), self._entries[: len(ROWS)]]
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
-        least = np.where(self._sure, ACQUITTED_T, LEAST_T)
+        least = np.where(self._sure, ACQUITTED, DOUBTLESS)
         self._sure = extra**2 > least**2 * variance
         self.share = np.where(self._sure, np.maximum(away, 0.0), 0.0).max(axis=1)[: len(ROWS)]
         for row in range(len(ROWS), len(extra)):
