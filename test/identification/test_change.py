@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
+from uav_ident_ros.identification.estimators.change import Change, ChangeDetector, _whitened
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.structure import CONSTANT_COLUMN, STRUCTURES
 
@@ -132,3 +132,12 @@ def test_a_moment_that_steps_is_the_constant_though_the_controller_answers() -> 
         u = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal() + slow / 20.0
         found += update(detector, elevator_means(chance, u, smooth[0]))
     assert found[:1] == [(1, CONSTANT_COLUMN)]
+
+
+def test_gusts_that_fade_within_a_third_of_a_second_are_white_to_the_detector() -> None:
+    rng, dt = np.random.default_rng(1), 0.05
+    gusts = np.zeros((20_000, 1))
+    for k, innovation in enumerate(rng.normal(size=len(gusts) - 1)):
+        gusts[k + 1] = np.exp(-dt / 0.3) * gusts[k] + innovation
+    white = _whitened(gusts, dt)[:, 0]
+    assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.03

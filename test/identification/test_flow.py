@@ -11,12 +11,13 @@ from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
 from light_aircraft import TRUTH, LightFlight
 
 from uav_ident_ros.identification.estimate import CoefficientSet
-from uav_ident_ros.identification.flow import LEAST_SPEED_SHARE, FlowObserver, FlowState
+from uav_ident_ros.identification.flow import FlowObserver, FlowState
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.prior import first_values, slope_bounds
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
@@ -179,8 +180,8 @@ def test_the_state_has_the_uncertainty_of_the_slopes() -> None:
     ("airspeed", "used"),
     [
         (None, SPEED),
-        (0.9 * LEAST_SPEED_SHARE * SPEED, SPEED),
-        (1.1 * LEAST_SPEED_SHARE * SPEED, 1.1 * LEAST_SPEED_SHARE * SPEED),
+        (0.9 * SPEED / LARGEST_RATIO, SPEED),
+        (1.1 * SPEED / LARGEST_RATIO, 1.1 * SPEED / LARGEST_RATIO),
         (2.0 * SPEED, 2.0 * SPEED),
     ],
 )

@@ -71,14 +71,16 @@ def test_a_new_stretch_does_not_continue_the_old_one() -> None:
     assert white.signals[:, 1].all()
 
 
-def test_the_models_are_fitted_twice_a_second() -> None:
+def test_the_models_are_fitted_where_it_is_time_to_look() -> None:
     model, residual = NoiseModel(3), residuals(400)[0]
     fits = 0
     for part in np.split(residual, 200):
         before = model.weights
         whiten(model, part)
         fits += model.weights is not before
-    assert fits == pytest.approx(2.0 * len(residual) * DT, abs=1)
+    assert fits == pytest.approx(
+        len(residual) * DT / 0.3, abs=1
+    )  # the first two samples after LOOK_TIME
 
 
 def test_the_loading_is_a_hundredth_of_what_is_predictable() -> None:

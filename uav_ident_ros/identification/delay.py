@@ -25,7 +25,6 @@ from uav_ident_ros.identification.feedback import ANSWER_TIMES
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.prior import (
-    CONSTANT_SIGMA,
     FORCE_SIGMA,
     INPUT_SIGMA,
     LIFT_SLOPE,
@@ -78,8 +77,7 @@ _SURFACES = (_RUDDER, _ELEVATOR)
 # Regressors of the moments: p q r, inputs, constant, ay az.
 _INPUTS, _CONSTANT, _FORCES = slice(3, 7), 7, slice(8, 10)
 _PRECISION = (
-    RIDGE
-    / np.array([RATE_SIGMA] * 3 + [INPUT_SIGMA] * 4 + [CONSTANT_SIGMA] + [FORCE_SIGMA] * 2) ** 2
+    RIDGE / np.array([RATE_SIGMA] * 3 + [INPUT_SIGMA] * 4 + [RATE_SIGMA] + [FORCE_SIGMA] * 2) ** 2
 )
 _LEAST_SLOPES = 0.1 * np.array([SIDE_FORCE_SLOPE, LIFT_SLOPE])
 

@@ -18,7 +18,13 @@ from __future__ import annotations
 import numpy as np
 
 from uav_ident_ros.identification.regression import Layout, Regression
-from uav_ident_ros.identification.scales import INDEPENDENT_TIME, LONG_MEMORY, SURE
+from uav_ident_ros.identification.scales import (
+    GUST_TIME,
+    INDEPENDENT_TIME,
+    LONG_MEMORY,
+    ROUNDING,
+    SURE,
+)
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
@@ -28,9 +34,6 @@ from uav_ident_ros.identification.structure import (
 
 ANSWER_TIMES = np.array([0.1, 0.5, 2.5])
 """Time constants in which past residuals fade, s: from a rate loop to one that holds attitudes."""
-
-CORRELATION_TIME = 0.3
-"""Time after which disturbances count as independent, s."""
 
 
 class Feedback:
@@ -116,13 +119,13 @@ class Feedback:
         covariance = self._products / time - np.outer(mean, mean)
         matrix = covariance[: n - 1, : n - 1].copy()
         diagonal = np.einsum("jj->j", matrix)
-        diagonal += np.sqrt(np.finfo(float).eps) * diagonal + np.finfo(float).tiny
+        diagonal += ROUNDING * diagonal + np.finfo(float).tiny
         across = covariance[: n - 1, n:]
         explained = np.einsum("ji,ji->i", across, np.linalg.solve(matrix, across))
         variance = np.diag(covariance)[n:]
         moved = variance > np.finfo(float).tiny
         share = np.divide(explained, variance, out=np.zeros(len(INPUTS)), where=moved)
         # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
-        chance = (n - 1) * CORRELATION_TIME / time
+        chance = (n - 1) * GUST_TIME / time
         sure = share > chance * (1.0 + SURE * np.sqrt(2.0 / (n - 1)))
         self._set_share(np.where(sure, share - chance, 0.0))

@@ -20,6 +20,7 @@ from uav_ident_ros.identification.model import (
     plan_steps,
 )
 from uav_ident_ros.identification.sampling import Block, FlowSignals
+from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     RATE_COLUMNS,
@@ -34,10 +35,6 @@ ATTITUDE_GAIN = 0.3
 GRAVITY_BAND = 0.3
 """Difference of the corrected specific force from gravity, relative, at which it no longer tells
 where down is; less difference, more weight."""
-
-LEAST_SPEED_SHARE = 0.5
-"""Airspeed relative to the reference below which the reference serves in its place: on the
-ground and in hover nothing may be divided by an airspeed that goes to zero."""
 
 _ROLL, _BIAS = RATE_COLUMNS.start, CONSTANT_COLUMN
 
@@ -86,7 +83,8 @@ class FlowObserver:
         Cut-off of the regression's low-pass, rad/s: the flow angles follow the force so fast, and
         no faster.
     reference : float
-        Airspeed where none is measured, m/s.
+        Airspeed where none is measured, or where it does not fly: nothing may be divided by an
+        airspeed that goes to zero, m/s.
 
     Attributes
     ----------
@@ -142,7 +140,7 @@ class FlowObserver:
             True airspeed, m/s; None where none is measured.
         """
         v = self._reference
-        if airspeed is not None and airspeed > LEAST_SPEED_SHARE * self._reference:
+        if airspeed is not None and airspeed > v / LARGEST_RATIO:
             v = airspeed
         self._speed = v
         plan = plan_steps(len(block.u), block.h)

@@ -14,14 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.regression import RowSamples
-from uav_ident_ros.identification.scales import MEMORY
+from uav_ident_ros.identification.scales import LOOK_TIME, MEMORY
 from uav_ident_ros.identification.structure import FloatArray
 
 ORDER = 3
 """Order of the autoregression, samples: gust, filter and one more."""
-
-FIT_TIME = 0.5
-"""Time between two fits, s: far less than the memory."""
 
 LOADING = 0.01
 """White noise added to the autocovariances, relative to the variance: keeps what is left of a
@@ -99,7 +96,7 @@ class NoiseModel:
         products = (lagged @ new[:, :, None])[:, :, 0]
         self._covariances += share * (products / m - self._covariances)
         self._since_fit += m * dt
-        if self._since_fit >= FIT_TIME:
+        if self._since_fit >= LOOK_TIME:
             self._since_fit = 0.0
             self._fit()
 

@@ -47,7 +47,8 @@ and loops, and where the gyro turns gravity wrongly. Turned back by a right one 
 on every flight known, turbulence and turns included."""
 
 LARGEST_MEAN_RATE = 2.0
-"""Mean size of the angular rate, rad/s, of no aircraft over seconds but in aerobatics."""
+"""Mean size of the angular rate, rad/s, of no aircraft over seconds but in aerobatics: slower, a
+coordinated turn leaves the specific force where it is while the aircraft rolls."""
 
 SMALLEST_FORCE, LARGEST_FORCE = 4.0, 60.0
 """Mean size of the specific force, m/s^2: none is weightless, or pulls six g, on average."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_ident_ros.identification.settings import ExcitationSettings
 from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
-from uav_ident_ros.identification.waveforms import multisines, pulses, turn_time
+from uav_ident_ros.identification.waveforms import PULSES, multisines, pulses, turn_time
 
 LOWEST_CYCLES = 2.0
 """Cycles of the lowest frequency in the period of the multisines (Morelli 2003)."""
@@ -19,7 +19,7 @@ DOUBLET_PEAK = 0.371
 """Frequency, relative to one over the length of its pulses, at which a doublet's spectrum is
 highest: the maximum of sin(pi x)^2 / x. The pulses are as long as puts it in mid-band."""
 
-PAUSE_UNITS = 4.0
+PAUSE_UNITS = 2.0 * sum(length for length, _ in PULSES["doublet"])
 """Quiet time after each input's pulses, in units: twice a doublet, for the response to fade."""
 
 

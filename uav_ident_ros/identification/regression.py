@@ -42,9 +42,9 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
-NEGLIGIBLE = 1e-30
-"""Magnitude below which a signal counts as zero, SI: no sensor resolves it, and the square of
-its square must be a number still."""
+NEGLIGIBLE = float(np.finfo(float).tiny) ** 0.25
+"""Magnitude below which a signal counts as zero: the square of its square must be a number still.
+"""
 
 
 _STATES = (RATE_COLUMNS, LAST_COLUMNS)

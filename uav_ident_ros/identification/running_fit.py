@@ -17,9 +17,6 @@ FAILED_PREDICTION = 4.0
 """Squared error, relative to the signal's own variation, at which a prediction has failed: how
 much further it went astray tells nothing more. A fit of -100 percent."""
 
-WORST_FIT = -1000.0
-"""Where the published fit ends, percent: below it the number says nothing more."""
-
 # The sums over samples: count, x, x^2, then squared errors.
 _SPREAD, _MODEL, _HOLD, _SAVED = slice(0, 3), 3, 4, 5
 
@@ -150,4 +147,4 @@ def _fit(sums: FloatArray) -> FloatArray:
     """Fits in percent of model, holding and saved, shape (3, 3)."""
     errors, spread = sums[_SPREAD.stop :], _spread(sums)
     ratio = np.divide(errors, spread, out=np.ones_like(errors), where=spread > 0.0)
-    return np.asarray(np.maximum(100.0 * (1.0 - np.sqrt(ratio)), WORST_FIT))
+    return np.asarray(100.0 * (1.0 - np.sqrt(ratio)))

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scales of time and of chance that parts of the core share."""
 
+import numpy as np
+
 STEP = 0.025
 """Step of all integration in flight, s: a motion of 10 rad/s turns by a quarter of a radian in it,
 and straight lines between the steps are off by less than a percent."""
@@ -11,6 +13,9 @@ SAMPLE_TIME = 2.0 * STEP
 
 LOOK_TIME = 0.25
 """Time between two looks at what changes slowly, s."""
+
+GUST_TIME = 0.3
+"""Time constant with which gusts come and go, s."""
 
 INDEPENDENT_TIME = 1.0
 """Time after which residuals count as independent, s: longer than the correlation of gusts and of
@@ -29,7 +34,7 @@ MEMORY = 30.0
 LONG_MEMORY = 60.0
 """Memory of what is usual, s: a flight has its calm and its lively parts within a minute."""
 
-BLOCKS = 60
+BLOCKS = round(LONG_MEMORY / INDEPENDENT_TIME)
 """Blocks of a flight that are judged, the newest: the share of one in the scatter is small."""
 
 SURE = 3.0
@@ -40,6 +45,9 @@ DOUBTLESS = 4.0
 
 OUTLYING = SURE**2
 """Square, relative to its variance or mean, from which samples count less."""
+
+ROUNDING = float(np.finfo(float).eps) ** 0.5
+"""Relative size of what is nothing: far above rounding, far below all that is measured."""
 
 IN_A_ROW = 5
 """Samples in a row that are no chance: a gyro is saturated, a clock has jumped, inputs are lost."""

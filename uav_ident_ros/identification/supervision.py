@@ -11,6 +11,7 @@ import numpy as np
 
 from uav_ident_ros.identification.confirmation import Confirmation
 from uav_ident_ros.identification.estimators import Estimator
+from uav_ident_ros.identification.estimators.excitation import WINDOW_TIME
 from uav_ident_ros.identification.gates import (
     TOO_FAR,
     TOO_QUIET,
@@ -20,7 +21,7 @@ from uav_ident_ros.identification.gates import (
     grounded,
 )
 from uav_ident_ros.identification.running_fit import RunningFit
-from uav_ident_ros.identification.scales import MEMORY, SURE
+from uav_ident_ros.identification.scales import MEMORY
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
     MAIN_INPUTS,
@@ -41,15 +42,6 @@ LARGEST_MODEL_ERROR = 0.25
 """What lateness or saturation may take from what an input does. Servo lags, delays and limits of
 travel that halve a control derivative take 0.33 to 0.9, a delay of 25 ms up to 0.2, and what is
 right nothing."""
-
-RELEARNED_T_RATIO = 2.0 * SURE
-"""Value over sigma from which a coefficient that has changed is known again."""
-
-RELEARNED_SIGMA = 2.0
-"""Or sigma, relative to what it was before the change."""
-
-SHORTEST_RELEARNING = 3.0
-"""But not sooner than this after the change was noticed, s."""
 
 
 class State(StrEnum):
@@ -253,15 +245,16 @@ class Supervisor:
         young = "" if running.predictions else "no second was predicted yet to judge by"
         if learned_time < JUDGED_FROM:
             young = f"learned from {int(learned_time)} s, {JUDGED_FROM:g} s are needed to judge"
+        settings = self.settings.supervision
         relearning: dict[int, str] = {}
         for (i, j), change in list(self._relearning.items()):
-            ratio = abs(float(coefficients[i, j])) / RELEARNED_T_RATIO
-            enough = max(RELEARNED_SIGMA * change.sigma, ratio)
-            if t - change.t > SHORTEST_RELEARNING and sigma[i, j] <= enough:
+            known = settings.min_t_ratio * sigma[i, j] <= abs(coefficients[i, j])
+            known = known or sigma[i, j] <= change.sigma
+            # sigma is small sooner, but from the samples by which the change was chosen
+            if known and t - change.t > WINDOW_TIME:
                 del self._relearning[i, j]
             else:
                 relearning[i] = f"{change.name} changed in flight and is learned anew"
-        settings = self.settings.supervision
         first, second, third = (
             relearning.get(i)
             or denied[i]

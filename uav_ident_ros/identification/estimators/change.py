@@ -19,7 +19,7 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.scales import LOOK_TIME, MEMORY, SURE
+from uav_ident_ros.identification.scales import GUST_TIME, LOOK_TIME, MEMORY, SURE
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
@@ -34,9 +34,6 @@ WINDOW_TIME = 5.0
 MIN_EXPLAINED = 0.5
 """Share of a row's whitened residual that a change must explain: more than all else together. What
 an autopilot answers to a storm explains up to 0.4."""
-
-WHITENING = 0.9
-"""Share of each sample that is expected of the next: of gusts it is more, of a slow input too."""
 
 PASSED = 6.0
 """Time in which a step passes the regression's filter, to 2 %, times its cut-off."""
@@ -114,8 +111,8 @@ class ChangeDetector:
         self._since_look = 0.0
         signals = np.concatenate([samples.signals for samples in self._window])
         window = replace(self._window[-1], signals=signals)
-        residual = _whitened(window.residual(coefficients)[:, :3])
-        regressors = _whitened(window.f[:, self._column])
+        residual = _whitened(window.residual(coefficients)[:, :3], window.dt)
+        regressors = _whitened(window.f[:, self._column], window.dt)
         size, power, explained = _fitted(regressors, residual[:, self._row])
         known = np.abs(coefficients[self._row, self._column])
         unsure = sigma[self._row, self._column - INPUT_COLUMNS.start]
@@ -160,15 +157,15 @@ class ChangeDetector:
         since = np.maximum(np.arange(count)[:, None] - np.arange(1, count) + 0.5, 0.0)
         phase = self._cutoff * dt * since / np.sqrt(2.0)
         steps = 1.0 - np.exp(-phase) * (np.cos(phase) + np.sin(phase))
-        size, _, explained = _fitted(_whitened(steps), residual[:, None])
+        size, _, explained = _fitted(_whitened(steps, dt), residual[:, None])
         best = int(explained.argmax())
         passed = best + 1 + round(PASSED / (self._cutoff * dt))
         return float(explained[best]), float(size[best]), min(passed, count - 1)
 
 
-def _whitened(signals: FloatArray) -> FloatArray:
-    """Return signals (m, k) less what the sample before lets expect, (m - 1, k)."""
-    return signals[1:] - WHITENING * signals[:-1]
+def _whitened(signals: FloatArray, dt: float) -> FloatArray:
+    """Return signals (m, k) less what the sample `dt` s before lets expect, (m - 1, k)."""
+    return np.asarray(signals[1:] - np.exp(-dt / GUST_TIME) * signals[:-1])
 
 
 def _fitted(regressors: FloatArray, residual: FloatArray) -> tuple[FloatArray, ...]:

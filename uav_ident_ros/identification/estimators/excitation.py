@@ -20,11 +20,6 @@ from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, Flo
 WINDOW_TIME = 3.0
 """Time over which the variance of an input is taken, s: a slow multisine still moves in it."""
 
-CLEAR_SIGNAL = 0.5
-"""Variance that the inputs explain in a row, relative to that of the residual, below which they
-do not stand out: in a storm, an autopilot's answers look like a change, and large residuals are
-no reason to learn."""
-
 
 class ExcitationGate:
     """Tells how much excitation the rows see.
@@ -52,7 +47,8 @@ class ExcitationGate:
     learning : (3,) bool array
         Rows that see excitation: those with full weight.
     clear : (3,) bool array
-        Those of them in which the inputs stand out from all else that moves the aircraft.
+        Those of them in which the inputs stand out: they explain more than all else together. In a
+        storm an autopilot's answers look like a change, and large residuals are no reason to learn.
     """
 
     def __init__(self, free: BoolArray, settings: SupervisionSettings) -> None:
@@ -113,7 +109,7 @@ class ExcitationGate:
         # feedback tells instead does not.
         self.weight = np.minimum(liveliest, 1.0) ** 2
         self.learning = self.weight == 1.0
-        self.clear = self.learning & (self.signal >= CLEAR_SIGNAL)
+        self.clear = self.learning & (self.signal >= 1.0)
         counted = (self._watched & self.learning[:, None]).any(axis=0)
         spent = np.where(counted, elapsed, 0.0)
         self._usual_time += spent

@@ -8,7 +8,7 @@ import numpy as np
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.scales import MEMORY
+from uav_ident_ros.identification.scales import MEMORY, ROUNDING
 from uav_ident_ros.identification.settings import (
     LARGEST_COEFFICIENT,
     Settings,
@@ -29,9 +29,6 @@ DEFAULT_GAIN = 0.15
 EULER_LIMIT = 2.0
 """``dt f^T K f`` beyond which an explicit Euler step of the law overshoots and grows."""
 
-_ASYMMETRY = 1e-9
-"""Relative asymmetry, or negative eigenvalue, of K that is rounding rather than intent."""
-
 
 def gain_matrix(gains: tuple[float, ...], n: int) -> FloatArray:
     """K from n diagonal or n*n row-major entries.
@@ -43,8 +40,8 @@ def gain_matrix(gains: tuple[float, ...], n: int) -> FloatArray:
     """
     values = np.array(gains) if gains else np.full(n, DEFAULT_GAIN)
     k = np.diag(values) if len(values) == n else values.reshape(n, n)
-    scale = float(np.abs(k).max()) or 1.0
-    if np.abs(k - k.T).max() > _ASYMMETRY * scale:
+    nothing = ROUNDING * (float(np.abs(k).max()) or 1.0)
+    if np.abs(k - k.T).max() > nothing:
         i, j = np.unravel_index(np.argmax(np.abs(k - k.T)), k.shape)
         raise SettingsError(
             "gradient.gains",
@@ -52,7 +49,7 @@ def gain_matrix(gains: tuple[float, ...], n: int) -> FloatArray:
             f"K[{j},{i}] = {k[j, i]:g}; they must be equal",
         )
     lowest = float(np.linalg.eigvalsh(k).min())
-    if lowest < -_ASYMMETRY * scale:
+    if lowest < -nothing:
         raise SettingsError(
             "gradient.gains",
             f"'gradient.gains' has the eigenvalue {lowest:g}: K must be positive semi-definite",

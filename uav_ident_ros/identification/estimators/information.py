@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Layout, RowSamples
-from uav_ident_ros.identification.scales import INDEPENDENT_TIME, OUTLYING, SHORT_MEMORY
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME, OUTLYING, ROUNDING, SHORT_MEMORY
 from uav_ident_ros.identification.structure import (
     ROWS,
     BoolArray,
@@ -35,23 +35,13 @@ FADE_TIME = 8.0
 """Time constant with which the information of the least-squares start then fades, s. It is
 biased, so it must go; at once, too little would be left where a flight has told little yet."""
 
-FADED = 1e-6
-"""Weight at which that start is dropped: no coefficient shows it any more."""
-
 FIRST_RESIDUAL_VARIANCE = 0.1
 """Residual variance until there is a measured one, rad^2/s^4: filtered gyro noise."""
-
-RIDGE = 1e-9
-"""Relative to an instrument's own power: keeps the projection defined where instruments are
-collinear; a hundred times above rounding."""
 
 MODEL_ERROR = 0.03
 """Error of a coefficient, relative to its value, that no residual shows: one number stands for an
 aircraft over a range of speeds and angles. After excited flights of five aircraft in calm air the
 control derivatives are off by 2.4 % rms, all dominant ones by 3.4 (benchmarks/derivatives.py)."""
-
-KNOWN_BLOCKS = 1000.0
-"""Blocks that what is known counts as: its covariance owes nothing to the scatter of a few."""
 
 POWERLESS = float(np.finfo(float).tiny) ** 0.5
 """Power below which an instrument has none: the product of two scales is a number still."""
@@ -162,7 +152,7 @@ class Sums:
         self.zf[:, row] = self.zz[:, row] = known
         self.zy[:, row] = (known @ mean)[..., None]
         self.scores[:, row] = unit[:, None, None] * known
-        self.blocks[:, row] = KNOWN_BLOCKS
+        self.blocks[:, row] = 1.0 / ROUNDING  # it owes nothing to the scatter of a few
 
 
 @dataclass
@@ -203,7 +193,8 @@ class Information:
     """What the samples so far tell, with prior and forgetting.
 
     Estimates from the same samples, plain or whitened, are parts that run side by side. Those with
-    instruments begin as least squares, since a model must be there first; that start fades.
+    instruments begin as least squares for `SHORT_MEMORY`, since a model must be there first; that
+    start fades.
 
     Parameters
     ----------
@@ -329,7 +320,7 @@ class Information:
             keep = np.exp(time / -FADE_TIME)
             self._fading.weigh(keep)
             self._faded *= keep
-            if self._faded.max() < FADED:
+            if self._faded.max() < ROUNDING:
                 self._fading = None
         score = self.sums.add(stack, weight, answering)
         residual = stack.residual
@@ -402,7 +393,7 @@ class Information:
         scale = (self._moves / np.sqrt(power))[..., None]
         prior = self._precision * self.unit[parts][..., None]
         instruments = weighed * (scale * scale.swapaxes(-1, -2))
-        np.einsum("pijj->pij", instruments)[...] += RIDGE
+        np.einsum("pijj->pij", instruments)[...] += ROUNDING  # defined where they are collinear
         slope = sums.zf @ transform
         target = scale * (sums.zy - slope @ self._initial)
         slope *= scale * self._pairs
