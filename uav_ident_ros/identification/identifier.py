@@ -18,7 +18,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.frames import BodyFrame
-from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look
+from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look, grounded
 from uav_ident_ros.identification.intake import (
     ACTUATORS,
     AIRSPEED,
@@ -269,7 +269,7 @@ class OnlineIdentifier:
             roll,
             pitch,
             airspeed=self._speed.newest,
-            grounded=self.supervisor.grounded(self._speed.newest),
+            grounded=grounded(self.settings, self.supervisor.armed, self._speed.newest),
         )
 
     # -- samples in ------------------------------------------------------------------------
@@ -404,7 +404,7 @@ class OnlineIdentifier:
             leak = min(leak, START_LEAK_TIME)
         airspeed = self._speed.newest if self._speed.enabled else None
         states, injected = self._parallel.follow(block, self._coefficients(), airspeed, leak)
-        learns = self._speed.known and not self.supervisor.closed
+        learns = self._speed.known and not self.supervisor.gates.closed
         readable = not self.supervisor.gates.unreadable
         return Stretch(block, states, learns, readable, injected)
 
@@ -476,11 +476,12 @@ class OnlineIdentifier:
         if not self.structure.has_flow:
             return  # every gust looks like a late input
         values, delays = self.estimator.coefficients, self.delays.estimate
+        delay = self.sampler.delay
         # What was known beforehand stands against a delay that inputs seem to have which answer
         # gusts.
-        if delays.off(self.delay) and not (self._warm and self.estimator.answers.any()):
+        if delays.off(delay) and not (self._warm and self.estimator.answers.any()):
             airspeed = self.settings.airspeed.reference
-            yield delay_error(delays, self.delay, self.structure, values, airspeed)
+            yield delay_error(delays, delay, self.structure, values, airspeed)
         if self.estimator.height:
             yield height_error(self.estimator.height, self.structure, values)
 
@@ -527,7 +528,7 @@ class OnlineIdentifier:
             self.estimator.coefficients, x, u, force, dt, self.settings.model.leak_time
         )
         self._news = True
-        if not self.supervisor.closed:
+        if not self.supervisor.gates.closed:
             self._estimate(regression, t_ns * NS, 1)
         return True
 

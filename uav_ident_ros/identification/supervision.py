@@ -18,7 +18,6 @@ from uav_ident_ros.identification.gates import (
     Gate,
     Gates,
     ResidualGate,
-    grounded,
 )
 from uav_ident_ros.identification.running_fit import RunningFit
 from uav_ident_ros.identification.scales import MEMORY
@@ -154,15 +153,6 @@ class Supervisor:
         """Begin a new stretch of signals; what was found stays."""
         self.gates.restart()
 
-    @property
-    def closed(self) -> str:
-        """Why nothing is learned at this tick; empty if no gate is closed."""
-        return self.gates.closed
-
-    def grounded(self, airspeed: float | None) -> str:
-        """Return why it does not fly, at an airspeed, m/s; empty if there is no reason."""
-        return grounded(self.settings, self.armed, airspeed)
-
     def weigh(self, residual: FloatArray, time: float, clear: BoolArray) -> FloatArray:
         """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
 
@@ -185,7 +175,7 @@ class Supervisor:
     @property
     def learning(self) -> BoolArray:
         """Rows that learn, shape (3,)."""
-        return self._learned & (not self.closed)
+        return self._learned & (not self.gates.closed)
 
     def follow(self, t: float, estimator: Estimator, ticks: int) -> None:
         """Take note of what the estimator made of a stretch of some ticks that ends at `t` s."""
@@ -204,8 +194,8 @@ class Supervisor:
 
     def pauses(self) -> dict[str, str]:
         """Return why each row that does not learn pauses: row to reason."""
-        if self.closed:
-            return dict.fromkeys(ROWS, self.closed)
+        if self.gates.closed:
+            return dict.fromkeys(ROWS, self.gates.closed)
         return {
             row: TOO_QUIET if within else TOO_FAR
             for row, learning, within in zip(ROWS, self.learning, self._within, strict=True)
@@ -282,8 +272,8 @@ class Supervisor:
 
     def state(self, verdict: Verdict) -> tuple[State, str]:
         """Return the state word, and why it is not learning or not usable."""
-        if self.closed:
-            return State.PAUSED, self.closed
+        if self.gates.closed:
+            return State.PAUSED, self.gates.closed
         if True not in self._learned.tolist():
             reasons = [*sorted(set(self.pauses().values())), verdict.reason]
             return State.PAUSED, "; ".join(filter(None, reasons))

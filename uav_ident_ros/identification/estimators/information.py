@@ -287,13 +287,8 @@ class Information:
         """Residual variance times its correlation time: the unit of information, (parts, rows)."""
         return self.variance * self._unit_time
 
-    @property
-    def known(self) -> Sums:
-        """All that was accumulated; not to be changed."""
-        return self._sums(slice(None))
-
-    def _sums(self, parts: slice) -> Sums:
-        """Return all that was accumulated of some parts."""
+    def sums_of(self, parts: slice = slice(None)) -> Sums:
+        """Return all that was accumulated of some parts; not to be changed."""
         table = self.sums.table[parts]
         if self._fading is not None:
             table = table + self._fading.table[parts]
@@ -387,7 +382,7 @@ class Information:
         parts : slice
             Which parts; all if left out.
         """
-        sums, transform = self._sums(parts), self._transform(values)
+        sums, transform = self.sums_of(parts), self._transform(values)
         weighed = sums.zz + sums.answer_time[..., None, None] * self._before * sums.answers
         power = np.maximum(weighed.diagonal(axis1=2, axis2=3), POWERLESS)
         scale = (self._moves / np.sqrt(power))[..., None]

@@ -30,7 +30,6 @@ from uav_ident_ros.identification.structure import (
     RATE_COLUMNS,
     ROWS,
     STRUCTURES,
-    BoolArray,
     FloatArray,
 )
 
@@ -66,8 +65,10 @@ class RecursiveRegression:
     ----------
     coefficients, sigma : (R, n) array
         Estimate and standard deviations; 0 where a coefficient is not free.
-    learning : (3,) bool array
-        Moment rows that learned at the last update.
+    learning, clear : (3,) bool array
+        Moment rows that learned at the last update; in which the inputs stand out.
+    model_error, height, answers, inputs
+        As of the last update; see `Estimator`.
     changes : list of (row, column)
         Coefficients released at the last update.
     information : Information
@@ -101,6 +102,9 @@ class RecursiveRegression:
         self.sigma: FloatArray = start.sigma.copy()
         self._cutoff = settings.filter.cutoff
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
+        self.clear = self._gate.clear
+        self.answers = self._feedback.share
+        self.model_error, self.height = self._error.share, self._error.height
         self._begin_changes()
         self._solve()
 
@@ -120,31 +124,6 @@ class RecursiveRegression:
         self.coefficients = np.where(start.free, self.coefficients, start.values)
         self.sigma = np.where(start.free, self.sigma, start.sigma)
 
-    @property
-    def clear(self) -> BoolArray:
-        """Moment rows in which the inputs stand out from all else that moves the aircraft."""
-        return self._gate.clear
-
-    @property
-    def model_error(self) -> FloatArray:
-        """What the main inputs do otherwise than the model says, relative to their effect, (3,)."""
-        return self._error.share
-
-    @property
-    def height(self) -> float:
-        """Height of the accelerometer above where it is said to be, m; 0 if no more than chance."""
-        return self._error.height
-
-    @property
-    def answers(self) -> FloatArray:
-        """Share of each input that answers disturbances, shape (4,), 0 ... 1."""
-        return self._feedback.share
-
-    @property
-    def inputs(self) -> FloatArray:
-        """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
-        return self._linear[: len(ROWS), INPUT_COLUMNS]
-
     def residual(self, samples: Regression) -> FloatArray:
         """Return ``y - A f`` of samples, shape (m, rows)."""
         return samples.residual(self._linear)
@@ -155,7 +134,7 @@ class RecursiveRegression:
         """Add samples and solve."""
         moments = rows.residual[: len(ROWS)].T
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
-        self.learning = self._gate.learning & (weight > 0.0)
+        self.clear, self.learning = self._gate.clear, self._gate.learning & (weight > 0.0)
         weight = weight * seen
         square = np.add.reduce(np.square(samples.f[:, RATE_COLUMNS])) / len(samples.f)
         self._power += min(samples.time / SHORT_MEMORY, 1.0) * (square - self._power)
@@ -168,11 +147,13 @@ class RecursiveRegression:
             rows, white = rows.times(share), white.times(share)
         else:
             self._feedback.add(samples, moments, weight)
+            self.answers = self._feedback.share
         # No disturbance is in what is injected. Late or answering gusts: where nothing was known
         # before, either is a reason to deny.
         ratio = self._known_before * self._feedback.ratio[: len(ROWS)] * (not samples.injected)
         effect = self._linear[range(len(ROWS)), MAIN_COLUMNS]
         self._error.add(rows, weight, ratio, effect, restarted=samples.restarted)
+        self.model_error, self.height = self._error.share, self._error.height
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
         answering = None if samples.injected else self._feedback.answering
@@ -218,6 +199,7 @@ class RecursiveRegression:
             self._white = Known(solution.linear[1], covariance[1], sigmas[1])
             self._since_sigma, self.sigma = 0.0, sigma
         self._linear = self._layout.matrix(solution.linear[0])
+        self.inputs = self._linear[: len(ROWS), INPUT_COLUMNS]
         self.coefficients = np.minimum(values, self._bounds)
 
     def _sigma(self, values: FloatArray, sigmas: FloatArray) -> FloatArray:
@@ -272,7 +254,7 @@ class RecursiveRegression:
         mean[changed] += change.size
         constant = np.where(columns == CONSTANT_COLUMN, sigma[row, columns], 0.0)
         covariance += np.diag(constant**2 + changed * change.size**2)
-        sums = information.known.copy()
+        sums = information.sums_of().copy()
         sums.set_known(row, mean, covariance, information.free[row], information.unit[:, row])
         after = RowSamples.of(change.after, self.residual(change.after), self._layout)
         # The other parts follow by themselves.
