@@ -643,10 +643,10 @@ def _refuse(name: str, what: str) -> None:
     raise SettingsError(name, f"'{name}' {what}")
 
 
-def _check_consistency(settings: Settings) -> None:
-    """Check what no single setting can: lengths, and combinations that mean nothing."""
-    structure, actuators = STRUCTURES[settings.structure], settings.actuators
-    n, channels = structure.size, len(actuators.channels)
+def _check_lengths(settings: Settings) -> None:
+    """Check that every array has as many values as structure and channels need."""
+    structure = STRUCTURES[settings.structure]
+    n, channels = structure.size, len(settings.actuators.channels)
     one_each = ("scale", "trim", "thrust_curve", "lower_limit", "upper_limit")
     lengths: dict[str, tuple[int, ...]] = {
         "gradient.gains": (0, n, n * n),
@@ -669,6 +669,12 @@ def _check_consistency(settings: Settings) -> None:
                 f"has {count} values: {wanted} are needed (structure '{structure.name}' has {n} "
                 f"regressors, 'actuators.channels' names {channels} channels)",
             )
+
+
+def _check_consistency(settings: Settings) -> None:
+    """Check what no single setting can: lengths, and combinations that mean nothing."""
+    _check_lengths(settings)
+    structure = STRUCTURES[settings.structure]
     for name in settings.fixed_coefficients:
         try:
             structure.index(name)
@@ -703,7 +709,7 @@ def _check_consistency(settings: Settings) -> None:
             "is 'backward_difference': that is the paper's law only; "
             f"with 'estimator' {settings.estimator!r} use 'state_variable'",
         )
-    if actuators.estimate_delay:
+    if settings.actuators.estimate_delay:
         _refuse(
             "actuators.estimate_delay",
             "is true, but 'filter.method' 'backward_difference' sees the rates at the ticks only: "
