@@ -32,8 +32,8 @@ from uav_ident_ros.identification.prediction import (
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
+from uav_ident_ros.messages.imu import IMU_TYPE
 from uav_ident_ros.messages.types import RATES
-from uav_ident_ros.offline.intake import IMU_TYPE
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.noise import Measurements
 from uav_ident_ros.simulation.recording import parameters
