@@ -33,6 +33,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "information": ("test_estimators.py",),
     "programmed_input": ("test_excitation_run.py",),
     "scales": (
+        "test_model.py",
         "test_change.py",
         "test_injected.py",
         "test_noise.py",

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from uav_ident_ros.identification.model import (
     LARGEST_ANGLE,
     IdentifiedModel,
+    plan_steps,
     with_measured_force,
 )
 from uav_ident_ros.identification.prior import slope_bounds, start_from
@@ -101,3 +102,12 @@ def test_the_start_never_divides_by_a_slope_that_cannot_be() -> None:
         )
         for name in ("ay/beta", "az/alpha"):
             assert start.values[FLIGHT.index(name)] == slope_bounds(FLIGHT)[FLIGHT.index(name)] < 0
+
+
+@pytest.mark.parametrize(("h", "step"), [(0.005, 0.025), (0.0125, 0.025), (0.05, 0.05)])
+def test_steps_are_of_25_ms_joined_of_shorter_cells_and_cut_of_longer(
+    h: float, step: float
+) -> None:
+    plan = plan_steps(10, h)
+    assert plan.times == pytest.approx([step] * round(10 * h / step))
+    assert plan.split == round(step / 0.025)
