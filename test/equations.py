@@ -36,8 +36,8 @@ def flight_equations(a: FloatArray, state: FloatArray, u: FloatArray, v: float) 
     side, down = (GRAVITY * part(roll) * np.cos(pitch) for part in (np.sin, np.cos))
     return np.array([
         *rows[:3],
-        -r + (rows[3] + side) / v + rows[5],
-        q + (rows[4] + down) / v + rows[6],
+        p * alpha - r + (rows[3] + side) / v + rows[5],
+        q - p * beta + (rows[4] + down) / v + rows[6],
         p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)),
         q * np.cos(roll) - r * np.sin(roll),
     ])  # fmt: skip

@@ -6,16 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from equations import matrix
+from equations import AIRCRAFT, flight_equations, matrix
 from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
 from light_aircraft import TRUTH, LightFlight
+from scipy.integrate import solve_ivp
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowObserver, FlowState
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.prior import first_values, slope_bounds
-from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.regression import StateVariableFilter
+from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
@@ -149,6 +151,43 @@ def test_the_flow_angles_of_a_light_jsbsim_aircraft_are_its_own() -> None:
     found, true = flow_of(flight, matrix(FLIGHT, flight.local_truth))
     assert (true.std(axis=0) > math.radians(0.3)).all()
     assert ((found - true).std(axis=0) < 0.2 * true.std(axis=0)).all()
+
+
+def slipping(h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """States, forces and inputs of ten seconds in which an aircraft rolls in a sideslip."""
+    a, t = matrix(FLIGHT, AIRCRAFT), np.arange(round(10.0 / h)) * h
+    u = np.zeros((len(t), 4))
+    u[:, 0] = 0.01 * np.sin(9.0 * t)
+    u[:, 1] = 0.4
+    u[:, 2] = 0.15 + 0.2 * np.sign(np.sin(4.0 * t))
+    states, forces = [np.zeros(7)], []
+    for held in [*u, u[-1]]:
+        p, q, r, beta, alpha = states[-1][:5]
+        f = np.array([p * q, q * r, p * r, p * p, r * r, p, q, r, *held, 1.0, beta, alpha])
+        forces.append([0.0, *(a[3:5] @ f)])
+        solved = solve_ivp(
+            lambda _, s, held=held: flight_equations(a, s, held, SPEED), (0.0, h), states[-1]
+        )
+        states.append(solved.y[:, -1])
+    return np.array(states[:-1]), np.array(forces), u
+
+
+def test_a_roll_in_a_sideslip_turns_one_angle_into_the_other() -> None:
+    h, a, az = 0.01, matrix(FLIGHT, AIRCRAFT), FLIGHT.index("az/alpha")
+    states, force, u = slipping(h)
+    assert np.abs(states[:, 0] * states[:, 3]).max() > 0.2  # rad/s
+    level = np.cos(states[:, 6])
+    down = np.stack([-np.sin(states[:, 6]), np.sin(states[:, 5]) * level,
+                     np.cos(states[:, 5]) * level], axis=1)  # fmt: skip
+    whole = np.concatenate((states[:, :5], down), axis=1)
+    (block,) = blocks(states[:, :3], force, u, h, len(u))
+    block.flow = FlowSignals(whole, SPEED)
+    found = StateVariableFilter(FLIGHT, CUTOFF, h, np.zeros(3)).apply(block, whole, None, a)
+    columns = [FLIGHT.size + 1, -2, FLIGHT.column("1")]  # alpha's kinematics, de's slope, bias
+    slopes, *_ = np.linalg.lstsq(found.f[:, columns], found.y[:, 4], rcond=None)
+    left = found.y[:, 4] - found.f[:, columns] @ slopes
+    assert slopes[0] == pytest.approx(a[az], rel=0.01)
+    assert np.std(left) < 0.01 * np.std(found.y[:, 4])
 
 
 def test_without_motion_the_angles_are_those_of_the_force() -> None:

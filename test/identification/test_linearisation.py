@@ -9,7 +9,13 @@ import pytest
 from equations import matrix
 from light_aircraft import SPEED, TRUTH
 
-from uav_ident_ros.identification.linearisation import Condition, Mode, linearise, modes
+from uav_ident_ros.identification.linearisation import (
+    Condition,
+    Mode,
+    level_modes,
+    linearise,
+    modes,
+)
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 
@@ -25,7 +31,7 @@ def aircraft(**changes: float) -> FloatArray:
 
 def found(values: FloatArray, share: float = 0.0) -> dict[str, Mode]:
     sigma = share * np.abs(values)
-    return {mode.name: mode for mode in modes(FLIGHT, values, sigma, LEVEL)}
+    return {mode.name: mode for mode in level_modes(FLIGHT, values, sigma, SPEED)}
 
 
 def test_the_modes_are_the_eigenvalues_of_the_equations_by_hand() -> None:
@@ -34,7 +40,7 @@ def test_the_modes_are_the_eigenvalues_of_the_equations_by_hand() -> None:
     lateral = np.array([
         [c["pdot/p"], c["pdot/r"], c["pdot/beta"], 0.0],
         [c["rdot/p"], c["rdot/r"], c["rdot/beta"], 0.0],
-        [0.0, -1.0, c["ay/beta"] / SPEED, GRAVITY / SPEED],
+        [-GRAVITY / c["az/alpha"], -1.0, c["ay/beta"] / SPEED, GRAVITY / SPEED],
         [1.0, 0.0, 0.0, 0.0],
     ])  # fmt: skip
     own = found(aircraft())
@@ -108,4 +114,4 @@ def test_without_flow_angles_there_are_three_states_and_no_modes(name: str) -> N
     a, b = linearise(structure, values, LEVEL)
     assert a.shape == (3, 3)
     assert (a[0, 0], b[0, 2]) == (-4.0, 20.0)
-    assert modes(structure, values, np.zeros_like(values), LEVEL) == []
+    assert level_modes(structure, values, np.zeros_like(values), SPEED) == []

@@ -174,15 +174,11 @@ class AttitudeModel:
         u : (4,) array
             Inputs; they enter linearly, so that they do not matter.
         """
-        p, q, r = (float(value) for value in np.asarray(x)[: len(ROWS)])
-        flow = self.flow
-        condition = (
-            Condition(flow.airspeed, (p, q, r), flow.roll, flow.pitch)
-            if flow is not None
-            else Condition(math.inf, (p, q, r))
-        )
+        p, q, r, *angles = (float(value) for value in self._state(x))
+        condition = Condition(math.inf, (p, q, r))
         if self.structure.has_flow:
-            self._flow_state()
+            flow = self._flow_state()
+            condition = Condition(flow.airspeed, (p, q, r), flow.roll, flow.pitch, *angles)
         return linearise(self.structure, self.values, condition)
 
     def invert(

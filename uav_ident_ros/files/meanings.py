@@ -54,7 +54,7 @@ MEANINGS: Mapping[str, str] = {
     "ay/beta": "side force due to sideslip",
     "az/de": "lift due to elevator",
     "az/alpha": "lift slope",
-    "betadot/p": "angle of attack of the roll axis",
+    "betadot/p": "angle of attack of the roll axis without lift",
     "betadot/1": "bias of the sideslip's kinematics",
     "alphadot/1": "bias of the angle of attack's kinematics",
 }

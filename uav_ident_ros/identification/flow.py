@@ -207,10 +207,12 @@ class FlowObserver:
     ) -> None:
         """Move the flow angles on, exactly for signals that are constant over `dt`."""
         keep = exp(-self._rate * dt)
-        for k, turning in ((0, -rates[2]), (1, rates[1])):
+        p, q, r = rates
+        beta, alpha = self.angles
+        for k, turning in ((0, p * alpha - r), (1, q - p * beta)):
             by_p, bias = missing[k]
             rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v
-            aim = measured[k] + (rate + by_p * rates[0] + bias) / self._rate
+            aim = measured[k] + (rate + by_p * p + bias) / self._rate
             self.angles[k] = aim + keep * (self.angles[k] - aim)
 
 

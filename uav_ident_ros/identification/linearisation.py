@@ -45,12 +45,16 @@ class Condition:
         p, q, r, rad/s.
     roll, pitch : float
         Attitude, rad.
+    beta, alpha : float
+        Sideslip and angle of attack, rad, from where ay and az vanish.
     """
 
     airspeed: float
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
     roll: float = 0.0
     pitch: float = 0.0
+    beta: float = 0.0
+    alpha: float = 0.0
 
 
 def linearise(
@@ -65,7 +69,7 @@ def linearise(
     values : (R, n) array
         Coefficients.
     condition : Condition
-        Where; the airspeed and the attitude matter to a structure with flow angles alone.
+        Where; to a structure without flow angles only the rates matter.
 
     Returns
     -------
@@ -90,10 +94,14 @@ def linearise(
         a[3 + k, :3] = force[RATE_COLUMNS] + missing[RATE_COLUMNS]
         a[3 + k, 3 + k] = force[flow.angle]
         b[3 + k] = force[INPUT_COLUMNS]
-    a[3, 2] -= 1.0
-    a[4, 1] += 1.0
     sine, cosine = math.sin(condition.roll), math.cos(condition.roll)
     lift = GRAVITY * math.cos(condition.pitch) / condition.airspeed
+    a[3, 0] += condition.alpha
+    a[3, 2] -= 1.0
+    a[3, 4] += p
+    a[4, 0] -= condition.beta
+    a[4, 1] += 1.0
+    a[4, 3] -= p
     a[3, 5], a[4, 5] = lift * cosine, -lift * sine
     slope = math.tan(condition.pitch)
     a[5, :3] = 1.0, slope * sine, slope * cosine
@@ -153,7 +161,7 @@ class Mode:
 def modes(
     structure: Structure, values: FloatArray, sigma: FloatArray, condition: Condition
 ) -> list[Mode]:
-    """Return the modes of a model, longitudinal ones first; none without flow angles.
+    """Return the modes of a model with flow angles, longitudinal ones first.
 
     Parameters
     ----------
@@ -164,8 +172,6 @@ def modes(
     condition : Condition
         Where.
     """
-    if not structure.has_flow:
-        return []
     a, _ = linearise(structure, values, condition)
     spread = _spread_of(structure, values, sigma, condition)
     found = []
@@ -186,12 +192,17 @@ def modes(
 def level_modes(
     structure: Structure, values: FloatArray, sigma: FloatArray, airspeed: float
 ) -> list[Mode]:
-    """Return the modes in level flight at an airspeed, m/s; none of a model that is none yet."""
-    if not airspeed > 0.0:
+    """Return the modes in level flight at an airspeed, m/s.
+
+    There are none without flow angles, and none of a model that is none yet.
+    """
+    if not airspeed > 0.0 or not structure.has_flow:
         return []
     try:
         with np.errstate(all="ignore"):
-            return modes(structure, values, sigma, Condition(airspeed))
+            lift = structure.index("az/alpha")
+            level = Condition(airspeed, alpha=float(-GRAVITY / values[lift]))
+            return modes(structure, values, sigma, level)
     except np.linalg.LinAlgError:
         return []
 

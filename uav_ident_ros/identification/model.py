@@ -9,11 +9,12 @@ With sideslip and angle of attack as states, with V the airspeed, g gravity and 
 that points down, in body axes (``d = [-sin theta, sin phi cos theta, cos phi cos theta]``)::
 
     ay       = A_ay f,  az = A_az f
-    betadot  = -r + (ay + g d_y) / V + A_betadot f
-    alphadot =  q + (az + g d_z) / V + A_alphadot f
+    betadot  = p alpha - r + (ay + g d_y) / V + A_betadot f
+    alphadot = q - p beta + (az + g d_z) / V + A_alphadot f
     ddot     = d x [p q r]
 
-(Stevens, Lewis and Johnson, Aircraft Control and Simulation, 2016, ch. 2, for small angles.)
+(Stevens, Lewis and Johnson, Aircraft Control and Simulation, 2016, ch. 2, to first order in both
+angles: a roll turns the one into the other.)
 """
 
 from __future__ import annotations
@@ -164,8 +165,8 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
             pdot + p0 + l_beta * beta,
             qdot + q0 + m_alpha * alpha,
             rdot + r0 + n_beta * beta,
-            (ay + GRAVITY * dy) * per_speed - r + beta_p * p + beta0 - leak * beta,
-            (az + GRAVITY * dz) * per_speed + q + alpha0 - leak * alpha,
+            (ay + GRAVITY * dy) * per_speed - r + (alpha + beta_p) * p + beta0 - leak * beta,
+            (az + GRAVITY * dz) * per_speed + q - beta * p + alpha0 - leak * alpha,
             dy * r - dz * q + dx0 - leak * dx,
             dz * p - dx * r + dy0 - leak * dy,
             dx * q - dy * p + dz0 - leak * dz,

@@ -66,7 +66,7 @@ less per unit."""
 KINEMATIC_SIGMA = 0.2
 """Prior standard deviation of what the kinematics of the flow angles miss. Of the constants, rad/s:
 a bias of the accelerometer of a tenth of gravity at 5 m/s. Of ``betadot/p``, rad: the angle between
-the roll axis and the flow, at most the wing's at the stall."""
+the roll axis and the flow without lift."""
 
 TAIL_TIME = 0.1
 """Prior standard deviation of ``ay/p`` and ``ay/r`` relative to ``ay/beta``, s: a rate of turn

@@ -413,7 +413,7 @@ class StateVariableFilter:
             made, v, angles = coefficients[3:5], block.flow.airspeed, INPUT_COLUMNS.stop
             force = np.concatenate((block.force, model_states[:, :5] @ made[:, _FLOW_STATE].T))
             turning = (force + GRAVITY * states[:, 6:]) / v
-            turning += states[:, 2:0:-1] * (-1.0, 1.0)
+            turning += (states[:, :1] * states[:, 4:2:-1] - states[:, 2:0:-1]) * (1.0, -1.0)
             lines[:, 3:5] = block.force
             f[:, n:] = turning[:points]
             z[:, angles : angles + 2], z[:, angles + 2 :] = force[points:], turning[points:]

@@ -74,7 +74,7 @@ class SpeedScaling:
         self._power[: len(ROWS)][structure.constants[: len(ROWS)]] = 2.0
         if structure.has_flow:
             self._power[:, LAST_COLUMNS] = 2.0
-            # an angle of attack: lift is weight
+            # so that the product with the slope of ay grows as p does in the other rows
             self._power[structure.row_labels.index("betadot"), RATE_COLUMNS] = -1.0
         self.known = not self.enabled
         self.scale: FloatArray = np.ones_like(self._power)

@@ -28,7 +28,7 @@ FORCE_ROWS = ("ay", "az")
 
 KINEMATIC_ROWS = ("betadot", "alphadot")
 """What the kinematics of sideslip and angle of attack miss, rad/s: biases of the sensors, and in
-sideslip the part of a roll that the wing's angle of attack turns into it."""
+sideslip what a roll makes of the angle of attack that the wing has without lift."""
 
 INPUTS = ("de", "dr", "da", "dth")
 """Input labels, in the order of f(x, u): elevator, rudder, aileron, throttle."""

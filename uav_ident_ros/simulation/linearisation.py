@@ -58,7 +58,7 @@ class Linearisation:
     """Derivatives of an aircraft about a flight condition."""
 
     # By name, ``pdot/da`` and so on: of `ROWS` by `STATES` at a fixed attitude, airspeed and
-    # surfaces, and by the inputs at fixed states
+    # surfaces, and by the inputs at fixed states; ``betadot/p`` without the model's own p alpha
     derivatives: dict[str, float]
     airspeed: float  # True, m/s
     alpha: float  # Angle of attack, rad
@@ -126,6 +126,8 @@ def linearise(aircraft: Aircraft) -> Linearisation:
         for k, row in enumerate(ROWS)
         for name, column in columns.items()
     }
+    # The model's own term p alpha counts alpha from where az vanishes; the rest is the coefficient.
+    derivatives["betadot/p"] -= float(base[COLUMN["fz"]]) / derivatives["az/alpha"]
     return Linearisation(derivatives, float(base[COLUMN["airspeed"]]), float(base[COLUMN["alpha"]]))
 
 
