@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the tests of a running node share."""
 
+import re
 import time
 from collections.abc import Callable
+from pathlib import Path
+from signal import Signals
 
 from uav_ident_ros.process import NodeProcess
 
@@ -21,3 +24,9 @@ def wait_for(condition: Callable[[], bool], timeout: float = PATIENCE) -> bool:
             return False
         time.sleep(0.05)
     return True
+
+
+def handled(pid: int, number: Signals) -> bool:
+    """Whether a process has a handler for a signal."""
+    caught = re.search(r"SigCgt:\s*(\w+)", Path(f"/proc/{pid}/status").read_text())
+    return caught is not None and bool(int(caught[1], 16) >> (number - 1) & 1)

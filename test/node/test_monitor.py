@@ -11,11 +11,12 @@ import threading
 from collections.abc import Callable, Iterator
 
 import pytest
-from node_process import PATIENCE, StartNode
+from node_process import PATIENCE, StartNode, handled, wait_for
 from programs import Capture, Terminal, python, refusal
 from recordings import Fly, change, recording
 from repository import ROOT
 
+from uav_ident_ros.commandline import INTERRUPTED
 from uav_ident_ros.monitor.cli import parser
 from uav_ident_ros.player import Player
 
@@ -160,6 +161,14 @@ def test_once_without_a_node_or_messages_ends_with_an_error(start_monitor: Start
         assert shown == ""
         assert errors.count("\n") == 1
         assert "for 1 s" in errors
+
+
+def test_once_that_is_interrupted_does_not_say_usable(start_monitor: StartMonitor) -> None:
+    monitor = start_monitor("--once", "--timeout", "600", "--node", "/nowhere/identifier")
+    assert wait_for(lambda: handled(monitor.pid, signal.SIGTERM))
+    monitor.send_signal(signal.SIGINT)
+    assert monitor.communicate(timeout=PATIENCE) == ("", "")
+    assert monitor.returncode == INTERRUPTED
 
 
 def test_several_identifiers_are_listed_and_one_is_chosen(

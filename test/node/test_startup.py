@@ -2,11 +2,10 @@
 """Starting and stopping: wrong parameters are refused in one line, signals end it cleanly."""
 
 import json
-import re
 import signal
 from pathlib import Path
 
-from node_process import PATIENCE, StartNode, wait_for
+from node_process import PATIENCE, StartNode, handled, wait_for
 from programs import python
 
 from uav_ident_ros.identification.settings import declarations
@@ -164,12 +163,6 @@ def test_a_signal_before_it_runs_is_not_lost(start_node: StartNode) -> None:
     assert wait_for(lambda: handled(node.pid, signal.SIGTERM))
     assert node.end(signal.SIGTERM) == 0
     assert "Traceback" not in node.log
-
-
-def handled(pid: int, number: signal.Signals) -> bool:
-    """Whether a process has a handler for a signal."""
-    caught = re.search(r"SigCgt:\s*(\w+)", Path(f"/proc/{pid}/status").read_text())
-    return caught is not None and bool(int(caught[1], 16) >> (number - 1) & 1)
 
 
 def test_the_end_of_the_terminal_ends_it_and_its_parameters_sections_are_named(

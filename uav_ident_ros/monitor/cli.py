@@ -5,6 +5,7 @@ import argparse
 import importlib.util
 import math
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from typing import NoReturn
 
@@ -12,14 +13,15 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from uav_ident_ros.client import CoefficientSource, Fallback, subscribe
 from uav_ident_ros.commandline import (
+    INTERRUPTED,
     USAGE_ERROR,
     OneLineParser,
-    end_as_on_ctrl_c,
     number,
     reader_has_gone,
 )
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.monitor.watched_node import WatchedNode
+from uav_ident_ros.node.ending import Ending
 
 OUTPUT = "coefficients_named"
 OUTPUT_TYPE = "sensor_msgs/msg/JointState"
@@ -50,10 +52,29 @@ NO_RICH = (
 
 
 class Listener(Guest):
-    """A node of its own that listens, and publishes nothing."""
+    """A node of its own that listens until it is asked to end, and publishes nothing."""
 
     def __init__(self) -> None:
+        self._ending = Ending()  # before there is anything to leave
         super().__init__("uav_ident_monitor", start_parameter_services=False)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        super().close()
+        self._ending.close()
+
+    def wait(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Listen for a while, or until a condition holds; return whether it does.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If a signal asks for the end: here, and not in the middle of the middleware's work.
+        """
+        holds = self.spin_for(seconds, lambda: self._ending.requested or until())
+        if self._ending.requested:
+            raise KeyboardInterrupt
+        return holds
 
     def identifiers(self) -> list[str]:
         """Return the full names of the identifiers that publish now, sorted."""
@@ -70,9 +91,9 @@ class Listener(Guest):
         timeout: float,  # Seconds to look at most; the list is empty if there is none by then
     ) -> list[str]:
         """Look for identifiers until some have been found, and those beside them."""
-        if not self.spin_for(timeout, lambda: bool(self.identifiers())):
+        if not self.wait(timeout, lambda: bool(self.identifiers())):
             return []
-        self.spin_for(SETTLE)
+        self.wait(SETTLE)
         return self.identifiers()
 
     def listen(self, node: str) -> WatchedNode:
@@ -101,7 +122,7 @@ def parser() -> argparse.ArgumentParser:
         description="Watch a running identifier: coefficients with sigma, t-ratio and trend, "
         "fit, state, verdict, inputs and delay. Ctrl-C ends it.",
         epilog="--once exits with 0 if the coefficients may be used, 1 if not, 3 if no "
-        "identifier was heard.",
+        "identifier was heard, 130 after Ctrl-C.",
     )
     result.add_argument("--node", type=_full_name,
         help="full name of the node, like /drone1/identifier (the only one there is)")  # fmt: skip
@@ -146,7 +167,7 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
             return NOTHING_RECEIVED
         node = _the_one(found)
     watched = listener.listen(node)
-    listener.spin_for(timeout, lambda: watched.fresh and bool(watched.status.state))
+    listener.wait(timeout, lambda: watched.fresh and bool(watched.status.state))
     if watched.newest is None and not watched.status.state:
         print(f"monitor: nothing was heard of '{node}' for {timeout:g} s", file=sys.stderr)
         return NOTHING_RECEIVED
@@ -167,7 +188,7 @@ def watch(listener: Listener, node: str | None, plain: bool) -> NoReturn:
     with closing(View(plain)) as view:
         while True:
             view.show(watched)
-            listener.spin_for(view.period)
+            listener.wait(view.period)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -176,7 +197,6 @@ def main(arguments: list[str] | None = None) -> int:
     if importlib.util.find_spec("rich") is None:
         print(NO_RICH, file=sys.stderr)
         return USAGE_ERROR
-    end_as_on_ctrl_c()
     listener = Listener()
     try:
         if options.once:
@@ -186,7 +206,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"monitor: {error}", file=sys.stderr)
         return USAGE_ERROR
     except KeyboardInterrupt:
-        return 0
+        return INTERRUPTED if options.once else 0
     except BrokenPipeError:
         reader_has_gone()
         return 0
