@@ -15,12 +15,10 @@ from enum import Enum, StrEnum
 from fractions import Fraction
 from functools import partial
 
-import numpy as np
-
-from uav_ident_ros.identification.samples import SampleBuffer, TimeArray
+from uav_ident_ros.identification.samples import SampleBuffer
 from uav_ident_ros.identification.scales import IN_A_ROW
 from uav_ident_ros.identification.settings import MAX_DELAY, Settings
-from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.identification.structure import INPUTS
 
 RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
 EXCITATION = "excitation"
@@ -275,42 +273,6 @@ class Intake:
         for add in held:
             add()
 
-    def orderly(self, t_ns: TimeArray, values: FloatArray) -> bool:
-        """Say whether samples of the rates would all be taken, each as newer than the one before.
-
-        Parameters
-        ----------
-        t_ns : (k,) int array
-            Stamps, ns.
-        values : (k, 6) array
-            Rates, rad/s, and specific force, m/s^2, in the Imu's own axes.
-        """
-        newest = self._guard.newest
-        if newest is None or self.last_tick_ns == NO_TICK or self._outlying or self._held:
-            return False
-        steps = np.diff(t_ns, prepend=newest)
-        largest = np.abs(values).max(axis=0)  # NaN fails the tests
-        return bool(
-            ((steps > 0) & (steps <= self._jump_ns)).all()
-            and t_ns[-1] <= LATEST_STAMP
-            and (largest[:3] <= LARGEST_GYRO_RATE).all()
-            and (largest[3:] <= LARGEST_MOTION).all()
-        )
-
-    def add_orderly_rates(self, t_ns: Sequence[int], values: Sequence[Sequence[float]]) -> None:
-        """Take samples that `orderly` has accepted; none but the last may make a tick due.
-
-        Parameters
-        ----------
-        t_ns : sequence of int
-            Stamps, ns; see `next_due_ns`.
-        values : sequence of sequences of 6 floats
-            Rates, rad/s, and specific force, m/s^2, in the Imu's own axes.
-        """
-        self._buffers[RATES].extend(t_ns, values)
-        self._guard.newest = t_ns[-1]
-        self._find_due(t_ns[-1])
-
     # -- the other streams -----------------------------------------------------------------
 
     def add(self, name: str, t_ns: int, values: Sequence[float]) -> Drop | None:
@@ -370,12 +332,6 @@ class Intake:
     def due(self) -> int | None:
         """Time of the next tick that may be computed, ns; None if none is due."""
         return self._due[0] if self._due else None
-
-    @property
-    def next_due_ns(self) -> int:
-        """Stamp of the rates from which on the next tick is due, ns, after the first tick."""
-        assert self._next_tick is not None
-        return self._tick_ns(self._next_tick) + self._wait_ns
 
     def ticks(self, until_ns: int) -> Iterator[int]:
         """Yield every tick up to and including `until_ns`, due or not."""

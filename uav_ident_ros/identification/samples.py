@@ -52,13 +52,6 @@ class SampleBuffer:
         self._waiting_t.append(t_ns)
         self._waiting_v.append(values)
 
-    def extend(self, t_ns: Sequence[int], values: Sequence[Sequence[float]]) -> None:
-        """Keep samples whose stamps rise."""
-        if self._waiting_t and t_ns[0] <= self._waiting_t[-1]:
-            self._ordered = False
-        self._waiting_t.extend(t_ns)
-        self._waiting_v.extend(values)
-
     def call_off(self, t_ns: int) -> None:
         """Drop what waits and is stamped at or after `t_ns`."""
         kept = [i for i, t in enumerate(self._waiting_t) if t < t_ns]
