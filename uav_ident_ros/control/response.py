@@ -17,7 +17,7 @@ import numpy as np
 
 from uav_ident_ros.client import AttitudeModel
 from uav_ident_ros.control.smoothing import Smoother
-from uav_ident_ros.identification.linearisation import STATES, Condition, linearise
+from uav_ident_ros.identification.linearisation import STATES, level_flight, linearise
 from uav_ident_ros.identification.structure import ROWS, FloatArray
 
 BANDWIDTH = 15.0
@@ -104,8 +104,9 @@ def own_motion(model: AttitudeModel) -> FloatArray:
     Where nobody knows the airspeed it is that of the rates alone: in a turn sideslip would add up.
     """
     out = np.zeros((len(STATES), len(STATES)))
-    condition = Condition(math.inf if model.flow is None else model.flow.airspeed)
-    a, _ = linearise(model.structure, model.values, condition)
+    airspeed = math.inf if model.flow is None else model.flow.airspeed
+    level = level_flight(model.structure, model.values, airspeed)
+    a, _ = linearise(model.structure, model.values, level)
     known = AXES if model.flow is None else slice(0, len(a))
     out[known, known] = a[known, known]
     flow = np.arange(len(ROWS), len(STATES))

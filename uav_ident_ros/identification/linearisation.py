@@ -57,6 +57,12 @@ class Condition:
     alpha: float = 0.0
 
 
+def level_flight(structure: Structure, values: FloatArray, airspeed: float) -> Condition:
+    """Return steady, level flight at an airspeed, m/s, at the angle of attack that carries it."""
+    slope = float(values[structure.index("az/alpha")]) if structure.has_flow else 0.0
+    return Condition(airspeed, alpha=-GRAVITY / slope if slope else 0.0)
+
+
 def linearise(
     structure: Structure, values: FloatArray, condition: Condition
 ) -> tuple[FloatArray, FloatArray]:
@@ -200,9 +206,7 @@ def level_modes(
         return []
     try:
         with np.errstate(all="ignore"):
-            lift = structure.index("az/alpha")
-            level = Condition(airspeed, alpha=float(-GRAVITY / values[lift]))
-            return modes(structure, values, sigma, level)
+            return modes(structure, values, sigma, level_flight(structure, values, airspeed))
     except np.linalg.LinAlgError:
         return []
 
