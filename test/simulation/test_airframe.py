@@ -35,6 +35,9 @@ def test_a_file_of_the_users_own_is_as_good_as_a_name(tmp_path: Path) -> None:
     found = airframe(str(path))
     assert (found.name, found.model, found.speed) == ("mine", "c172p", 50.0)
     assert found.autopilot.pitch_gain == 0.2
+    # a ROS parameter that is declared as a double refuses a whole number
+    path.write_text(TEXT.replace("speed: 50.0", "speed: 50"))
+    assert all(type(airframe(str(path), speed).speed) is float for speed in (None, 45))
 
 
 def test_another_speed_scales_what_surfaces_do() -> None:

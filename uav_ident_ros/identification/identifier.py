@@ -163,9 +163,7 @@ class OnlineIdentifier:
         changed = [s for s in declarations() if before[s.name] != after[s.name]]
         for setting in changed:
             if setting.read_only:
-                raise SettingsError(
-                    setting.name, f"'{setting.name}' cannot change in flight: start anew"
-                )
+                raise SettingsError(f"'{setting.name}' cannot change in flight: start anew")
         self.settings = settings
         self.supervisor.settings = settings
         self._warm = self._start.warm(settings.supervision.min_t_ratio)

@@ -216,13 +216,11 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
     if initial is not None:
         if initial.structure != structure.name:
             raise SettingsError(
-                "initial_coefficients_file",
                 f"the initial coefficients are of structure '{initial.structure}', "
                 f"'structure' is '{structure.name}'",
             )
         if not (np.abs(initial.values) <= LARGEST_COEFFICIENT).all():
             raise SettingsError(
-                "initial_coefficients_file",
                 f"an initial coefficient is beyond {LARGEST_COEFFICIENT:g}: none in SI units is",
             )
         values = np.where(structure.mask, initial.values, 0.0)
@@ -234,7 +232,7 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
         try:
             inertia = Inertia(*settings.model.inertia)
         except ValueError as error:
-            raise SettingsError("model.inertia", f"'model.inertia': {error}") from None
+            raise SettingsError(f"'model.inertia': {error}") from None
         values[:3, PRODUCT_COLUMNS] = product_coefficients(inertia)
         free[:3, PRODUCT_COLUMNS] = False
     values = np.minimum(values, slope_bounds(structure))

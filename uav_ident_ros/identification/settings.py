@@ -21,19 +21,7 @@ Value = bool | int | float | str | tuple[float, ...] | tuple[int, ...] | tuple[s
 
 
 class SettingsError(ValueError):
-    """A setting is unknown, of the wrong type or outside what is allowed.
-
-    Parameters
-    ----------
-    name : str
-        Dotted name of the setting.
-    message : str
-        What is wrong and what would be right.
-    """
-
-    def __init__(self, name: str, message: str) -> None:
-        super().__init__(message)
-        self.name = name
+    """A setting is unknown, of the wrong type or outside what is allowed; the message names it."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +79,7 @@ class Setting:
             value = tuple(value)  # type: ignore[arg-type]
         problem = _problem(self.type, value)
         if problem:
-            raise SettingsError(self.name, f"'{self.name}' is {value!r}: {problem}")
+            raise SettingsError(f"'{self.name}' is {value!r}: {problem}")
         for entry in value if isinstance(value, tuple) else (value,):
             self._check_entry(entry, value)
         return typing.cast(Value, value)
@@ -101,11 +89,9 @@ class Setting:
             if self.choices and entry not in self.choices:
                 allowed = f"allowed are {', '.join(self.choices)}"
                 hint = f"; {meant}" if (meant := nearest(entry, self.choices)) else ""
-                raise SettingsError(self.name, f"'{self.name}' is '{entry}': {allowed}{hint}")
+                raise SettingsError(f"'{self.name}' is '{entry}': {allowed}{hint}")
         elif not self.low <= float(typing.cast(float, entry)) <= self.high:  # NaN fails too
-            raise SettingsError(
-                self.name, f"'{self.name}' is {value!r}: allowed is {self.allowed()}"
-            )
+            raise SettingsError(f"'{self.name}' is {value!r}: allowed is {self.allowed()}")
 
     def allowed(self) -> str:
         """Describe the allowed values in words, with the unit."""
@@ -573,7 +559,7 @@ class Settings:
         checked: dict[str, Value] = {}
         for name, value in values.items():
             if name not in known:
-                raise SettingsError(name, unknown_setting(name))
+                raise SettingsError(unknown_setting(name))
             if value is None:
                 value = known[name].default if not known[name].type.endswith("[]") else ()
             checked[name] = known[name].check(value)
@@ -640,7 +626,7 @@ def _build(cls: Any, prefix: str, values: Mapping[str, Value]) -> Any:
 
 
 def _refuse(name: str, what: str) -> None:
-    raise SettingsError(name, f"'{name}' {what}")
+    raise SettingsError(f"'{name}' {what}")
 
 
 def _check_lengths(settings: Settings) -> None:
@@ -679,7 +665,7 @@ def _check_consistency(settings: Settings) -> None:
         try:
             structure.index(name)
         except ValueError as error:
-            raise SettingsError("fixed_coefficients", f"'fixed_coefficients': {error}") from None
+            raise SettingsError(f"'fixed_coefficients': {error}") from None
     low, high = settings.excitation.band
     if low >= high:
         _refuse("excitation.band", f"is [{low:g}, {high:g}]: write the lower frequency first")

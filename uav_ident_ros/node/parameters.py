@@ -73,11 +73,11 @@ def settings_of(
             values[name] = value
         elif name == "use_sim_time" and not isinstance(value, bool):
             words = f"'use_sim_time' is {value!r}: write true or false, without quotes"
-            raise SettingsError(name, words)
+            raise SettingsError(words)
         elif name.startswith(_QOS_PREFIX):
             _check_qos(name, value, [node.resolve_topic_name(topic) for topic in topics])
         elif name not in _OTHERS:
-            raise SettingsError(name, unknown_setting(name))
+            raise SettingsError(unknown_setting(name))
     return Settings.from_values(values)
 
 
@@ -98,13 +98,13 @@ def _check_qos(name: str, value: object, topics: Sequence[str]) -> None:
     ]
     if name not in known:
         hint = nearest(name, known) or f"there are {', '.join(known)}"
-        raise SettingsError(name, f"there is no parameter '{name}': {hint}")
+        raise SettingsError(f"there is no parameter '{name}': {hint}")
     allowed = _QOS_POLICIES[name.rsplit(".", 1)[1]]
     if allowed and value not in allowed:
-        raise SettingsError(name, f"'{name}' is {value!r}: allowed are {', '.join(allowed)}")
+        raise SettingsError(f"'{name}' is {value!r}: allowed are {', '.join(allowed)}")
     if not allowed and (type(value) is not int or not 0 < value <= MAX_DEPTH):
         raise SettingsError(
-            name, f"'{name}' is {value!r}: allowed is a whole number from 1 to {MAX_DEPTH}"
+            f"'{name}' is {value!r}: allowed is a whole number from 1 to {MAX_DEPTH}"
         )
 
 

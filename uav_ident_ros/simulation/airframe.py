@@ -75,7 +75,7 @@ class Airframe:
         gains = self.autopilot
         return replace(
             self,
-            speed=speed,
+            speed=float(speed),
             autopilot=replace(
                 gains,
                 roll_gain=factor * gains.roll_gain,
@@ -137,7 +137,7 @@ def _read(path: Path) -> Airframe:
         value = getattr(found, key)
         if not (isinstance(value, int | float) and value > 0.0):
             raise SimulationError(f"{where}: {key} is {value}, not positive")
-    return found
+    return replace(found, speed=float(found.speed), altitude=float(found.altitude))
 
 
 def build(

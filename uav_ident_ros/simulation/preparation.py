@@ -83,7 +83,7 @@ def prepare(
 
 def identify(m: Measurements, speed: float) -> CoefficientSet:
     """Run the identifier over a flight, online; return what it has in the end, at `speed`, m/s."""
-    settings = Settings.from_values(parameters(m) | {"airspeed.reference": float(speed)})
+    settings = Settings.from_values(parameters(m) | {"airspeed.reference": speed})
     identifier = OnlineIdentifier(settings)
     rates = zip(m.rates.tolist(), m.specific_force.tolist(), strict=True)
     streams: Iterable[tuple[IntArray, Callable[..., object], Iterable[Any]]] = (
@@ -126,7 +126,7 @@ def parameter_file(prepared: Prepared) -> str:
         "identifier": {
             "structure": prepared.coefficients.structure,
             "actuators.trim": trim,
-            "airspeed.reference": float(frame.speed),
+            "airspeed.reference": frame.speed,
             "excitation.amplitude": added.tolist(),
         },
         "controller": {
@@ -135,8 +135,8 @@ def parameter_file(prepared: Prepared) -> str:
             "largest": largest,
             "excitation_limit": (1.2 * added).tolist(),
         },
-        "simulated_plant": {"aircraft": prepared.aircraft, "speed": float(frame.speed)},
-        "rate_reference": {"airspeed": float(frame.speed)},
+        "simulated_plant": {"aircraft": prepared.aircraft, "speed": frame.speed},
+        "rate_reference": {"airspeed": frame.speed},
     }
     nodes = yaml.safe_load((CONFIG / "c172p.yaml").read_text(encoding="utf-8"))
     for name, values in own.items():

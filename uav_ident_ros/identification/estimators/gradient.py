@@ -44,14 +44,12 @@ def gain_matrix(gains: tuple[float, ...], n: int) -> FloatArray:
     if np.abs(k - k.T).max() > nothing:
         i, j = np.unravel_index(np.argmax(np.abs(k - k.T)), k.shape)
         raise SettingsError(
-            "gradient.gains",
             f"'gradient.gains' is not symmetric: K[{i},{j}] = {k[i, j]:g} but "
             f"K[{j},{i}] = {k[j, i]:g}; they must be equal",
         )
     lowest = float(np.linalg.eigvalsh(k).min())
     if lowest < -nothing:
         raise SettingsError(
-            "gradient.gains",
             f"'gradient.gains' has the eigenvalue {lowest:g}: K must be positive semi-definite",
         )
     return np.asarray(k)
