@@ -276,6 +276,16 @@ def test_a_copter_of_2014(importer: Importer) -> None:
     assert "the motors are on the pins of their numbers" in printed
 
 
+def test_the_front_motors_of_a_v_yaw_less(importer: Importer) -> None:
+    frame = {"FRAME": 2, "RC3_MIN": 1100, "RC3_MAX": 1900}
+    log = old_log(importer.folder, "ArduCopter V3.2.1 (36b405fb)", frame, ("Frame: QUAD",))
+    _, values, printed = importer(log)
+    assert "quad v with ArduPilot's motor order" in printed
+    de, dr, da, dth = mixing(values)
+    np.testing.assert_allclose([de, da, dth], QUADROTOR.mixing[[0, 2, 3]], atol=1e-12)
+    np.testing.assert_allclose(dr[[0, 2]] / dr[[1, 3]], [0.7981, 0.7981])
+
+
 def test_a_copter_of_an_unknown_frame_gives_its_demands(importer: Importer) -> None:
     log = old_log(importer.folder, "APM:Copter V3.3.3 (acf98493)", {"FRAME": 10}, ("Frame: Y6",))
     bag, values, printed = importer(log)

@@ -4,6 +4,7 @@
 import sys
 from pathlib import Path
 
+import blackbox_writing
 import numpy as np
 import pytest
 from blackbox_writing import ACC, COUNT, FIELDS, GYRO, MOTORS, T_US, blackbox
@@ -41,6 +42,30 @@ def test_a_quadrotor_of_betaflight(importer: Importer) -> None:
 def test_reversed_propellers(importer: Importer) -> None:
     values = importer(written(importer, blackbox(yaw_motors_reversed=1))).values
     np.testing.assert_allclose(values["actuators.mixing.dr"], [-0.5, 0.5, 0.5, -0.5])
+
+
+def test_an_accelerometer_that_is_off(importer: Importer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Betaflight logs zeros then, and acc_1G may be 0: no forces, not some that are no numbers."""
+    for scale, spoilt in ((0, ACC), (2048, 0 * ACC)):
+        monkeypatch.setattr(blackbox_writing, "ACC", spoilt)
+        found, values, printed = importer(written(importer, blackbox(acc_1G=scale)))
+        assert "the accelerometer (accSmooth) is off" in printed
+        assert values["structure"] == "throttle_coupled"
+        assert not np.any(found.specific_force)
+
+
+def test_motors_below_their_least_command(
+    importer: Importer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The difference from the least command is negative, and logged without a sign."""
+    standing = MOTORS.copy()
+    standing[:100] = 0
+    monkeypatch.setattr(blackbox_writing, "MOTORS", standing - [138, 0, 0, 0])
+    predictors = ["0"] * len(FIELDS)
+    predictors[FIELDS.index("motor[0]")] = "11"  # the difference from motorOutput
+    headers = {"motorOutput": "138,2047", "Field I predictor": ",".join(predictors)}
+    found = importer(written(importer, blackbox(**headers))).bag
+    np.testing.assert_array_equal(found.actuators, standing[: len(found.actuators)])
 
 
 def test_a_firmware_with_an_odd_name(importer: Importer) -> None:

@@ -135,6 +135,25 @@ def test_pulse_widths_by_the_functions_of_their_pins(importer: Importer) -> None
     np.testing.assert_allclose(mixing(values), [[-1, 0], [0, 0], [0, 0], [0, 1]])
 
 
+def test_pulse_widths_that_nothing_explains_are_passed_over(importer: Importer) -> None:
+    """An old log of a fixed wing has them a little faster, but its mixer file is not in it."""
+    widths_ns = COMMAND_NS[::4]
+    topics = combined() | {
+        ("actuator_controls_0", 0): commands(COMMAND_NS[::5], noise(8)[::5], "control"),
+        ("actuator_outputs", 0): {
+            "timestamp": stamps(widths_ns),
+            "noutputs": np.full(len(widths_ns), 8, np.uint32),
+            "output": np.full((len(widths_ns), 16), 1500.0, np.float32),
+        },
+    }
+    bag, values, _ = imported(importer, topics, {"MAV_TYPE": 1})
+    np.testing.assert_array_equal(bag.actuators, noise(8)[::5].astype(np.float32))
+    assert values["actuators.channels"] == ["roll", "pitch", "yaw", "thrust"]
+    assert "PWM_MAIN_FUNCn" in importer.refused(
+        importer.log, "--actuators-topic", "actuator_outputs"
+    )
+
+
 def test_a_vtol_has_two_sets_of_setpoints(importer: Importer) -> None:
     topics = combined() | {
         ("vehicle_torque_setpoint", i): commands(COMMAND_NS, noise(3) + i, "xyz") for i in (0, 1)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.autopilot import table
 from uav_ident_ros.import_logs.channels import effects_of_arms, over_range
 from uav_ident_ros.import_logs.flight_log import (
@@ -27,6 +28,12 @@ MAGIC = b"H Product:Blackbox flight data recorder"
 
 GYROS = ("gyroUnfilt", "gyroADC")
 """Fields of the rates, the preferred first: as sampled, and behind the filters."""
+
+SIGNALS = ("gyro", "acc", "motor")
+"""First letters of the fields that are measured or commanded."""
+
+WRAP = 2.0**32
+"""Range of the numbers that Betaflight computes with."""
 
 FRAMES = "the frames"
 
@@ -50,11 +57,7 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
     bits = headers.get("gyro_scale", "0x3f800000")  # a float's, in hexadecimal digits
     number = int(bits, 16) if isinstance(bits, str) else int(bits)
     scale = float(np.uint32(number).view(np.float32)) * math.pi / 180.0
-    force = None
-    if frames.has("accSmooth[2]"):
-        force = frames.array("accSmooth") * GRAVITY / float(headers["acc_1G"])
-    else:
-        log.findings.doubt("there is no accelerometer (accSmooth): ay and az are zero")
+    force = _specific_force(log, headers, frames)
     log.findings.note(f"rates: {name}, in body axes forward-left-up")
     if name == GYROS[1]:
         cutoff = headers.get("gyro_lowpass_hz", headers.get("gyro_lpf1_static_hz"))
@@ -73,6 +76,18 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
     }
     title = str(headers.get("Firmware revision", headers.get("Firmware type", "blackbox")))
     return FlightLog(path, title, streams, channels, log.findings, convention="flu", hovers=True)
+
+
+def _specific_force(log: Log, headers: dict[str, Any], frames: Messages) -> FloatArray | None:
+    """Return what the accelerometer measured, m/s^2; None where it was off or is not logged."""
+    one_g = float(headers.get("acc_1G", 0))
+    if frames.has("accSmooth[2]") and one_g > 0.0:
+        counts = frames.array("accSmooth")
+        if np.any(counts):
+            return counts * GRAVITY / one_g
+    reason = "is off (acc_1G 0, or zero throughout)" if frames.has("accSmooth[2]") else "is missing"
+    log.findings.doubt(f"the accelerometer (accSmooth) {reason}: the model has no forces")
+    return None
 
 
 def _read(log: Log) -> tuple[dict[str, Any], Messages]:
@@ -105,12 +120,15 @@ def _read(log: Log) -> tuple[dict[str, Any], Messages]:
                 f"({' '.join(str(error).split())}); what stands before was read"
             )
     names = parser.field_names
-    used = ("time", "gyro", "acc", "motor", "loopIteration")
+    used = ("time", "loopIteration", *SIGNALS)
     columns = {
         name: np.array([frame[i] for frame in frames], dtype=float)
         for i, name in enumerate(names)
         if name.startswith(used)
     }
+    for name in columns:
+        if name.startswith(SIGNALS):
+            columns[name] = _unwrapped(columns[name])
     if not frames or "time" not in columns:
         raise log.refusal(" has no frames that can be read")
     _note_missing(columns.pop("loopIteration", np.zeros(0)), log)
@@ -118,6 +136,15 @@ def _read(log: Log) -> tuple[dict[str, Any], Messages]:
     if (found := log.messages(FRAMES)) is None:
         raise log.refusal(" has no frame with a stamp that a clock gave")
     return parser.headers, found
+
+
+def _unwrapped(values: FloatArray) -> FloatArray:
+    """Return 32-bit numbers as signed ones.
+
+    What is logged is a difference from a prediction, which Betaflight's arithmetic wraps and
+    orangebox's does not: a motor at 0, below its least command of 138, is read as 2^32.
+    """
+    return np.asarray((values + WRAP / 2.0) % WRAP - WRAP / 2.0)
 
 
 def _note_missing(iterations: Any, log: Log) -> None:

@@ -38,12 +38,13 @@ def effect_of(entry: Mapping[str, Any], share: float = 1.0) -> Effect:
 def effects_of_arms(arms: Sequence[str]) -> list[Effect]:
     """Return the effects of equal rotors, each given as its arm's angle and sense of rotation.
 
-    The angle is clockwise from the nose, deg.
+    The angle is clockwise from the nose, deg. A third word is the share in yawing, if not one.
     """
-    angles, senses = zip(*(arm.split() for arm in arms), strict=True)
+    angles, senses, shares = zip(*([*arm.split(), "1"][:3] for arm in arms), strict=True)
     bearings = np.radians(np.array(angles, dtype=float))
     positions = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    return rotor_effects(positions, [SENSES[sense] for sense in senses], [1.0] * len(arms))
+    yawing = [SENSES[sense] * float(share) for sense, share in zip(senses, shares, strict=True)]
+    return rotor_effects(positions, yawing, [1.0] * len(arms))
 
 
 def rotor_effects(

@@ -55,7 +55,7 @@ QUADROTOR = 2
 MOTOR_FUNCTION, SERVO_FUNCTION, FUNCTIONS_OF_A_KIND = 101, 201, 16
 """Output functions of the first motor and servo (PWM_MAIN_FUNCn), and how many there are."""
 
-CONTROLS = "actuator_controls_"
+CONTROLS, OUTPUTS = "actuator_controls_", "actuator_outputs"
 SETPOINTS = ("vehicle_torque_setpoint", "vehicle_thrust_setpoint")
 ALLOCATED = {"actuator_motors": "CA_ROTOR_COUNT", "actuator_servos": "CA_SV_CS_COUNT"}
 """Topics behind the control allocation, and the parameters that say how many of them there are."""
@@ -209,6 +209,8 @@ def _choose(it: Import, usable: dict[str, Messages]) -> str:
             return SETPOINTS[0]
     counts = {name: it.log.parameter(count) for name, count in ALLOCATED.items()}
     explained = {name: m for name, m in usable.items() if counts.get(name, 1.0) > 0}
+    if not _pins_are_explained(it):
+        explained.pop(OUTPUTS, None)
     streams = explained or dict(usable)
     if set(ALLOCATED) <= set(streams):  # they count as one: what is slower decides
         del streams[max(reversed(ALLOCATED), key=lambda name: streams[name].rate)]
@@ -343,12 +345,25 @@ def _lifts(log: Log, forces: FloatArray) -> bool:
     return up >= ahead
 
 
+def _pins(instance: int) -> str:
+    """Return what the parameters of an instance of actuator_outputs begin with."""
+    return "PWM_AUX" if instance else "PWM_MAIN"
+
+
+def _pins_are_explained(it: Import) -> bool:
+    """Whether parameters, or the one old mixer that is known, say what the pins move."""
+    begin = f"{_pins(it.choice.actuators_instance)}_FUNC"
+    return it.log.parameters.get("MAV_TYPE") == QUADROTOR or any(
+        name.startswith(begin) and value for name, value in it.log.parameters.items()
+    )
+
+
 def _outputs(it: Import, topic: Messages) -> Actuators:
     """Pulse widths at the pins, with functions from PWM_*_FUNCn, or a quadrotor's old mixer."""
     log, instance = it.log, it.choice.actuators_instance
     values = topic.array("output")
     count = int(np.max(topic.columns["noutputs"])) or values.shape[1]
-    prefix = "PWM_AUX" if instance else "PWM_MAIN"
+    prefix = _pins(instance)
     functions = [int(log.parameter(f"{prefix}_FUNC{i + 1}")) for i in range(count)]
     if any(functions):
         channels = _by_function(log, functions, prefix)
@@ -408,7 +423,7 @@ READERS: dict[str, ActuatorsReader] = {
     SETPOINTS[0]: _setpoints,
     f"{CONTROLS}0": demands,
     f"{CONTROLS}1": demands,
-    "actuator_outputs": _outputs,
+    OUTPUTS: _outputs,
 }
 """Readers by topic, nearest to the actuators first; the pulse widths, whose meaning is the least
 certain, last."""
