@@ -291,6 +291,16 @@ def test_what_a_gyro_may_turn_of_gravity() -> None:
     assert plausibility._gravity_left(t, np.zeros_like(rates), force) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(("speed", "found"), [(35.0, "gyro units"), (70.0, None)])
+def test_who_pulls_much_did_not_turn_slowly(speed: float, found: str | None) -> None:
+    """A quadrotor in aerobatics: thrust along its own axis, one g on average, far from steady."""
+    t = np.arange(0.0, 8.0, 0.05)
+    rates, force = np.zeros((len(t), 3)), np.tile([0.0, 0.0, -9.80665], (len(t), 1))
+    rates[:, 0] = 3.0
+    force[:, 2] -= math.sqrt(2.0) * speed * math.radians(3.0) * np.sin(7.0 * math.pi * t)
+    assert named(Plausibility(settings_of())._gyro_units(t, rates, force)) == found
+
+
 def test_the_ranges_of_an_input() -> None:
     sway = 0.05 * np.sin(np.arange(100))
     for offset, found in ((0.5, None), (0.7, "trim")):
@@ -313,7 +323,8 @@ def test_what_makes_two_streams_of_one() -> None:
         (1.0 * (k % 7 == 0), "publishers"),
     ):
         assert named(plausibility._interleaved("de", u)) == found
-    for count, found in ((8, 0), (30, 4)):
+    # a wobble at half the rate of slow inputs looks the same
+    for count, found in ((88, 0), (112, 4)):
         looker = Plausibility(settings_of())
         raw = np.tile([[0.0] * 4, [1.0] * 4], (count // 2, 1))
         for t, part in ((0.5, raw[:2]), (4.5, raw[2:])):

@@ -8,6 +8,7 @@ import pytest
 from flying import AMPLITUDES, messages, plant_flight, run, settings
 from light_aircraft import LightFlight
 
+from uav_ident_ros.identification import supervision
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.simulation.disturbance import ColouredNoise
@@ -100,3 +101,8 @@ def test_a_limit_of_travel_that_nobody_told_is_named(travel: float, misses: bool
     late = [estimate.reason for estimate in estimates[-100:]]
     assert all("a limit of travel that is not told" in reason for reason in late) == misses
     assert any(estimate.usable for estimate in estimates[-100:]) != misses
+
+
+def test_no_more_is_missing_than_all() -> None:
+    """A model of the wrong sign misses more than there is."""
+    assert supervision._incomplete(2, 3.47).startswith("100 % of what dr does to rdot")

@@ -24,7 +24,6 @@ from uav_ident_ros.identification.scales import (
     INDEPENDENT_TIME,
     LONG_MEMORY,
     MEMORY,
-    OUTLYING,
     SURE,
 )
 from uav_ident_ros.identification.settings import Settings
@@ -50,6 +49,11 @@ LARGEST_MEAN_RATE = 2.0
 """Mean size of the angular rate, rad/s, of no aircraft over seconds but in aerobatics: slower, a
 coordinated turn leaves the specific force where it is while the aircraft rolls."""
 
+PULLING_SPEED = 50.0
+"""Airspeed V, m/s, at which an aircraft that turns at w pulls V w. One whose specific force varies
+by more than that did not turn so slowly as it would have, were its gyro in deg/s. (Quadrotors in
+aerobatics: 80 m/s and more; aircraft whose gyro is told in deg/s: at most 30.)"""
+
 SMALLEST_FORCE, LARGEST_FORCE = 4.0, 60.0
 """Mean size of the specific force, m/s^2: none is weightless, or pulls six g, on average."""
 
@@ -67,6 +71,10 @@ STEP = 0.02
 
 RETURNING_SHARE = 0.1
 """Share of samples that are undone by the next from which two publishers are at work."""
+
+SLOWEST_TOLD = 25.0
+"""Rate of the inputs, Hz, below which such samples may be the wobble of an attitude loop, near 5 Hz
+on a quadrotor, that they are too slow to follow."""
 
 
 @dataclass(frozen=True)
@@ -274,14 +282,16 @@ class Plausibility:
         speed = float(np.mean(np.linalg.norm(rates, axis=1)))
         if times[-1] - times[0] < WINDOW - INDEPENDENT_TIME or speed < LARGEST_MEAN_RATE:
             return None
+        if np.std(np.linalg.norm(force, axis=1)) > PULLING_SPEED * math.radians(speed):
+            return None
         left = _gravity_left(times, rates, force)
         if left > GRAVITY_LEFT or _gravity_left(times, np.deg2rad(rates), force) < GRAVITY_LEFT:
             return None
         return Finding(
             "gyro units",
             f"the gyro turns at {speed:.1f} rad/s on average, and turned back by it the specific "
-            f"force of the last {WINDOW:g} s is {left:.1f} g on average, in deg/s it would be one: "
-            "convert the angular velocity to rad/s (REP-103)",
+            f"force of the last {WINDOW:g} s is {left:.1f} g on average, in deg/s it would be one, "
+            "and as steady: convert the angular velocity to rad/s (REP-103)",
         )
 
     # -- channels --------------------------------------------------------------------------
@@ -290,6 +300,7 @@ class Plausibility:
         if not self._inputs or self._inputs[-1][0] - self._inputs[0][0] < ENOUGH - INDEPENDENT_TIME:
             return []
         raw = np.concatenate([values for _, values in self._inputs])
+        quick = len(raw) >= SLOWEST_TOLD * (self._inputs[-1][0] - self._inputs[0][0])
         u = self._map.apply(raw)
         without_trim = raw @ self._map.matrix.T
         found = []
@@ -297,7 +308,8 @@ class Plausibility:
             own = u[:, i]
             if np.ptp(own) == 0.0:  # not used, or not armed yet
                 continue
-            found.append(_interleaved(name, own))
+            if quick:
+                found.append(_interleaved(name, own))
             if name != "dth":  # throttles come in all units, motor speeds among them
                 trim = _trim(name, own, without_trim[:, i])
                 found += [_counts(name, own), trim, _degrees(name, own)]
@@ -367,14 +379,11 @@ def _degrees(name: str, u: FloatArray) -> Finding | None:
 
 def _interleaved(name: str, u: FloatArray) -> Finding | None:
     """Find samples that the next one takes back: two streams in turn."""
-    if len(u) < OUTLYING:
-        return None
     step, over_two = np.abs(u[1:] - u[:-1]), np.abs(u[2:] - u[:-2])
     away = np.minimum(step[:-1], step[1:])
     returns = away > np.maximum(SURE * np.maximum(over_two, np.median(over_two)), STEP)
     share = float(np.mean(returns))
-    # A count is known to its square root.
-    if share < RETURNING_SHARE or returns.sum() < OUTLYING:
+    if share < RETURNING_SHARE:
         return None
     return Finding(
         "publishers",

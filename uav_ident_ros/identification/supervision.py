@@ -303,6 +303,6 @@ def _incomplete(row: int, share: float) -> str:
         return ""
     surface = MAIN_INPUTS[ROWS[row]]
     return (
-        f"{100.0 * share:.0f} % of what {surface} does to {ROWS[row]} comes late, or is missing "
-        "where much is asked: a servo lag, a delay or a limit of travel that is not told"
+        f"{100.0 * min(share, 1.0):.0f} % of what {surface} does to {ROWS[row]} comes late, or is "
+        "missing where much is asked: a servo lag, a delay or a limit of travel that is not told"
     )
