@@ -10,6 +10,7 @@ another question: `estimators.excitation`.
 from __future__ import annotations
 
 import math
+import operator
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -26,7 +27,7 @@ from uav_ident_ros.identification.scales import (
     SHORT_MEMORY,
 )
 from uav_ident_ros.identification.settings import ActuatorSettings, Settings
-from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
 REST_NOISE = 8.0
 """Swing of the rates, relative to the gyro's noise, up to which nothing moves: noise alone swings
@@ -196,7 +197,7 @@ class SensorGate:
     """
 
     def __init__(self) -> None:
-        self._last: FloatArray | None = None
+        self._last: list[float] | None = None
         self._constant_since: FloatArray = np.zeros(6)
         self._moved: BoolArray = np.zeros(6, dtype=bool)
         self._bad_until = -np.inf
@@ -219,13 +220,12 @@ class SensorGate:
         return f"the gyro is saturated: {signal} reaches {max_rate:g} rad/s"
 
     def _stuck(self, t: float, samples: FloatArray, stuck_time: float) -> str:
-        before = samples[:1] if self._last is None else self._last
-        changed = np.logical_or.reduce(samples != before)
-        self._last = samples[-1:]
-        if np.logical_and.reduce(changed):  # nearly always
+        before, self._last = self._last or samples[0].tolist(), samples[-1].tolist()
+        if all(map(operator.ne, before, self._last)):  # nearly always
             self._constant_since.fill(t)
             self._moved.fill(True)
             return ""
+        changed = np.logical_or.reduce(samples != before)
         self._moved |= changed
         self._constant_since[changed] = t
         stuck = self._moved & (t - self._constant_since > stuck_time)
@@ -308,8 +308,8 @@ class ResidualGate:
     """
 
     def __init__(self) -> None:
-        self._usual: FloatArray = np.zeros(3)  # Mean squares of the residuals, rad^2/s^4
-        self._time: FloatArray = np.zeros(3)  # Time over which they were taken, s
+        self._usual = [0.0] * len(ROWS)  # Mean squares of the residuals, rad^2/s^4
+        self._time = [0.0] * len(ROWS)  # Time over which they were taken, s
 
     def release(self, row: int) -> None:
         """Learn anew what is usual in a row."""
@@ -331,17 +331,20 @@ class ResidualGate:
         clear : (3,) bool array
             Rows in which the inputs stand out from all else that moves the aircraft.
         """
-        square = np.add.reduce(residual * residual) / len(residual)
-        usual = np.where(self._time >= SHORT_MEMORY, self._usual, np.inf)
-        self._time = np.minimum(self._time + dt, LONG_MEMORY)
-        clipped = np.minimum(square, np.where(clear, OUTLYING, 1.0) * usual)
-        self._usual += dt / self._time * (clipped - self._usual)
-        if max_residual <= 0.0:
-            return np.ones(3)
-        near = square <= OUTLYING * usual
-        counted = clear & (square <= max_residual * max_residual * usual)
-        square, usual = np.where(near, 1.0, square), np.where(near, 1.0, usual)
-        return np.where(near, 1.0, np.where(counted, OUTLYING * usual / square, 0.0))
+        squares = (np.add.reduce(residual * residual) / len(residual)).tolist()
+        weights = []
+        for i, (square, stands_out) in enumerate(zip(squares, clear.tolist(), strict=True)):
+            usual = self._usual[i] if self._time[i] >= SHORT_MEMORY else math.inf
+            self._time[i] = min(self._time[i] + dt, LONG_MEMORY)
+            clipped = min(square, OUTLYING * usual if stands_out else usual)
+            self._usual[i] += dt / self._time[i] * (clipped - self._usual[i])
+            if max_residual <= 0.0 or square <= OUTLYING * usual:
+                weights.append(1.0)
+            elif stands_out and square <= max_residual * max_residual * usual:
+                weights.append(OUTLYING * usual / square)
+            else:
+                weights.append(0.0)
+        return np.array(weights)
 
 
 def grounded(settings: Settings, armed: bool | None, airspeed: float | None) -> str:

@@ -226,7 +226,7 @@ class OnlineIdentifier:
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
         self._looked_ns = NO_TICK
-        self._newest_rates: FloatArray | None = None
+        self._newest_rates: FloatArray | None = None  # Imu axes
 
     # -- the delay of the inputs -----------------------------------------------------------
 
@@ -262,8 +262,9 @@ class OnlineIdentifier:
         """Return what is known of the flight, as of the last tick."""
         flow = self._parallel.flow
         roll, pitch = (None, None) if flow is None else flow.attitude
+        newest = self._newest_rates
         return Flying(
-            self._newest_rates,
+            None if newest is None else self._frame.to_body(newest),
             roll,
             pitch,
             airspeed=self._speed.newest,
@@ -371,7 +372,7 @@ class OnlineIdentifier:
             self.supervisor.armed = bool(self._armed.v[-1, 0])
             self._armed.trim(t_ns)
         if len(self.sampler.rates.t):
-            self._newest_rates = self._frame.to_body(self.sampler.rates.v[-1, :3])
+            self._newest_rates = self.sampler.rates.v[-1, :3]
         if self.settings.supervision.plausibility:
             fresh = channels[self.sampler.raw_inputs.after(self._looked_ns) :]
             self.plausibility.look(t_ns * NS, samples, fresh)
@@ -467,7 +468,8 @@ class OnlineIdentifier:
 
     def _coefficients(self) -> FloatArray:
         """Coefficients at the airspeed flown, shape (R, n)."""
-        return self.estimator.coefficients * self._speed.scale
+        coefficients, speed = self.estimator.coefficients, self._speed
+        return coefficients * speed.scale if speed.enabled else coefficients
 
     def _setup_errors(self) -> Iterator[SetupError]:
         """Yield what settings that are off do to the derivatives at the reference airspeed."""
@@ -532,25 +534,27 @@ class OnlineIdentifier:
 
     def _published(self, t_ns: int, fed: bool) -> Estimate:
         """Judge the coefficients, and return all that is published of a tick."""
-        newest = self._newest_rates if self._newest_rates is not None else np.zeros(3)
-        predicted, flow = self._parallel.model.state[:3], self._parallel.flow
-        coefficients = self._coefficients()
         if self._news:
             self._errors = list(self._setup_errors())
-        sigma = self._sigma() * self._speed.scale
-        self._judge(t_ns, coefficients, sigma)
+        if self._news or self._speed.enabled:
+            self._shown = self._coefficients().copy(), self._sigma() * self._speed.scale
+        coefficients, sigma = self._shown
+        if self._news:
+            self._judge(t_ns * NS, coefficients, sigma)
+        self._news = False
         state, reason = self._waiting(fed) or self.supervisor.state(self._verdict)
         sound = state is not State.FAULT and not self.plausibility.doubted
         usable = self._verdict.rows if sound else (False, False, False)
-        rates = self._frame.to_imu(np.array((predicted, newest - predicted)))
+        predicted, flow = self._frame.to_imu(self._parallel.model.state[:3]), self._parallel.flow
         return Estimate(
             t_ns=t_ns,
             coefficients=coefficients,
             sigma=sigma,
-            predicted_rates=rates[0],
-            prediction_error=rates[1],
+            predicted_rates=predicted,
+            prediction_error=(0.0 if self._newest_rates is None else self._newest_rates)
+            - predicted,
             flow=None if flow is None else flow.state(coefficients, sigma),
-            fit=self.running_fit.fit.copy(),
+            fit=self.running_fit.fit,
             adapting=fed and True in self.supervisor.learning.tolist(),
             usable=all(usable),
             usable_rows=usable,
@@ -558,11 +562,8 @@ class OnlineIdentifier:
             reason=reason,
         )
 
-    def _judge(self, t_ns: int, coefficients: FloatArray, sigma: FloatArray) -> None:
-        """Give the verdict anew where something was learned, or scored, since the last one."""
-        if not self._news:
-            return
-        self._news = False
+    def _judge(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> None:
+        """Give the verdict anew: something was learned, or scored, since the last one."""
         denied = [""] * len(ROWS)
         for found in self._errors:
             far = found.denies(self.estimator.coefficients, self.settings.supervision.min_t_ratio)
@@ -570,7 +571,7 @@ class OnlineIdentifier:
                       for past, lost in zip(denied, far, strict=True)]  # fmt: skip
         learned_time = math.inf if self._warm else self._learned_time
         self._verdict = self.supervisor.judge(
-            t_ns * NS, coefficients, sigma, self.running_fit, self.estimator.model_error,
+            t, coefficients, sigma, self.running_fit, self.estimator.model_error,
             denied, learned_time,
         )  # fmt: skip
         if self.settings.supervision.plausibility:

@@ -109,7 +109,7 @@ def cell_means(
         Mean over each cell.
     """
     last = t_ns.searchsorted(edges_ns, side="right") - 1
-    since = (edges_ns - t_ns[last])[:, None]
+    since = (edges_ns - t_ns.take(last))[:, None]
     width = (t_ns[1:] - t_ns[:-1])[:, None]
     integral = np.zeros(u.shape)
     if interpolation == "linear":
@@ -119,5 +119,5 @@ def cell_means(
         at_edges = integral[last] + (u[last] + 0.5 * slope[last] * since) * since
     else:
         np.add.accumulate(u[:-1] * width, out=integral[1:])
-        at_edges = integral[last] + u[last] * since
+        at_edges = integral.take(last, axis=0) + u.take(last, axis=0) * since
     return np.asarray((at_edges[1:] - at_edges[:-1]) / (edges_ns[1:] - edges_ns[:-1])[:, None])

@@ -203,7 +203,8 @@ class Plausibility:
         if len(times) < 2:
             return []
         signals = np.concatenate([signal for _, signal in self._motion]).reshape(-1, 6)
-        if np.allclose(signals[:, 3:], signals[0, 3:], rtol=1e-9, atol=0.0):
+        first = signals[0, 3:]
+        if (np.abs(signals[:, 3:] - first) <= 1e-9 * np.abs(first)).all():
             return []  # an accelerometer that repeats itself is none
         rates = self._frame.to_body(signals[:, :3])
         force = self._frame.to_body(signals[:, 3:])
@@ -304,10 +305,9 @@ class Plausibility:
         u = self._map.apply(raw)
         without_trim = raw @ self._map.matrix.T
         found = []
-        for i, name in enumerate(INPUTS):
-            own = u[:, i]
-            if np.ptp(own) == 0.0:  # not used, or not armed yet
-                continue
+        used = (u != u[0]).any(axis=0)  # the others are not in use, or not armed yet
+        for i in np.flatnonzero(used).tolist():
+            name, own = INPUTS[i], u[:, i]
             if quick:
                 found.append(_interleaved(name, own))
             if name != "dth":  # throttles come in all units, motor speeds among them
@@ -381,6 +381,8 @@ def _interleaved(name: str, u: FloatArray) -> Finding | None:
     """Find samples that the next one takes back: two streams in turn."""
     step, over_two = np.abs(u[1:] - u[:-1]), np.abs(u[2:] - u[:-2])
     away = np.minimum(step[:-1], step[1:])
+    if np.mean(away > STEP) < RETURNING_SHARE:  # nearly always
+        return None
     returns = away > np.maximum(SURE * np.maximum(over_two, np.median(over_two)), STEP)
     share = float(np.mean(returns))
     if share < RETURNING_SHARE:

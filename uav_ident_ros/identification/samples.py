@@ -108,8 +108,7 @@ class SampleBuffer:
 
     def trim(self, t_ns: int) -> None:
         """Drop the samples in use before the last one at or before `t_ns`."""
-        first = self.after(t_ns) - 1
-        if first > 0:
+        if len(self.t) and (first := self.after(t_ns) - 1) > 0:
             self.t, self.v = self.t[first:], self.v[first:]
 
     def interpolate(self, t_ns: TimeArray) -> FloatArray:
@@ -120,9 +119,10 @@ class SampleBuffer:
         (len(t_ns), width) array
             The values.
         """
-        if len(self.t) == len(t_ns) and np.array_equal(self.t, t_ns):
+        if len(self.t) == len(t_ns) and (self.t == t_ns).all():
             return self.v
-        left = np.maximum(self.t.searchsorted(t_ns) - 1, 0)
-        since, low = self.t[left], self.v[left]
-        share = (t_ns - since) / (self.t[left + 1] - since)
-        return np.asarray(low + share[:, None] * (self.v[left + 1] - low))
+        right = np.maximum(self.t.searchsorted(t_ns), 1)
+        left = right - 1
+        since, low = self.t.take(left), self.v.take(left, axis=0)
+        share = (t_ns - since) / (self.t.take(right) - since)
+        return low + share[:, None] * (self.v.take(right, axis=0) - low)

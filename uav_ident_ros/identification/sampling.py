@@ -152,7 +152,7 @@ class Sampler:
         self.raw_inputs.clear()
         self.injected.clear()
         self.h_ns: int | None = None
-        self._stale_ns = self._timeout_ns
+        self._stale_ns = self._timeout_ns  # age at which an input was lost, when last asked
         self._edge_ns: int | None = None
         self._continues = False
         self.waiting_for = "rates"
@@ -185,7 +185,6 @@ class Sampler:
         """Yield the blocks that the samples in use complete."""
         if not self._ready():
             return
-        self._find_stale_age()
         first_ns = 0
         for first_ns, last_ns in self._runs():
             yield from self._cut(first_ns, last_ns)
@@ -219,15 +218,17 @@ class Sampler:
         self.waiting_for = ""
         return True
 
-    def _find_stale_age(self) -> None:
-        """Find the age, ns, at which an input is lost.
+    def _stale_age(self) -> int:
+        """Return the age, ns, at which an input is lost.
 
         To hold its last value for longer would teach a response to an input that was not there.
         """
-        steps = np.sort(np.diff(self.raw_inputs.t))
+        steps = np.diff(self.raw_inputs.t)
         if len(steps) >= IN_A_ROW:
+            steps.sort()
             usual = int(steps[3 * len(steps) // 4])
             self._stale_ns = min(self._timeout_ns, max(IN_A_ROW * usual, SHORTEST_LOSS_NS))
+        return self._stale_ns
 
     def _learn_trim(self) -> bool:
         """Take the mean raw channels over the first steady stretch of flight as trim."""
@@ -240,7 +241,7 @@ class Sampler:
         x = self.rates.v[:, :3]
         spread = np.maximum(np.abs(x.mean(axis=0)), x.std(axis=0))
         window = np.array([newest - span_ns, newest], dtype=np.int64)
-        if spread.max() > STEADY_RATE or self._known_runs(window) != [(0, 2)]:
+        if spread.max() > STEADY_RATE or self._known_runs(window, self._timeout_ns) != [(0, 2)]:
             return False
         # By time, not by sample: some publish only what changes.
         mean = cell_means(
@@ -289,21 +290,26 @@ class Sampler:
         if not self._linear:
             return last_ns
         newest = int(self.raw_inputs.t[-1]) + self._delay_ns
-        return min(last_ns, newest) if last_ns - newest <= self._stale_ns else last_ns
+        return min(last_ns, newest) if last_ns - newest <= self._stale_age() else last_ns
 
-    def _known_runs(self, at: TimeArray) -> list[tuple[int, int]]:
-        """Begin and end (exclusive) of each run of times at which an input was fresh enough."""
+    def _known_runs(self, at: TimeArray, stale_ns: int | None = None) -> list[tuple[int, int]]:
+        """Begin and end (exclusive) of each run of times at which an input was fresh enough.
+
+        That is younger than `stale_ns`, or than `_stale_age` if left out.
+        """
         t = self.raw_inputs.t
-        first = int(t.searchsorted(at[0], side="right")) - 1
-        if first >= 0 and at[-1] - t[first] <= self._stale_ns and not self._linear:
+        first = self.raw_inputs.after(at[0]) - 1
+        fresh_ns = min(self._timeout_ns, SHORTEST_LOSS_NS)
+        if first >= 0 and at[-1] - t[first] <= fresh_ns and not self._linear:
             return [(0, len(at))]  # nearly always
+        stale_ns = self._stale_age() if stale_ns is None else stale_ns
         last = t.searchsorted(at, side="right") - 1
         begin = t[np.maximum(last, 0)]
         if self._linear:
             end = t[np.minimum(t.searchsorted(at), len(t) - 1)]
-            known = (last >= 0) & (at <= end) & (end - begin <= self._stale_ns)
+            known = (last >= 0) & (at <= end) & (end - begin <= stale_ns)
         else:
-            known = (last >= 0) & (at - begin <= self._stale_ns)
+            known = (last >= 0) & (at - begin <= stale_ns)
         flips = np.flatnonzero(np.diff(known.astype(np.int8), prepend=0, append=0)).tolist()
         return list(zip(flips[::2], flips[1::2], strict=True))
 
