@@ -149,6 +149,12 @@ class _Signals:
         return _slopes(np.concatenate((self.x, self.force), axis=2))
 
     @cached_property
+    def worst(self) -> FloatArray:
+        """Squared errors at which a prediction of p, q, r has failed, (W, 3)."""
+        spread = (self.x - self.x.mean(axis=(0, 1))) ** 2
+        return np.maximum(spread.sum(axis=1), spread.sum(axis=(0, 1)) / WINDOWS)
+
+    @cached_property
     def turning(self) -> FloatArray:
         """What the kinematics of sideslip and angle of attack say, (W, samples, 2), rad/s."""
         by_force = (self.force + GRAVITY * self.down) / self.airspeed
@@ -282,11 +288,9 @@ class _Models:
         if self._blocks < FEWEST_BLOCKS:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
-            errors = ((self._predict(signals, u) - signals.x[:, 1:]) ** 2).sum(axis=2)
-        spread = (signals.x - signals.x.mean(axis=(0, 1))) ** 2
-        worst = np.maximum(spread.sum(axis=1), spread.sum(axis=(0, 1)) / WINDOWS)
+            errors = ((self._predict(signals, u) - signals.x[:, 1:].swapaxes(0, 1)) ** 2).sum(axis=1)
         # One that diverged has failed, no more.
-        return np.asarray(np.fmin(errors, worst).sum(axis=1))
+        return np.asarray(np.fmin(errors, signals.worst).sum(axis=1))
 
     def learn(
         self,
@@ -325,18 +329,18 @@ class _Models:
         return np.asarray(np.einsum("kj,djk->dk", together, effect) < 0.0)
 
     def _predict(self, signals: _Signals, u: FloatArray) -> FloatArray:
-        """Rates after each step of each window, (J, W, N, 3), from the measured state."""
-        v = signals.airspeed
+        """Rates after each step of each window, (J, N, W, 3), from the measured state."""
+        v, count = signals.airspeed, len(u)
         a = _solve(self._moments, _PRECISION)  # (J, 10, 3)
         forces = _solve(self._forces, np.full(3, RIDGE))[..., 0]  # (2, J, 3)
         slopes = np.minimum(forces[..., 0], _LEAST_SLOPES[:, None])
-        matrix, drive = np.zeros((len(u), 5, 5)), np.zeros((len(u), 4, 5))
+        matrix, drive = np.zeros((count, 5, 5)), np.zeros((count, 4, 5))
         matrix[:, :3, :3], matrix[:, 3:, :3] = a[:, :3], a[:, _FORCES]
         matrix[:, 2, 3], matrix[:, 1, 4] = -slopes[0], slopes[1]
         drive[..., :3] = a[:, _INPUTS]
         start = np.empty((*u.shape[:2], 5))
         start[..., :3] = signals.x[:, 0]
-        constant = np.empty((len(u), 5))
+        constant = np.empty((count, 5))
         constant[:, :3], constant[:, 3:] = a[:, _CONSTANT], forces[..., 2].T
         for k, surface in enumerate(_SURFACES):
             own = forces[k, :, 1]
@@ -345,20 +349,21 @@ class _Models:
             drive[:, surface, 3 + k] = own * slopes[k] / v
             begun = signals.force[:, :SAMPLE, k].mean(axis=1)
             start[..., 3 + k] = begun - own[:, None] * u[:, :, :2, surface].mean(axis=2)
-        flat = u[:, :, 1:-1].reshape(len(u), -1, u.shape[-1])
-        driven = (flat @ drive + constant[:, None]).reshape(*u.shape[:2], WINDOW, 5)
+        # Step by step, the windows of each side by side: (J, N W, 5).
+        flat = u[:, :, 1:-1].swapaxes(1, 2).reshape(count, -1, u.shape[-1])
+        driven = flat @ drive + constant[:, None]
         down = 0.5 * (signals.down[:, 1:] + signals.down[:, :-1]) * GRAVITY / v
-        driven[..., 3:] += slopes.T[:, None, None] * down
+        driven[..., 3:] += slopes.T[:, None] * down.swapaxes(0, 1).reshape(-1, 2)
         # The trapezoidal rule is stable whatever was learned of a stable aircraft.
         half = 0.5 * STEP * matrix
         after = np.linalg.inv(np.eye(5) - half)
-        on, states = ((np.eye(5) + half) @ after)[:, None], STEP * driven @ after[:, None]
-        states[:, :, :1] += start[:, :, None] @ on
-        reach = 1
-        while reach < WINDOW:  # sums of all before, by doubling
-            states[:, :, reach:] += states[:, :, :-reach] @ on
+        on, states = (np.eye(5) + half) @ after, STEP * driven @ after
+        states[:, :WINDOWS] += start @ on
+        reach = WINDOWS
+        while reach < states.shape[1]:  # sums of all before, by doubling
+            states[:, reach:] += states[:, :-reach] @ on
             on, reach = on @ on, 2 * reach
-        return states[..., :3]
+        return states[..., :3].reshape(count, WINDOW, WINDOWS, 3)
 
 
 def judge(

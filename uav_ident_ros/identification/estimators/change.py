@@ -122,7 +122,7 @@ class ChangeDetector:
         sure = (np.abs(size) > SURE * np.hypot(unsure, usual)) & (known > SURE * unsure)
         explained = np.where(sure, explained, 0.0)
         changes = []
-        for row in np.unique(self._row[explained >= MIN_EXPLAINED]).tolist():
+        for row in sorted({*self._row[explained >= MIN_EXPLAINED].tolist()}):
             best = int(np.where(self._row == row, explained, 0.0).argmax())
             column, by, first = self._column[best], size[best], len(signals) // 2
             share, step, passed = self._step(residual[:, row], window.dt)

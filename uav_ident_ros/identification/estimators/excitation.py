@@ -54,6 +54,7 @@ class ExcitationGate:
     def __init__(self, free: BoolArray, settings: SupervisionSettings) -> None:
         self.settings = settings
         self._watched: BoolArray = free[:, INPUT_COLUMNS]
+        self._blind: BoolArray = ~self._watched.any(axis=1)
         # of each update: time, and the integrals of u, u^2 and the squared residuals
         self._window: deque[FloatArray] = deque()
         self._window_time = 0.0
@@ -97,20 +98,20 @@ class ExcitationGate:
         sums = np.add.accumulate(np.array(self._window)[::-1])
         means = sums[-1] / sums[-1, 0]
         # The residuals over the newest part: a gust front shows at once.
-        newest = sums[np.searchsorted(sums[:-1, 0], INDEPENDENT_TIME)]
+        newest = sums[sums[:-1, 0].searchsorted(INDEPENDENT_TIME)]
         variance = np.maximum(means[5:9] - means[1:5] ** 2, 0.0)
         self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
         residual = np.maximum(newest[9:] / newest[0], np.finfo(float).tiny)
         self.signal = (self._watched * effect**2) @ variance / residual
         enough = max(self.settings.min_excitation, np.finfo(float).tiny)
-        liveliest = np.where(self._watched, self.share, 0.0).max(axis=1) / enough
-        liveliest[~self._watched.any(axis=1)] = 1.0
+        liveliest = np.maximum.reduce(self._watched * self.share, axis=1) / enough
+        liveliest[self._blind] = 1.0
         # The square: what the samples tell falls as the variance of the inputs, and what
         # feedback tells instead does not.
         self.weight = np.minimum(liveliest, 1.0) ** 2
         self.learning = self.weight == 1.0
         self.clear = self.learning & (self.signal >= 1.0)
-        counted = (self._watched & self.learning[:, None]).any(axis=0)
-        spent = np.where(counted, elapsed, 0.0)
+        counted = np.logical_or.reduce(self._watched & self.learning[:, None])
+        spent = elapsed * counted
         self._usual_time += spent
         self._usual += spent / np.maximum(self._usual_time, elapsed) * (variance - self._usual)

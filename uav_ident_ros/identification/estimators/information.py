@@ -54,6 +54,12 @@ COLLINEAR_SHARE = 0.4
 """Component of the eigenvector from which a regressor belongs to the group."""
 
 
+def diagonal(matrices: FloatArray) -> FloatArray:
+    """Return the diagonals of contiguous square matrices (..., k, k), to be changed, (..., k)."""
+    *stack, k, _ = matrices.shape
+    return matrices.reshape(*stack, k * k)[..., :: k + 1]
+
+
 class Sums:
     """What was accumulated; estimates beside one another are parts.
 
@@ -118,7 +124,8 @@ class Sums:
         self.products[..., : 1 + 2 * k] += products[..., 1:]
         if answering is not None:
             self.answers += products[..., 2 + k :] * answering
-            self.answer_time += samples.time * weight * answering.any(axis=(1, 2))
+            answers = np.logical_or.reduce(answering, axis=(1, 2))
+            self.answer_time += samples.time * weight * answers
         return np.asarray(products[..., 0])
 
     def weigh(self, keep: FloatArray) -> None:
@@ -289,10 +296,9 @@ class Information:
 
     def sums_of(self, parts: slice = slice(None)) -> Sums:
         """Return all that was accumulated of some parts; not to be changed."""
-        table = self.sums.table[parts]
-        if self._fading is not None:
-            table = table + self._fading.table[parts]
-        return Sums(table, self.sums.k)
+        if self._fading is None:
+            return self.sums if parts == slice(None) else self.sums[parts]
+        return Sums(self.sums.table[parts] + self._fading.table[parts], self.sums.k)
 
     def add(
         self,
@@ -388,13 +394,13 @@ class Information:
         scale = (self._moves / np.sqrt(power))[..., None]
         prior = self._precision * self.unit[parts][..., None]
         instruments = weighed * (scale * scale.swapaxes(-1, -2))
-        np.einsum("pijj->pij", instruments)[...] += ROUNDING  # defined where they are collinear
+        diagonal(instruments)[...] += ROUNDING  # defined where they are collinear
         slope = sums.zf @ transform
         target = scale * (sums.zy - slope @ self._initial)
         slope *= scale * self._pairs
         projected = np.linalg.solve(instruments, slope).swapaxes(-1, -2)
         matrix = projected @ slope
-        np.einsum("pijj->pij", matrix)[...] += prior + self._rest
+        diagonal(matrix)[...] += prior + self._rest
         try:
             change: FloatArray = np.linalg.solve(matrix, projected @ target)
         except np.linalg.LinAlgError:
@@ -431,7 +437,7 @@ class Information:
         middle += (self.variance * sums.answer_time)[..., None, None] * sums.answers
         held = inverse * (prior**2 * self._prior_variance)[..., None, :]
         covariance = gain @ middle @ gain.swapaxes(-1, -2) + held @ inverse.swapaxes(-1, -2)
-        resolution = 1.0 - np.einsum("pijj->pij", inverse) * prior
+        resolution = 1.0 - diagonal(inverse) * prior
         sigma = self._sigma(covariance, solution.linear, resolution)
         return transform @ covariance @ transform.swapaxes(-1, -2), sigma
 
@@ -444,7 +450,7 @@ class Information:
         the force row that defines it adds to that of the moment, as far as the samples tell of it:
         the `resolution` (parts, rows, k), 1 without a prior.
         """
-        variance = np.maximum(np.einsum("pijj->pij", covariance), 0.0)
+        variance = np.maximum(diagonal(covariance), 0.0)
         out = self._placed(variance, np.zeros_like(self._start.values))
         row, column, entry, angle, force = self._flow
         share, resolved = linear[:, row, angle] ** 2, resolution[:, row, entry] ** 2
@@ -453,9 +459,10 @@ class Information:
 
     def _placed(self, entries: FloatArray, over: FloatArray) -> FloatArray:
         """Entries (parts, rows, k) at their places in the structure, over (R, n)."""
-        out = np.array([over] * len(entries))
-        out.reshape(len(out), -1)[:, self._places] = entries.reshape(len(out), -1)[:, self._used]
-        return out
+        out = np.empty((len(entries), over.size))
+        out[:] = over.ravel()
+        out[:, self._places] = entries.reshape(len(out), -1).take(self._used, axis=1)
+        return out.reshape(-1, *over.shape)
 
     # -- what the flight has told, by the first part -----------------------------------------
 
@@ -463,9 +470,9 @@ class Information:
         """Information of the moment rows, scaled to a unit diagonal, symmetric, (3, k, k)."""
         matrix = (self._pairs * self.sums.zf[0])[:3]
         matrix = 0.5 * (matrix + matrix.transpose(0, 2, 1))
-        diagonal = np.einsum("ijj->ij", matrix)
-        diagonal += (self._precision * self.unit[0, :, None] + self._rest)[:3]
-        scale = 1.0 / np.sqrt(np.abs(diagonal))
+        power = np.einsum("ijj->ij", matrix)
+        power += (self._precision * self.unit[0, :, None] + self._rest)[:3]
+        scale = 1.0 / np.sqrt(np.abs(power))
         return np.asarray(matrix * scale[:, :, None] * scale[:, None, :])
 
     def excitation(self) -> FloatArray:
@@ -476,7 +483,7 @@ class Information:
         depend on their scales.
         """
         inverse = np.linalg.inv(self._correlation())
-        inflation = np.abs(np.einsum("ijj->ij", inverse)).max(axis=1)
+        inflation = np.abs(diagonal(inverse)).max(axis=1)
         return np.where(self.time[:3] > 0.0, 1.0 / np.maximum(inflation, 1.0), 0.0)
 
     def collinear(self) -> list[tuple[str, ...]]:
@@ -570,13 +577,14 @@ class Transform:
         columns = np.array(entries, dtype=np.intp).reshape(-1, 6).T
         self._at = np.ravel_multi_index(tuple(columns[:3]), self._one.shape)
         self._sign, self._over, self._under = columns[3:]
+        self._known: FloatArray = np.ones(one + 1)
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Return the matrices for coefficients of the structure (R, n)."""
-        matrices = self._one.copy()
-        known = np.ones(values.size + 1)
+        matrices, known = self._one.copy(), self._known
         known[:-1] = values.ravel()
-        matrices.ravel()[self._at] = self._sign * known[self._over] / known[self._under]
+        ratios = self._sign * known.take(self._over) / known.take(self._under)
+        matrices.ravel()[self._at] = ratios
         return matrices
 
 

@@ -192,7 +192,8 @@ class RecursiveRegression:
             covariance, sigmas = self.information.spread(solution)
             sigma = self._sigma(solution.values, sigmas)
         largest = np.maximum.reduce(np.abs(values), axis=None)
-        if not (largest < LARGEST_COEFFICIENT and np.isfinite(sigma).all()):  # NaN fails too
+        sound = largest < LARGEST_COEFFICIENT  # NaN fails too
+        if not sound or (due and not np.isfinite(sigma).all()):
             self.forget(0.0)
             return
         if due:
