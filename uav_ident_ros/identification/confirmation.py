@@ -27,12 +27,15 @@ LARGEST_ODDS = 2.0 * CONFIRMED
 """Logarithm of the odds beyond which more evidence adds nothing: what has failed is noticed
 soon, however long it had worked."""
 
+NO_VARIANCE = float(np.finfo(float).eps)
+"""Variance, rad^2/s^4, below which a residual has none."""
+
 
 class Confirmation:
     """Evidence for and against the main control derivatives of the moment rows."""
 
     def __init__(self) -> None:
-        self._odds: FloatArray = np.zeros(len(ROWS))
+        self._odds = [0.0] * len(ROWS)
 
     def forget(self, row: int) -> None:
         """Forget the evidence of a row: its derivatives are learned anew."""
@@ -55,17 +58,18 @@ class Confirmation:
             Time in which what was confirmed fades while the input does not move, s; 0 for never.
         """
         # Squared residual if the input did nothing, less the squared residual as it is.
-        gain = effect * (2.0 * white.residual[: len(ROWS)] + effect)
-        variance = np.maximum(variance[: len(ROWS)], np.finfo(float).eps)
+        gain = np.add.reduce(effect * (2.0 * white.residual[: len(ROWS)] + effect), axis=1)
+        keep = 1.0
         if max_age > 0.0:
             # From the largest odds to those that confirm in just this time.
-            self._odds *= (CONFIRMED / LARGEST_ODDS) ** (effect.shape[1] * white.dt / max_age)
-        self._odds += 0.5 * np.add.reduce(gain, axis=1) / variance
-        self._odds = np.maximum(np.minimum(self._odds, LARGEST_ODDS), -LARGEST_ODDS)
+            keep = (CONFIRMED / LARGEST_ODDS) ** (effect.shape[1] * white.dt / max_age)
+        for i, (more, spread) in enumerate(zip(gain.tolist(), variance.tolist(), strict=False)):
+            odds = keep * self._odds[i] + 0.5 * more / max(spread, NO_VARIANCE)
+            self._odds[i] = max(min(odds, LARGEST_ODDS), -LARGEST_ODDS)
 
     def doubt(self, row: int) -> str:
         """Return why the main control derivative of a row is in doubt; empty if it is not."""
-        odds = float(self._odds[row])
+        odds = self._odds[row]
         if odds >= CONFIRMED:
             return ""
         surface = MAIN_INPUTS[ROWS[row]]

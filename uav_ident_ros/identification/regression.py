@@ -16,7 +16,7 @@ angle::
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Self
 
@@ -222,7 +222,7 @@ class Regression:
         count = min(m, max(1, round(self.time / SAMPLE_TIME)))
         begin, width = _parts(m, count)
         means = np.add.reduceat(self.signals, begin) / width
-        return replace(self, signals=means, dt=self.time / count)
+        return Regression(means, self.rows, self.time / count, self.restarted, self.injected)
 
     def residual(self, coefficients: FloatArray) -> FloatArray:
         """Return ``e = y - A f`` of coefficients of shape (rows, c); shape (m, rows)."""

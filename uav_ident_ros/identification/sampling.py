@@ -98,15 +98,16 @@ def join(blocks: Sequence[Block]) -> Block:
     if len(blocks) == 1:
         return blocks[0]
     first, excitation, flow = blocks[0], None, None
-    if any(block.excitation is not None for block in blocks):
+    if any([block.excitation is not None for block in blocks]):
         parts = [np.zeros_like(b.u) if b.excitation is None else b.excitation for b in blocks]
         excitation = np.concatenate(parts)
-    if flows := [block.flow for block in blocks if block.flow is not None]:
-        flow = FlowSignals(edge_values([f.states for f in flows]), flows[0].airspeed)
+    state = edge_values([block.state for block in blocks])
+    if first.flow is not None:
+        flow = FlowSignals(state, first.flow.airspeed)
     return Block(
         edge_values([block.t_ns for block in blocks]),
         first.h,
-        edge_values([block.x for block in blocks]),
+        state[:, :3],
         np.concatenate([block.u for block in blocks]),
         edge_values([block.specific_force for block in blocks]),
         first.restarted,

@@ -134,6 +134,8 @@ class Supervisor:
         self.adapt = settings.adapt_on_start
         self.armed: bool | None = None
         self._structure = structure
+        mains = [f"{row}/{surface}" for row, surface in MAIN_INPUTS.items()]
+        self._mains = [(name, structure.index(name)) for name in mains]
         self.gates = Gates(more)
         self.reset()
 
@@ -261,14 +263,14 @@ class Supervisor:
 
     def _unknown_input(self, row: int, coefficients: FloatArray, sigma: FloatArray) -> str:
         """Return how the main control derivative of a row is not known; empty if it is."""
-        surface, needed = MAIN_INPUTS[ROWS[row]], self.settings.supervision.min_t_ratio
-        name = f"{ROWS[row]}/{surface}"
-        index = self._structure.index(name)
-        value, spread = abs(float(coefficients[index])), float(sigma[index])
+        name, index = self._mains[row]
+        needed = self.settings.supervision.min_t_ratio
+        value, spread = abs(coefficients.item(index)), sigma.item(index)
         ratio = value / spread if spread > 0.0 else (np.inf if value > 0.0 else 0.0)
         if ratio >= needed:
             return ""
-        return f"{name} has a t-ratio of {ratio:.1f} ({needed:.1f} needed): move {surface}"
+        move = MAIN_INPUTS[ROWS[row]]
+        return f"{name} has a t-ratio of {ratio:.1f} ({needed:.1f} needed): move {move}"
 
     def state(self, verdict: Verdict) -> tuple[State, str]:
         """Return the state word, and why it is not learning or not usable."""
@@ -285,10 +287,10 @@ class Supervisor:
 def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str:
     """Return how an axis is predicted too badly; empty if it is not."""
     for when, fit, hold in (
-        ("of late", running.fit[i], running.hold[i]),
-        ("over the flight", running.flight_fit[i], running.flight_hold[i]),
+        ("of late", running.fit.item(i), running.hold.item(i)),
+        ("over the flight", running.flight_fit.item(i), running.flight_hold.item(i)),
     ):
-        needed = max(settings.min_fit, float(hold))
+        needed = max(settings.min_fit, hold)
         if not fit >= needed:
             return (
                 f"the 1-second prediction fit of {AXES[i]} {when} is {fit:.0f} % "

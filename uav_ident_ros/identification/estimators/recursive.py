@@ -33,6 +33,8 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
 )
 
+_MOMENTS = np.arange(len(ROWS))
+
 
 class Known(NamedTuple):
     """What an estimate says."""
@@ -136,7 +138,8 @@ class RecursiveRegression:
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.clear, self.learning = self._gate.clear, self._gate.learning & (weight > 0.0)
         weight = weight * seen
-        square = np.add.reduce(np.square(samples.f[:, RATE_COLUMNS])) / len(samples.f)
+        rates = samples.f[:, RATE_COLUMNS]
+        square = np.add.reduce(rates * rates) / len(rates)
         self._power += min(samples.time / SHORT_MEMORY, 1.0) * (square - self._power)
         if samples.injected and not self._injected:
             # Samples from before it have other instruments, which answer disturbances.
@@ -150,8 +153,9 @@ class RecursiveRegression:
             self.answers = self._feedback.share
         # No disturbance is in what is injected. Late or answering gusts: where nothing was known
         # before, either is a reason to deny.
-        ratio = self._known_before * self._feedback.ratio[: len(ROWS)] * (not samples.injected)
-        effect = self._linear[range(len(ROWS)), MAIN_COLUMNS]
+        counts = False if samples.injected else self._known_before
+        ratio = counts * self._feedback.ratio[: len(ROWS)]
+        effect = self._linear[_MOMENTS, MAIN_COLUMNS]
         self._error.add(rows, weight, ratio, effect, restarted=samples.restarted)
         self.model_error, self.height = self._error.share, self._error.height
         weight = self._row_weights(weight)
@@ -210,7 +214,7 @@ class RecursiveRegression:
         for other in reference:
             sigma = np.hypot(sigma, own - other)
         sigma = np.hypot(np.maximum(sigma, sigmas[1]), own - white)
-        main = np.arange(len(ROWS)), MAIN_COLUMNS
+        main = _MOMENTS, MAIN_COLUMNS
         sigma[main] = np.hypot(sigma[main], self.model_error * own[main])
         sigma = np.hypot(sigma, MODEL_ERROR * own)
         return np.where(self._start.free, sigma, self._start.sigma)
