@@ -288,7 +288,9 @@ class _Models:
         if self._blocks < FEWEST_BLOCKS:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
-            errors = ((self._predict(signals, u) - signals.x[:, 1:].swapaxes(0, 1)) ** 2).sum(axis=1)
+            errors = ((self._predict(signals, u) - signals.x[:, 1:].swapaxes(0, 1)) ** 2).sum(
+                axis=1
+            )
         # One that diverged has failed, no more.
         return np.asarray(np.fmin(errors, signals.worst).sum(axis=1))
 

@@ -50,6 +50,9 @@ LARGEST_RATE = 30.0
 LARGEST_ANGLE = 0.5 * math.pi
 """Sideslip or angle of attack beyond which the state has diverged, rad."""
 
+_ACROSS = np.repeat([0, 1, 2], 4), np.array([2, 3, 4, 6, 0, 1, 5, 7, 2, 3, 4, 6])
+"""Coefficients that a body has none of that is symmetric about its xz plane."""
+
 DRIVE_COLUMNS = [*range(INPUT_COLUMNS.start, INPUT_COLUMNS.stop), CONSTANT_COLUMN]
 """Columns of a structure with flow angles that are known before the state is."""
 
@@ -57,7 +60,10 @@ Number = Any
 """A float, or an array of one value per trajectory."""
 
 State = list[Number]
-Derivative = Callable[[State, Any], State]
+Derivative = Callable[..., State]
+"""Rate of change from a state, what drives it and, where it is to be that of a state further on, by
+how much in which direction: ``derivative(state, drive, slope, ahead)``."""
+
 Step = tuple[Any, Any, Any, Number]
 
 
@@ -67,7 +73,7 @@ def integrate(derivative: Derivative, state: State, steps: Iterable[Step]) -> It
     Parameters
     ----------
     derivative : callable
-        ``derivative(state, drive)``: the state's rate of change.
+        The state's rate of change; see `Derivative`.
     state : list of floats or (W,) arrays
         Where to start.
     steps : iterable of (first, middle, last, dt)
@@ -77,9 +83,9 @@ def integrate(derivative: Derivative, state: State, steps: Iterable[Step]) -> It
     for first, middle, last, dt in steps:
         half, sixth = 0.5 * dt, dt / 6.0
         k1 = derivative(state, first)
-        k2 = derivative([s + half * k for s, k in zip(state, k1, strict=True)], middle)
-        k3 = derivative([s + half * k for s, k in zip(state, k2, strict=True)], middle)
-        k4 = derivative([s + dt * k for s, k in zip(state, k3, strict=True)], last)
+        k2 = derivative(state, middle, k1, half)
+        k3 = derivative(state, middle, k2, half)
+        k4 = derivative(state, last, k3, dt)
         state = [
             s + sixth * (a + 2.0 * (b + c) + d)
             for s, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
@@ -102,22 +108,38 @@ def rates_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
     callable
         Its drive is the part of pdot, qdot, rdot that does not depend on the state.
     """
-    moments = _moments(_entries(a), leak)
+    moments = _moments(a, leak)
 
-    def derivative(state: State, drive: Any) -> State:
-        pdot, qdot, rdot = moments(*state)
+    def derivative(
+        state: State, drive: Any, slope: State | None = None, ahead: Number = 0.0
+    ) -> State:
+        p, q, r = state
+        if slope is not None:
+            p, q, r = p + ahead * slope[0], q + ahead * slope[1], r + ahead * slope[2]
+        pdot, qdot, rdot = moments(p, q, r)
         return [pdot + drive[0], qdot + drive[1], rdot + drive[2]]
 
     return derivative
 
 
-def _moments(rows: list[Any], leak: float) -> Callable[..., tuple[Number, Number, Number]]:
+def _moments(a: FloatArray, leak: float) -> Callable[..., tuple[Number, Number, Number]]:
     """Return the part of pdot, qdot, rdot that p, q, r make, as a function of these."""
-    first, second, third = rows[:3]
-    a1, a2, a3, a4, a5, a6, a7, a8 = first[STATE_COLUMNS]
-    b1, b2, b3, b4, b5, b6, b7, b8 = second[STATE_COLUMNS]
-    c1, c2, c3, c4, c5, c6, c7, c8 = third[STATE_COLUMNS]
+    first, second, third = _entries(a[:3, STATE_COLUMNS])
+    a1, a2, a3, a4, a5, a6, a7, a8 = first
+    b1, b2, b3, b4, b5, b6, b7, b8 = second
+    c1, c2, c3, c4, c5, c6, c7, c8 = third
     a6, b7, c8 = a6 - leak, b7 - leak, c8 - leak
+
+    def symmetric(p: Number, q: Number, r: Number) -> tuple[Number, Number, Number]:
+        pq, qr = p * q, q * r
+        return (
+            a1 * pq + a2 * qr + a6 * p + a8 * r,
+            b3 * (p * r) + b4 * (p * p) + b5 * (r * r) + b7 * q,
+            c1 * pq + c2 * qr + c6 * p + c8 * r,
+        )
+
+    if not a[_ACROSS].any():
+        return symmetric
 
     def moments(p: Number, q: Number, r: Number) -> tuple[Number, Number, Number]:
         pq, qr, pr, pp, rr = p * q, q * r, p * r, p * p, r * r
@@ -146,8 +168,7 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
         Its drive: the parts of the seven rows that do not depend on the state, 1/V (s/m), and
         what is added to the rate of change of d.
     """
-    rows = _entries(a)
-    moments = _moments(rows, leak)
+    rows, moments = _entries(a), _moments(a, leak)
     beta_column, alpha_column = range(LAST_COLUMNS.start, LAST_COLUMNS.stop)
     l_beta, n_beta, y_beta = (rows[i][beta_column] for i in (0, 2, 3))
     m_alpha, z_alpha = (rows[i][alpha_column] for i in (1, 4))
@@ -155,8 +176,19 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
     y_p, y_r = rows[3][p_column], rows[3][r_column]
     beta_p = rows[5][p_column]
 
-    def derivative(state: State, drive: Any) -> State:
+    def derivative(
+        state: State, drive: Any, slope: State | None = None, ahead: Number = 0.0
+    ) -> State:
         p, q, r, beta, alpha, dx, dy, dz = state
+        if slope is not None:
+            k1, k2, k3, k4, k5, k6, k7, k8 = slope
+            p, q, r, beta = p + ahead * k1, q + ahead * k2, r + ahead * k3, beta + ahead * k4
+            alpha, dx, dy, dz = (
+                alpha + ahead * k5,
+                dx + ahead * k6,
+                dy + ahead * k7,
+                dz + ahead * k8,
+            )
         p0, q0, r0, ay0, az0, beta0, alpha0, per_speed, dx0, dy0, dz0 = drive
         pdot, qdot, rdot = moments(p, q, r)
         ay = y_beta * beta + y_p * p + y_r * r + ay0
