@@ -152,7 +152,7 @@ class _Signals:
     def worst(self) -> FloatArray:
         """Squared errors at which a prediction of p, q, r has failed, (W, 3)."""
         spread = (self.x - self.x.mean(axis=(0, 1))) ** 2
-        return np.maximum(spread.sum(axis=1), spread.sum(axis=(0, 1)) / WINDOWS)
+        return np.asarray(np.maximum(spread.sum(axis=1), spread.sum(axis=(0, 1)) / WINDOWS))
 
     @cached_property
     def turning(self) -> FloatArray:
@@ -288,9 +288,8 @@ class _Models:
         if self._blocks < FEWEST_BLOCKS:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
-            errors = ((self._predict(signals, u) - signals.x[:, 1:].swapaxes(0, 1)) ** 2).sum(
-                axis=1
-            )
+            error = self._predict(signals, u) - signals.x[:, 1:].swapaxes(0, 1)
+            errors = (error**2).sum(axis=1)
         # One that diverged has failed, no more.
         return np.asarray(np.fmin(errors, signals.worst).sum(axis=1))
 

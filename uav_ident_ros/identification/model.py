@@ -182,13 +182,9 @@ def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
         p, q, r, beta, alpha, dx, dy, dz = state
         if slope is not None:
             k1, k2, k3, k4, k5, k6, k7, k8 = slope
-            p, q, r, beta = p + ahead * k1, q + ahead * k2, r + ahead * k3, beta + ahead * k4
-            alpha, dx, dy, dz = (
-                alpha + ahead * k5,
-                dx + ahead * k6,
-                dy + ahead * k7,
-                dz + ahead * k8,
-            )
+            p, q, r = p + ahead * k1, q + ahead * k2, r + ahead * k3
+            beta, alpha = beta + ahead * k4, alpha + ahead * k5
+            dx, dy, dz = dx + ahead * k6, dy + ahead * k7, dz + ahead * k8
         p0, q0, r0, ay0, az0, beta0, alpha0, per_speed, dx0, dy0, dz0 = drive
         pdot, qdot, rdot = moments(p, q, r)
         ay = y_beta * beta + y_p * p + y_r * r + ay0
