@@ -10,7 +10,7 @@ pulled to the angle at which the force rows give the measured force.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import asin, atan2, cos, exp, sin
+from math import asin, atan2, cos, exp, inf, sin
 
 import numpy as np
 
@@ -98,6 +98,7 @@ class FlowObserver:
         self._rate = cutoff
         self._reference = reference
         self._rows = structure.flow
+        self._slopes = [(rows.force, rows.angle) for rows in structure.flow]
         self.angles = [0.0, 0.0]
         self.down: Vector = (0.0, 0.0, 1.0)
         self._bias: Vector = (0.0, 0.0, 0.0)
@@ -113,10 +114,10 @@ class FlowObserver:
         """Return the state at the newest edge; with coefficients and sigma of shape (7, n)."""
         roll, pitch = self.attitude
         beta, alpha = self.angles
-        beta_share, alpha_share = (
-            abs(float(sigma[rows.force, rows.angle] / coefficients[rows.force, rows.angle]))
-            for rows in self._rows
-        )
+        beta_share, alpha_share = [
+            sigma.item(place) / slope if (slope := abs(coefficients.item(place))) else inf
+            for place in self._slopes
+        ]
         return FlowState(
             beta=beta,
             alpha=alpha,

@@ -40,7 +40,8 @@ class BodyFrame:
 
     def to_body(self, vectors: FloatArray) -> FloatArray:
         """Vectors of shape (..., 3) from the Imu's axes into FRD."""
-        return np.asarray(vectors @ self._to_body.T)
+        flat = vectors.reshape(-1, 3) @ self._to_body.T  # one product for all of them
+        return np.asarray(flat.reshape(vectors.shape))
 
     def to_imu(self, vectors: FloatArray) -> FloatArray:
         """Vectors of shape (..., 3) from FRD into the Imu's axes."""

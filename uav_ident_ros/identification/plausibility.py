@@ -127,6 +127,8 @@ class Plausibility:
     @property
     def findings(self) -> list[Finding]:
         """What is wrong now, faults first."""
+        if not self._found and self._doubted is None:  # nearly always
+            return []
         found = [f for _, f in self._found.values()]
         if self._doubted is not None and self._now - self._doubted[0] >= ENOUGH:
             found.append(self._doubted[1])

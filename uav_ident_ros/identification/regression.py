@@ -47,9 +47,11 @@ NEGLIGIBLE = float(np.finfo(float).tiny) ** 0.25
 """
 
 
-_STATES = (RATE_COLUMNS, LAST_COLUMNS)
-_FLOW_STATE = [j for columns in _STATES for j in range(columns.start, columns.stop)]
+_FLOW_STATE = np.r_[RATE_COLUMNS, LAST_COLUMNS]
 """Columns of p, q, r, sideslip and angle of attack."""
+
+_TURNING = np.array([1.0, -1.0])
+"""Signs with which p times the other angle, less r or q, turns sideslip and angle of attack."""
 
 _MOMENTS, _MAIN_INPUTS = np.arange(len(ROWS)), MAIN_COLUMNS - INPUT_COLUMNS.start
 
@@ -411,9 +413,9 @@ class StateVariableFilter:
         if block.flow is not None:
             assert coefficients is not None
             made, v, angles = coefficients[3:5], block.flow.airspeed, INPUT_COLUMNS.stop
-            force = np.concatenate((block.force, model_states[:, :5] @ made[:, _FLOW_STATE].T))
+            force = np.concatenate((block.force, model_states[:, :5] @ made.take(_FLOW_STATE, 1).T))
             turning = (force + GRAVITY * states[:, 6:]) / v
-            turning += (states[:, :1] * states[:, 4:2:-1] - states[:, 2:0:-1]) * (1.0, -1.0)
+            turning += (states[:, :1] * states[:, 4:2:-1] - states[:, 2:0:-1]) * _TURNING
             lines[:, 3:5] = block.force
             f[:, n:] = turning[:points]
             z[:, angles : angles + 2], z[:, angles + 2 :] = force[points:], turning[points:]

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from uav_ident_ros.identification.sampling import Block, edge_values, join
 from uav_ident_ros.identification.structure import FloatArray
@@ -63,4 +63,4 @@ class Stretches:
         if len(parts) == 1:
             return parts[0]
         block, states = join([p.block for p in parts]), edge_values([p.states for p in parts])
-        return replace(parts[0], block=block, states=states, blocks=len(parts))
+        return Stretch(block, states, *parts[0].kind, blocks=len(parts))

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -65,18 +66,18 @@ class Verdict:
 
     reasons: tuple[str, str, str]
 
-    @property
+    @cached_property
     def rows(self) -> tuple[bool, bool, bool]:
         """Whether it may act on each row."""
         first, second, third = (not reason for reason in self.reasons)
         return first, second, third
 
-    @property
+    @cached_property
     def usable(self) -> bool:
         """Whether it may act on all rows."""
         return not any(self.reasons)
 
-    @property
+    @cached_property
     def reason(self) -> str:
         """Why it may not act on all rows; empty if it may."""
         return "; ".join(dict.fromkeys(filter(None, self.reasons)))

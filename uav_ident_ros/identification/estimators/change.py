@@ -12,7 +12,6 @@ Changes, 1993). Residuals and regressors are whitened first, since gusts are slo
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -109,8 +108,9 @@ class ChangeDetector:
             Standard deviations of its control derivatives: what is being learned has not changed.
         """
         self._since_look = 0.0
+        newest = self._window[-1]
         signals = np.concatenate([samples.signals for samples in self._window])
-        window = replace(self._window[-1], signals=signals)
+        window = Regression(signals, newest.rows, newest.dt)
         residual = _whitened(window.residual(coefficients)[:, :3], window.dt)
         regressors = _whitened(window.f[:, self._column], window.dt)
         size, power, explained = _fitted(regressors, residual[:, self._row])
@@ -128,7 +128,7 @@ class ChangeDetector:
             share, step, passed = self._step(residual[:, row], window.dt)
             if self._has_constant[row] and share > explained[best]:
                 column, by, first = CONSTANT_COLUMN, step, passed
-            after = replace(window, signals=signals[first:])
+            after = Regression(signals[first:], window.rows, window.dt)
             changes.append(Change(row, int(column), float(by), after))
         if changes:
             self.restart()  # to the new coefficients, the change is in what came before it

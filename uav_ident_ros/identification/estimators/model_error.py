@@ -119,8 +119,11 @@ class ModelError:
     def _extended(self, regressors: FloatArray, dt: float) -> FloatArray:
         """Regressors (rows, m, k), or instruments, with u|u| and du/dt of each row's u."""
         u = regressors[range(len(self._entries)), :, self._entries]
-        slope = np.diff(u, axis=1, prepend=u[:, :1]) / dt
-        return np.concatenate((regressors, np.stack((u * np.abs(u), slope), axis=-1)), axis=2)
+        extended = np.zeros((*u.shape, regressors.shape[-1] + EXTRA))
+        extended[..., :-EXTRA] = regressors
+        extended[..., -2] = u * np.abs(u)
+        extended[:, 1:, -1] = (u[:, 1:] - u[:, :-1]) / dt
+        return extended
 
     def _look(self, ratio: FloatArray, effect: FloatArray) -> None:
         """Solve in units of each regressor's rms, and compare the extra ones with their sigma."""
