@@ -208,6 +208,22 @@ def test_table(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch)
     assert sorted(os.listdir("replay_short")) == RESULTS
 
 
+def test_a_delay_that_the_flight_does_not_show_is_no_estimate(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    """What is printed then is the delay in use, with no sigma of another beside it."""
+    short = excerpt(tmp_path / "short", 10.0, "pulses")
+    told = parameter_file(
+        tmp_path / "told.yaml", actuators__delay=0.03, actuators__estimate_delay=True
+    )
+    arguments = [str(short), "--params-file", str(told), "--output", str(tmp_path / "out")]
+    assert main(arguments) == NOT_USABLE
+    assert (
+        "\ndelay of the inputs: 0.030 s; the flight does not show it\n" in capsys.readouterr().out
+    )
+    assert summary(tmp_path / "out")["delay_confidence"] != "sure"
+
+
 def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
     def renamed(topic: str, log_ns: int, message: Any) -> list[Entry]:
         return [("/plane/servos" if topic == ACTUATORS else "/plane/imu", log_ns, message)]

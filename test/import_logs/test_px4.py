@@ -307,6 +307,24 @@ def test_airspeed(importer: Importer, name: str) -> None:
     assert plain["airspeed.reference"] == pytest.approx(15.0)
 
 
+def test_an_airspeed_of_a_log_with_a_gap(importer: Importer) -> None:
+    """Where nothing was logged no airspeed can be."""
+    imu_ns = IMU_NS + 100_000_000_000 * (np.arange(COUNT) >= COUNT // 2)
+    speed = {
+        "timestamp": stamps(imu_ns[::4]),
+        "true_airspeed_m_s": np.full(len(COMMAND_NS), 15.0, np.float32),
+    }
+    topics = {
+        ("sensor_combined", 0): sensor_combined(imu_ns, RATES, FORCE),
+        ("vehicle_torque_setpoint", 0): commands(imu_ns[::4], noise(3), "xyz"),
+        ("airspeed", 0): speed,
+    }
+    _, values, printed = imported(importer, topics, {})
+    assert values["airspeed.type"] == "geometry_msgs/msg/TwistStamped"
+    assert values["airspeed.reference"] == 15.0
+    assert "the airspeed is used; in flight its median is 15 m/s" in printed
+
+
 @pytest.mark.parametrize("part", [slice(0, 30), slice(None)])
 def test_an_airspeed_that_is_no_use_is_left_out(importer: Importer, part: slice) -> None:
     """Measured for a part of the flight, or that of a hover; the ground speed stands in."""

@@ -27,7 +27,7 @@ SLOWEST_NS = 2_500_000_000
 """For how long a sample of the airspeed counts, ns: the autopilots log one a second or more."""
 
 ENOUGH_AIRSPEED = 0.8
-"""Share of the flight that an airspeed must cover to be used."""
+"""Share of the flight that an airspeed must cover to be used, of what the rates cover of it."""
 
 LEARN_TRIM_TIME = 2.0
 """Length of the steady stretch that the trim is learnt from, s."""
@@ -183,7 +183,9 @@ def _flown_speed(log: FlightLog) -> float:
     rates = log.streams["rates"].t_ns
     flown = airspeed.chosen(log.in_flight("airspeed") & (airspeed.values > 0.0))
     flight = log.flown or [(int(rates.min()), int(rates.max()))]
-    if coverage(flown.t_ns, flight, SLOWEST_NS) < ENOUGH_AIRSPEED:
+    # Of what was logged: a table of several recordings, or a logger that paused, has gaps in all.
+    logged = coverage(rates, flight, SLOWEST_NS)
+    if coverage(flown.t_ns, flight, SLOWEST_NS) < ENOUGH_AIRSPEED * logged:
         return 0.0
     return float(np.median(flown.values))
 

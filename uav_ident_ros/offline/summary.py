@@ -96,6 +96,7 @@ class Replayed:
                 "implausible": [found.text for found in identifier.plausibility.noted.values()],
                 "delay": identifier.delay,
                 "delay_sigma": identifier.delay_sigma,
+                "delay_confidence": identifier.delay_confidence,
                 "structure": run.structure.name,
                 "coefficients": {
                     name: {"value": result.values[index], "sigma": result.sigma[index]}

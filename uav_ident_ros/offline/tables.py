@@ -179,9 +179,11 @@ def _heading(summary: Mapping[str, Any]) -> Iterator[str]:
         messages = f"{entry['received']} messages{dropped}"
         yield f"{stream}: {entry['topic']} ({entry['type']}), {messages}"
     if settings["actuators.estimate_delay"]:
-        sigma = summary["delay_sigma"]
-        known = "unknown" if sigma is None else f"{sigma:.2g}"
-        yield f"estimated delay of the inputs: {summary['delay']:.3f} s, sigma {known}"
+        if summary["delay_confidence"] == "sure":
+            sigma = f"{summary['delay_sigma']:.2g}"
+            yield f"estimated delay of the inputs: {summary['delay']:.3f} s, sigma {sigma}"
+        else:
+            yield f"delay of the inputs: {summary['delay']:.3f} s; the flight does not show it"
     if settings["airspeed.type"]:
         reference = settings["airspeed.reference"]
         yield f"coefficients at the reference airspeed, {reference:g} m/s"
