@@ -4,14 +4,15 @@
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from estimates import estimate_of
-from excerpts import BAGS, parameters, replayed_run
+from excerpts import ACTUATORS, BAGS, SECOND_NS, Entry, excerpt, parameters, replayed_run
 
-from uav_ident_ros.bags.reading import Message
+from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayEstimate
 from uav_ident_ros.identification.estimate import Estimate
@@ -209,6 +210,18 @@ def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
     assert lost_to(estimates) == {"p reaches … rad/s": 0.5, "not armed": 0.25}
 
 
+def test_numbers_of_a_name_stay() -> None:
+    def lost(reason: str) -> str:
+        (found,) = lost_to(
+            [estimate_of(np.zeros(3), adapting=False, state="paused", reason=reason)]
+        )
+        return found
+
+    assert lost("the 1-second fit of p is -58.1 %") == "the 1-second fit of p is … %"
+    assert lost("2.9 rad/s: convert to rad/s (REP-103)") == "… rad/s: convert to rad/s (REP-103)"
+    assert lost("learned from 16 s, needed are 30.") == "learned from … s, needed are …."
+
+
 def test_every_advice_is_tested() -> None:
     assert {case[0] for case in CASES} == {find.__name__ for find in ADVICE}
 
@@ -272,6 +285,28 @@ def test_what_is_measured_on_a_flight_of_known_truth() -> None:
     assert e.delay.delay == pytest.approx(0.0, abs=0.01)
     assert e.force_share == {}
     assert [advice.name for advice in advise(e)] == []
+
+
+def test_a_flight_with_a_gap_is_measured_whole(tmp_path: Path) -> None:
+    """The rudder moves in its shorter part only."""
+    with Bag(BAGS / "multisine") as bag:
+        gap_ns = bag.start_ns + 6 * SECOND_NS
+
+    def later(topic: str, log_ns: int, message: Any) -> list[Entry]:
+        if log_ns > gap_ns:
+            message.header.stamp.sec += 30
+            log_ns += 30 * SECOND_NS
+            if topic == ACTUATORS:
+                still = np.array([name != "rudder" for name in message.name])
+                message.position = message.position * still
+        return [(topic, log_ns, message)]
+
+    run = replayed_run(excerpt(tmp_path / "bag", 16.0, "multisine", later), parameters())
+    e = measure(run, run.score())
+    assert e.duration == pytest.approx(16.0, abs=0.1)
+    assert e.input_spread[INPUTS.index("dr")] > 0.02
+    np.testing.assert_allclose(e.gyro_noise, 0.02, rtol=0.1)
+    assert e.imu_rate == pytest.approx(200.0)
 
 
 def test_a_delay_too_long_and_a_missing_regressor_are_found() -> None:

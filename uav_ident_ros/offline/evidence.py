@@ -32,8 +32,11 @@ ROW_FORCES: Mapping[str, str] = {"pdot": "ay", "qdot": "az", "rdot": "ay"}
 _DIFFERENCE_NOISE = 20.0**0.5
 """Standard deviation of the third difference of white noise, in units of that of the noise."""
 
-_NUMBER = re.compile(r"(?<![a-z_])[-+]?\d[\d.,e+-]*")
-"""What differs between reasons that are the same."""
+_NUMBER = re.compile(
+    r"(?<![A-Za-z_\d])(?<![A-Za-z_\d]-)[-+]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?(?!\d|\.\d|-[a-z])"
+)
+"""What differs between reasons that are the same: numbers, but not those of a name (1-second,
+REP-103)."""
 
 _NORMAL_MEDIAN = 0.6745
 """Median of the magnitude of a normal deviate, in units of its standard deviation."""
@@ -85,7 +88,9 @@ class Evidence:
 
 def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Measure a replay that has at least one estimate."""
-    part = max(run.stretches(), key=lambda stretch: len(stretch.ticks))
+    parts = _time_bases(run)
+    rates = np.concatenate([part.rates for part in parts])
+    inputs = np.concatenate([part.inputs.u for part in parts])
     result = run.result()
     delays, delay_errors = run.identifier.delays.delays, run.identifier.delays.errors
     return Evidence(
@@ -94,17 +99,17 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         values=result.values,
         sigma=result.sigma,
         fit=fits[FIT_WINDOWS],
-        duration=float(part.t_ns[-1] - part.t_ns[0]) * NS,
-        rate_spread=part.rates.std(axis=0),
-        gyro_noise=gyro_noise(part.rates),
-        input_spread=part.inputs.u.std(axis=0) if len(part.inputs.u) else np.zeros(len(INPUTS)),
-        imu_rate=_rate(part.t_ns),
-        actuator_rate=_rate(part.inputs.t_ns),
+        duration=sum(float(part.t_ns[-1] - part.t_ns[0]) for part in parts) * NS,
+        rate_spread=rates.std(axis=0),
+        gyro_noise=gyro_noise(*(part.rates for part in parts)),
+        input_spread=inputs.std(axis=0) if len(inputs) else np.zeros(len(INPUTS)),
+        imu_rate=_rate([part.t_ns for part in parts]),
+        actuator_rate=_rate([part.inputs.t_ns for part in parts]),
         delay=run.identifier.delays.estimate,
         delays=delays,
         delay_errors=delay_errors,
         delay_in_use=run.identifier.delay,
-        force_share=_force_share(run, part),
+        force_share=_force_share(run, parts),
         collinear=tuple(run.identifier.estimator.information.collinear()),
         correlations=run.identifier.estimator.information.correlations(),
         lost=lost_to(run.estimates),
@@ -114,6 +119,14 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         },
         streams={name: run.refusals(name) for name in run.identifier.intake.drops},
     )
+
+
+def _time_bases(run: OfflineRun) -> list[Stretch]:
+    """Return one stretch of every time base: a gap of the recording begins another one."""
+    parts: dict[int, Stretch] = {}
+    for part in sorted(run.stretches(), key=lambda stretch: len(stretch.ticks)):
+        parts[part.era] = part
+    return [parts[era] for era in sorted(parts)]
 
 
 def lost_to(estimates: Sequence[Estimate]) -> dict[str, float]:
@@ -130,37 +143,41 @@ def reason_of(estimate: Estimate) -> str:
     return "" if estimate.adapting else _NUMBER.sub("…", estimate.reason)
 
 
-def gyro_noise(rates: FloatArray) -> FloatArray:
+def gyro_noise(*parts: FloatArray) -> FloatArray:
     """Estimate the white noise of evenly sampled rates (k, 3), same unit, from third differences.
 
     An aircraft's motion hardly contributes to them at 50 Hz and more; vibration does.
     """
-    if len(rates) < 4:
-        return np.zeros(rates.shape[1])
-    usual = [np.median(np.abs(np.diff(column, n=3))) for column in rates.T]
+    differences = np.concatenate([np.diff(rates, n=3, axis=0) for rates in parts])
+    if not len(differences):
+        return np.zeros(differences.shape[1])
+    usual = [np.median(column) for column in np.abs(differences).T]
     return np.array(usual) / _NORMAL_MEDIAN / _DIFFERENCE_NOISE
 
 
-def _rate(t_ns: TimeArray) -> float:
-    """Median rate of stamps, Hz; 0 if there are fewer than two."""
-    return 1.0 / (float(np.median(np.diff(t_ns))) * NS) if len(t_ns) > 1 else 0.0
+def _rate(parts: Sequence[TimeArray]) -> float:
+    """Median rate of stamps, Hz; 0 if there are fewer than two in all parts."""
+    steps = np.concatenate([np.diff(t_ns) for t_ns in parts])
+    return 1.0 / (float(np.median(steps)) * NS) if len(steps) else 0.0
 
 
-def _force_share(run: OfflineRun, part: Stretch) -> dict[str, float]:
+def _force_share(run: OfflineRun, parts: Sequence[Stretch]) -> dict[str, float]:
     """Return the share of each row's residual that the force which is no regressor would explain.
 
-    Residuals are those of the filtered accelerations on the filtered regressors of the whole part.
+    Residuals are those of the filtered accelerations on the filtered regressors of all parts.
     """
     settings, structure = run.inputs.settings, run.structure
     if structure.size >= FULL.size:
         return {}
-    arm, whole = np.array(settings.imu.lever_arm), None
+    arm = np.array(settings.imu.lever_arm)
     products: FloatArray = np.zeros((FULL.size + len(ROWS),) * 2)
-    for block in run.blocks(part):
-        whole = whole or StateVariableFilter(FULL, settings.filter.cutoff, block.h, arm)
-        data = whole.apply(block, block.x)
-        signals = np.hstack([data.f, data.y])
-        products += signals.T @ signals
+    for part in parts:
+        whole = None
+        for block in run.blocks(part):
+            whole = whole or StateVariableFilter(FULL, settings.filter.cutoff, block.h, arm)
+            data = whole.apply(block, block.x)
+            signals = np.hstack([data.f, data.y])
+            products += signals.T @ signals
 
     def residual(row: int, columns: list[int]) -> float:
         """Residual sum of squares of a row's acceleration on some columns."""
