@@ -128,6 +128,9 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      r"does not show the delay of the inputs \(30 ms, sigma 3 ms; 0\.030 s in use\).* 3-2-1-1"),
     ("unknown_delay", {"delay": NO_ESTIMATE},  # it is configured
      {"settings": FINDING, "delay": NO_ESTIMATE}, r"\(nothing tells it; 0\.030 s in use\)"),
+    ("unknown_delay", {"settings": FINDING, "delay": SURE},
+     {"settings": FINDING, "delay": replace(UNSURE, delay=0.219, sigma=0.019), "delay_in_use": 0.0},
+     r"seem to act 219 ms \(sigma 19 ms\) after their stamps, 0 ms are in use: .* 0\.219"),
     ("assumed_airspeed", {"settings": Settings.from_values({"airspeed.reference": 20.1})},
      {"settings": Settings()},
      "no airspeed is measured, and 'airspeed.reference' is the default, 20 m/s: set it to"),

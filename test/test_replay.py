@@ -219,7 +219,8 @@ def test_a_delay_that_the_flight_does_not_show_is_no_estimate(
     arguments = [str(short), "--params-file", str(told), "--output", str(tmp_path / "out")]
     assert main(arguments) == NOT_USABLE
     assert (
-        "\ndelay of the inputs: 0.030 s; the flight does not show it\n" in capsys.readouterr().out
+        "\ndelay of the inputs: 0.030 s in use; none was found for sure\n"
+        in capsys.readouterr().out
     )
     assert summary(tmp_path / "out")["delay_confidence"] != "sure"
 

@@ -68,6 +68,13 @@ def test_motors_below_their_least_command(
     np.testing.assert_array_equal(found.actuators, standing[: len(found.actuators)])
 
 
+def test_the_range_of_an_old_firmware_is_the_throttle_s(importer: Importer) -> None:
+    old = blackbox().replace(b"motorOutput:48,2047", b"minthrottle:1100\nH maxthrottle:1900")
+    _, values, printed = importer(written(importer, old))
+    assert values["actuators.scale"] == [1.0 / 800] * 4
+    assert "motor commands from 1100 to 1900 (minthrottle, maxthrottle)" in printed
+
+
 def test_a_firmware_with_an_odd_name(importer: Importer) -> None:
     """It stands in a comment of the parameter file, which must be YAML."""
     odd = "Beta\x01flight\x07" + "x" * 900

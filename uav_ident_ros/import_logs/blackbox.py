@@ -173,7 +173,8 @@ def _motors(log: Log, headers: dict[str, Any], count: int) -> tuple[Channel, ...
         arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
     throttle = [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000]
     low, high = headers.get("motorOutput", throttle)
-    log.findings.note(f"motor commands from {low} to {high} (motorOutput)")
+    said_by = "motorOutput" if "motorOutput" in headers else "minthrottle, maxthrottle"
+    log.findings.note(f"motor commands from {low} to {high} ({said_by})")
     log.findings.assume(
         "a quadrotor in X with Betaflight's motor order (rear right, front right, rear left, front "
         f"left), propellers turning inwards at the front{turned}"

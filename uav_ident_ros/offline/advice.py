@@ -21,6 +21,9 @@ DELAY_OFF = 0.02
 """Difference between the delay in use and the one measured that costs accuracy, s: the fit loses
 a point or two for each 10 ms."""
 
+DELAY_SIGMAS = 3.0
+"""Sigmas from the delay in use at which one that is not sure is worth a trial."""
+
 FORCE_SHARE = 0.15
 """Share of a row's residual that a specific force must explain to be worth a regressor."""
 
@@ -135,7 +138,16 @@ def wrong_delay(e: Evidence) -> Iterator[str]:
 
 def unknown_delay(e: Evidence) -> Iterator[str]:
     """Say that a delay that is to be found was not."""
-    if e.settings.actuators.estimate_delay and not e.delay.sure:
+    if not e.settings.actuators.estimate_delay or e.delay.sure:
+        return
+    if e.delay.delay - e.delay_in_use > DELAY_SIGMAS * e.delay.sigma:
+        yield (
+            f"the inputs seem to act {1e3 * e.delay.delay:.0f} ms (sigma {1e3 * e.delay.sigma:.0f} "
+            f"ms) after their stamps, {1e3 * e.delay_in_use:.0f} ms are in use: that is not sure "
+            f"enough to be taken over; replay with 'actuators.delay' {e.delay.delay:.3f}, and keep "
+            "it if the fit is better"
+        )
+    else:
         found = (
             f"{1e3 * e.delay.delay:.0f} ms, sigma {1e3 * e.delay.sigma:.0f} ms"
             if math.isfinite(e.delay.sigma)

@@ -183,7 +183,7 @@ def _heading(summary: Mapping[str, Any]) -> Iterator[str]:
             sigma = f"{summary['delay_sigma']:.2g}"
             yield f"estimated delay of the inputs: {summary['delay']:.3f} s, sigma {sigma}"
         else:
-            yield f"delay of the inputs: {summary['delay']:.3f} s; the flight does not show it"
+            yield f"delay of the inputs: {summary['delay']:.3f} s in use; none was found for sure"
     if settings["airspeed.type"]:
         reference = settings["airspeed.reference"]
         yield f"coefficients at the reference airspeed, {reference:g} m/s"
