@@ -92,6 +92,7 @@ def test_elevons_mix_as_in_the_simulation(importer: Importer) -> None:
     np.testing.assert_allclose(values["actuators.trim"], [0.0, 0.0, 0.1])
     np.testing.assert_array_equal(bag.actuator_t_ns, COMMAND_NS + 30_000)
     np.testing.assert_array_equal(bag.actuators, np.hstack([motors, servos]).astype(np.float32))
+    assert values["supervision.expected_signs"] == ["-qdot/de", "+pdot/da"]  # there is no rudder
 
 
 def test_flaps_are_recorded_but_not_used(importer: Importer) -> None:

@@ -35,6 +35,10 @@ LEARN_TRIM_TIME = 2.0
 DIRECTIONS = ("nose down", "nose left", "right wing down", "throttle")
 """What a positive de, dr, da, dth does."""
 
+SIGNS = {"de": "-qdot/de", "dr": "-rdot/dr", "da": "+pdot/da"}
+"""What these directions make of the control derivatives: a channel that does the opposite has the
+wrong sign in the log's parameters or in the column map."""
+
 COMMENT_WIDTH = 96
 
 
@@ -78,6 +82,9 @@ class Fitting:
             values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
         for i, name in enumerate(INPUTS):
             values[f"actuators.mixing.{name}"] = [channel.effect[i] for channel in channels]
+        moved = [name for name in SIGNS if any(values[f"actuators.mixing.{name}"])]
+        if moved:
+            values["supervision.expected_signs"] = [SIGNS[name] for name in moved]
         if log.armed is not None:
             values["armed.type"] = TOPICS["armed"].msgtype
         return cls(log, values | _airspeed(log, airspeed))
