@@ -45,9 +45,18 @@ def test_nothing_known_moves_nothing() -> None:
     assert not allocate(np.zeros((3, 4)), np.ones(3), LIMITS, SCALE).any()
 
 
-def test_a_preferred_input_is_kept_where_it_costs_nothing() -> None:
+def test_two_axes_at_their_limits_keep_their_own_inputs() -> None:
+    """Slow, banked and nose-up: neither may give its surface away to the other."""
+    effect = np.array([[0.0, 0.4, 1.8, 0.0], [-3.6, 0.0, 0.0, 0.0], [0.0, -0.4, 0.03, 0.0]])
+    limits = np.array([[-0.35, -0.35, -0.35, 0.0], [0.35, 0.35, 0.35, 0.0]])
+    healthy = np.array([1.4, 1.0, 0.35])
+    u = allocate(effect, np.array([2.2, -2.0, -0.5]), limits, healthy)
+    assert u[:2] == pytest.approx([0.35, 0.35])
+    assert (effect @ u)[0] > 0.4
+
+
+def test_an_axis_that_lost_its_input_leaves_the_others_whole() -> None:
     effect = EFFECT.copy()
     effect[:, 2] = 0.0
-    preferred = np.array([0.0, 0.0, 0.1, 0.0])
-    u = allocate(effect, np.array([0.0, -1.0, 0.3]), LIMITS, SCALE, preferred)
-    assert u[2] == pytest.approx(0.1, abs=1e-6)
+    got = effect @ allocate(effect, np.array([9.0, -1.0, 0.3]), LIMITS, SCALE)
+    assert got[1:] == pytest.approx([-1.0, 0.3], rel=1e-3)

@@ -3,61 +3,55 @@
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import INPUTS, MAIN_INPUTS, FloatArray
 
-PREFERENCE = 1e-3
-"""Weight of staying at the preferred inputs against reaching the wanted acceleration, both in
-shares of what full travel gives: it decides only between inputs that do the same."""
+REST = 1e-3
+"""Weight of rest against reaching the wanted acceleration, both in shares of what full travel
+gives: it decides only between inputs that do the same."""
 
-
-UNMET, GIVES_WAY = 0.05, 0.03
-"""Share of its worth by which an axis may fall short before it gives way to the others, and the
-weight that it keeps then: its square is a thousandth."""
+AXES = np.arange(3)
+MAINS = np.array([INPUTS.index(name) for name in MAIN_INPUTS.values()])
+"""The input that each axis has for itself."""
 
 
 def allocate(
-    effect: FloatArray,
-    wanted: FloatArray,
-    limits: FloatArray,
-    scale: FloatArray,
-    preferred: FloatArray | None = None,
+    effect: FloatArray, wanted: FloatArray, limits: FloatArray, scale: FloatArray
 ) -> FloatArray:
     """Return the inputs within their limits that come closest to the wanted acceleration.
 
-    Minimal is the sum of squares of ``(effect u - wanted) / scale``, and of the distance from the
-    preferred inputs in shares of their travel, with a small weight. So there is always one
-    answer: an input without any effect stays where it is preferred, and one at its limit leaves
-    the rest to the others. An axis is worth what it could do in full health, its `scale`. So an
-    axis that has lost its surface cannot draw on another's: what little the rudder rolls is not
-    worth the yaw that it costs. What cannot be had all the same gives way to what can.
+    Minimal is the sum of squares of ``w (effect u - wanted) / scale``, and of the inputs in shares
+    of their travel, with a small weight. So there is always one answer: an input without any
+    effect rests, and one at its limit leaves the rest to the others. An axis asks for no more than
+    its own input gives, and weighs w, what that is of what it could do in full health, its
+    `scale`. So an axis that has lost its surface, or is at its limit, cannot draw on another's.
 
     Parameters
     ----------
-    effect : (3, m) array
+    effect : (3, 4) array
         Control derivatives, rad/s^2 per unit of each input.
     wanted : (3,) array
         Angular acceleration that the inputs are to make, rad/s^2.
-    limits : (2, m) array
-        Least and largest of each input; equal for one that is not to be used.
+    limits : (2, 4) array
+        Least and largest of each input, 0 within; equal for one that is not to be used.
     scale : (3,) array
         Acceleration that counts as one for each axis, rad/s^2; see `authority`.
-    preferred : (m,) array, optional
-        Inputs to stay near; zero by default, within the limits.
     """
     low, high = limits
     travel = np.where(high > low, high - low, 1.0)
-    near = np.clip(np.zeros(len(low)) if preferred is None else preferred, low, high)
-    # in shares of travel from the preferred inputs: u = near + travel * s
-    rows = np.vstack([effect * travel / scale[:, None], PREFERENCE * np.eye(len(low))])
-    target = np.append((wanted - effect @ near) / scale, np.zeros(len(low)))
-    bounds = (low - near) / travel, (high - near) / travel
-    share = bounded_least_squares(rows, target, *bounds)
-    short = np.abs(target - rows @ share)[: len(scale)]
-    unmet = short > max(UNMET, 0.5 * short.max())  # not the axes that it drew on
-    if unmet.any() and not unmet.all():
-        weight = np.append(np.where(unmet, GIVES_WAY, 1.0), np.ones(len(low)))
-        share = bounded_least_squares(weight[:, None] * rows, weight * target, *bounds)
-    return np.clip(near + travel * share, low, high)
+    own = effect[AXES, MAINS]
+    least, most = np.sort(own * limits[:, MAINS], axis=0)
+    weight = np.minimum(1.0, 0.5 * (most - least) / scale) / scale
+    # in shares of travel: u = travel * s
+    rows = np.vstack([weight[:, None] * effect * travel, REST * np.eye(len(low))])
+
+    def solved(asked: FloatArray) -> FloatArray:
+        target = np.append(weight * asked, np.zeros(len(low)))
+        share = bounded_least_squares(rows, target, low / travel, high / travel)
+        return np.clip(travel * share, low, high)
+
+    u = solved(np.clip(wanted, least, most))
+    by_others = effect @ u - own * u[MAINS]  # as they serve their own axes
+    return solved(np.clip(wanted, least + by_others, most + by_others))
 
 
 def authority(effect: FloatArray, limits: FloatArray) -> FloatArray:
