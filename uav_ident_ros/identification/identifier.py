@@ -45,10 +45,10 @@ from uav_ident_ros.identification.samples import NS, SampleBuffer
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.scales import SAMPLE_TIME, SHORT_MEMORY
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
-from uav_ident_ros.identification.setup_errors import SetupError, delay_error, height_error
+from uav_ident_ros.identification.setup_errors import SetupErrors
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.stretches import Stretch, Stretches
-from uav_ident_ros.identification.structure import ROWS, STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.identification.supervision import State, Supervisor
 
 STRETCH_TIME = 2.0 * SAMPLE_TIME
@@ -199,7 +199,7 @@ class OnlineIdentifier:
         )
         self.intake.fault = ""
         self._noise = NoiseModel(self._layout.rows)
-        self._errors: list[SetupError] = []  # as of the last tick
+        self._setup_errors = SetupErrors(self.structure, self.settings.airspeed.reference)
         self._learned_time = 0.0
         self.restart()
 
@@ -471,28 +471,6 @@ class OnlineIdentifier:
         coefficients, speed = self.estimator.coefficients, self._speed
         return coefficients * speed.scale if speed.enabled else coefficients
 
-    def _setup_errors(self) -> Iterator[SetupError]:
-        """Yield what settings that are off do to the derivatives at the reference airspeed."""
-        if not self.structure.has_flow:
-            return  # every gust looks like a late input
-        values, delays = self.estimator.coefficients, self.delays.estimate
-        delay = self.sampler.delay
-        # What was known beforehand stands against a delay that inputs seem to have which answer
-        # gusts.
-        if delays.off(delay) and not (self._warm and self.estimator.answers.any()):
-            airspeed = self.settings.airspeed.reference
-            yield delay_error(delays, delay, self.structure, values, airspeed)
-        if self.estimator.height:
-            yield height_error(self.estimator.height, self.structure, values)
-
-    def _sigma(self) -> FloatArray:
-        """Return the standard deviations at the reference airspeed, shape (R, n); 0 where fixed."""
-        sigma = self.estimator.sigma.copy()
-        moments = sigma[: len(ROWS)]
-        for found in self._errors:
-            np.hypot(moments, found.errors, where=moments > 0.0, out=moments)
-        return sigma
-
     def coefficient_set(self, t_ns: int = 0) -> CoefficientSet:
         """Coefficients to save and to start from again: at the reference airspeed.
 
@@ -504,7 +482,7 @@ class OnlineIdentifier:
         return CoefficientSet(
             self.structure.name,
             self.estimator.coefficients.copy(),
-            self._sigma(),
+            self._setup_errors.widened(self.estimator.sigma),
             t_ns,
         )
 
@@ -535,9 +513,10 @@ class OnlineIdentifier:
     def _published(self, t_ns: int, fed: bool) -> Estimate:
         """Judge the coefficients, and return all that is published of a tick."""
         if self._news:
-            self._errors = list(self._setup_errors())
+            self._look_at_settings()
         if self._news or self._speed.enabled:
-            self._shown = self._coefficients().copy(), self._sigma() * self._speed.scale
+            sigma = self._setup_errors.widened(self.estimator.sigma)
+            self._shown = self._coefficients().copy(), sigma * self._speed.scale
         coefficients, sigma = self._shown
         if self._news:
             self._judge(t_ns * NS, coefficients, sigma)
@@ -546,13 +525,13 @@ class OnlineIdentifier:
         sound = state is not State.FAULT and not self.plausibility.doubted
         usable = self._verdict.rows if sound else (False, False, False)
         predicted, flow = self._frame.to_imu(self._parallel.model.state[:3]), self._parallel.flow
+        newest = np.zeros(3) if self._newest_rates is None else self._newest_rates
         return Estimate(
             t_ns=t_ns,
             coefficients=coefficients,
             sigma=sigma,
             predicted_rates=predicted,
-            prediction_error=(0.0 if self._newest_rates is None else self._newest_rates)
-            - predicted,
+            prediction_error=newest - predicted,
             flow=None if flow is None else flow.state(coefficients, sigma),
             fit=self.running_fit.fit,
             adapting=fed and True in self.supervisor.learning.tolist(),
@@ -562,19 +541,28 @@ class OnlineIdentifier:
             reason=reason,
         )
 
+    def _look_at_settings(self) -> None:
+        """Look which settings the flight shows to be off."""
+        estimator, delays = self.estimator, self.delays.estimate
+        if self._warm and estimator.answers.any():
+            # What was known beforehand stands against a delay that inputs seem to have which answer
+            # gusts.
+            delays = NO_ESTIMATE
+        self._setup_errors.look(estimator.coefficients, delays, self.delay, estimator.height)
+
     def _judge(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> None:
         """Give the verdict anew: something was learned, or scored, since the last one."""
-        denied = [""] * len(ROWS)
-        for found in self._errors:
-            far = found.denies(self.estimator.coefficients, self.settings.supervision.min_t_ratio)
-            denied = [past or (found.reason if lost else "")
-                      for past, lost in zip(denied, far, strict=True)]  # fmt: skip
-        learned_time = math.inf if self._warm else self._learned_time
+        estimator, settings = self.estimator, self.settings.supervision
         self._verdict = self.supervisor.judge(
-            t, coefficients, sigma, self.running_fit, self.estimator.model_error,
-            denied, learned_time,
-        )  # fmt: skip
-        if self.settings.supervision.plausibility:
+            t,
+            coefficients,
+            sigma,
+            self.running_fit,
+            estimator.model_error,
+            self._setup_errors.denied(estimator.coefficients, settings.min_t_ratio),
+            math.inf if self._warm else self._learned_time,
+        )
+        if settings.plausibility:
             self.plausibility.judge(coefficients, sigma)
 
     def _waiting(self, fed: bool) -> tuple[State, str] | None:

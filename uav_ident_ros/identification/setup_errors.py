@@ -1,62 +1,113 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What settings that the flight shows to be off do to the derivatives: a delay, a mounting."""
+"""What settings that the flight shows to be off do to the derivatives: a delay, a mounting.
+
+Sigma is to cover it, and where it is much, the verdict names the setting.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.linearisation import damping
 from uav_ident_ros.identification.structure import (
-    MAIN_COLUMNS,
+    MAIN_DERIVATIVES,
     ROWS,
-    BoolArray,
     FloatArray,
     Structure,
 )
 
-_MOMENTS = np.arange(len(ROWS))
 
-
-@dataclass(frozen=True)
-class SetupError:
+class SetupError(NamedTuple):
     """What one setting that is off does to the moment rows."""
 
     errors: FloatArray  # (3, n) By how much it falsifies each coefficient, SI
     reason: str  # What is off, and the setting that would be right
 
-    def denies(self, coefficients: FloatArray, t_ratio: float) -> BoolArray:
-        """Whether main control derivatives are falsified by more than 1 in `t_ratio`, (3,)."""
-        main = _MOMENTS, MAIN_COLUMNS
-        return np.asarray(t_ratio * self.errors[main] > np.abs(coefficients[main]))
 
+class SetupErrors:
+    """Follows which settings are off, and what that does.
 
-def delay_error(
-    estimate: DelayEstimate, delay: float, structure: Structure, values: FloatArray, airspeed: float
-) -> SetupError:
-    """Return what a delay in use, s, does that the flight shows to be off.
-
-    Before an axis that settles with a, an input that comes T later than told looks like one of an
-    effect of 1 / (1 + a T): to first order the row is off by ``a T``.
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the coefficients; without flow angles nothing is found, since every gust
+        looks like a late input.
+    airspeed : float
+        True airspeed at which the coefficients hold, m/s.
     """
-    share = np.abs(estimate.off(delay) * damping(structure, values, airspeed))
-    return SetupError(share[:, None] * np.abs(values[_MOMENTS]), estimate.contradiction(delay))
 
+    def __init__(self, structure: Structure, airspeed: float) -> None:
+        self._structure, self._airspeed = structure, airspeed
+        self._found: list[SetupError] = []
 
-def height_error(height: float, structure: Structure, values: FloatArray) -> SetupError:
-    """Return what an accelerometer does that is higher, m, than `imu.lever_arm` says.
+    def look(
+        self, values: FloatArray, estimate: DelayEstimate, delay: float, height: float
+    ) -> None:
+        """Look at what the flight shows by now.
 
-    It measures ``ay + h pdot``. A row that takes sideslip from ay, with ``L = L_beta / Y_beta``, is
-    off by ``L h`` times the row of pdot.
-    """
-    flow = structure.flow[0]
-    slope = values[_MOMENTS, flow.angle] / values[flow.force, flow.angle]
-    errors = np.abs(height * slope[:, None] * values[0])
-    word = "above" if height > 0.0 else "below"
-    return SetupError(
-        errors,
-        f"the accelerometer measures rolling as if it were {abs(height):.2f} m {word} where "
-        "'imu.lever_arm' puts it: set that to its position from the centre of gravity",
-    )
+        Parameters
+        ----------
+        values : (R, n) array
+            Coefficients.
+        estimate : DelayEstimate
+            What the flight says about the delay.
+        delay : float
+            Delay in use, s.
+        height : float
+            Height of the accelerometer above where it is said to be, m; 0 for none.
+        """
+        self._found = []
+        if not self._structure.has_flow:
+            return
+        if estimate.off(delay):
+            self._found.append(self._delay_error(values, estimate, delay))
+        if height:
+            self._found.append(self._height_error(values, height))
+
+    def widened(self, sigma: FloatArray) -> FloatArray:
+        """Return standard deviations (R, n) that cover it; 0 where a coefficient is fixed."""
+        sigma = sigma.copy()
+        moments = sigma[: len(ROWS)]
+        for found in self._found:
+            np.hypot(moments, found.errors, where=moments > 0.0, out=moments)
+        return sigma
+
+    def denied(self, values: FloatArray, t_ratio: float) -> list[str]:
+        """Return for each moment row what falsifies it by more than 1 in `t_ratio`, if any."""
+        reasons = [""] * len(ROWS)
+        for found in self._found:
+            far = t_ratio * found.errors[MAIN_DERIVATIVES] > np.abs(values[MAIN_DERIVATIVES])
+            for row in np.flatnonzero(far).tolist():
+                reasons[row] = reasons[row] or found.reason
+        return reasons
+
+    def _delay_error(self, values: FloatArray, estimate: DelayEstimate, delay: float) -> SetupError:
+        """Return what a delay in use, s, does that the flight shows to be off.
+
+        Before an axis that settles with a, an input that comes T later than told looks like one of
+        an effect of 1 / (1 + a T): to first order the row is off by ``a T``.
+        """
+        settling = damping(self._structure, values, self._airspeed)
+        share = np.abs(estimate.off(delay) * settling)
+        return SetupError(
+            share[:, None] * np.abs(values[: len(ROWS)]), estimate.contradiction(delay)
+        )
+
+    def _height_error(self, values: FloatArray, height: float) -> SetupError:
+        """Return what an accelerometer does that is higher, m, than `imu.lever_arm` says.
+
+        It measures ``ay + h pdot``. A row that takes sideslip from ay, with
+        ``L = L_beta / Y_beta``, is off by ``L h`` times the row of pdot.
+        """
+        flow = self._structure.flow[0]
+        slope = values[: len(ROWS), flow.angle] / values[flow.force, flow.angle]
+        errors = np.abs(height * slope[:, None] * values[0])
+        word = "above" if height > 0.0 else "below"
+        return SetupError(
+            errors,
+            f"the accelerometer measures rolling as if it were {abs(height):.2f} m {word} where "
+            "'imu.lever_arm' puts it: set that to its position from the centre of gravity",
+        )

@@ -55,6 +55,9 @@ INPUT_COLUMNS = slice(8, 12)
 MAIN_COLUMNS = np.array([PAPER_REGRESSORS.index(MAIN_INPUTS[row]) for row in ROWS])
 """Column of each moment row's main input."""
 
+MAIN_DERIVATIVES = np.arange(len(ROWS)), MAIN_COLUMNS
+"""Index of each moment row's main control derivative."""
+
 STATE_COLUMNS = slice(0, INPUT_COLUMNS.start)
 """Regressors made of rates."""
 

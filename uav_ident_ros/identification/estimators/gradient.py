@@ -134,10 +134,11 @@ class GradientEstimator:
         self._guarded = law.step == "guarded"
         self.start = start
         self.learning: BoolArray = np.ones(3, dtype=bool)
-        self.model_error: FloatArray = np.zeros(3)  # nor at this
-        self.height = 0.0  # nor at this
-        self.answers: FloatArray = np.zeros(len(INPUTS))  # nor at this
-        self.clear: BoolArray = np.ones(3, dtype=bool)  # it does not look
+        # The law looks at none of these.
+        self.model_error: FloatArray = np.zeros(3)
+        self.height = 0.0
+        self.answers: FloatArray = np.zeros(len(INPUTS))
+        self.clear: BoolArray = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
         self.information = Information(
             structure, layout(structure), start, 2.0 / settings.filter.cutoff, instrumental=(True,)

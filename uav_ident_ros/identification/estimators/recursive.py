@@ -26,14 +26,12 @@ from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
-    MAIN_COLUMNS,
+    MAIN_DERIVATIVES,
     RATE_COLUMNS,
     ROWS,
     STRUCTURES,
     FloatArray,
 )
-
-_MOMENTS = np.arange(len(ROWS))
 
 
 class Known(NamedTuple):
@@ -155,7 +153,7 @@ class RecursiveRegression:
         # before, either is a reason to deny.
         counts = False if samples.injected else self._known_before
         ratio = counts * self._feedback.ratio[: len(ROWS)]
-        effect = self._linear[_MOMENTS, MAIN_COLUMNS]
+        effect = self._linear[MAIN_DERIVATIVES]
         self._error.add(rows, weight, ratio, effect, restarted=samples.restarted)
         self.model_error, self.height = self._error.share, self._error.height
         weight = self._row_weights(weight)
@@ -214,7 +212,7 @@ class RecursiveRegression:
         for other in reference:
             sigma = np.hypot(sigma, own - other)
         sigma = np.hypot(np.maximum(sigma, sigmas[1]), own - white)
-        main = _MOMENTS, MAIN_COLUMNS
+        main = MAIN_DERIVATIVES
         sigma[main] = np.hypot(sigma[main], self.model_error * own[main])
         sigma = np.hypot(sigma, MODEL_ERROR * own)
         return np.where(self._start.free, sigma, self._start.sigma)
