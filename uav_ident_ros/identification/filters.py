@@ -38,18 +38,12 @@ def expm(matrix: FloatArray) -> FloatArray:
 class DiscreteSystem:
     """``s+ = A s + B0 left + B1 right`` over a cell in which the input is a straight line.
 
-    Parameters
-    ----------
-    a : (d, d) array
-        State transition over the cell.
-    b_left, b_right : (d,) array
-        Effect of the input's value at the left and at the right end of the cell. An input
-        that is held over the cell has the same value at both.
+    An input that is held over the cell has the same value at both of its ends.
     """
 
-    a: FloatArray
-    b_left: FloatArray
-    b_right: FloatArray
+    a: FloatArray  # (d, d) State transition over the cell
+    b_left: FloatArray  # (d,) Effect of the input's value at the left end of the cell
+    b_right: FloatArray  # (d,) The same at the right end
 
     @classmethod
     def from_continuous(cls, a: FloatArray, b: FloatArray, h: float) -> DiscreteSystem:

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from enum import Enum, StrEnum
 from fractions import Fraction
 from functools import partial
+from typing import NamedTuple
 
 from uav_ident_ros.identification.samples import SampleBuffer
 from uav_ident_ros.identification.scales import IN_A_ROW
@@ -129,26 +129,14 @@ class StampGuard:
         return Stamp.NEW_BASE
 
 
-@dataclass(frozen=True)
-class Stream:
-    """A stream beside that of the rates.
+class Stream(NamedTuple):
+    """A stream beside that of the rates."""
 
-    Parameters
-    ----------
-    width : int
-        Number of values of a sample.
-    largest : float
-        Magnitude that none of them may exceed.
-    kept_if_late : bool
-        Whether a late sample counts from the next tick on: it may never be said again.
-    calls_off : bool
-        Whether a sample calls off those before it of a later stamp.
-    """
-
-    width: int
-    largest: float
+    width: int  # Number of values of a sample
+    largest: float  # Magnitude that none of them may exceed
+    # Whether a late sample counts from the next tick on: it may never be said again
     kept_if_late: bool = False
-    calls_off: bool = False
+    calls_off: bool = False  # Whether a sample calls off those before it of a later stamp
 
 
 Sample = tuple[int, Sequence[float], Sequence[float]]

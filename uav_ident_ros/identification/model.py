@@ -21,9 +21,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -393,28 +393,14 @@ class IdentifiedModel:
         return rates_drive
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Integration steps over the m cells of a block.
+class Steps(NamedTuple):
+    """s integration steps over the m cells of a block."""
 
-    Parameters
-    ----------
-    times : list of s floats
-        Lengths of the steps, s.
-    split : int
-        Into how many a step is split where a cell is longer than `STEP`.
-    cell_means : (s, m) array
-        Takes values of the cells to their means over the steps.
-    means : (s, m + 1) array
-        The same for straight lines between values at the edges of the cells.
-    lines : (m + 1, s + 1) array
-        Straight lines through values at the edges of the steps, at the edges of the cells.
-    """
-
-    times: list[float]
-    split: int
-    cell_means: FloatArray
-    means: FloatArray
+    times: list[float]  # Lengths of the steps, s
+    split: int  # Into how many a step is split where a cell is longer than `STEP`
+    cell_means: FloatArray  # (s, m) Takes values of the cells to their means over the steps
+    means: FloatArray  # (s, m + 1) The same for straight lines between values at the cells' edges
+    # (m + 1, s + 1) Straight lines through values at the edges of the steps, at those of the cells
     lines: FloatArray
 
 

@@ -512,27 +512,15 @@ class _Grid:
     """Everything measured, on one time grid: gyro samples, ticks, corners of the inputs.
 
     Between two nodes all signals are smooth, so every step of the integration is too.
-
-    Parameters
-    ----------
-    t_ns : (G,) int array
-        Nodes, ns.
-    compared : (G,) bool array
-        Which of them are gyro samples.
-    rates : (3, G) array
-        Measured rates.
-    after, before : (7, G) array
-        Exogenous regressors de, dr, da, dth, 1, ay, az just after and just before the nodes.
-    middle : (7, G) array
-        The same halfway to the next node.
     """
 
-    t_ns: TimeArray
-    compared: BoolArray
-    rates: FloatArray
+    t_ns: TimeArray  # (G,) Nodes, ns
+    compared: BoolArray  # (G,) Which of them are gyro samples
+    rates: FloatArray  # (3, G) Measured rates
+    # (7, G) Regressors de, dr, da, dth, 1, ay, az just after and just before the nodes
     after: FloatArray
     before: FloatArray
-    middle: FloatArray
+    middle: FloatArray  # (7, G) The same halfway to the next node
 
     @classmethod
     def build(cls, flown: Flown, ticks: TimeArray) -> _Grid:

@@ -4,38 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from uav_ident_ros.identification.sampling import Block, edge_values, join
 from uav_ident_ros.identification.structure import FloatArray
 
 
-@dataclass
-class Stretch:
-    """Blocks that continue one another, and what the identifier made of them.
+class Stretch(NamedTuple):
+    """Blocks that continue one another, and what the identifier made of them."""
 
-    Parameters
-    ----------
-    block : Block
-        Measured signals over m cells.
-    states : (m + 1, 3 or 8) array
-        State of the identified model at the edges.
-    learns : bool
-        Whether the gates let it be learned from.
-    readable : bool
-        Whether it may be scored.
-    injected : bool
-        Whether the states are the response to what was injected on purpose alone.
-    blocks : int
-        Number of blocks, one a tick.
-    """
-
-    block: Block
-    states: FloatArray
-    learns: bool
-    readable: bool
-    injected: bool
-    blocks: int = 1
+    block: Block  # Measured signals over m cells
+    states: FloatArray  # (m + 1, 3 or 8) State of the identified model at the edges
+    learns: bool  # Whether the gates let it be learned from
+    readable: bool  # Whether it may be scored
+    injected: bool  # Whether the states answer what was injected on purpose alone
+    blocks: int = 1  # Number of blocks, one a tick
 
     @property
     def kind(self) -> tuple[bool, bool, bool]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,27 +89,14 @@ _FLOW = ((CONSTANT, "beta"), (CONSTANT, "alpha"), (CONSTANT, "beta"))
 _FORCES = (("p", "r", "dr", "beta"), ("de", "alpha"), ("p", CONSTANT), (CONSTANT,))
 
 
-@dataclass(frozen=True)
-class FlowRows:
-    """Where a flow angle stands in a structure.
+class FlowRows(NamedTuple):
+    """Where a flow angle stands in a structure."""
 
-    Parameters
-    ----------
-    force, angle : int
-        Row of the force that the angle makes, and the angle's column.
-    others : tuple of int
-        Columns of what else makes that force: rates, a surface.
-    kinematics : int
-        Row of what the angle's kinematics miss.
-    missing : tuple of int
-        Its columns.
-    """
-
-    force: int
-    angle: int
-    others: tuple[int, ...]
-    kinematics: int
-    missing: tuple[int, ...]
+    force: int  # Row of the force that the angle makes
+    angle: int  # The angle's column
+    others: tuple[int, ...]  # Columns of what else makes that force: rates, a surface
+    kinematics: int  # Row of what the angle's kinematics miss
+    missing: tuple[int, ...]  # Its columns
 
 
 @dataclass(frozen=True)

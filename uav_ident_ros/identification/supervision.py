@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,23 +84,12 @@ class Verdict:
         return "; ".join(dict.fromkeys(filter(None, self.reasons)))
 
 
-@dataclass(frozen=True)
-class Change:
-    """A coefficient that was found changed in flight.
+class Change(NamedTuple):
+    """A coefficient that was found changed in flight."""
 
-    Parameters
-    ----------
-    name : str
-        Its name, ``pdot/da`` and so on.
-    t : float
-        When it was noticed, s of message time.
-    sigma : float
-        Its standard deviation before.
-    """
-
-    name: str
-    t: float
-    sigma: float
+    name: str  # ``pdot/da`` and so on
+    t: float  # When it was noticed, s of message time
+    sigma: float  # Its standard deviation before
 
 
 class Supervisor:

@@ -14,8 +14,7 @@ which is R^-1 r where the instruments are strong, and goes to the prior where th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,38 +161,20 @@ class Sums:
         self.blocks[:, row] = 1.0 / ROUNDING  # it owes nothing to the scatter of a few
 
 
-@dataclass
-class Solution:
+class Solution(NamedTuple):
     """Coefficients of some parts, and the equations that they solve.
 
     The equations are ``(B^T S^-1 B + P) a = B^T S^-1 r`` with B = R T, row by row.
-
-    Parameters
-    ----------
-    values : (parts, R, n) array
-        Coefficients of the structure.
-    linear : (parts, rows, k) array
-        Coefficients of the regression problem.
-    sums : Sums
-        What they are solved from.
-    transform : (rows, k, k) array
-        T, from the structure's coefficients to the linear ones.
-    projected, matrix : (parts, rows, k, k) array
-        ``B^T S^-1`` without the last scale, and ``B^T S^-1 B + P``.
-    scale : (parts, rows, k, 1) array
-        Of the instruments.
-    prior : (parts, rows, k) array
-        Diagonal of P.
     """
 
-    values: FloatArray
-    linear: FloatArray
-    sums: Sums
-    transform: FloatArray
-    projected: FloatArray
-    scale: FloatArray
-    matrix: FloatArray
-    prior: FloatArray
+    values: FloatArray  # (parts, R, n) Coefficients of the structure
+    linear: FloatArray  # (parts, rows, k) Coefficients of the regression problem
+    sums: Sums  # What they are solved from
+    transform: FloatArray  # (rows, k, k) T, from the structure's coefficients to the linear ones
+    projected: FloatArray  # (parts, rows, k, k) B^T S^-1 without the last scale
+    scale: FloatArray  # (parts, rows, k, 1) Of the instruments
+    matrix: FloatArray  # (parts, rows, k, k) B^T S^-1 B + P
+    prior: FloatArray  # (parts, rows, k) Diagonal of P
 
 
 class Information:
@@ -520,24 +501,14 @@ class Information:
         return tuple(self._structure.regressors[j] for j in self._j[row, entries])
 
 
-@dataclass(frozen=True)
-class FlowEntries:
-    """Where a flow angle stands in a moment row of the regression problem.
-
-    Parameters
-    ----------
-    row, angle : int
-        Row, and entry of the angle.
-    others : tuple of (int, int)
-        Entry of each thing that adds to the angle's force, and its column in the structure.
-    rows : FlowRows
-        Where the angle stands in the structure.
-    """
+class FlowEntries(NamedTuple):
+    """Where a flow angle stands in a moment row of the regression problem."""
 
     row: int
-    angle: int
+    angle: int  # Entry of the angle
+    # Entry of each thing that adds to the angle's force, and its column in the structure
     others: tuple[tuple[int, int], ...]
-    rows: FlowRows
+    rows: FlowRows  # Where the angle stands in the structure
 
 
 class Transform:
