@@ -39,6 +39,8 @@ where down is; less difference, more weight."""
 _ROLL, _BIAS = RATE_COLUMNS.start, CONSTANT_COLUMN
 
 Vector = tuple[float, float, float]
+Force = tuple[list[tuple[int, float]], float]
+"""What makes a force: entries of a sample with their coefficients, and the slope by the angle."""
 
 
 @dataclass(frozen=True)
@@ -149,36 +151,28 @@ class FlowObserver:
         samples = np.concatenate((x, plan.cell_means @ block.u, force), axis=1).tolist()
         a = coefficients.tolist()
         missing = [(a[rows.kinematics][_ROLL], a[rows.kinematics][_BIAS]) for rows in self._rows]
+        forces: list[Force] = [
+            ([(j - _ROLL, a[rows.force][j]) for j in rows.others], a[rows.force][rows.angle])
+            for rows in self._rows
+        ]
         if block.restarted:
-            self._restart(samples[0], a, v)
+            self._restart(samples[0], forces, v)
         edges = [(*self.angles, *self.down)]
         for dt, sample in zip(plan.times, samples, strict=True):
             rates, force = sample[:3], sample[-3:]
             m, weight = _gravity(force, rates, v)
             self._turn(dt, rates, m, ATTITUDE_GAIN * weight)
-            measured = self._measured_angles(sample, a)
+            measured = _measured_angles(sample, forces)
             self._follow_angles(dt, rates, force, measured, v, missing)
             edges.append((*self.angles, *self.down))
         return FlowSignals(np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1), v)
 
-    def _measured_angles(self, sample: list[float], a: list[list[float]]) -> list[float]:
-        """Flow angles at which the force rows give the measured forces, rad."""
-        measured = []
-        for rows, force in zip(self._rows, sample[-2:], strict=True):
-            made = a[rows.force]
-            for j in rows.others:
-                force -= made[j] * sample[j - RATE_COLUMNS.start]
-            slope = made[rows.angle]
-            angle = force / slope if slope else 0.0
-            measured.append(min(max(angle, -LARGEST_ANGLE), LARGEST_ANGLE))
-        return measured
-
-    def _restart(self, sample: list[float], a: list[list[float]], v: float) -> None:
+    def _restart(self, sample: list[float], forces: list[Force], v: float) -> None:
         """Begin where the first sample says that down and the flow are."""
         direction, weight = _gravity(sample[-3:], sample[:3], v)
         if weight > 0.0:
             self.down = direction
-        self.angles = self._measured_angles(sample, a)
+        self.angles = _measured_angles(sample, forces)
 
     def _turn(self, dt: float, rates: list[float], m: Vector, gain: float) -> None:
         """Turn the direction of gravity with the aircraft, and towards `m`."""
@@ -217,12 +211,25 @@ class FlowObserver:
             self.angles[k] = aim + keep * (self.angles[k] - aim)
 
 
+def _measured_angles(sample: list[float], forces: list[Force]) -> list[float]:
+    """Flow angles at which the force rows give the measured forces, rad."""
+    measured = []
+    for (others, slope), force in zip(forces, sample[-2:], strict=True):
+        for k, coefficient in others:
+            force -= coefficient * sample[k]
+        angle = force / slope if slope else 0.0
+        measured.append(min(max(angle, -LARGEST_ANGLE), LARGEST_ANGLE))
+    return measured
+
+
 def _gravity(force: list[float], rates: list[float], v: float) -> tuple[Vector, float]:
     """Direction of gravity that a sample tells, and how far it is to be believed, 0 ... 1."""
     m = (-force[0], rates[2] * v - force[1], -rates[1] * v - force[2])
     size = (m[0] * m[0] + m[1] * m[1] + m[2] * m[2]) ** 0.5
+    if size == 0.0:
+        return (0.0, 0.0, 1.0), 0.0
     weight = max(0.0, 1.0 - abs(size - GRAVITY) / (GRAVITY_BAND * GRAVITY))
-    return (_unit(m) if size > 0.0 else (0.0, 0.0, 1.0)), weight
+    return (m[0] / size, m[1] / size, m[2] / size), weight
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

@@ -439,8 +439,8 @@ def _swapped(
 
     def exceeds(larger: str, smaller: str, sure: float) -> bool:
         i, j = structure.index(larger), structure.index(smaller)
-        by = abs(float(coefficients[i])) - abs(float(coefficients[j]))
-        return by > sure * math.hypot(float(sigma[i]), float(sigma[j]))
+        by = abs(coefficients.item(i)) - abs(coefficients.item(j))
+        return by > sure * math.hypot(sigma.item(i), sigma.item(j))
 
     if not exceeds("pdot/dr", "pdot/da", sure) or exceeds("rdot/dr", "rdot/da", SURE):
         return None
