@@ -8,7 +8,7 @@ import pytest
 
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.feedback import Feedback
-from uav_ident_ros.identification.prior import start_from
+from uav_ident_ros.identification.prior import first_values, start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FORCE_ROWS, STRUCTURES
@@ -101,6 +101,20 @@ def test_sigma_covers_what_no_residual_shows(seed: int) -> None:
     _, sigma = learned(samples, residual, share / (1.0 - share))
     assert abs(error) > 4.0 * blind
     assert abs(error) < 2.0 * sigma
+
+
+def test_a_whitened_estimate_owes_nothing_to_answers() -> None:
+    """What is new in a gust comes before it is answered: the second part's sigma is its own."""
+    samples, gusts = fly(0.02, 0.01)
+    information = Information(STRUCTURE, LAYOUT, start_from(Settings()), 0.1, 0.0, (False, False))
+    rows = RowSamples.of(samples, gusts, LAYOUT)
+    answering = np.where(LAYOUT.index == AILERON, 1.0, 0.0)
+    answering = answering[:, :, None] * answering[:, None, :]
+    for k in range(0, rows.count, 20):
+        block = RowSamples(rows.signals[:, k : k + 20], DT)
+        information.add([block, block], np.ones(LAYOUT.rows), answering)
+    _, (plain, white) = information.spread(information.solve(first_values(STRUCTURE)))
+    assert plain[PDOT_DA] > 5.0 * white[PDOT_DA]
 
 
 def test_an_answer_does_not_undo_what_was_known() -> None:

@@ -24,6 +24,7 @@ from uav_ident_ros.identification.scales import (
     INDEPENDENT_TIME,
     LONG_MEMORY,
     MEMORY,
+    SAMPLE_TIME,
     SURE,
 )
 from uav_ident_ros.identification.settings import Settings
@@ -45,14 +46,14 @@ GRAVITY_LEFT = 1.0 - GRAVITY_BAND
 and loops, and where the gyro turns gravity wrongly. Turned back by a right one 0.9 or more is left
 on every flight known, turbulence and turns included."""
 
-LARGEST_MEAN_RATE = 2.0
-"""Mean size of the angular rate, rad/s, of no aircraft over seconds but in aerobatics: slower, a
-coordinated turn leaves the specific force where it is while the aircraft rolls."""
+SMALLEST_MEAN_RATE = 0.5
+"""Mean size of the angular rate, rad/s, from which a wrong unit would show: slower, little is
+turned in the window. Of the recorded flights known that turn as fast none pulls as steadily."""
 
-PULLING_SPEED = 50.0
+PULLING_SPEED = GRAVITY * ENOUGH
 """Airspeed V, m/s, at which an aircraft that turns at w pulls V w. One whose specific force varies
 by more than that did not turn so slowly as it would have, were its gyro in deg/s. (Quadrotors in
-aerobatics: 80 m/s and more; aircraft whose gyro is told in deg/s: at most 30.)"""
+aerobatics: 77 m/s and more; aircraft whose gyro is told in deg/s: at most 30.)"""
 
 SMALLEST_FORCE, LARGEST_FORCE = 4.0, 60.0
 """Mean size of the specific force, m/s^2: none is weightless, or pulls six g, on average."""
@@ -71,10 +72,6 @@ STEP = 0.02
 
 RETURNING_SHARE = 0.1
 """Share of samples that are undone by the next from which two publishers are at work."""
-
-SLOWEST_TOLD = 25.0
-"""Rate of the inputs, Hz, below which such samples may be the wobble of an attitude loop, near 5 Hz
-on a quadrotor, that they are too slow to follow."""
 
 
 @dataclass(frozen=True)
@@ -283,7 +280,7 @@ class Plausibility:
     ) -> Finding | None:
         """Find a gyro that turns gravity as no aircraft does, and would not in deg/s."""
         speed = float(np.mean(np.linalg.norm(rates, axis=1)))
-        if times[-1] - times[0] < WINDOW - INDEPENDENT_TIME or speed < LARGEST_MEAN_RATE:
+        if times[-1] - times[0] < WINDOW - INDEPENDENT_TIME or speed < SMALLEST_MEAN_RATE:
             return None
         if np.std(np.linalg.norm(force, axis=1)) > PULLING_SPEED * math.radians(speed):
             return None
@@ -303,7 +300,8 @@ class Plausibility:
         if not self._inputs or self._inputs[-1][0] - self._inputs[0][0] < ENOUGH - INDEPENDENT_TIME:
             return []
         raw = np.concatenate([values for _, values in self._inputs])
-        quick = len(raw) >= SLOWEST_TOLD * (self._inputs[-1][0] - self._inputs[0][0])
+        # Slower, they may be the wobble of an attitude loop, near 5 Hz on a quadrotor.
+        quick = len(raw) * SAMPLE_TIME >= self._inputs[-1][0] - self._inputs[0][0]
         u = self._map.apply(raw)
         without_trim = raw @ self._map.matrix.T
         found = []

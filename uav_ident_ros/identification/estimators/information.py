@@ -415,7 +415,9 @@ class Information:
         # Few blocks: their scatter underestimates; p coefficients cost p degrees of freedom.
         correction = 1.0 + self._lost / np.maximum(sums.blocks - self._lost, 1.0)
         middle = sums.scores * correction[..., None, None]
-        middle += (self.variance * sums.answer_time)[..., None, None] * sums.answers
+        answered = (self.variance * sums.answer_time)[..., None, None] * sums.answers
+        answered[1:2] = 0.0  # whitened: what is new in a gust comes before it is answered
+        middle += answered
         held = inverse * (prior**2 * self._prior_variance)[..., None, :]
         covariance = gain @ middle @ gain.swapaxes(-1, -2) + held @ inverse.swapaxes(-1, -2)
         resolution = 1.0 - diagonal(inverse) * prior
