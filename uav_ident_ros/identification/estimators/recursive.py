@@ -234,7 +234,7 @@ class RecursiveRegression:
         self.changes = []
         if self._detector.add(samples):
             linear = self._layout.matrix(self._white.linear)
-            sigma = self._white.sigma[: len(ROWS), INPUT_COLUMNS]
+            sigma = self.sigma[: len(ROWS), INPUT_COLUMNS]
             for change in self._detector.look(linear, sigma):
                 self.changes.append((change.row, change.column))
                 self._release(change)
