@@ -15,7 +15,6 @@ from excerpts import ACTUATORS, BAGS, SECOND_NS, Entry, excerpt, parameters, rep
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayEstimate
-from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
@@ -200,29 +199,19 @@ def test_the_first_cause_hides_what_follows_from_it() -> None:
     assert "no_better_than_holding" in flying
 
 
-def test_reasons_that_differ_in_numbers_alone_are_one() -> None:
-    def at(adapting: bool, reason: str) -> Estimate:
-        return estimate_of(np.zeros(3), adapting=adapting, state="paused", reason=reason)
+def test_reasons_that_differ_in_numbers_alone_are_one_and_numbers_of_a_name_stay() -> None:
+    def lost(*reasons: str, learned: int = 0) -> dict[str, float]:
+        paused = [estimate_of(np.zeros(3), adapting=False, reason=reason) for reason in reasons]
+        return lost_to([*paused, *[estimate_of(np.zeros(3), reason="why 1")] * learned])
 
-    estimates = [
-        at(True, "why 1"),
-        at(False, "p reaches 34.9 rad/s"),
-        at(False, "p reaches -3e-1 rad/s"),
-        at(False, "not armed"),
-    ]
-    assert lost_to(estimates) == {"p reaches … rad/s": 0.5, "not armed": 0.25}
-
-
-def test_numbers_of_a_name_stay() -> None:
-    def lost(reason: str) -> str:
-        (found,) = lost_to(
-            [estimate_of(np.zeros(3), adapting=False, state="paused", reason=reason)]
-        )
-        return found
-
-    assert lost("the 1-second fit of p is -58.1 %") == "the 1-second fit of p is … %"
-    assert lost("2.9 rad/s: convert to rad/s (REP-103)") == "… rad/s: convert to rad/s (REP-103)"
-    assert lost("learned from 16 s, needed are 30.") == "learned from … s, needed are …."
+    reasons = ("p reaches 34.9 rad/s", "p reaches -3e-1 rad/s", "not armed")
+    assert lost(*reasons, learned=1) == {"p reaches … rad/s": 0.5, "not armed": 0.25}
+    for reason, shown in (
+        ("the 1-second fit of p is -58.1 %", "the 1-second fit of p is … %"),
+        ("2.9 rad/s: convert to rad/s (REP-103)", "… rad/s: convert to rad/s (REP-103)"),
+        ("learned from 16 s, needed are 30.", "learned from … s, needed are …."),
+    ):
+        assert lost(reason) == {shown: 1.0}
 
 
 def test_every_advice_is_tested() -> None:

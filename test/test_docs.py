@@ -223,10 +223,7 @@ rclpy.shutdown()
 """
 """Ask the node itself, with every optional input on: names and types are then rclpy's, no guess."""
 
-HEADERS = {
-    "topics": "| topic | type | QoS | content |",
-    "services": "| service | type | effect |",
-}
+HEADERS = {"topics": "| topic | type | QoS | content |", "services": "| service | type | effect |"}
 
 # What every rclpy node has.
 OF_EVERY_NODE = re.compile(r"^/(rosout|parameter_events|clock)$|parameter|type_description")

@@ -7,11 +7,7 @@ from pathlib import Path
 import pytest
 from programs import python
 
-from uav_ident_ros.files.parameter_file import (
-    ParameterFile,
-    ParameterFileError,
-    load_parameters,
-)
+from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError, load_parameters
 from uav_ident_ros.identification.settings import Settings
 
 TRICKY = """\

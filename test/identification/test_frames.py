@@ -5,10 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from uav_ident_ros.identification.frames import (
-    BodyFrame,
-    rotation,
-)
+from uav_ident_ros.identification.frames import BodyFrame, rotation
 from uav_ident_ros.identification.settings import ImuSettings
 
 

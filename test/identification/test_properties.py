@@ -241,8 +241,7 @@ gifts = st.builds(
 jumps = st.builds(Jump, ns=st.sampled_from([-3600 * S, -2 * S, -MS, 300 * MS, 2 * S, 3600 * S]))
 clocks = st.builds(Set, t_ns=any_stamp)
 commands = st.builds(
-    Command,
-    name=st.sampled_from(["reset", "restart", "resume", "note saved", "adapt", "hold"]),
+    Command, name=st.sampled_from(["reset", "restart", "resume", "note saved", "adapt", "hold"])
 )
 events = st.one_of(flights, flights, flights, gifts, jumps, clocks, commands)
 histories = st.lists(events, min_size=3, max_size=12)

@@ -120,28 +120,11 @@ def test_wrong_coefficients_are_refused_and_change_nothing() -> None:
         assert not identifier.coefficient_set().values.any()
 
 
-def test_settings_that_may_change_in_flight_do() -> None:
-    _, measurements = first_flight()
-    stream = messages(measurements)
-    half = len(stream) // 2
-    identifier = fresh(forgetting_time=0.0)
-    run(identifier, stream[:half])
-    values = identifier.settings.values()
-    identifier.reconfigure(
-        Settings.from_values({**values, "forgetting_time": 20.0, "supervision.min_fit": 100.0})
-    )
-    last = run(identifier, stream[half:])[-1]
-    assert not last.usable
-    assert "needed: 100 %" in last.reason
-    kept = fresh(forgetting_time=0.0)
-    run(kept, stream)
-    assert not np.array_equal(last.coefficients, kept.coefficient_set().values)
-
-
-def test_how_signals_are_made_may_change_and_the_coefficients_go_on() -> None:
+def test_how_it_learns_and_how_signals_are_made_may_change_and_the_coefficients_go_on() -> None:
     stream = messages(first_flight()[1])
     half = len(stream) // 2
     before = run(warm := fresh(), stream[:half])[-1]
+    unchanged = run(deepcopy(warm), stream[half : half + 1000])[-1]
     for name, value in (
         ("actuators.delay", 0.08),
         ("actuators.time_constant", 0.05),
@@ -160,6 +143,10 @@ def test_how_signals_are_made_may_change_and_the_coefficients_go_on() -> None:
         assert np.array_equal(first.coefficients, before.coefficients), name
         assert first.t_ns - before.t_ns < 1_000_000_000
         assert not np.array_equal(last.coefficients, before.coefficients), name
+    forgetful = deepcopy(warm)
+    forgetful.reconfigure(Settings.from_values({**warm.settings.values(), "forgetting_time": 20.0}))
+    last = run(forgetful, stream[half : half + 1000])[-1]
+    assert not np.array_equal(last.coefficients, unchanged.coefficients)
 
 
 def test_a_delay_that_is_corrected_in_flight_mends_the_coefficients() -> None:

@@ -4,11 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.rigid_body import (
-    Inertia,
-    coefficients_from_physics,
-    full_moments,
-)
+from uav_ident_ros.identification.rigid_body import Inertia, coefficients_from_physics, full_moments
 from uav_ident_ros.identification.structure import STRUCTURES
 
 

@@ -45,20 +45,6 @@ def test_a_good_identification_is_usable_but_not_before_it_could_be_judged(
     assert {e.state for e in early} == {"waiting", "learning"}
 
 
-def test_wrong_signs_are_not_usable(excited: Measurements) -> None:
-    # Elevator reversed, and the estimator not allowed to find out.
-    n = 12
-    given = np.zeros((3, n))
-    given[0, 5], given[0, 10], given[1, 6], given[1, 8] = -10.0, 60.0, -6.0, +40.0
-    given[2, 7], given[2, 9] = -2.0, -12.0
-    _, estimates = flown(
-        excited, initial_coefficients=tuple(given.ravel().tolist()), adapt_on_start=False
-    )
-    assert not any(e.usable for e in estimates)
-    assert estimates[-1].state == "paused"
-    np.testing.assert_array_equal(estimates[-1].coefficients, given)
-
-
 def test_quiet_flight_teaches_next_to_nothing_and_grows_stale() -> None:
     quiet = measured(
         50.0,
@@ -77,7 +63,7 @@ def test_quiet_flight_teaches_next_to_nothing_and_grows_stale() -> None:
     assert not estimates[-1].usable
 
 
-def test_the_running_fit_tells_the_axis_whose_coefficient_is_wrong() -> None:
+def test_without_adapting_the_fit_tells_the_axis_whose_coefficient_is_wrong() -> None:
     flight = plant_flight(12.0)
     measurements = measure(flight, Sensors(gyro_noise=0.0), seed=2)
     assert flight.coefficients is not None
@@ -88,6 +74,8 @@ def test_the_running_fit_tells_the_axis_whose_coefficient_is_wrong() -> None:
     fit, hold = estimates[-1].fit, identifier.running_fit.hold
     assert (fit[1] > 95.0, fit[0] < 80.0) == (True, True)
     assert (hold < fit).all()
+    assert (estimates[-1].usable, estimates[-1].state) == (False, "paused")
+    np.testing.assert_array_equal(estimates[-1].coefficients, wrong)
 
 
 @pytest.mark.parametrize(("travel", "misses"), [(0.03, True), (np.inf, False)])

@@ -211,9 +211,7 @@ def on_terminal() -> Iterator[Callable[[list[str]], Terminal]]:
 
 
 def test_it_waits_for_a_node_draws_it_in_place_and_gives_the_terminal_back(
-    start_node: StartNode,
-    start_monitor: StartMonitor,
-    on_terminal: Callable[[list[str]], Terminal],
+    start_node: StartNode, start_monitor: StartMonitor, on_terminal: Callable[[list[str]], Terminal]
 ) -> None:
     terminal = on_terminal(MONITOR)
     assert terminal.read_until("looking for an identifier")

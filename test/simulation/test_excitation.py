@@ -3,10 +3,7 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.identification.waveforms import (
-    WaveformError,
-    disjoint_harmonics,
-)
+from uav_ident_ros.identification.waveforms import WaveformError, disjoint_harmonics
 from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.inputs import Segment
 
