@@ -50,7 +50,7 @@ def excitation(times: float) -> tuple[Segment, ...]:
 
 def test_the_papers_law_converges_to_the_truth() -> None:
     # Persistent excitation wild enough to move the rate products too, no noise.
-    m = measured(110.0, noise=0.0, segments=excitation(3.0))
+    m = measured(60.0, noise=0.0, segments=excitation(3.0))
     own = {"estimator": "gradient", "gradient__gains": (6.0,) * 12}
     _, found = identify(m, structure=STRUCTURE, **own)
     assert worst(errors(found, STRUCTURE, m.flight, STRUCTURES[STRUCTURE].names)) < 0.02

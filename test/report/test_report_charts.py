@@ -7,11 +7,12 @@ import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from bokeh.models import CrosshairTool, HoverTool, VArea
-from excerpts import excerpt, parameters, replayed_run
+from excerpts import SECOND_NS, excerpt, parameters, replayed_run
 from scipy import signal
 
 from uav_ident_ros.files.truth_file import Truth, read_truth
@@ -31,6 +32,9 @@ from uav_ident_ros.report.page import _embed
 from uav_ident_ros.report.picture import with_sigma
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
+
+START_NS = 1_700_000_000 * SECOND_NS
+"""When the flight of the bag begins."""
 
 
 @pytest.fixture(scope="module")
@@ -184,6 +188,19 @@ def test_every_chart_over_time_moves_with_the_others(flight: Flight) -> None:
     for chart in charts:
         names = {tool.tooltips[-1][0] for tool in chart.model.select(HoverTool)}
         assert names, chart.identity
+
+
+def test_two_time_bases_are_shown_one_after_the_other(tmp_path: Path) -> None:
+    def later(topic: str, log_ns: int, message: Any) -> None:
+        """From six seconds on every stamp is a day later."""
+        message.header.stamp.sec += 86_400 * (log_ns > START_NS + 6 * SECOND_NS)
+
+    bag = excerpt(tmp_path / "bag", 12.0, change=later)
+    two = collect("two", replayed_run(bag, parameters()))
+    assert two.clock.restarts == pytest.approx([7.0], abs=0.1)  # after a pause of a second
+    chart = state_chart(two, Timeline(two.span, two.clock.restarts), [])
+    low, high = chart.model.x_range.bounds
+    assert low == 0.0 and 11.0 <= high <= 14.0
 
 
 def test_a_band_is_one_sigma_to_either_side(flight: Flight) -> None:

@@ -37,7 +37,7 @@ def test_the_control_derivatives_are_those_of_the_physics(name: str, of: int) ->
 @pytest.fixture(scope="module")
 def flight() -> Flight:
     segments = (Segment("multisine", start=2.0, amplitudes=AMPLITUDES, band=(0.2, 4.0)),)
-    return QuadrotorFlight(segments, 40.0, delay=0.012).fly()
+    return QuadrotorFlight(segments, 25.0, delay=0.012).fly()
 
 
 def test_it_is_identified_from_hover(flight: Flight) -> None:
