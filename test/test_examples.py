@@ -18,7 +18,7 @@ import rclpy
 from estimates import as_message, estimate_of
 from excerpts import BAGS, excerpt
 from geometry_msgs.msg import Vector3, Vector3Stamped
-from plants import DT_NS, START, STRUCTURE, a_sample_later, coefficients
+from plants import DT_NS, START, STRUCTURE, a_sample_later, coefficients, flown
 from programs import Capture
 from sensor_msgs.msg import Imu, JointState
 
@@ -50,11 +50,21 @@ def ros(tmp_path: Path) -> Iterator[None]:
     rclpy.shutdown()
 
 
-class Sent:
-    """Takes the commands in the publisher's place."""
+class Flying:
+    """A node in the place of a controller; it publishes here."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        node.publisher = self
 
     def publish(self, message: JointState) -> None:
         self.u = np.append(message.position, 0.0)
+
+    def update(self, t_ns: int, x: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        p, q, r = wanted.tolist()
+        self.node.on_reference(Vector3Stamped(vector=Vector3(x=p, y=q, z=r)))
+        self.node.on_imu(sample(t_ns, x))
+        return self.u
 
 
 def sample(t_ns: int, x: np.ndarray) -> Imu:
@@ -65,30 +75,16 @@ def sample(t_ns: int, x: np.ndarray) -> Imu:
     return message
 
 
-def flown(node: Any, seconds: float = 4.0) -> np.ndarray:
-    """Rates at the end of a flight whose reference is `REFERENCE`."""
-    node.publisher = sent = Sent()
-    p, q, r = REFERENCE.tolist()
-    node.on_reference(Vector3Stamped(vector=Vector3(x=p, y=q, z=r)))
-    x, underway, plant = np.zeros(3), [np.zeros(4)] * 2, coefficients().values
-    for k in range(round(seconds * 1e9 / DT_NS)):
-        node.on_imu(sample(START + k * DT_NS, x))
-        underway.append(sent.u)
-        u = underway.pop(0)
-        x = a_sample_later(x, u, plant)
-    return x
-
-
 @pytest.mark.parametrize(
     ("name", "node", "error"),
     [("indi", "Indi", 0.01), ("inversion", "Inversion", 0.01), ("lqr", "Lqr", 0.1)],
 )
 def test_each_controller_follows_a_reference(ros: None, name: str, node: str, error: float) -> None:
     """A regulator has no integral action: it comes near."""
-    flying = getattr(load(name), node)()
-    flying.source.add(coefficients())  # with the flow angles
-    np.testing.assert_allclose(flown(flying), REFERENCE, atol=error)
-    flying.destroy_node()
+    flying = Flying(getattr(load(name), node)())
+    flying.node.source.add(coefficients())  # with the flow angles
+    np.testing.assert_allclose(flown(flying, reference=REFERENCE)[-1], REFERENCE, atol=error)
+    flying.node.destroy_node()
 
 
 def test_the_gain_is_the_riccati_equations() -> None:

@@ -43,13 +43,14 @@ def blocks(target: Sampler, until_ns: int, start_ns: int = 0) -> Iterator[Block]
         yield from target.blocks()
 
 
-def blocks_of(measurements: Measurements, **changes: Any) -> list[Block]:
+def sampled(measurements: Measurements, **changes: Any) -> tuple[Sampler, list[Block]]:
+    """A sampler that was given a whole flight, and its blocks."""
     target = Sampler(settings(measurements, **changes))
     for message in messages(measurements):
         stream = target.rates if message.stream == "rates" else target.raw_inputs
         stream.append(message.t_ns, message.values)
     first, last = int(measurements.imu_t_ns[0]), int(measurements.imu_t_ns[-1])
-    return list(blocks(target, last + TICK_NS, first))
+    return target, list(blocks(target, last + TICK_NS, first))
 
 
 def misfit(measurements: Measurements, cutoff: float = 15.0, **changes: Any) -> FloatArray:
@@ -59,7 +60,7 @@ def misfit(measurements: Measurements, cutoff: float = 15.0, **changes: Any) -> 
     structure = STRUCTURES[flight.structure]
     residuals, accelerations = [], []
     svf = None
-    for block in blocks_of(measurements, **changes):
+    for block in sampled(measurements, **changes)[1]:
         if svf is None:
             svf = StateVariableFilter(structure, cutoff, block.h, np.zeros(3))
         data = svf.apply(block, block.x)
@@ -94,7 +95,7 @@ def test_with_its_lever_arm_an_offset_accelerometer_reads_as_at_the_centre() -> 
     for arm in arms:
         svf = StateVariableFilter(structure, 15.0, 0.001, np.array(arm))
         own = measure(flight, Sensors(1000.0, lever_arm=arm))
-        forces.append(np.concatenate([svf.apply(b, b.x).f[:, 13:] for b in blocks_of(own)]))
+        forces.append(np.concatenate([svf.apply(b, b.x).f[:, 13:] for b in sampled(own)[1]]))
     uncorrected = flight.force_at(arms[1])[:, 1:] - flight.force_at(arms[0])[:, 1:]
     # Half a cell is left: held inputs make the accelerations jump between two samples.
     assert np.abs(forces[1] - forces[0]).max() < 0.01 * np.abs(uncorrected).max()
@@ -197,13 +198,8 @@ def test_trim_is_learned_in_steady_flight_only() -> None:
     segment = Segment("multisine", amplitudes=AMPLITUDES, duration=quiet, seed=2)
     flight = plant_flight(8.0, segments=(segment,), trim=level)
     measurements = measure(flight, Sensors(gyro_noise=0.02))
-    target = Sampler(settings(measurements, actuators__learn_trim_time=2.0))
-    for message in messages(measurements):
-        stream = target.rates if message.stream == "rates" else target.raw_inputs
-        stream.append(message.t_ns, message.values)
-    first = int(measurements.imu_t_ns[0])
-    got = list(blocks(target, first + 8_000 * MS, first))
-    assert (got[0].t_ns[0] - first) * 1e-9 > quiet - 0.5
+    target, got = sampled(measurements, actuators__learn_trim_time=2.0)
+    assert (got[0].t_ns[0] - measurements.imu_t_ns[0]) * 1e-9 > quiet - 0.5
     np.testing.assert_allclose(target.input_map.trim, level, atol=0.025)  # of 0.08 ... 0.2
 
 

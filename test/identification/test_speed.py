@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flying import AMPLITUDES
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -16,6 +17,8 @@ from uav_ident_ros.simulation.inputs import Segment, sample_inputs
 from uav_ident_ros.simulation.plant import vehicle
 
 RATE = 200.0
+STEPS = 2
+"""Of the integration, between two samples."""
 REFERENCE = 20.0
 START_NS = 1_700_000_000 * 10**9
 PLANT = vehicle("small_uav")
@@ -38,22 +41,14 @@ def scaled(speed: float) -> FloatArray:
 def flown() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times, rates and inputs of a plant whose coefficients follow the airspeed."""
     t = np.arange(round(40.0 * RATE)) / RATE
-    amplitudes = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
-    u = sample_inputs([Segment("multisine", amplitudes=amplitudes, seed=1)], t)
-    speed = airspeed(t)
+    u = sample_inputs([Segment("multisine", amplitudes=AMPLITUDES, seed=1)], t)
     x = np.zeros((len(t), 3))
-    h = 1.0 / RATE
     for k in range(len(t) - 1):
-        a = scaled(float(speed[k]))
-
-        def xdot(state: FloatArray, a: FloatArray = a, k: int = k) -> FloatArray:
-            return a @ STRUCTURE.regressor(state, u[k])
-
-        k1 = xdot(x[k])
-        k2 = xdot(x[k] + 0.5 * h * k1)
-        k3 = xdot(x[k] + 0.5 * h * k2)
-        k4 = xdot(x[k] + h * k3)
-        x[k + 1] = x[k] + h / 6.0 * (k1 + 2 * k2 + 2 * k3 + k4)
+        x[k + 1], h = x[k], 1.0 / RATE / STEPS
+        a = scaled(float(airspeed(t[k])))
+        for _ in range(STEPS):  # by the midpoint rule
+            middle = x[k + 1] + 0.5 * h * (a @ STRUCTURE.regressor(x[k + 1], u[k]))
+            x[k + 1] += h * (a @ STRUCTURE.regressor(middle, u[k]))
     return t, x, u
 
 
