@@ -48,13 +48,9 @@ def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def replayed_example(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results and report of a replay of the JSBSim aircraft's committed bag."""
 
-    def replay(folder: Path) -> None:
-        from excerpts import BAGS
+    def make(folder: Path) -> None:
+        from excerpts import BAGS, replay
 
-        from uav_ident_ros.offline import main
+        assert replay(BAGS / "c172p", folder / "c172p", "--report", by="c172p") == 0
 
-        bag = BAGS / "c172p"
-        parameters = ["--params-file", str(bag / "identifier.yaml")]
-        assert main([str(bag), *parameters, "--output", str(folder / bag.name), "--report"]) == 0
-
-    return made_once(tmp_path_factory, "replays", replay) / "c172p"
+    return made_once(tmp_path_factory, "replays", make) / "c172p"

@@ -12,6 +12,7 @@ from repository import ROOT
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.offline import main
 from uav_ident_ros.offline.run import OfflineRun, run_over
 
 BAGS = ROOT / "bags"
@@ -74,6 +75,12 @@ def parameter_file(path: Path, **values: Any) -> Path:
     named = {key.replace("__", "."): value for key, value in values.items()}
     path.write_text(yaml.safe_dump({"/**": {"ros__parameters": named}}), encoding="utf-8")
     return path
+
+
+def replay(bag: Path, output: Path, *more: str, by: str | Path = "multisine") -> int:
+    """Run `replay` with the parameters beside a committed bag, or those of a file; its status."""
+    file = BAGS / by / "identifier.yaml" if isinstance(by, str) else by
+    return main([str(bag), "--params-file", str(file), "--output", str(output), *more])
 
 
 def replayed_run(

@@ -21,6 +21,7 @@ from excerpts import (
     excerpt,
     parameter_file,
     parameters,
+    replay,
     replayed_run,
     summary,
 )
@@ -44,10 +45,6 @@ from uav_ident_ros.offline.run import Refusals, choose_inputs
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
 
 
-def options(name: str) -> list[str]:
-    return ["--params-file", str(BAGS / name / "identifier.yaml")]
-
-
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first part of a committed bag."""
@@ -58,8 +55,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def replayed(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of one replay of it."""
     folder = tmp_path_factory.mktemp("replayed") / "results"
-    arguments = [str(flight), *options("multisine"), "--output", str(folder)]
-    assert main([*arguments, "--plot"]) == 0
+    assert replay(flight, folder, "--plot") == 0
     return folder
 
 
@@ -109,7 +105,7 @@ def published(output: Path) -> dict[str, list[tuple[int, Any]]]:
 def test_estimates_are_those_of_the_core_to_the_bit(name: str, rows: str, tmp_path: Path) -> None:
     """With the default structure angle of attack, sideslip and attitude, too, and two more rows."""
     bag, output = excerpt(tmp_path / "bag", 6.0, name), tmp_path / "out"
-    main([str(bag), *options(name), "--output", str(output)])
+    replay(bag, output, by=name)
     identifier, estimates = fed_by_hand(name, bag)
     structure, found = identifier.structure, published(output)
     assert {topic: entries[0][1].__msgtype__ for topic, entries in found.items()} == {
@@ -192,7 +188,8 @@ def test_summary_coefficients_and_picture(replayed: Path) -> None:
 def test_table(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     short = excerpt(tmp_path / "short", 10.0, "pulses")
-    assert main([str(short), *options("pulses")]) == NOT_USABLE
+    parameters = ["--params-file", str(BAGS / "pulses" / "identifier.yaml")]
+    assert main([str(short), *parameters]) == NOT_USABLE
     printed = capsys.readouterr().out
     assert re.search(r"^coefficient +value +sigma +t-ratio  meaning$", printed, re.MULTILINE)
     assert "pdot/da " in printed
@@ -209,8 +206,7 @@ def test_a_delay_that_the_flight_does_not_show_is_no_estimate(
     told = parameter_file(
         tmp_path / "told.yaml", actuators__delay=0.03, actuators__estimate_delay=True
     )
-    arguments = [str(short), "--params-file", str(told), "--output", str(tmp_path / "out")]
-    assert main(arguments) == NOT_USABLE
+    assert replay(short, tmp_path / "out", by=told) == NOT_USABLE
     assert (
         "\ndelay of the inputs: 0.030 s in use; none was found for sure\n"
         in capsys.readouterr().out
@@ -304,8 +300,7 @@ def test_initial_coefficients_file_is_the_start(tmp_path: Path) -> None:
     )
     bag = excerpt(tmp_path / "bag", 3.0, "pulses")
     output = tmp_path / "out"
-    status = main([str(bag), "--params-file", str(path), "--output", str(output)])
-    assert status == NOT_USABLE  # what never moved was never judged
+    assert replay(bag, output, by=path) == NOT_USABLE  # what never moved was never judged
     assert load_coefficients(output / "coefficients.yaml").values.tobytes() == values.tobytes()
 
 
@@ -381,7 +376,7 @@ def test_without_actuators_there_is_a_table_but_no_score(tmp_path: Path, capsys:
     for name, change in (("pulses", late), ("multisine", other_clock)):
         bag = excerpt(tmp_path / name, 5.0, name, change)
         output = tmp_path / f"{name}_out"
-        assert main([str(bag), *options(name), "--output", str(output)]) == NOT_USABLE
+        assert replay(bag, output, by=name) == NOT_USABLE
         fit = summary(output)["prediction_fit"]["last_40_percent"]
         assert fit["windows"] == 0
         assert fit["model"] == {"p": None, "q": None, "r": None}
@@ -461,7 +456,7 @@ def test_airspeed_is_taken_as_by_the_core(msgtype: str, tmp_path: Path, capsys: 
     identifier, estimates = fed_by_hand("multisine", bag, **changes)
     path = parameter_file(tmp_path / "p.yaml", **parameters(**changes))
     output = tmp_path / "out"
-    main([str(bag), "--params-file", str(path), "--output", str(output)])
+    replay(bag, output, by=path)
 
     dense = published(output)["coefficients"]
     for (_, found), estimate in zip(dense, estimates, strict=True):

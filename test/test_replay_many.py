@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from excerpts import BAGS, PARAMETERS, excerpt, parameter_file, summary
+from excerpts import BAGS, PARAMETERS, excerpt, parameter_file, replay, summary
 from node_process import PATIENCE, wait_for
 from programs import Capture, python
 from repository import ROOT
 
 from uav_ident_ros.bags.reading import BagError
-from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE, main
+from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE, job, main
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
-from uav_ident_ros.offline.job import Job, Outcome, replay
+from uav_ident_ros.offline.job import Job, Outcome
 from uav_ident_ros.offline.overview import WORST_FIT, mean_fit, overview, percent, ranked, ranking
 
 
@@ -101,8 +101,7 @@ def test_a_bad_bag_does_not_stop_the_rest(replayed: tuple[Path, Any]) -> None:
 def test_side_by_side_gives_what_one_alone_gives(
     logs: Path, replayed: tuple[Path, Any], tmp_path: Path
 ) -> None:
-    arguments = [str(logs / "monday" / "flight"), "--params-file", str(PARAMETERS)]
-    assert main([*arguments, "--output", str(tmp_path / "alone")]) == USABLE
+    assert replay(logs / "monday" / "flight", tmp_path / "alone") == USABLE
     for name in ("coefficients.yaml", "estimates/estimates.mcap"):
         together = replayed[0] / "monday_flight" / name
         assert together.read_bytes() == (tmp_path / "alone" / name).read_bytes()
@@ -189,9 +188,8 @@ def test_an_empty_folder_is_refused_and_stops_no_other(
 def test_configurations_are_ranked_on_one_bag(logs: Path, tmp_path: Path, capsys: Capture) -> None:
     good = parameter_file(tmp_path / "good.yaml", estimator="least_squares")
     late = parameter_file(tmp_path / "late.yaml", actuators__delay=0.15)
-    arguments = [str(logs / "monday" / "flight"), "--params-file", str(PARAMETERS)]
-    arguments += ["--compare", str(late), str(good), "--output", str(tmp_path / "out")]
-    assert main(arguments) == USABLE
+    compared = ("--compare", str(late), str(good))
+    assert replay(logs / "monday" / "flight", tmp_path / "out", *compared) == USABLE
     printed = capsys.readouterr().out
     assert printed.startswith("flight: 2 configurations, by their 1-second prediction fit")
     first, second, holding = (line for line in printed.splitlines() if re.match(r" +[12h]", line))
@@ -207,9 +205,8 @@ def test_configurations_are_ranked_on_one_bag(logs: Path, tmp_path: Path, capsys
 
 def test_a_refused_configuration_is_no_result(logs: Path, tmp_path: Path, capsys: Capture) -> None:
     wrong = parameter_file(tmp_path / "wrong.yaml", update_rate=20)
-    arguments = [str(logs / "tuesday" / "flight"), "--params-file", str(PARAMETERS)]
-    arguments += ["--compare", str(wrong), str(PARAMETERS), "--output", str(tmp_path / "out")]
-    assert main(arguments) == NO_RESULT
+    compared = ("--compare", str(wrong), str(PARAMETERS))
+    assert replay(logs / "tuesday" / "flight", tmp_path / "out", *compared) == NO_RESULT
     captured = capsys.readouterr()
     assert re.search(r"^replay: wrong: .*'update_rate' is 20", captured.err)
     assert re.search(r"^ 1 identifier .* not usable", captured.out, re.MULTILINE)
@@ -269,7 +266,7 @@ def test_a_fault_of_the_program_is_no_result(
     assert main(arguments) == NO_RESULT  # and not 1, which would say that there is a model
     assert "ZeroDivisionError" in capsys.readouterr().err
     with pytest.raises(ZeroDivisionError):
-        replay(Job(logs / "tuesday" / "flight", "x", tmp_path))
+        job.replay(Job(logs / "tuesday" / "flight", "x", tmp_path))
 
 
 def test_a_reader_that_goes_away_does_not_change_the_status(logs: Path, tmp_path: Path) -> None:

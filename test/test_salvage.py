@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from excerpts import ACTUATORS, BAGS, IMU, SECOND_NS, Entry, excerpt
+from excerpts import ACTUATORS, BAGS, IMU, SECOND_NS, Entry, excerpt, replay
 from excerpts import summary as summary_of
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
@@ -17,7 +17,7 @@ from programs import Capture
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.salvage import SalvageReader
 from uav_ident_ros.bags.writing import BagWriter
-from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE, main
+from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE
 
 SECONDS, MESSAGES = 12, 12 * 250 + 2
 COMPRESSIONS = [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4]
@@ -214,8 +214,7 @@ def test_without_the_mcap_library_the_error_names_it(
 
 
 def replayed(bag: Path, output: Path, *options: str) -> tuple[int, dict[str, Any]]:
-    arguments = ["--params-file", str(BAGS / "multisine" / "identifier.yaml"), *options]
-    status = main([str(bag), *arguments, "--output", str(output)])
+    status = replay(bag, output, *options)
     return status, summary_of(output) if status != NO_RESULT else {}
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from excerpts import decoded, summary
+from excerpts import decoded, replay, summary
 from imported import Imported, Importer, mixing
 from pyulog import ULog
 from pyulog.ulog2csv import convert_ulog2csv
@@ -16,7 +16,6 @@ from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.import_logs.stamps import quaternions
 from uav_ident_ros.offline import NOT_USABLE
-from uav_ident_ros.offline import main as replay
 from uav_ident_ros.simulation.channels import ELEVON, QUADROTOR
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared" / "logs" / "px4_quad_sample.ulg"
@@ -460,8 +459,7 @@ def test_a_recorded_log(tmp_path: Path, importer: Importer) -> None:
     recorded, output = importer.folder / "bag_1", tmp_path / "replayed"
     parameters, text = recorded / "unarmed.yaml", (recorded / "identifier.yaml").read_text()
     parameters.write_text(re.sub(r"armed.type: .*", 'armed.type: ""', text))
-    arguments = ["--params-file", str(parameters), "--output", str(output)]
-    assert replay([str(recorded), *arguments]) == NOT_USABLE
+    assert replay(recorded, output, by=parameters) == NOT_USABLE
     found = summary(output)["coefficients"]
     assert found["pdot/p"]["value"] != 0.0  # it has learned
     for name in ("pdot/da", "qdot/de", "rdot/dr"):

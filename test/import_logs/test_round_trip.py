@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dataflash_writing import DataflashWriter
-from excerpts import BAGS, summary
+from excerpts import BAGS, replay, summary
 from imported import Contents, Imported, Importer, contents, flight, mixing
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
-from uav_ident_ros.offline import main as replay
 from uav_ident_ros.simulation.noise import Measurements
 
 PUBLICATION_DELAY = 300
@@ -261,8 +260,7 @@ def test_the_whole_way_from_a_log_to_a_verdict(
 ) -> None:
     """By the two commands a user types, without an option."""
     bag, output = importer(px4_example(delayed(), tmp_path)).folder, tmp_path / "imported"
-    parameters = ["--params-file", str(bag / "identifier.yaml")]
-    assert replay([str(bag), *parameters, "--output", str(output)]) == 0
+    assert replay(bag, output, by=bag / "identifier.yaml") == 0
     imported, recorded = summary(output), summary(replayed_example)
     assert imported["usable"] and recorded["usable"]
     assert imported["inputs"]["rates"]["dropped"] == {}

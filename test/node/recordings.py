@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from excerpts import BAGS, decoded
+from excerpts import BAGS, decoded, replay
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 
@@ -15,7 +15,6 @@ from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.offline import NOT_USABLE, USABLE
-from uav_ident_ros.offline import main as replay
 from uav_ident_ros.player import Outputs, Player
 from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.ros import stamp_ns
@@ -119,9 +118,7 @@ def write_bag(flight: Recording, folder: Path) -> Path:
 def replayed(flight: Recording, folder: Path) -> TickValues:
     """Run `replay` on a recording and return what its estimates bag holds."""
     bag = write_bag(flight, folder / "flight")
-    parameters = ["--params-file", str(flight.parameter_file)]
-    status = replay([str(bag), *parameters, "--output", str(folder / "out")])
-    assert status in (USABLE, NOT_USABLE)
+    assert replay(bag, folder / "out", by=flight.parameter_file) in (USABLE, NOT_USABLE)
     names = ("coefficients_named", "predicted_rates", "prediction_error")
     found = decoded(folder / "out" / "estimates")
     return joined(*([m for _, m in found[f"{NODE}/{name}"]] for name in names))

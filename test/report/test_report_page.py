@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from excerpts import BAGS, PARAMETERS, excerpt
+from excerpts import BAGS, excerpt, replay
 from excerpts import summary as summary_of
 from html_page import Node, parse
 
@@ -18,7 +18,7 @@ from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.offline import NOT_USABLE, main
+from uav_ident_ros.offline import NOT_USABLE
 from uav_ident_ros.offline.tables import coefficients_table
 
 LARGEST_FILE = 3_000_000
@@ -229,8 +229,7 @@ def test_nothing_is_loaded_from_anywhere_and_the_file_is_small(
 def test_a_flight_too_short_to_judge_and_oddly_named_has_a_report_too(tmp_path: Path) -> None:
     name = "a <b> & \"c\" 'd'"
     bag, output = excerpt(tmp_path / name, 1.5), tmp_path / "out"
-    arguments = ["--params-file", str(PARAMETERS), "--output", str(output), "--report"]
-    assert main([str(bag), *arguments]) == NOT_USABLE
+    assert replay(bag, output, "--report") == NOT_USABLE
     page = parse((output / "report.html").read_text(encoding="utf-8"))
     assert page.one("h1").text == name
     assert [b.text for b in page.all("b")] == ["First:"]
