@@ -18,7 +18,6 @@ from uav_ident_ros.client import (
     CoefficientSource,
     Excitation,
     Fallback,
-    History,
     MessageError,
     Refusal,
 )
@@ -409,12 +408,3 @@ def test_a_wrong_message_excites_nothing(excitation: Excitation) -> None:
         excitation.add((100 + 20 * k) * MS, NAMES, [0.05] * 4)
         excitation.add((110 + 20 * k) * MS, names, values)
         assert not excitation.at((115 + 20 * k) * MS).any(), names
-
-
-def test_a_clock_that_goes_back_starts_the_history_anew() -> None:
-    history: History[str] = History()
-    for t_ns, value in ((10, "a"), (20, "b"), (15, "c")):
-        history.add(t_ns, value)
-    assert history.at(12) == "a"
-    assert history.at(30) == "c"
-    assert history.at(9) is None
