@@ -307,7 +307,7 @@ def with_errors(record: Record, every: int = 4) -> Record:
 
 
 @pytest.mark.parametrize(
-    ("structure", "duration", "every"), [(AUGMENTED, 3.0, 4), (FLIGHT, 3.0, 4), (FLIGHT, 5.6, 12)]
+    ("structure", "duration", "every"), [(AUGMENTED, 3.0, 4), (FLIGHT, 5.6, 12)]
 )
 def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
     structure: Structure, duration: float, every: int
