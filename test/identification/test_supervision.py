@@ -45,22 +45,30 @@ def test_a_good_identification_is_usable_but_not_before_it_could_be_judged(
     assert {e.state for e in early} == {"waiting", "learning"}
 
 
-def test_quiet_flight_teaches_next_to_nothing_and_grows_stale() -> None:
-    quiet = measured(
-        50.0,
-        segments=(Segment("multisine", duration=20.0, amplitudes=AMPLITUDES, seed=1),),
-        gusts=ColouredNoise(0.3, 0.3),
-        autopilot=SMALL_UAV_AUTOPILOT,
-    )
-    _, estimates = flown(quiet, supervision__max_age=20.0, supervision__min_fit=0.0)
-    t = np.array([e.t_ns - estimates[0].t_ns for e in estimates]) * 1e-9
-    at_pause = next(k for k, time in enumerate(t) if time > 26.0)
-    assert estimates[at_pause].state == "paused"
-    assert estimates[at_pause].reason.startswith("too little excitation")
+def quiet_after(seconds: float, **changes: Any) -> Measurements:
+    """Half a minute in gusts without an excitation, after so long of one."""
+    segment = Segment("multisine", duration=seconds, amplitudes=AMPLITUDES, seed=1)
+    gusts = ColouredNoise(0.3, 0.3)
+    return measured(seconds + 30.0, segments=(segment,), gusts=gusts, **changes)
+
+
+def test_quiet_flight_teaches_next_to_nothing() -> None:
+    _, estimates = flown(quiet_after(20.0, autopilot=SMALL_UAV_AUTOPILOT))
+    at_pause = estimates[26 * 20]
+    assert at_pause.state == "paused"
+    assert at_pause.reason.startswith("too little excitation")
     # What little it counts moves the last digits alone.
-    moved = np.abs(estimates[-1].coefficients - estimates[at_pause].coefficients)
-    assert (moved <= 0.05 * estimates[at_pause].sigma).all()
-    assert not estimates[-1].usable
+    moved = np.abs(estimates[-1].coefficients - at_pause.coefficients)
+    assert (moved <= 0.05 * at_pause.sigma).all()
+
+
+@pytest.mark.parametrize(("max_age", "usable"), [(15.0, False), (0.0, True)])
+def test_what_was_usable_grows_stale_in_quiet_flight(max_age: float, usable: bool) -> None:
+    """Unless it may grow as old as it will."""
+    _, estimates = flown(quiet_after(35.0), supervision__max_age=max_age)
+    assert estimates[41 * 20].usable
+    assert estimates[-1].usable == usable
+    assert ("has hardly moved of late" in estimates[-1].reason) != usable
 
 
 def test_without_adapting_the_fit_tells_the_axis_whose_coefficient_is_wrong() -> None:
