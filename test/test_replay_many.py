@@ -27,7 +27,7 @@ from uav_ident_ros.offline.overview import WORST_FIT, mean_fit, overview, percen
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as it grows on a disk: flights, a short one, a broken one, results, other files."""
     folder = tmp_path_factory.mktemp("logs")
-    excerpt(folder / "monday" / "flight", 40.0)
+    excerpt(folder / "monday" / "flight", 34.0)
     excerpt(folder / "tuesday" / "flight", 3.0)
     (folder / "broken.mcap").write_bytes(b"not a bag")
     (folder / "notes.txt").write_text("hello")
