@@ -268,8 +268,8 @@ def evidence_of(name: str, changes: dict[str, Any], seconds: float) -> Evidence:
 
 
 def test_what_is_measured_on_a_flight_of_known_truth() -> None:
-    e = evidence_of("multisine", {}, seconds=70.0)
-    assert e.duration == pytest.approx(70.0, abs=0.1)
+    e = evidence_of("multisine", {}, seconds=62.0)
+    assert e.duration == pytest.approx(62.0, abs=0.1)
     assert e.imu_rate == pytest.approx(200.0)
     assert e.actuator_rate == pytest.approx(50.0)
     np.testing.assert_allclose(e.gyro_noise, 0.02, rtol=0.1)
@@ -302,7 +302,7 @@ def test_a_flight_with_a_gap_is_measured_whole(tmp_path: Path) -> None:
 
 
 def test_a_delay_too_long_and_a_missing_regressor_are_found() -> None:
-    e = evidence_of("multisine", {"actuators.delay": 0.08}, seconds=45.0)
+    e = evidence_of("multisine", {"actuators.delay": 0.08}, seconds=30.0)
     assert e.delay_in_use - e.delay.delay == pytest.approx(0.08, abs=0.01)
     assert "wrong_delay" in {advice.name for advice in advise(e)}
 
