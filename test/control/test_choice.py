@@ -25,12 +25,23 @@ def changed(message: Coefficients, name: str, value: float, sigma: float) -> Coe
     return dataclasses.replace(message, values=values, sigma=sigmas)
 
 
-def test_axes_that_are_known_are_adopted_and_the_others_stay() -> None:
+@pytest.mark.parametrize(
+    ("value", "sigma", "reason"),
+    [
+        (-20.0, 15.0, "the main derivative of qdot is not known"),
+        (0.01, 1e-6, "0.00"),
+        (2000.0, 1e-6, "authority"),
+        (20.0, 1e-6, "turn its sign"),
+    ],
+)
+def test_axes_that_are_known_and_can_be_flown_are_adopted_and_the_others_stay(
+    value: float, sigma: float, reason: str
+) -> None:
     chosen, source = choice()
-    source.add(changed(coefficients(0.5, LATER), "qdot/de", -20.0, 15.0))
+    source.add(changed(coefficients(0.5, LATER), "qdot/de", value, sigma))
     effect = chosen.update(LATER, Effectiveness())
     assert effect.sources == ("identified", "nominal", "identified")
-    assert effect.reasons[1] == "the main derivative of qdot is not known"
+    assert reason in effect.reasons[1]
     assert effect.values[0, 2] == pytest.approx(0.5 * 29.5)
     assert effect.values[1, 0] == -26.0
 
@@ -47,18 +58,6 @@ def test_the_last_good_row_stays_while_the_estimate_is_unusable_or_old() -> None
     assert effect.values[0, 2] == pytest.approx(0.5 * 29.5)
     silent = chosen.update(LATER + 10**10, Effectiveness())
     assert "old" in silent.reasons[0] and silent.values[0, 2] == pytest.approx(0.5 * 29.5)
-
-
-@pytest.mark.parametrize(
-    ("value", "reason"), [(0.01, "0.00"), (2000.0, "authority"), (20.0, "turn its sign")]
-)
-def test_a_row_that_cannot_be_flown_is_never_adopted(value: float, reason: str) -> None:
-    chosen, source = choice()
-    source.add(changed(coefficients(1.0, LATER), "qdot/de", value, 1e-6))
-    effect = chosen.update(LATER, Effectiveness())
-    assert effect.sources == ("identified", "nominal", "identified")
-    assert reason in effect.reasons[1]
-    assert effect.values[1, 0] == -26.0
 
 
 def test_a_lost_aileron_is_adopted_for_the_rudder_still_rolls() -> None:
@@ -149,27 +148,29 @@ def test_a_wrongly_configured_delay_is_found_and_not_taken_for_another_effect(
     assert (np.abs(flying.effect.share - 1.0) < 0.35).all()
 
 
+def gusts(seed: int, samples: int, size: FloatArray | float) -> FloatArray:
+    """Slow accelerations of an aircraft, rad/s^2, (N, 3)."""
+    rng, gust = np.random.default_rng(seed), np.zeros((samples, 3))
+    for k in range(1, samples):
+        gust[k] = 0.97 * gust[k - 1] + size * rng.standard_normal(3)
+    return gust
+
+
 def test_gusts_and_noise_are_not_taken_for_another_delay() -> None:
-    rng, gust = np.random.default_rng(5), np.zeros((1200, 3))
-    for k in range(1, len(gust)):
-        gust[k] = 0.97 * gust[k - 1] + np.array([0.6, 0.3, 0.2]) * rng.standard_normal(3)
     flying, _ = controller(speed=2.3)
+    gust = gusts(5, 1200, np.array([0.6, 0.3, 0.2]))
     flown(flying, 1.0, turns, seconds=12.0, disturbance=gust, noise=0.01)
     assert flying.delay.delay == pytest.approx(0.02)
 
 
 def test_gusts_are_not_taken_for_a_lost_effect() -> None:
     """Least squares would take them for that: the inputs answer them."""
-    rng, gust = np.random.default_rng(3), np.zeros((2000, 3))
-    for k in range(1, len(gust)):
-        gust[k] = 0.97 * gust[k - 1] + 0.25 * rng.standard_normal(3)
     flying, _ = controller()
-    shares = []
-
-    def look(t_ns: int) -> None:
-        shares.append(flying.effect.share[0])
-
-    flown(flying, 1.0, turns, seconds=20.0, disturbance=gust, noise=0.005, each=look)
+    shares: list[float] = []
+    flown(
+        flying, 1.0, turns, seconds=20.0, disturbance=gusts(3, 2000, 0.25), noise=0.005,
+        each=lambda _: shares.append(flying.effect.share[0]),
+    )  # fmt: skip
     assert np.mean(np.abs(np.array(shares) - 1.0) < 0.25) > 0.9
 
 
@@ -191,21 +192,20 @@ def test_an_identified_row_must_not_undo_what_is_measured() -> None:
     assert effect.values[0, 2] == pytest.approx(0.5 * 29.5)
 
 
-@pytest.mark.parametrize(("dead", "share"), [(False, 0.55), (True, 1.0)])
-def test_what_a_tumbling_aircraft_shows_of_its_other_axes_is_not_flown_on(
-    dead: bool, share: float
+@pytest.mark.parametrize(
+    ("factor", "rolls", "share"),
+    [
+        (0.55, True, 0.55),
+        (0.55, False, 1.0),  # what a tumbling aircraft shows of its other axes
+        (1.4, True, 1.0),  # more effect than believed needs twice the evidence
+        (1.6, True, 1.6),
+    ],
+)
+def test_what_is_measured_is_flown_on_if_it_stands_out(
+    factor: float, rolls: bool, share: float
 ) -> None:
     chosen, measured = choice()[0], Effectiveness()
     chosen.update(START, measured)
-    measured.factor[1], measured.sigma[1], measured.dead[0] = 0.55, 0.1, dead
+    measured.factor[1], measured.sigma[1], measured.dead[0] = factor, 0.1, not rolls
     chosen.update(LATER, measured)
     assert chosen.update(LATER + 10**9, measured).share[1] == pytest.approx(share)
-
-
-@pytest.mark.parametrize(("factor", "share"), [(0.6, 0.6), (1.4, 1.0), (1.6, 1.6)])
-def test_more_effect_than_believed_needs_twice_the_evidence(factor: float, share: float) -> None:
-    chosen, measured = choice()[0], Effectiveness()
-    chosen.update(START, measured)
-    measured.factor[0], measured.sigma[0] = factor, 0.1
-    chosen.update(LATER, measured)
-    assert chosen.update(LATER + 10**9, measured).share[0] == pytest.approx(share)

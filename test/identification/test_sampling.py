@@ -186,11 +186,17 @@ def test_a_straight_input_line_waits_for_its_end() -> None:
 # -- trim --------------------------------------------------------------------------------------
 
 
-def test_without_inputs_no_block_is_made() -> None:
-    target = sampler()
-    add_rates(target, range(0, 1000 * MS, 5 * MS))
-    assert list(blocks(target, 1000 * MS)) == []
-    assert target.waiting_for == "actuators"
+@pytest.mark.parametrize(
+    ("trim_time", "inputs", "missing"), [(0.0, [], "actuators"), (1.0, [0], "trim")]
+)
+def test_without_inputs_or_with_stale_ones_to_learn_from_no_block_is_made(
+    trim_time: float, inputs: list[int], missing: str
+) -> None:
+    target = sampler(actuators__learn_trim_time=trim_time)
+    add_rates(target, range(0, 3000 * MS, 5 * MS))
+    add_inputs(target, inputs)
+    assert list(blocks(target, 3000 * MS)) == []
+    assert missing in target.waiting_for
 
 
 def test_trim_is_learned_in_steady_flight_only() -> None:
@@ -211,11 +217,3 @@ def test_a_learned_trim_is_an_average_over_time() -> None:
     add_inputs(target, range(900 * MS, 1000 * MS, 5 * MS), 0.0)
     list(blocks(target, 1000 * MS))
     assert target.input_map.trim[0] == pytest.approx(0.9, abs=0.01)
-
-
-def test_no_trim_is_learned_from_stale_inputs() -> None:
-    target = sampler(actuators__learn_trim_time=1.0)
-    add_rates(target, range(0, 3000 * MS, 5 * MS))
-    add_inputs(target, [0])
-    assert list(blocks(target, 3000 * MS)) == []
-    assert "trim" in target.waiting_for
