@@ -91,19 +91,19 @@ def test_the_effect_is_measured(effect: float) -> None:
 def test_a_reversed_surface_is_turned_before_the_aircraft_is_lost(surface: int) -> None:
     def effect(t: float) -> FloatArray:
         out = np.ones(4)
-        out[surface] = 1.0 if t < 8.0 else -1.0
+        out[surface] = 1.0 if t < 5.0 else -1.0
         return out
 
     axis = {0: 1, 1: 2, 2: 0}[surface]
     flying, _ = controller()
-    rates = flown(flying, effect, manoeuvre, seconds=14.0, noise=0.005)
+    rates = flown(flying, effect, manoeuvre, seconds=11.0, noise=0.005)
     assert flying.effect.sources[axis] == "measured"
     assert [s for i, s in enumerate(flying.effect.sources) if i != axis] == ["nominal"] * 2
     t = np.arange(len(rates)) * 0.01
     wanted = np.array([manoeuvre(s) for s in t])
-    assert np.abs(rates - wanted)[1100:].max() < 0.06  # rad/s: as before the fault
+    assert np.abs(rates - wanted)[800:].max() < 0.06  # rad/s: as before the fault
     fixed, _ = controller(adaptive=False)
-    assert np.abs(flown(fixed, effect, manoeuvre, seconds=14.0, noise=0.005)).max() > 1.0
+    assert np.abs(flown(fixed, effect, manoeuvre, seconds=11.0, noise=0.005)).max() > 1.0
 
 
 def turns(t: float) -> FloatArray:
@@ -114,10 +114,10 @@ def turns(t: float) -> FloatArray:
 
 def test_a_halved_effect_is_flown_on_before_it_is_learned() -> None:
     def effect(t: float) -> FloatArray:
-        return np.array([1.0, 1.0, 1.0 if t < 8.0 else 0.5, 1.0])
+        return np.array([1.0, 1.0, 1.0 if t < 5.0 else 0.5, 1.0])
 
     flying, _ = controller()
-    flown(flying, effect, turns, seconds=12.5, noise=0.005)
+    flown(flying, effect, turns, seconds=9.5, noise=0.005)
     assert flying.effect.sources == ("measured", "nominal", "nominal")
     assert flying.effect.values[0, 2] == pytest.approx(0.5 * 29.5, rel=0.25)
 

@@ -32,7 +32,7 @@ from uav_ident_ros.ros import stamp_ns
 ON_TIME = 2e-3
 """How late the player may be, s rms: a machine too busy for real time proves nothing."""
 
-ATTEMPTS = 3
+ATTEMPTS = 2
 
 
 @pytest.fixture(scope="module")
