@@ -102,11 +102,16 @@ class Case:
         frame = BodyFrame(settings.imu)
         return frame.to_body(self.rates), frame.to_body(self.force)[:, 1:]
 
-    def blocks(self, settings: Settings) -> list[Block]:
-        """Bring the signals on the identifier's own grid, joined up to each restart."""
+    def blocks(self, settings: Settings, given: FloatArray | None = None) -> list[Block]:
+        """Bring the signals on the identifier's own grid, joined up to each restart.
+
+        With what was injected, (M, 4), at the actuators' samples.
+        """
         sampler = Sampler(settings)
         sampler.rates.t, sampler.rates.v = self.imu_t_ns, np.hstack([self.rates, self.force])
         sampler.raw_inputs.t, sampler.raw_inputs.v = self.actuator_t_ns, self.actuators
+        if given is not None:
+            sampler.injected.t, sampler.injected.v = self.actuator_t_ns, given
         return list(sampler.blocks())
 
 

@@ -1,31 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Delay and servo lag found from the flight: ``python benchmarks/delays.py [--seeds N] [--sweep]``.
+"""Delay and servo lag found from the flight: ``python benchmarks/delays.py [--seeds N] [--told]``.
 
 Simulated flights of three aircraft, in the open and the closed loop, in gusts from none to strong,
 with every delay and lag, told neither; flights of a quadrotor, whose autopilot answers every gust;
 and flights on which nobody excites. Printed for each: the
 sum that was found, its sigma, and the largest error in sigmas of any estimate of the flight that
-was sure. With ``--sweep`` recorded flights: the free fits over 1 s with fixed delays, and with the
-delay estimated.
+was sure. With ``--told`` flights of a hovering quadrotor, the light aircraft and the c172p, all
+under autopilots, of which it is told what is injected: the lag is printed, too. With ``--sweep``
+recorded flights: the free fits over 1 s with fixed delays, and with the delay estimated.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import bench
 import cases
 import numpy as np
 import verdict_flights
+from light_aircraft import LightFlight
 
 from uav_ident_ros.identification.delay import DelayBank, DelayEstimate
 from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.prior import first_values
 from uav_ident_ros.identification.sampling import Block, FlowSignals
-from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.simulation import jsbsim_flight
+from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import Segment, sample_inputs
+from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT, Autopilot, PlantFlight, vehicle
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
@@ -37,11 +44,21 @@ LATE = ((0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.15, 0.0), (0.0, 0.06), (0.08, 0.
         (0.15, 0.12))  # fmt: skip
 """Delays and lags, s."""
 
+EXCITED = 60.0
+"""Time of excitation on flights that say what is injected, s."""
+
 PIECE = 100
 """Cells that the bank sees at a time: half a second or a second."""
 
 SWEEP = (0.0, 0.04, 0.08, 0.1, 0.12, 0.16)
 """Fixed delays of the sweep over recorded flights, s."""
+
+
+class Told(NamedTuple):
+    """What one flight measured, and what was injected into it."""
+
+    measurements: Measurements
+    given: FloatArray  # (M, 4) Injected de, dr, da, dth, at the actuators' samples
 
 
 class Result(NamedTuple):
@@ -50,6 +67,7 @@ class Result(NamedTuple):
     name: str
     excited: bool
     true: float  # Delay and lag, s
+    lag: float  # Lag alone, s
     estimate: DelayEstimate
     worst: float  # Largest error of a sure estimate in its sigmas, any time
 
@@ -116,10 +134,71 @@ def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
                        yaw_damper=0.3))  # fmt: skip
 
 
+class LaggedAircraft(jsbsim_flight.LiveAircraft):
+    """One whose surfaces follow with a first-order lag; its throttle does not."""
+
+    lag = 0.0
+    _at: FloatArray | None = None
+
+    def _fly(self, acting: FloatArray, moved: bool) -> None:
+        if self.lag > 0.0:
+            before = acting if self._at is None else self._at
+            keep = np.exp(-1.0 / (self.rate * self.lag)) * np.array([1.0, 1.0, 1.0, 0.0])
+            acting = self._at = acting + keep * (before - acting)
+        super()._fly(acting, moved or self.lag > 0.0)
+
+
+def told(kind: str, seed: int, delay: float, lag: float, gusts: float) -> Told:
+    """Fly one and say what was injected."""
+    peaks, band = verdict_flights.PEAKS, (0.2, 2.0)
+    if kind == "quadrotor":
+        peaks, band = AMPLITUDES, (0.2, 4.0)
+    elif kind == "c172p":
+        peaks = dict(airframe(kind).excitation)
+    peaks = {name: peak for name, peak in peaks.items() if name != "dth"}
+    segments = (Segment("multisine", 2.0, EXCITED, peaks, 2.0 / band[0], band, seed=seed),)
+    common: dict[str, Any] = {"delay": delay, "seed": seed}
+    plan: Plan
+    if kind == "quadrotor":
+        air = ColouredNoise(gusts, 0.3)
+        plan = QuadrotorFlight(
+            segments, EXCITED + 2.0, 500.0, time_constant=lag, gusts=air, **common
+        )
+        sensors = replace(NOISY, rate=100.0, channels="quadrotor")
+    elif kind == "light":
+        plan = LightFlight(
+            segments, EXCITED + 2.0, bank=20.0, gust=gusts, time_constant=lag, **common
+        )
+        sensors = verdict_flights.SENSORS
+    else:
+        plan = jsbsim_flight.AircraftFlight(
+            segments, EXCITED + 2.0, 200.0, 50.0, aircraft=kind, bank=20.0, turbulence=int(gusts),
+            **common,
+        )  # fmt: skip
+        sensors = verdict_flights.SENSORS
+    LaggedAircraft.lag = lag
+    with patch.object(jsbsim_flight, "LiveAircraft", LaggedAircraft):
+        flight = replace(plan.fly(), time_constant=lag)
+    given = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9)
+    return Told(measure(flight, sensors, seed), given)
+
+
+def told_trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
+    """Yield name, whether it is excited and what flies it, of flights that say what is injected."""
+    for gusts, lag in product((0.0, 0.1, 0.2, 0.5, 1.0), (0.03, 0.05, 0.08)):
+        name = f"quadrotor, 12 + {1e3 * lag:.0f} ms, gusts {gusts:g} rad/s^2"
+        yield name, True, partial(told, "quadrotor", seed, 0.012, lag, gusts)
+    for kind, airs in (("light", (0.0, 0.5, 1.0)), ("c172p", (0, 2, 4))):
+        for air, delay, lag in product(airs, (0.0, 0.06, 0.1), (0.0, 0.06, 0.12)):
+            name = f"{kind}, {1e3 * delay:.0f} + {1e3 * lag:.0f} ms, wind {air:g}"
+            yield name, True, partial(told, kind, seed, delay, lag, air)
+
+
 def judged(trial: tuple[str, bool, Any]) -> Result:
     """Fly one, and let the bank see it as the identifier's sampler cuts it."""
     name, excited, fly_it = trial
-    m: Measurements = fly_it()
+    flown = fly_it()
+    m, given = flown if isinstance(flown, Told) else (flown, None)
     true = m.flight.delay + m.flight.time_constant
     structure = STRUCTURES["flight_dynamics"]
     speed = 20.0 if m.flight.airspeed is None else float(np.mean(m.flight.airspeed))
@@ -127,13 +206,13 @@ def judged(trial: tuple[str, bool, Any]) -> Result:
     case = cases.measured(m, name, None)
     bank, observer = DelayBank(0.3), FlowObserver(structure, 15.0, speed)
     worst = 0.0
-    for block in case.blocks(case.settings(unset)):
+    for block in case.blocks(case.settings(unset), given):
         block.flow = observer.follow(block, first_values(structure), None)
         for k in range(0, len(block.u), PIECE):
             if bank.add(cut(block, k, name), 0.0) and bank.estimate.total_sure:
                 off = abs(bank.estimate.total - true) / bank.estimate.total_sigma
                 worst = max(worst, off)
-    return Result(name, excited, true, bank.estimate, worst)
+    return Result(name, excited, true, m.flight.time_constant, bank.estimate, worst)
 
 
 def cut(block: Block, k: int, name: str) -> Block:
@@ -144,6 +223,7 @@ def cut(block: Block, k: int, name: str) -> Block:
         flow = FlowSignals(whole.states[edges], whole.airspeed)
     return replace(
         block, t_ns=block.t_ns[edges], x=block.x[edges], u=block.u[cells], flow=flow,
+        excitation=None if block.excitation is None else block.excitation[cells],
         specific_force=block.specific_force[edges], restarted=block.restarted and k == 0,
     )  # fmt: skip
 
@@ -152,9 +232,11 @@ def line(r: Result) -> str:
     """One flight in a line."""
     e = r.estimate
     word = "sure" if e.total_sure else "delay" if e.sure else "not known"
+    lag = f"  lag {1e3 * r.lag:3.0f}: {1e3 * e.lag:3.0f} +- {1e3 * e.lag_sigma:2.0f}"
+    lag = lag if e.lag_sure else ""
     return (
         f"{r.name:<36} true {1e3 * r.true:4.0f}  found {1e3 * e.total:4.0f} +- "
-        f"{1e3 * e.total_sigma:3.0f} ms  {word:<10} worst {r.worst:.1f} sigma"
+        f"{1e3 * e.total_sigma:3.0f} ms  {word:<10} worst {r.worst:.1f} sigma{lag}"
     )
 
 
@@ -173,6 +255,14 @@ def summary(results: Sequence[Result]) -> Iterator[str]:
             f"{max(off, default=0.0):.1f}, beyond 15 ms {beyond}; "
             f"ever sure and wrong by 3 sigma: {wrong}"
         )
+        split = [r for r in sure if r.estimate.lag_sure]
+        if split:
+            lags = np.array([1e3 * (r.estimate.lag - r.lag) for r in split])
+            worst = max(abs(r.estimate.lag - r.lag) / r.estimate.lag_sigma for r in split)
+            yield (
+                f"lag known in {len(split)}: error rms {np.sqrt(np.mean(lags**2)):.1f} ms, largest "
+                f"{np.abs(lags).max():.1f}, {worst:.1f} sigma"
+            )
 
 
 def sweep(name: str) -> str:
@@ -193,13 +283,15 @@ def sweep(name: str) -> str:
 def main() -> None:
     """Print what was found."""
     parser = bench.parser(__doc__, seeds=2, workers=2)
+    parser.add_argument("--told", action="store_true", help="flights that say what is injected")
     parser.add_argument("--sweep", action="store_true", help="recorded flights instead")
     options = parser.parse_args()
     if options.sweep:
         flights = filter(cases.is_recorded, cases.RECORDED_DELAY)
         bench.done(sweep, flights, options.workers)
         return
-    todo = [trial for seed in range(1, options.seeds + 1) for trial in trials(seed)]
+    chosen = told_trials if options.told else trials
+    todo = [trial for seed in range(1, options.seeds + 1) for trial in chosen(seed)]
     print(*summary(bench.done(judged, todo, options.workers, line)), sep="\n")
 
 

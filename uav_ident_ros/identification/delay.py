@@ -5,14 +5,15 @@ A bank of light models, one for each delay and servo lag, learns from the same f
 squares and predicts it freely, a second at a time and out of sample. The residual of least squares
 finds the delay of whoever answers the aircraft, an autopilot; prediction finds the aircraft's, and
 where nobody moves the inputs on purpose all delays predict alike. Delay and lag do so, too: the
-delay that goes with the lag in use is told well, the split only in calm air.
+delay that goes with the lag in use is told well, the split only in calm air. Where somebody excites
+on purpose, the response to that takes the bank's place as soon as it is sure.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.estimators.information import FIRST_RESIDUAL_VARIANCE
 from uav_ident_ros.identification.feedback import ANSWER_TIMES
+from uav_ident_ros.identification.injected_response import Found, InjectedResponse
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.prior import (
@@ -91,6 +93,8 @@ class DelayEstimate:
     total: float = 0.0  # Delay and lag together, whatever the lag, s
     total_sigma: float = math.inf  # Its standard deviation, s
     rise: float = 0.0  # Of the prediction error to wrong delays, in its standard deviations
+    lag: float = 0.0  # First-order lag, s
+    lag_sigma: float = math.inf  # Its standard deviation, s
 
     @property
     def sure(self) -> bool:
@@ -101,6 +105,11 @@ class DelayEstimate:
     def total_sure(self) -> bool:
         """Whether the sum of delay and lag is known, too."""
         return self.sure and self.total_sigma <= SURE_SIGMA
+
+    @property
+    def lag_sure(self) -> bool:
+        """Whether the split is known: chance adds no more to its error than is there anyway."""
+        return self.total_sure and self.lag_sigma <= math.sqrt(2.0) * SYSTEMATIC_ERROR
 
     @property
     def confidence(self) -> str:
@@ -136,6 +145,7 @@ class _Signals:
     down: FloatArray  # y and z of the unit vector that points down, (W, N + 1, 2)
     airspeed: float
     u: FloatArray  # Means of the inputs over steps, from the earliest that matters, (M, 4)
+    excited: bool  # Whether something was injected on purpose
 
     @cached_property
     def means(self) -> FloatArray:
@@ -183,7 +193,8 @@ class DelayBank:
         self._errors: deque[FloatArray] = deque(maxlen=BLOCKS)
         self._block: Iterator[FloatArray | None] | None = None
         self._found: list[FloatArray | None] = []
-        self.estimate = NO_ESTIMATE
+        self._response = InjectedResponse()
+        self._told = self.estimate = NO_ESTIMATE
         self._delay_ns = 0
         self.restart()
 
@@ -191,6 +202,7 @@ class DelayBank:
         """Begin a new stretch of signals; what was learned stays."""
         self._parts: list[Block] = []
         self._first: int | None = None
+        self._response.restart()
 
     @property
     def errors(self) -> FloatArray:
@@ -233,15 +245,21 @@ class DelayBank:
             airspeed = block.flow.airspeed
             values[:, 3:5], values[:, 5:] = block.force, block.flow.down[:, 1:]
         t, u = (block.t_ns - first) * NS, block.u
+        if block.excitation is not None:
+            u = np.concatenate((u, block.excitation), axis=1)
         grid = STEP * np.arange(WINDOW * WINDOWS + 1)
         signals = _interpolate(grid, t, values)
-        added = np.vstack((np.zeros(len(INPUTS)), np.cumsum(u * np.diff(t)[:, None], axis=0)))
+        added = np.vstack((np.zeros(u.shape[1]), np.cumsum(u * np.diff(t)[:, None], axis=0)))
         before = self._back + _LAG_STEPS + 1
         grid = STEP * np.arange(-before, WINDOW * WINDOWS + self._early + 2)
         means = np.diff(_interpolate(grid, t - self._delay_ns * NS, added), axis=0) / STEP
         places = WINDOW * np.arange(WINDOWS)[:, None] + np.arange(WINDOW + 1)
         x, force, down = np.split(signals[places], [3, 5], axis=2)
-        return _Signals(x, force, down, airspeed, means)
+        means, injected = np.split(means, [len(INPUTS)], axis=1)
+        if injected.size:
+            own = slice(before, before + WINDOW * WINDOWS)
+            self._response.add(signals[:, :5], means[own], injected[own], self._lag)
+        return _Signals(x, force, down, airspeed, means, bool(injected.any()))
 
     def _work(self) -> bool:
         """Do one part of what is to be done for a block; say whether it was the last."""
@@ -258,7 +276,8 @@ class DelayBank:
         self._errors.append(np.stack(found))
         if len(self._errors) >= FEWEST_BLOCKS:
             opposed = False if self._has_flow else self._models[0].opposed(self._early)
-            self.estimate = judge(np.stack(self._errors), self.delays, self._lag, opposed)
+            bank = judge(np.stack(self._errors), self.delays, self._lag, opposed)
+            self.estimate = self._told if self._told.total_sure else bank
         return True
 
     def _judge_models(self, signals: _Signals) -> Iterator[FloatArray | None]:
@@ -268,6 +287,15 @@ class DelayBank:
             yield models.score(signals, u[self._pick])
             models.learn(signals, u, self._pick[..., 1:-1:SAMPLE])
             yield None
+        if signals.excited and self._response.windows > 2 * FEWEST_BLOCKS:
+            yield from self._ask_response()
+
+    def _ask_response(self) -> Generator[None]:
+        """Take what the response to what is injected tells, if anything."""
+        found = yield from self._response.find(self.delays, LAGS, APART * STEP)
+        alone = yield from self._response.find(self.delays, (self._lag,), APART * STEP)
+        if found is not None and alone is not None:
+            self._told = told(found, alone, self._lag)
 
 
 class _Models:
@@ -365,6 +393,27 @@ class _Models:
             states[:, reach:] += states[:, :-reach] @ on
             on, reach = on @ on, 2 * reach
         return states[..., :3].reshape(count, WINDOW, WINDOWS, 3)
+
+
+def told(
+    found: Found,  # Delay and lag by the response to what is injected
+    alone: Found,  # The same with the lag in use
+    lag: float,  # Servo lag in use, s
+) -> DelayEstimate:
+    """Return what the response to what is injected tells."""
+    total_sigma, sigma = (
+        math.hypot(SYSTEMATIC_ERROR, math.sqrt(f.covariance[0, 0])) for f in (found, alone)
+    )
+    own, lag_sigma = found.lag
+    return DelayEstimate(
+        delay=alone.total - lag,
+        sigma=sigma,
+        total=max(found.total, 0.0),
+        total_sigma=total_sigma,
+        rise=min(found.rise, alone.rise),
+        lag=own,
+        lag_sigma=math.hypot(SYSTEMATIC_ERROR, lag_sigma),
+    )
 
 
 def judge(

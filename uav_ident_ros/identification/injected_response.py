@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Delay and servo lag from the response to what is injected on purpose.
+
+What is injected knows nothing of gusts and of the autopilot's answers to them. With the right
+delay and lag the equation of motion leaves nothing that still correlates with it, at any shift: the
+test of over-identifying restrictions of instrumental variables (Sargan 1958, Hansen 1982). What is
+left is chi-squared, so the delay and the lag with which it is least have standard deviations.
+
+All signals are kept as cross-spectra of windows that overlap by half: there a delay and a lag are
+factors, and noise of any colour is a weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_ident_ros.identification.prediction import HORIZONS
+from uav_ident_ros.identification.prior import FORCE_SIGMA, INPUT_SIGMA, RATE_SIGMA
+from uav_ident_ros.identification.scales import BLOCKS, INDEPENDENT_TIME, ROUNDING, SAMPLE_TIME
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
+
+ComplexArray = NDArray[np.complex128]
+
+WINDOW = round(HORIZONS[-1] / SAMPLE_TIME)
+"""Samples of a window, 5 s: delays and lags are short beside it."""
+
+SHIFT = 2.0 * SAMPLE_TIME
+"""Time between the shifts of what is injected, s: the means over samples leave nothing quicker."""
+
+SHIFTS = SHIFT * np.arange(round(HORIZONS[0] / SHIFT) + 1)
+"""Shifts at which it is an instrument, s: as far as an aircraft's motion is predicted."""
+
+_HARMONICS = np.arange(1, round(HORIZONS[-1] / (2.0 * SHIFT)) + 1)
+_OMEGA = 2.0 * np.pi * _HARMONICS / HORIZONS[-1]
+# The squares of two that overlap by half add up to one: as if nothing were windowed.
+_TAPER = np.sin(np.pi * (np.arange(WINDOW) + 0.5) / WINDOW)[:, None] / np.sqrt(WINDOW)
+_SMOOTH = np.ones(round(HORIZONS[-1] / INDEPENDENT_TIME))  # harmonics over which noise is alike
+
+# Signals: injected de dr da, then p q r, ay az, de dr da, and the slopes of p q r.
+_INJECTED, _INPUTS, _SIZE = slice(0, 3), slice(8, 11), 14
+_SIGMA = np.array([np.inf] * 3 + [RATE_SIGMA] * 3 + [FORCE_SIGMA] * 2 + [INPUT_SIGMA] * 3)
+# Of each axis: regressors, inputs, instruments, slope. Roll and yaw go together.
+_AXES = (
+    ([3, 5, 6], [9, 10], [1, 2], 11),
+    ([4, 7], [8], [0], 12),
+    ([3, 5, 6], [9, 10], [1, 2], 13),
+)
+
+
+class Found(NamedTuple):
+    """The delay and the lag that leave least, and how well they are known."""
+
+    total: float  # Delay and lag together, s
+    square: float  # Square of the lag, s^2: the response is smooth in it, down to no lag
+    covariance: FloatArray  # (2, 2) Of these two
+    rise: float  # Of what is left, to sums that are far, in standard deviations
+
+    @property
+    def lag(self) -> tuple[float, float]:
+        """Lag and its standard deviation, s."""
+        off = float(np.sqrt(self.covariance[1, 1])) * np.array([-1.0, 0.0, 1.0])
+        low, here, high = np.sqrt(np.maximum(self.square + off, 0.0)).tolist()
+        return here, max(high - here, here - low)
+
+
+class InjectedResponse:
+    """What the aircraft answers to what is injected, as cross-spectra of all signals."""
+
+    def __init__(self) -> None:
+        self._spectra: ComplexArray = np.zeros((len(_OMEGA), _SIZE, _SIZE), dtype=complex)
+        self.windows = 0.0  # What is known, in windows
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new stretch of signals; what was learned stays."""
+        self._half: FloatArray = np.zeros((0, _SIZE))
+
+    def add(
+        self,
+        x: FloatArray,  # (N + 1, 5) Rates, ay and az, at the edges of N steps
+        u: FloatArray,  # (N, 4) Means of the inputs over the steps, not delayed
+        injected: FloatArray,  # The same of what was injected
+        lag: float,  # First-order lag that the inputs have, s
+    ) -> None:
+        """Take an even number of steps that follow those before."""
+        steps = np.concatenate((injected[:, :3], 0.5 * (x[1:] + x[:-1]), u[:, :3]), axis=1)
+        slopes = np.diff(x[::2, :3], axis=0) / SAMPLE_TIME
+        new = np.concatenate((0.5 * (steps[::2] + steps[1::2]), slopes), axis=1)
+        signals, keep = np.concatenate((self._half, new)), np.exp(-0.5 / BLOCKS)
+        while len(signals) >= WINDOW:
+            window, signals = signals[:WINDOW], signals[WINDOW // 2 :]
+            if not window[:, _INJECTED].any():
+                continue
+            lines = np.fft.rfft((window - window.mean(axis=0)) * _TAPER, axis=0)[_HARMONICS]
+            lines[:, _INPUTS] *= 1.0 + 1j * lag * _OMEGA[:, None]
+            self._spectra = keep * self._spectra + lines.conj()[:, :, None] * lines[:, None]
+            self.windows = keep * self.windows + 1.0
+        self._half = signals
+
+    def find(
+        self,
+        delays: FloatArray,  # To start from, s
+        lags: Sequence[float],  # The same, s; one alone counts as known
+        far: float,  # Difference of sums at which more has to be left, s
+    ) -> Generator[None, None, Found | None]:
+        """Return, in steps, the delay and the lag that leave least; None where nothing tells."""
+        rows = [_Row(self._spectra, self.windows, axis) for axis in range(len(_AXES))]
+        points = np.array([(delay + lag, lag * lag) for lag in lags for delay in delays])
+        for _ in range(2):  # the noise is that of the residual, which needs a model
+            best = points[np.argmin(_left(rows, points))]
+            for row in rows:
+                row.weigh(best)
+            yield
+        left = _left(rows, points)
+        point, least = points[left.argmin()], float(left.min())
+        free = np.array([True, len(lags) > 1])
+        for _ in points:
+            yield
+            ahead = _ahead(_moments(rows, point)[0], point, free)
+            then = _left(rows, ahead)
+            if then[-1] >= least - ROUNDING:
+                break
+            first = int(np.argmax(then < least))
+            point, least = ahead[first], float(then[first])
+        return _judged(rows, point, free, least, left[np.abs(points[:, 0] - point[0]) > far])
+
+
+class _Row:
+    """The equation of motion of one axis, as the instruments see it."""
+
+    def __init__(self, spectra: ComplexArray, windows: float, axis: int) -> None:
+        self._fixed, self._inputs, injected, self._slope = _AXES[axis]
+        self._precision = np.diag(_SIGMA[self._fixed + self._inputs] ** -2.0)
+        self._spectra, self._windows = spectra, windows
+        instruments = np.zeros((len(_OMEGA), _SIZE, len(injected), len(SHIFTS)), dtype=complex)
+        for k, column in enumerate(injected):
+            instruments[:, column, k] = np.exp(-1j * _OMEGA[:, None] * SHIFTS)
+        instruments = instruments.reshape(len(_OMEGA), _SIZE, -1)
+        self._products = instruments.conj().swapaxes(1, 2) @ spectra
+        self._powers = self._products @ instruments
+        own = np.einsum("kjj->j", self._powers).real
+        there = int((own > ROUNDING * own.max()).sum())
+        self.freedom = there - len(self._precision)
+        self._by_chance = there / (windows * len(_OMEGA))
+        self._weigh(spectra[:, self._slope, self._slope].real)
+
+    def _weigh(self, noise: FloatArray) -> None:
+        """Weigh with the noise, whose spectrum is smooth."""
+        count = np.convolve(np.ones(len(noise)), _SMOOTH, "same")
+        self._weight = self._windows * count / np.convolve(noise, _SMOOTH, "same")
+        power = np.tensordot(self._weight, self._powers, 1).real
+        power += max(ROUNDING * float(np.trace(power)), ROUNDING) * np.eye(len(power))
+        root = np.linalg.inv(np.linalg.cholesky(power))
+        self._seen = self._weight[:, None, None] * (root @ self._products)
+
+    def weigh(self, point: FloatArray) -> None:
+        """Weigh with the noise that this sum and square of lag leave."""
+        left = self._combined(point)[1][..., -1]
+        self._weigh(_power(self._spectra, left[..., None])[:, 0, 0].real)
+
+    def left(self, points: FloatArray) -> FloatArray:
+        """Return what still correlates with the instruments at points (C, 2), chi-squared."""
+        inputs = np.tensordot(_response(points)[0], self._seen[..., self._inputs], 1).real
+        others = self._seen[..., [*self._fixed, self._slope]].sum(axis=0).real
+        others = np.broadcast_to(others, (len(points), *others.shape))
+        signals = np.concatenate((others[..., :-1], inputs, others[..., -1:]), axis=2)
+        gram = signals.swapaxes(1, 2) @ signals
+        solved = np.linalg.solve(gram[:, :-1, :-1] + self._precision, gram[:, :-1, -1:])
+        return np.asarray(gram[:, -1, -1] - (gram[:, -1:, :-1] @ solved)[:, 0, 0])
+
+    def moments(self, point: FloatArray) -> FloatArray:
+        """Products of the slopes by sum and by square, and of what is left, (2, 3, 3).
+
+        First as the instruments see them; then what of it any instruments would see, by chance.
+        """
+        seen, maps = self._combined(point)
+        whole = np.tensordot(self._weight, _power(self._spectra, maps), 1).real
+        return np.stack((seen.T @ seen, self._by_chance * whole))
+
+    def _combined(self, point: FloatArray) -> tuple[FloatArray, ComplexArray]:
+        """Slopes by sum and by square, and what is left, without what the regressors explain.
+
+        As the instruments see them, (Z, 3), and as what they are of the signals, (K, S, 3).
+        """
+        response, *slopes = (part[0] for part in _response(point[None]))
+        count, inputs = len(self._precision), slice(len(self._fixed), len(self._precision))
+        maps: ComplexArray = np.zeros((len(_OMEGA), _SIZE, count + 3), dtype=complex)
+        maps[:, self._fixed, range(inputs.start)] = maps[:, self._slope, -1] = 1.0
+        maps[:, self._inputs, range(inputs.start, count)] = response[:, None]
+        effect = self._solved(maps)[1][inputs, -1]
+        for k, slope in enumerate(slopes, count):
+            maps[:, self._inputs, k] = slope[:, None] * effect
+        seen, solved = self._solved(maps)
+        out = np.vstack((-solved, np.eye(3)))
+        return seen @ out, np.asarray(maps @ out)
+
+    def _solved(self, maps: ComplexArray) -> tuple[FloatArray, FloatArray]:
+        """Return what instruments see of maps, and coefficients of the last three in the others."""
+        seen = (self._seen @ maps).sum(axis=0).real
+        f, y = seen[:, :-3], seen[:, -3:]
+        return seen, np.linalg.solve(f.T @ f + self._precision, f.T @ y)
+
+
+def _power(spectra: ComplexArray, maps: ComplexArray) -> ComplexArray:
+    """Cross-spectra of what maps make of the signals, (K, m, m)."""
+    return np.asarray(maps.conj().swapaxes(1, 2) @ spectra @ maps)
+
+
+def _left(rows: Sequence[_Row], points: FloatArray) -> FloatArray:
+    """Return what all rows leave at sums and squares (C, 2)."""
+    return np.asarray(np.sum([row.left(points) for row in rows], axis=0))
+
+
+def _moments(rows: Sequence[_Row], point: FloatArray) -> FloatArray:
+    """Return the moments of all rows, (2, 3, 3)."""
+    return np.asarray(np.sum([row.moments(point) for row in rows], axis=0))
+
+
+def _response(points: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Frequency response to an input at sums and squares (C, 2), and its slopes by both."""
+    lag = np.sqrt(points[:, 1:])
+    follows = 1.0 / (1.0 + 1j * _OMEGA * lag)
+    response = np.exp(-1j * _OMEGA * (points[:, :1] - lag)) * follows
+    return response, -1j * _OMEGA * response, -0.5 * _OMEGA**2 * follows * response
+
+
+def _ahead(moments: FloatArray, point: FloatArray, free: BoolArray) -> FloatArray:
+    """Points ahead, the farthest where to first order least is left; no lag is below zero."""
+    step, info = np.zeros(2), moments[:2, :2] + ROUNDING * np.eye(2)
+    step[free] = np.linalg.solve(info[free][:, free], moments[:2, 2][free])
+    if point[1] + step[1] < 0.0:
+        step[1] = -point[1]
+        step[0] = (moments[0, 2] - moments[0, 1] * step[1]) / info[0, 0]
+    return np.asarray(point + step * 0.5 ** np.arange(len(_SMOOTH))[:, None])
+
+
+def _judged(
+    rows: Sequence[_Row],
+    point: FloatArray,  # Sum and square that leave least
+    free: BoolArray,  # (2,) Whether they were free
+    least: float,  # What they leave
+    far: FloatArray,  # What is left far away
+) -> Found | None:
+    """Say how well they are known.
+
+    Instruments see a share of all motion by chance. It biases what is found, which is taken back
+    and counts as an error, too; and it tells nothing.
+    """
+    seen, by_chance = _moments(rows, point)
+    told = (seen - by_chance)[:2, :2][free][:, free]
+    if np.linalg.eigvalsh(told)[0] <= 0.0:
+        return None
+    freedom = sum(row.freedom for row in rows) - int(free.sum())
+    covariance, back = np.zeros((2, 2)), np.zeros(2)
+    covariance[np.ix_(free, free)] = np.linalg.inv(told) * max(least / freedom, 1.0)
+    moves = free & (np.array([True, False]) | (point > 0.0))
+    back[moves] = np.linalg.solve(seen[:2, :2][moves][:, moves], -by_chance[:2, 2][moves])
+    total, square = point + back
+    rise = float(np.sqrt(max(far.min(initial=np.inf) - least, 0.0)))
+    return Found(float(total), max(float(square), 0.0), covariance + np.outer(back, back), rise)
