@@ -91,6 +91,7 @@ AT_REST, AT_LIMIT = "at rest: no rate has moved by … rad/s", "channel … is a
 STILL_RUDDER = {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / (MIN_T_RATIO * JUST_ABOVE))}
 WEAK_RUDDER = {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / (MIN_T_RATIO * JUST_BELOW))}
 UNSURE = replace(SURE, rise=1.0)
+SPLIT = replace(SURE, total=0.062, lag=0.05, lag_sigma=0.009)
 
 
 def yaw(damping: float) -> dict[str, Any]:
@@ -130,6 +131,13 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("unknown_delay", {"settings": FINDING, "delay": SURE},
      {"settings": FINDING, "delay": replace(UNSURE, delay=0.219, sigma=0.019), "delay_in_use": 0.0},
      r"seem to act 219 ms \(sigma 19 ms\) after their stamps, 0 ms are in use: .* 0\.219"),
+    ("wrong_lag", {"delay": replace(SPLIT, lag=2.0 * JUST_BELOW * SPLIT.lag_sigma)},
+     {"delay": replace(SPLIT, lag=2.0 * JUST_ABOVE * SPLIT.lag_sigma)},
+     r"a servo lag of 18 ms \(sigma 9 ms\), 0 ms are in use: set 'actuators.time_constant'"),
+    ("wrong_lag", {"delay": replace(SPLIT, lag_sigma=0.015)}, {"delay": SPLIT},
+     "'actuators.time_constant' to 0.050, and 'actuators.delay' to 0.012"),
+    ("wrong_delay", {"delay": replace(SPLIT, delay=0.06)},
+     {"delay": replace(SPLIT, delay=0.06, lag=0.0)}, "lead by 30 ms"),
     ("assumed_airspeed", {"settings": Settings.from_values({"airspeed.reference": 20.1})},
      {"settings": Settings()},
      "no airspeed is measured, and 'airspeed.reference' is the default, 20 m/s: set it to"),

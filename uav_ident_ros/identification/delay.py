@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -115,6 +115,11 @@ class DelayEstimate:
     def confidence(self) -> str:
         """The same in a word: ``none`` (no data), ``low`` or ``sure``."""
         return "sure" if self.sure else "low" if math.isfinite(self.sigma) else "none"
+
+    def lag_off(self, lag: float) -> float:
+        """By how much a lag in use is too short, s; 0 where it is not known to be wrong."""
+        off = self.lag - lag
+        return off if self.lag_sure and abs(off) > 2.0 * self.lag_sigma else 0.0
 
     def off(self, delay: float) -> float:
         """By how much a delay in use is too short, s; 0 where it is not known to be wrong."""
@@ -277,6 +282,8 @@ class DelayBank:
         if len(self._errors) >= FEWEST_BLOCKS:
             opposed = False if self._has_flow else self._models[0].opposed(self._early)
             bank = judge(np.stack(self._errors), self.delays, self._lag, opposed)
+            if self._response.windows > 0.0:  # then it is for that to say what the sum is
+                bank = replace(bank, total_sigma=max(bank.total_sigma, self._told.total_sigma))
             self.estimate = self._told if self._told.total_sure else bank
         return True
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.prior import FORCE_SIGMA, INPUT_SIGMA, RATE_SIGMA
+from uav_ident_ros.identification.regression import NEGLIGIBLE
 from uav_ident_ros.identification.scales import BLOCKS, INDEPENDENT_TIME, ROUNDING, SAMPLE_TIME
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
@@ -146,10 +147,12 @@ class _Row:
         there = int((own > ROUNDING * own.max()).sum())
         self.freedom = there - len(self._precision)
         self._by_chance = there / (windows * len(_OMEGA))
-        self._weigh(spectra[:, self._slope, self._slope].real)
+        self._slopes = spectra[:, self._slope, self._slope].real
+        self._weigh(self._slopes)
 
-    def _weigh(self, noise: FloatArray) -> None:
+    def _weigh(self, left: FloatArray) -> None:
         """Weigh with the noise, whose spectrum is smooth."""
+        noise = left + ROUNDING * self._slopes + NEGLIGIBLE
         count = np.convolve(np.ones(len(noise)), _SMOOTH, "same")
         self._weight = self._windows * count / np.convolve(noise, _SMOOTH, "same")
         power = np.tensordot(self._weight, self._powers, 1).real

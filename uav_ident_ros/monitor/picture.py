@@ -303,6 +303,8 @@ def _foot(watched: WatchedNode, glyphs: Glyphs) -> Iterator[Text]:
         confidence = status.values.get("delay confidence", "")
         words = f"  {CONFIDENCE.get(confidence, confidence)}  "
         line += _line("delay", (f"{1e3 * delay:.0f} ms", "bold"), words)
+    if lag := status.values.get("servo lag [s]"):
+        line += _line("servo lag", f"{lag} s  ")
     if "count" in ticks:
         cost = ticks.get("update time p99 [ms]")
         line += _line("ticks", ticks["count"], f"  update {cost} ms (p99)" if cost else "")

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.linearisation import Mode, level_modes
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.structure import ROWS, FloatArray
@@ -97,6 +98,7 @@ class Replayed:
                 "delay": identifier.delay,
                 "delay_sigma": identifier.delay_sigma,
                 "delay_confidence": identifier.delay_confidence,
+                "servo_lag": _servo_lag(identifier.delays.estimate),
                 "structure": run.structure.name,
                 "coefficients": {
                     name: {"value": result.values[index], "sigma": result.sigma[index]}
@@ -110,6 +112,13 @@ class Replayed:
             }
         )
         return content
+
+
+def _servo_lag(found: DelayEstimate) -> dict[str, float] | None:
+    """Return lag and delay that the flight tells apart, if it does."""
+    if not found.lag_sure:
+        return None
+    return {"value": found.lag, "sigma": found.lag_sigma, "delay": found.total - found.lag}
 
 
 def _json(value: Any) -> Any:

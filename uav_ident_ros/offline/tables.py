@@ -184,6 +184,11 @@ def _heading(summary: Mapping[str, Any]) -> Iterator[str]:
             yield f"estimated delay of the inputs: {summary['delay']:.3f} s, sigma {sigma}"
         else:
             yield f"delay of the inputs: {summary['delay']:.3f} s in use; none was found for sure"
+    if lag := summary["servo_lag"]:
+        yield (
+            f"servo lag by the injected signal: {lag['value']:.3f} s, sigma {lag['sigma']:.2g}, "
+            f"with a delay of {max(lag['delay'], 0.0):.3f} s"
+        )
     if settings["airspeed.type"]:
         reference = settings["airspeed.reference"]
         yield f"coefficients at the reference airspeed, {reference:g} m/s"

@@ -127,6 +127,12 @@ def _delay_section(evidence: Evidence) -> Section:
         f"Best prediction at {1e3 * found.delay:.0f} ms, sigma {1e3 * found.sigma:.0f} ms, "
         f"confidence {found.confidence}; in use at the end: {1e3 * in_use:.0f} ms."
     )
+    if found.lag_sure:
+        text += (
+            f" By the response to what was injected the servos follow with a lag of "
+            f"{1e3 * found.lag:.0f} ms, sigma {1e3 * found.lag_sigma:.0f} ms, after a delay of "
+            f"{1e3 * max(found.total - found.lag, 0.0):.0f} ms."
+        )
     chart = diagrams.delay_chart(evidence.delays, errors, in_use, text)
     return Section("delay", "Delay", [text], charts=[chart])
 

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Delay and lag by the response to what is injected: right in gusts, unknown without a response."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from flying import Message, messages, run, settings
+
+from uav_ident_ros.identification.delay import APART, LAGS, STEP, SYSTEMATIC_ERROR, told
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.injected_response import Found, InjectedResponse
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.disturbance import ColouredNoise
+from uav_ident_ros.simulation.inputs import Segment, sample_inputs
+from uav_ident_ros.simulation.noise import Sensors, measure
+from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
+
+DELAYS = STEP * np.arange(-6, 13)
+FINE = 5
+"""Steps of integration in a step of the grid."""
+
+
+def answered(
+    delay: float, lag: float, gusts: float = 0.0, feedback: float = 0.3, peak: float = 0.1
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rates and forces, inputs and what was injected, of three axes of first order."""
+    h, rng = STEP / FINE, np.random.default_rng(1)
+    peaks = dict.fromkeys(("de", "dr", "da"), peak)
+    segment = Segment("multisine", 0.0, 40.0, peaks, 10.0, (0.2, 4.0), seed=1)
+    given = segment.sample(h * np.arange(round(40.0 / h)))[:, [2, 0, 1]]
+    noise = ColouredNoise(gusts, 0.3).sample(len(given), 3, 1.0 / h, rng)
+    late, keep = round(delay / h), math.exp(-h / lag) if lag else 0.0
+    x, u, moved = np.zeros((len(given) + 1, 3)), np.zeros((len(given), 3)), np.zeros(3)
+    for k in range(len(given)):
+        u[k] = given[k] - feedback * x[k]
+        moved = keep * moved + (1.0 - keep) * (u[k - late] if k >= late else 0.0)
+        x[k + 1] = x[k] + h * (20.0 * moved - 4.0 * x[k] + noise[k])
+
+    def means(v: FloatArray) -> FloatArray:
+        steps = v.reshape(-1, FINE, 3).mean(axis=1)
+        return np.column_stack((steps[:, 1], steps[:, 2], steps[:, 0], np.zeros(len(steps))))
+
+    edges = np.column_stack((x[::FINE], np.zeros((len(x[::FINE]), 2))))
+    return edges, means(u), means(given)
+
+
+def found(
+    x: FloatArray, u: FloatArray, injected: FloatArray, lag: float = 0.0, **search: Any
+) -> Found | None:
+    """Search as the bank does."""
+    response = InjectedResponse()
+    for k in range(0, len(u) - 200 + 1, 200):
+        own = slice(k, k + 200)
+        response.add(x[k : k + 201], u[own], injected[own], lag)
+    steps = response.find(DELAYS, search.get("lags", LAGS), APART * STEP)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            answer: Found | None = end.value
+            return answer
+
+
+@pytest.mark.parametrize("gusts", [0.0, 0.5])
+@pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.0), (0.1, 0.0), (0.06, 0.06), (0.02, 0.08)])
+def test_delay_and_lag_are_told_in_the_loop_and_in_gusts(
+    delay: float, lag: float, gusts: float
+) -> None:
+    by = found(*answered(delay, lag, gusts))
+    assert by is not None
+    own, sigma = by.lag
+    assert abs(by.total - delay - lag) < 3.0 * math.hypot(by.covariance[0, 0] ** 0.5, 0.004)
+    assert abs(own - lag) < 3.0 * math.hypot(sigma, 0.004)
+    assert told(by, by, 0.0).total_sure
+
+
+def test_the_lag_in_use_is_undone_and_a_given_one_leaves_its_delay() -> None:
+    x, u, injected = answered(0.04, 0.06)
+    keep = math.exp(-STEP / 0.06)
+    slow = u.copy()
+    for k in range(1, len(u)):
+        slow[k] = keep * slow[k - 1] + (1.0 - keep) * u[k]
+    plain, undone = found(x, u, injected), found(x, slow, injected, lag=0.06)
+    given = found(x, u, injected, lags=(0.06,))
+    assert plain and undone and given
+    # steps held and steps that decay differ by half a step
+    assert undone.total == pytest.approx(plain.total, abs=0.7 * STEP)
+    assert undone.lag[0] == pytest.approx(plain.lag[0], abs=0.01)
+    estimate = told(plain, given, 0.06)
+    assert estimate.delay == pytest.approx(0.04, abs=SYSTEMATIC_ERROR)
+    assert estimate.lag_sure and estimate.lag == pytest.approx(0.06, abs=SYSTEMATIC_ERROR)
+    assert given.lag == (pytest.approx(0.06), 0.0)
+
+
+@pytest.mark.parametrize("gusts", [0.1, 5.0])
+def test_what_was_never_injected_tells_nothing(gusts: float) -> None:
+    """An autopilot that ignores what it is asked for answers gusts all the same."""
+    x, u, _ = answered(0.06, 0.0, gusts, peak=0.0)
+    by = found(x, u, answered(0.0, 0.0)[2])
+    assert by is None or not told(by, by, 0.0).sure
+
+
+def hovering(lag: float, gusts: float, in_use: float, told_it: bool = True) -> OnlineIdentifier:
+    """Return an identifier after a hover with excitation in gusts."""
+    peaks = {"de": 0.02, "dr": 0.05, "da": 0.02}
+    segments = (Segment("multisine", 2.0, 38.0, peaks, 10.0, (0.2, 4.0), seed=1),)
+    noise = ColouredNoise(gusts, 0.3)
+    flight = QuadrotorFlight(
+        segments, 40.0, 500.0, delay=0.012, time_constant=lag, gusts=noise, seed=1
+    ).fly()
+    m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, channels="quadrotor", stamped=True))
+    given = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9).tolist()
+    stamps = m.actuator_t_ns.tolist()
+    added = [Message(t, "excitation", t, tuple(v)) for t, v in zip(stamps, given, strict=True)]
+    own = {"actuators__delay": 0.0, "actuators__time_constant": in_use}
+    identifier = OnlineIdentifier(settings(m, **own))
+    run(identifier, sorted([*messages(m), *(added if told_it else [])], key=lambda m: m.arrival))
+    return identifier
+
+
+@pytest.mark.parametrize("in_use", [0.0, 0.08])
+def test_the_lag_of_motors_is_found_in_hover_in_gusts(in_use: float) -> None:
+    """Where prediction is 50 ms off, and says that it does not know."""
+    estimate = hovering(0.05, 0.5, in_use).delays.estimate
+    assert estimate.lag_sure and estimate.lag == pytest.approx(0.05, rel=0.15)
+    assert estimate.total == pytest.approx(0.062, abs=0.015)
+    assert estimate.lag_off(0.05) == 0.0 and estimate.lag_off(in_use)
+    assert not hovering(0.05, 0.5, in_use, told_it=False).delays.estimate.lag_sure
