@@ -135,7 +135,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      {"delay": replace(SPLIT, lag=2.0 * JUST_ABOVE * SPLIT.lag_sigma)},
      r"a servo lag of 18 ms \(sigma 9 ms\), 0 ms are in use: set 'actuators.time_constant'"),
     ("wrong_lag", {"delay": replace(SPLIT, lag_sigma=0.015)}, {"delay": SPLIT},
-     "'actuators.time_constant' to 0.050, and 'actuators.delay' to 0.012"),
+     "'actuators.time_constant' to 0.050 and 'actuators.delay' to 0.012"),
     ("wrong_delay", {"delay": replace(SPLIT, delay=0.06)},
      {"delay": replace(SPLIT, delay=0.06, lag=0.0)}, "lead by 30 ms"),
     ("assumed_airspeed", {"settings": Settings.from_values({"airspeed.reference": 20.1})},

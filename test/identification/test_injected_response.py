@@ -15,6 +15,7 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.inputs import Segment, sample_inputs
 from uav_ident_ros.simulation.noise import Sensors, measure
+from uav_ident_ros.simulation.quadrotor import Body
 from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
 
 DELAYS = STEP * np.arange(-6, 13)
@@ -102,7 +103,9 @@ def test_what_was_never_injected_tells_nothing(gusts: float) -> None:
     assert by is None or not told(by, by, 0.0).sure
 
 
-def hovering(lag: float, gusts: float, in_use: float, told_it: bool = True) -> OnlineIdentifier:
+def hovering(
+    lag: float, gusts: float, in_use: float, told_it: bool = True, **changes: Any
+) -> OnlineIdentifier:
     """Return an identifier after a hover with excitation in gusts."""
     peaks = {"de": 0.02, "dr": 0.05, "da": 0.02}
     segments = (Segment("multisine", 2.0, 38.0, peaks, 10.0, (0.2, 4.0), seed=1),)
@@ -114,7 +117,7 @@ def hovering(lag: float, gusts: float, in_use: float, told_it: bool = True) -> O
     given = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9).tolist()
     stamps = m.actuator_t_ns.tolist()
     added = [Message(t, "excitation", t, tuple(v)) for t, v in zip(stamps, given, strict=True)]
-    own = {"actuators__delay": 0.0, "actuators__time_constant": in_use}
+    own = {"actuators__delay": 0.0, "actuators__time_constant": in_use, **changes}
     identifier = OnlineIdentifier(settings(m, **own))
     run(identifier, sorted([*messages(m), *(added if told_it else [])], key=lambda m: m.arrival))
     return identifier
@@ -128,3 +131,24 @@ def test_the_lag_of_motors_is_found_in_hover_in_gusts(in_use: float) -> None:
     assert estimate.total == pytest.approx(0.062, abs=0.015)
     assert estimate.lag_off(0.05) == 0.0 and estimate.lag_off(in_use)
     assert not hovering(0.05, 0.5, in_use, told_it=False).delays.estimate.lag_sure
+
+
+def test_a_lag_that_is_found_is_used_where_the_delay_is_to_be_found() -> None:
+    """The derivatives are then those of the quadrotor."""
+    told = hovering(0.05, 0.1, 0.0)
+    assert (told.delay, told.lag) == (0.0, 0.0)
+    found = hovering(0.05, 0.1, 0.0, actuators__estimate_delay=True)
+    assert found.lag == pytest.approx(0.05, rel=0.15)
+    assert found.delay + found.lag == pytest.approx(0.062, abs=0.005)
+    names, true = found.structure, Body().derivatives()
+    learned = found.coefficient_set()
+    roll = learned.values[names.index("pdot/da")]
+    assert roll == pytest.approx(true["pdot/da"], rel=0.15)  # with no lag 20 % are missing
+    for name in ("pdot/da", "qdot/de", "rdot/dr"):
+        error = abs(learned.values[names.index(name)] - true[name])
+        assert error < 2.0 * learned.sigma[names.index(name)], name
+    resumed = OnlineIdentifier(found.settings)
+    resumed.resume(found.coefficient_set(), found.delay, found.lag)
+    assert (resumed.delay, resumed.lag) == (found.delay, found.lag)
+    found.reset()
+    assert (found.delay, found.lag) == (0.0, 0.0)

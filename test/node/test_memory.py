@@ -18,7 +18,12 @@ from programs import Capture
 from recordings import NODE, Fly, call, recording
 from std_srvs.srv import Trigger
 
-from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
+from uav_ident_ros.files.coefficients_file import (
+    CoefficientsFileError,
+    Notes,
+    load_with_notes,
+    save_coefficients,
+)
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
@@ -202,6 +207,17 @@ def test_what_a_killed_process_left_is_removed(path: Path) -> None:
     Vehicle(path)
     left = sorted(p.name for p in path.parent.iterdir())
     assert left == [f".identifier.yaml.{running}.tmp", "identifier.yaml"]
+
+
+def test_a_servo_lag_that_was_found_is_kept(path: Path) -> None:
+    write(path, coefficients(1.0), saved=NOW, delay=0.0125, servo_lag=0.0473)
+    vehicle = Vehicle(path, actuators__estimate_delay=True)
+    assert (vehicle.identifier.delay, vehicle.identifier.lag) == (0.0125, 0.0473)
+    vehicle.learn(2.0)
+    assert vehicle.identifier.lag == 0.0, "what is not told is as set"
+    write(path, coefficients(1.0), servo_lag=0.7)
+    with pytest.raises(CoefficientsFileError, match=r"servo_lag is 0\.7: allowed is 0 to 0\.5 s"):
+        load_with_notes(path)
 
 
 def test_spans_of_time_have_a_unit_that_suits() -> None:

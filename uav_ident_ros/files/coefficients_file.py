@@ -57,7 +57,7 @@ LATEST_NS = 2**63
 """What counts the nanoseconds of a stamp is a signed integer of 64 bits."""
 
 _TOP_KEYS = ("format", "version", "structure", "stamp", "coefficients")
-_NOTE_KEYS = ("saved", "usable", "delay", "learned_with")
+_NOTE_KEYS = ("saved", "usable", "delay", "servo_lag", "learned_with")
 _ENTRY_KEYS = ("value", "sigma")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _INFINITY = frozenset((".inf", ".Inf", ".INF", "+.inf", "inf"))
@@ -77,6 +77,7 @@ class Notes:
     delay: float | None = None  # Transport delay of the actuators that was found in flight, s
     # Settings that say what the coefficients mean, each with its value as JSON
     learned_with: Mapping[str, str] = field(default_factory=dict)
+    servo_lag: float | None = None  # Lag of the servos that was found in flight, s
 
 
 def save_coefficients(
@@ -188,6 +189,8 @@ def _note_lines(notes: Notes) -> Iterator[str]:
         yield f"usable: {json.dumps(notes.usable)}"
     if notes.delay is not None:
         yield f"delay: {_digits(notes.delay)}"
+    if notes.servo_lag is not None:
+        yield f"servo_lag: {_digits(notes.servo_lag)}"
     if notes.learned_with:
         yield "learned_with:"
         # JSON strings are YAML strings too.
@@ -276,9 +279,7 @@ def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:
 
 def _notes(content: Mapping[str, Any]) -> Notes:
     """Check what stands beside the coefficients, as far as it is there."""
-    delay = _number(content["delay"], "delay") if "delay" in content else None
-    if delay is not None and not 0.0 <= delay <= MAX_DELAY:
-        raise EntryError(f"delay is {delay:g}: allowed is 0 to {MAX_DELAY:g} s")
+    delay, lag = _lateness(content, "delay"), _lateness(content, "servo_lag")
     usable = content.get("usable")
     if usable not in (None, "true", "false"):
         raise EntryError(f"usable is '{usable}', not true or false")
@@ -287,7 +288,16 @@ def _notes(content: Mapping[str, Any]) -> Notes:
         raise EntryError("learned_with must be a mapping")
     saved = _time(content["saved"]) if "saved" in content else None
     texts = {name: str(value) for name, value in learned_with.items()}
-    return Notes(saved, None if usable is None else usable == "true", delay, texts)
+    return Notes(saved, None if usable is None else usable == "true", delay, texts, lag)
+
+
+def _lateness(content: Mapping[str, Any], name: str) -> float | None:
+    if name not in content:
+        return None
+    value = _number(content[name], name)
+    if not 0.0 <= value <= MAX_DELAY:
+        raise EntryError(f"{name} is {value:g}: allowed is 0 to {MAX_DELAY:g} s")
+    return value
 
 
 def _number(text: Any, what: str) -> float:

@@ -183,6 +183,7 @@ class DelayBank:
         self,
         longest: float,  # Longest delay that is plausible, s
         lag: float = 0.0,  # Servo lag in use, s
+        before: DelayBank | None = None,  # That with another lag; what was injected has told it
     ) -> None:
         self._lag = lag
         self._back = round(longest / STEP)
@@ -198,8 +199,11 @@ class DelayBank:
         self._errors: deque[FloatArray] = deque(maxlen=BLOCKS)
         self._block: Iterator[FloatArray | None] | None = None
         self._found: list[FloatArray | None] = []
-        self._response = InjectedResponse()
-        self._told = self.estimate = NO_ESTIMATE
+        self._response, self._told = InjectedResponse(), NO_ESTIMATE
+        if before is not None:
+            self._response, known = before._response, before.estimate
+            self._told = replace(known, delay=known.total - lag, sigma=known.total_sigma)
+        self.estimate: DelayEstimate = self._told
         self._delay_ns = 0
         self.restart()
 

@@ -126,9 +126,13 @@ class OnlineIdentifier:
 
     def reset(self) -> None:
         """Start cold: buffers and filters restart, the coefficients return to their start."""
-        self._begin(start_from(self.settings, self._initial), self.settings.actuators.delay)
+        actuators = self.settings.actuators
+        start = start_from(self.settings, self._initial)
+        self._begin(start, actuators.delay, actuators.time_constant)
 
-    def resume(self, saved: CoefficientSet, delay: float | None = None) -> None:
+    def resume(
+        self, saved: CoefficientSet, delay: float | None = None, lag: float | None = None
+    ) -> None:
         """Start warm: like `reset`, but from what a former flight has learned.
 
         Parameters
@@ -138,6 +142,8 @@ class OnlineIdentifier:
             that are fixed keep their initial value all the same.
         delay : float, optional
             Delay of the actuators that it found, s; used if the delay is estimated.
+        lag : float, optional
+            Lag of the servos that it found, s; used likewise.
 
         Raises
         ------
@@ -147,8 +153,14 @@ class OnlineIdentifier:
         cold = start_from(self.settings, self._initial)
         warm = start_from(self.settings, resumed(saved))
         actuators = self.settings.actuators
-        known = delay if actuators.estimate_delay and delay is not None else actuators.delay
-        self._begin(replace(warm, values=np.where(warm.free, warm.values, cold.values)), known)
+        start = replace(warm, values=np.where(warm.free, warm.values, cold.values))
+        if not actuators.estimate_delay:
+            delay = lag = None
+        self._begin(
+            start,
+            actuators.delay if delay is None else delay,
+            actuators.time_constant if lag is None else lag,
+        )
         self.note_saved(saved)
 
     def reconfigure(self, settings: Settings) -> None:
@@ -168,20 +180,19 @@ class OnlineIdentifier:
         self.supervisor.settings = settings
         self._warm = self._start.warm(settings.supervision.min_t_ratio)
         if any(setting.restarts for setting in changed):
-            self._make_signals_anew("actuators.delay" in {setting.name for setting in changed})
+            self._make_signals_anew({setting.name for setting in changed})
         else:
             self.estimator.reconfigure(settings)
         self._news = True
 
-    def _begin(self, start: Start, delay: float) -> None:
+    def _begin(self, start: Start, delay: float, lag: float) -> None:
         """Forget everything and start from what is known."""
         self._start = start
         self._warm = start.warm(self.settings.supervision.min_t_ratio)
         self.estimator: Estimator = self._make_estimator(self.settings, self._start)
         self._speed = SpeedScaling(self.settings.airspeed, self.structure)
-        self.sampler.delay = delay
-        actuators = self.settings.actuators
-        self.delays = DelayBank(actuators.longest_delay, actuators.time_constant)
+        self.sampler.delay, self.sampler.time_constant = delay, lag
+        self.delays = DelayBank(self.settings.actuators.longest_delay, lag)
         self._parallel = ParallelModel(self.settings, self.structure)
         self._has_accelerometer: bool | None = None
         self.running_fit = RunningFit(self.structure, self._parallel.model)
@@ -203,12 +214,13 @@ class OnlineIdentifier:
         self._learned_time = 0.0
         self.restart()
 
-    def _make_signals_anew(self, delay_is_given: bool) -> None:
+    def _make_signals_anew(self, given: set[str]) -> None:
         """Make the signals by the settings of now: a warm start from what was learned before."""
         learned, saved = self.coefficient_set(), self._saved
-        delay = self.settings.actuators.delay if delay_is_given else self.delay
+        delay = None if "actuators.delay" in given else self.delay
+        lag = None if "actuators.time_constant" in given else self.lag
         self.sampler = Sampler(self.settings)
-        self.resume(learned, delay)
+        self.resume(learned, delay, lag)
         self._saved = saved
 
     def restart(self) -> None:
@@ -236,6 +248,11 @@ class OnlineIdentifier:
         return self.sampler.delay
 
     @property
+    def lag(self) -> float:
+        """Servo lag in use, s: the setting, or what the flight has shown it to be."""
+        return self.sampler.time_constant
+
+    @property
     def delay_sigma(self) -> float:
         """Standard deviation of the delay in use, s; inf where it is as set."""
         return self.delays.estimate.sigma if self.settings.actuators.estimate_delay else np.inf
@@ -247,14 +264,21 @@ class OnlineIdentifier:
         return self.delays.estimate.confidence if estimated else NO_ESTIMATE.confidence
 
     def _adopt_delay(self) -> None:
-        """Pair rates and inputs anew where the flight shows another delay.
+        """Pair rates and inputs anew where the flight shows another delay, or another lag.
 
-        What was learned with another delay is biased.
+        What was learned with another one is biased.
         """
-        estimate, in_use = self.delays.estimate, self.delay
-        found = max(in_use + estimate.off(in_use), 0.0) if estimate.sure else in_use
-        if self.settings.actuators.estimate_delay and found != in_use:
-            self.sampler.delay = found
+        if not self.settings.actuators.estimate_delay:
+            return
+        estimate, before = self.delays.estimate, (self.delay, self.lag)
+        if estimate.lag_off(self.lag):
+            self.sampler.time_constant = estimate.lag
+            longest = self.settings.actuators.longest_delay
+            self.delays = DelayBank(longest, estimate.lag, self.delays)
+            self.sampler.delay = max(self.delays.estimate.delay, 0.0)
+        elif estimate.sure:
+            self.sampler.delay = max(self.delay + estimate.off(self.delay), 0.0)
+        if (self.delay, self.lag) != before:
             self.estimator.forget(KEPT_WEIGHT)
             self._learned_time = 0.0
 

@@ -94,7 +94,7 @@ class InjectedResponse:
         signals, keep = np.concatenate((self._half, new)), np.exp(-0.5 / BLOCKS)
         while len(signals) >= WINDOW:
             window, signals = signals[:WINDOW], signals[WINDOW // 2 :]
-            if not window[:, _INJECTED].any():
+            if not (window[:, _INJECTED].any() and np.isfinite(window).all()):
                 continue
             lines = np.fft.rfft((window - window.mean(axis=0)) * _TAPER, axis=0)[_HARMONICS]
             lines[:, _INPUTS] *= 1.0 + 1j * lag * _OMEGA[:, None]
@@ -111,6 +111,7 @@ class InjectedResponse:
         """Return, in steps, the delay and the lag that leave least; None where nothing tells."""
         rows = [_Row(self._spectra, self.windows, axis) for axis in range(len(_AXES))]
         points = np.array([(delay + lag, lag * lag) for lag in lags for delay in delays])
+        yield
         for _ in range(2):  # the noise is that of the residual, which needs a model
             best = points[np.argmin(_left(rows, points))]
             for row in rows:

@@ -142,7 +142,7 @@ class Sampler:
         self.rates = SampleBuffer(6)
         self.raw_inputs = SampleBuffer(len(settings.actuators.channels))
         self.injected = SampleBuffer(len(INPUTS))
-        self.delay = settings.actuators.delay
+        self.delay, self._time_constant = settings.actuators.delay, settings.actuators.time_constant
         self._memory_ns = round(MAX_DELAY * 1e9)
         self._linear = settings.actuators.interpolation == "linear"
         self.restart()
@@ -196,6 +196,24 @@ class Sampler:
         self.injected.trim(needed - self._memory_ns)
 
     @property
+    def time_constant(self) -> float:
+        """First-order lag of the servos, s; with another one a new stretch of blocks begins."""
+        return self._time_constant
+
+    @time_constant.setter
+    def time_constant(self, value: float) -> None:
+        if value != self._time_constant:
+            self._time_constant, self._continues = value, False
+            self._follow()
+
+    def _follow(self) -> None:
+        """Let the inputs follow with the lag."""
+        if self.h_ns is not None:
+            self._lag, self._injected_lag = (
+                ServoLag(self._time_constant, self.h_ns * NS) for _ in range(2)
+            )
+
+    @property
     def _delay_ns(self) -> int:
         return round(self.delay * 1e9)
 
@@ -207,8 +225,7 @@ class Sampler:
                 return False
             interval = int(np.median(np.diff(self.rates.t)))
             self.h_ns = max(interval, FASTEST_CELL_NS)
-            self._lag = ServoLag(self._actuators.time_constant, self.h_ns * NS)
-            self._injected_lag = ServoLag(self._actuators.time_constant, self.h_ns * NS)
+            self._follow()
         if not len(self.raw_inputs.t):
             self.waiting_for = "actuators"
             self.rates.trim(int(self.rates.t[-1]))

@@ -302,7 +302,8 @@ class ActuatorSettings:
         "than any choice of estimator. Set it if it is known from a bench test or from replay.")
     estimate_delay: bool = _setting(False, text=
         "Use the delay with which the model predicts best, once the flight has shown it, starting "
-        "from 'actuators.delay'. Switch it on if the delay is not known.")
+        "from 'actuators.delay'; and the servo lag, where the response to what is injected tells "
+        "it. Switch it on if the delay is not known.")
     longest_delay: float = _setting(0.3, "s", (0.1, MAX_DELAY), restarts=True, text=
         "Longest delay, beyond 'actuators.time_constant', that is looked for in flight. Raise it "
         "for inputs that come over a slow link.")

@@ -132,7 +132,8 @@ def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
     yield "delay [s]", f"{identifier.delay:.4f}"
     yield "delay confidence", identifier.delay_confidence
     if (found := identifier.delays.estimate).lag_sure:
-        yield "servo lag [s]", f"{found.lag:.3f} +- {found.lag_sigma:.3f}"
+        in_use = f"{identifier.lag:.3f} in use"
+        yield "servo lag [s]", f"{found.lag:.3f} +- {found.lag_sigma:.3f}, {in_use}"
     groups = identifier.estimator.information.collinear()
     yield "collinear", "; ".join(", ".join(group) for group in groups) or "nothing"
     costs = identifier.supervisor.gates.costs().items()

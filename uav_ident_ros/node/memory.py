@@ -213,7 +213,7 @@ class Memory:
         try:
             remove_leftovers(path)
             held, notes, age = recall(path, self._identifier.settings, now or datetime.now(UTC))
-            self._identifier.resume(held, notes.delay)
+            self._identifier.resume(held, notes.delay, notes.servo_lag)
         except FileNotFoundError:
             # Say before the flight, not after it, that nothing can be written there.
             place = next(folder for folder in path.parents if folder.exists())
@@ -252,11 +252,13 @@ class Memory:
             return False, f"there is no file to save to: 'state_file' is '{NO_FILE}'"
         if estimate is None:
             return False, "there is no estimate to save yet"
+        lag, told = self._identifier.lag, self._identifier.settings.actuators.time_constant
         notes = Notes(
             saved=datetime.now(UTC),
             usable=estimate.usable,
             delay=self._identifier.delay,
             learned_with=_meaning(self._identifier.settings),
+            servo_lag=None if lag == told else lag,
         )
         coefficients = self._identifier.coefficient_set(estimate.t_ns)
         done, line = self._saver.save(coefficients, notes, last=last)

@@ -124,7 +124,7 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
 def wrong_delay(e: Evidence) -> Iterator[str]:
     """Say that the flight shows another delay than the one in use."""
     off = e.delay.off(e.delay_in_use)
-    if abs(off) <= DELAY_OFF or e.delay.lag_off(e.settings.actuators.time_constant):
+    if abs(off) <= DELAY_OFF or e.delay.lag_off(e.lag_in_use):
         return
     if off > 0.0:
         found = f"the command seems to lead by {1e3 * off:.0f} ms"
@@ -138,13 +138,14 @@ def wrong_delay(e: Evidence) -> Iterator[str]:
 
 def wrong_lag(e: Evidence) -> Iterator[str]:
     """Say that the response to what was injected shows another servo lag than the one in use."""
-    in_use = e.settings.actuators.time_constant
+    in_use = e.lag_in_use
     if e.delay.lag_off(in_use):
         delay = max(e.delay.total - e.delay.lag, 0.0)
         yield (
             f"what was injected shows a servo lag of {1e3 * e.delay.lag:.0f} ms (sigma "
             f"{1e3 * e.delay.lag_sigma:.0f} ms), {1e3 * in_use:.0f} ms are in use: set "
-            f"'actuators.time_constant' to {e.delay.lag:.3f}, and 'actuators.delay' to {delay:.3f}"
+            f"'actuators.time_constant' to {e.delay.lag:.3f} and 'actuators.delay' to {delay:.3f}, "
+            "or 'actuators.estimate_delay' to true"
         )
 
 

@@ -64,6 +64,7 @@ class Evidence:
     delays: FloatArray = field(default_factory=lambda: np.zeros(0))
     delay_errors: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     delay_in_use: float = 0.0  # Delay that the identifier ended with, s
+    lag_in_use: float = 0.0  # Servo lag that it ended with, s
     # For rows without their specific force: the share of what the row leaves unexplained that it
     # would explain
     force_share: Mapping[str, float] = field(default_factory=dict)
@@ -109,6 +110,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         delays=delays,
         delay_errors=delay_errors,
         delay_in_use=run.identifier.delay,
+        lag_in_use=run.identifier.lag,
         force_share=_force_share(run, parts),
         collinear=tuple(run.identifier.estimator.information.collinear()),
         correlations=run.identifier.estimator.information.correlations(),

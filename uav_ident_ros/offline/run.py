@@ -85,7 +85,8 @@ class OfflineRun:
         self.identifier = OnlineIdentifier(inputs.settings, initial, **parts)
         self.intake = Intake(inputs, self.identifier)  # What became of the messages
         self.estimates = Ticks(self.identifier.structure)  # One per tick, in order
-        self._contexts: list[tuple[int, float]] = []  # time base and delay of each estimate
+        # time base, delay and lag of each estimate
+        self._contexts: list[tuple[int, float, float]] = []
 
     @property
     def structure(self) -> Structure:
@@ -119,7 +120,7 @@ class OfflineRun:
         identifier = self.identifier
         for estimate in identifier.advance():
             self.estimates.append(estimate)
-            context = (self.intake.era, identifier.delay)
+            context = (self.intake.era, identifier.delay, identifier.lag)
             last = self._contexts[-1] if self._contexts else None
             self._contexts.append(last if last == context else context)
 
@@ -135,14 +136,17 @@ class OfflineRun:
         frame = BodyFrame(self.inputs.settings.imu)
         return t_ns, frame.to_body(values[:, :3]), frame.to_body(values[:, 3:])[:, 1:].copy()
 
-    def input_signal(self, era: int = 0, delay: float | None = None) -> InputSignal:
-        """Return the inputs on one time base, with the delay (s; None: the setting) and lag."""
+    def input_signal(
+        self, era: int = 0, delay: float | None = None, lag: float | None = None
+    ) -> InputSignal:
+        """Return the inputs on one time base, with delay and lag (s; None: the settings)."""
         t_ns, raw = self.intake.actuators.of_era(era)
         actuators = self.inputs.settings.actuators
         delay = actuators.delay if delay is None else delay
+        lag = actuators.time_constant if lag is None else lag
         # The identifier's own map: it may have learned the trim in flight.
         u = self.identifier.sampler.input_map.apply(raw)
-        return InputSignal(t_ns, u, delay, actuators.time_constant)
+        return InputSignal(t_ns, u, delay, lag)
 
     def score(self) -> dict[str, PredictionFit]:
         """Return the score of record of the estimates."""
@@ -157,13 +161,13 @@ class OfflineRun:
         """Yield what was measured and published on every time base, and with every delay."""
         arm = np.array(self.inputs.settings.imu.lever_arm)
         contexts = sorted(set(self._contexts))
-        measured = {era: self.measured(era) for era in {era for era, _ in contexts}}
+        measured = {era: self.measured(era) for era in {era for era, *_ in contexts}}
         for context in contexts:
-            era, delay = context
+            era, delay, lag = context
             t_ns, rates, force = measured[era]
             which = [k for k, other in enumerate(self._contexts) if other == context]
             yield Stretch(
-                t_ns, rates, self.input_signal(era, delay), force, arm,
+                t_ns, rates, self.input_signal(era, delay, lag), force, arm,
                 era=era, ticks=self.estimates.chosen(np.array(which, dtype=np.int64)),
             )  # fmt: skip
 
@@ -175,7 +179,7 @@ class OfflineRun:
         settings = self.inputs.settings
         actuators = replace(settings.actuators, learn_trim_time=0.0)
         sampler = Sampler(replace(settings, actuators=actuators))
-        sampler.delay = part.inputs.delay
+        sampler.delay, sampler.time_constant = part.inputs.delay, part.inputs.time_constant
         sampler.input_map = self.identifier.sampler.input_map
         sampler.raw_inputs.t, sampler.raw_inputs.v = self.intake.actuators.of_era(part.era)
         t_ns, values = self.intake.rates.of_era(part.era)

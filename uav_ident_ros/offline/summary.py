@@ -98,7 +98,7 @@ class Replayed:
                 "delay": identifier.delay,
                 "delay_sigma": identifier.delay_sigma,
                 "delay_confidence": identifier.delay_confidence,
-                "servo_lag": _servo_lag(identifier.delays.estimate),
+                "servo_lag": _servo_lag(identifier.delays.estimate, identifier.lag),
                 "structure": run.structure.name,
                 "coefficients": {
                     name: {"value": result.values[index], "sigma": result.sigma[index]}
@@ -114,11 +114,16 @@ class Replayed:
         return content
 
 
-def _servo_lag(found: DelayEstimate) -> dict[str, float] | None:
+def _servo_lag(found: DelayEstimate, in_use: float) -> dict[str, float] | None:
     """Return lag and delay that the flight tells apart, if it does."""
     if not found.lag_sure:
         return None
-    return {"value": found.lag, "sigma": found.lag_sigma, "delay": found.total - found.lag}
+    return {
+        "value": found.lag,
+        "sigma": found.lag_sigma,
+        "delay": found.total - found.lag,
+        "in_use": in_use,
+    }
 
 
 def _json(value: Any) -> Any:

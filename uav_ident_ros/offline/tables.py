@@ -187,7 +187,7 @@ def _heading(summary: Mapping[str, Any]) -> Iterator[str]:
     if lag := summary["servo_lag"]:
         yield (
             f"servo lag by the injected signal: {lag['value']:.3f} s, sigma {lag['sigma']:.2g}, "
-            f"with a delay of {max(lag['delay'], 0.0):.3f} s"
+            f"with a delay of {max(lag['delay'], 0.0):.3f} s; {lag['in_use']:.3f} s in use"
         )
     if settings["airspeed.type"]:
         reference = settings["airspeed.reference"]
