@@ -106,6 +106,24 @@ def test_a_slope_that_comes_and_goes_is_usual() -> None:
     assert known[0][0] >= 1400 and known[0][1:] == (1, 8)
 
 
+def test_what_another_input_does_is_no_change() -> None:
+    """An aileron of which nothing is known moves rdot; the rudder moves with it, by a hundredth."""
+    chance, detector = np.random.default_rng(7), ChangeDetector(STRUCTURE.mask, 15.0)
+    rudder, sigma = np.zeros_like(ELEVATOR), np.tile([0.1, 0.1, 900.0, 900.0], (3, 1))
+    rudder[2, 9] = -20.0
+    found: list[Change] = []
+    for k in range(1400):
+        aileron = 0.1 * np.sign(np.sin(0.1 * k)) if k >= 1200 else 0.0
+        f = np.zeros((1, STRUCTURE.size))
+        f[:, 9] = 0.03 * chance.normal() if k < 1200 else 0.01 * aileron + 1e-4 * chance.normal()
+        f[:, 10] = aileron
+        y = f @ rudder.T + 0.05 * chance.normal(size=3)
+        y[:, 2] += 10.0 * aileron
+        if detector.add(Regression.of(y, f, f, 0.05)):
+            found += detector.look(rudder, sigma)
+    assert found == []
+
+
 def test_what_a_still_input_seems_to_do_is_not_remembered() -> None:
     """Its slope is noise: a surface that moves again and is lost is noticed all the same."""
     chance, detector = np.random.default_rng(3), ChangeDetector(STRUCTURE.mask, 15.0)

@@ -18,7 +18,14 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.scales import GUST_TIME, LOOK_TIME, MEMORY, SURE
+from uav_ident_ros.identification.scales import (
+    GUST_TIME,
+    LOOK_TIME,
+    MEMORY,
+    OUTLYING,
+    ROUNDING,
+    SURE,
+)
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
@@ -120,7 +127,11 @@ class ChangeDetector:
         usual = self._usual(size * size * power, power)
         # What is not known cannot be seen to change.
         sure = (np.abs(size) > SURE * np.hypot(unsure, usual)) & (known > SURE * unsure)
-        explained = np.where(sure, explained, 0.0)
+        # What the residual rather owes to another input, be its effect unknown, is no change.
+        left = np.maximum(1.0 - explained, ROUNDING)
+        rivals = np.array([np.where(sure, 1.0, left)[self._row == row].min() for row in self._row])
+        owed = len(residual) * np.log(left / rivals) > OUTLYING
+        explained = np.where(sure & ~owed, explained, 0.0)
         changes = []
         for row in sorted({*self._row[explained >= MIN_EXPLAINED].tolist()}):
             best = int(np.where(self._row == row, explained, 0.0).argmax())
