@@ -74,6 +74,21 @@ def test_an_aileron_that_lags_is_found(lag: float) -> None:
     assert share(rolled(lag=lag))[0] > 0.1
 
 
+def test_an_aileron_that_acts_early_counts_in_every_row() -> None:
+    """A lag of 0.1 s is told that is not there: the command is lagged, what acts is not."""
+    samples = rolled()
+    u = samples.f[0, :, LAYOUT.main[0]]
+    lagged, keep = np.zeros_like(u), np.exp(-DT / 0.1)
+    for k in range(1, len(u)):
+        lagged[k] = keep * lagged[k - 1] + (1.0 - keep) * u[k]
+    for regressors in (samples.f, samples.z):
+        regressors[0, :, LAYOUT.main[0]] = lagged
+    ahead = keep / (1.0 - keep) * np.diff(lagged)  # u is as far ahead of it, sample by sample
+    looked = ModelError(LAYOUT)
+    assert shares(samples, looked)[-1].tolist() == [0.0, 0.0, 0.0]  # nothing is taken away
+    assert looked.doubt == pytest.approx([np.std(ahead) / np.std(lagged)] * 3, rel=0.1)
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.1, 1.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_aileron_that_does_as_it_is_told_is_not(noise: float, seed: int) -> None:

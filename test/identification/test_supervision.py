@@ -95,7 +95,7 @@ def test_a_limit_of_travel_that_nobody_told_is_named(travel: float, misses: bool
         structure="flight_dynamics",
     )
     late = [estimate.reason for estimate in estimates[-100:]]
-    assert all("a limit of travel that is not told" in reason for reason in late) == misses
+    assert all("a limit of travel that is not as told" in reason for reason in late) == misses
     assert any(estimate.usable for estimate in estimates[-100:]) != misses
 
 

@@ -40,9 +40,9 @@ have shown by then: after 10 to 28 s on two aircraft (benchmarks/false_usable.py
 AXES = ("p", "q", "r")
 
 LARGEST_MODEL_ERROR = 0.25
-"""What lateness or saturation may take from what an input does. Servo lags, delays and limits of
+"""What may come late, early, or stop short, of what an input does. Servo lags, delays and limits of
 travel that halve a control derivative take 0.33 to 0.9, a delay of 25 ms up to 0.2, and what is
-right nothing."""
+right nothing; a lag of 0.1 s that is told and not there 0.4 and more."""
 
 
 class State(StrEnum):
@@ -296,6 +296,7 @@ def _incomplete(row: int, share: float) -> str:
         return ""
     surface = MAIN_INPUTS[ROWS[row]]
     return (
-        f"{100.0 * min(share, 1.0):.0f} % of what {surface} does to {ROWS[row]} comes late, or is "
-        "missing where much is asked: a servo lag, a delay or a limit of travel that is not told"
+        f"{100.0 * min(share, 1.0):.0f} % of what {surface} does to {ROWS[row]} comes late or "
+        "early, or is missing where much is asked: a servo lag, a delay or a limit of travel that "
+        "is not as told"
     )

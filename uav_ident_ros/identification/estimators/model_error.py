@@ -8,7 +8,8 @@ most of it. So they are looked for beside all other regressors of a row, in a re
 
 with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16). Where
 c1 takes away from what the input does, it saturates; where c2 does, it acts late. Then the control
-derivative is off by about as much.
+derivative is off by about as much. Where c2 adds to it, it acts early: a lag or a delay was told
+that is not there, and all derivatives may be off by several times.
 
 An accelerometer h above the centre of gravity measures `h pdot` as side force. In the row of ay,
 with p in the place of u, c2 is h.
@@ -59,7 +60,16 @@ class ModelError:
         self._blocks: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=BLOCKS)
         self._sure: BoolArray = np.zeros((len(self._entries), EXTRA), dtype=bool)
         self.share: FloatArray = np.zeros(len(ROWS))
+        self._early = 0.0
         self.height = 0.0
+
+    @property
+    def doubt(self) -> FloatArray:
+        """The same, (3,), or what comes early in any row, if that is more.
+
+        Delay and lag are one setting for all inputs, and nothing but they makes one look early.
+        """
+        return np.maximum(self.share, self._early)
 
     def forget(self, row: int) -> None:
         """Forget what a row has shown: it is learned anew."""
@@ -158,6 +168,8 @@ class ModelError:
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
         least = np.where(self._sure, ACQUITTED, DOUBTLESS)
         self._sure = extra**2 > least**2 * variance
-        self.share = np.where(self._sure, np.maximum(away, 0.0), 0.0).max(axis=1)[: len(ROWS)]
+        found = np.where(self._sure, away, 0.0)[: len(ROWS)]
+        self.share = np.maximum(found, 0.0).max(axis=1)
+        self._early = -found[:, 1].min(initial=0.0)
         for row in range(len(ROWS), len(extra)):
             self.height = float(extra[row, 1] * scale[row, -1]) if self._sure[row, 1] else 0.0

@@ -104,7 +104,7 @@ class RecursiveRegression:
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
         self.clear = self._gate.clear
         self.answers = self._feedback.share
-        self.model_error, self.height = self._error.share, self._error.height
+        self.model_error, self.height = self._error.doubt, self._error.height
         self._begin_changes()
         self._solve()
 
@@ -155,7 +155,7 @@ class RecursiveRegression:
         ratio = counts * self._feedback.ratio[: len(ROWS)]
         effect = self._linear[MAIN_DERIVATIVES]
         self._error.add(rows, weight, ratio, effect, restarted=samples.restarted)
-        self.model_error, self.height = self._error.share, self._error.height
+        self.model_error, self.height = self._error.doubt, self._error.height
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
         answering = None if samples.injected else self._feedback.answering
@@ -213,7 +213,7 @@ class RecursiveRegression:
             sigma = np.hypot(sigma, own - other)
         sigma = np.hypot(np.maximum(sigma, sigmas[1]), own - white)
         main = MAIN_DERIVATIVES
-        sigma[main] = np.hypot(sigma[main], self.model_error * own[main])
+        sigma[main] = np.hypot(sigma[main], self._error.share * own[main])
         sigma = np.hypot(sigma, MODEL_ERROR * own)
         return np.where(self._start.free, sigma, self._start.sigma)
 
