@@ -17,11 +17,13 @@ error     of the dominant derivatives when the run ends, and how many lie within
 
 With ``--quadrotor`` the quadrotor is identified in the same way, in hover, and later loses a third
 of the thrust of one motor while nobody excites: when that is noticed, and the errors of its
-derivatives before the fault and five seconds after it.
+derivatives before the fault and five seconds after it. With ``--untold``, too, its identifier is
+told neither delay nor lag of the motors, and finds them.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -93,7 +95,9 @@ class Found:
 class Flight:
     """One flight, a sample at a time."""
 
-    def __init__(self, severity: int, seed: int, name: str = AIRCRAFT) -> None:
+    def __init__(
+        self, severity: int, seed: int, name: str = AIRCRAFT, *, untold: bool = False
+    ) -> None:
         identified, guided, controlled = (
             load_parameters(CONFIG / f"{name}.yaml", node)
             for node in ("identifier", "rate_reference", "controller")
@@ -111,6 +115,11 @@ class Flight:
         else:
             self.aircraft = LiveQuadrotor(SENSORS, delay, (), seed)
             guide = (guided["bank"], guided["pitch"])
+        if untold:
+            identified |= {
+                "actuators.delay": 0.0, "actuators.time_constant": 0.0,
+                "actuators.estimate_delay": True,
+            }  # fmt: skip
         self.settings = Settings.from_values(identified)
         self.identifier = OnlineIdentifier(self.settings)
         known = Coefficients.from_file(CONFIG / f"{name}_coefficients.yaml")
@@ -181,9 +190,9 @@ def fly(job: tuple[str, int, bool]) -> Found:
     )  # fmt: skip
 
 
-def lose_a_motor(seed: int) -> dict[str, Any]:
+def lose_a_motor(seed: int, *, untold: bool) -> dict[str, Any]:
     """Identify the quadrotor in hover and let a motor lose thrust: what came of it."""
-    flight = Flight(0, seed, "quadrotor")
+    flight = Flight(0, seed, "quadrotor", untold=untold)
     errors, healthy, relearned = [], None, None
     while flight.aircraft.time < FAULT + 2.0 + TRACKED:
         if not flight.run.active and not flight.run.why and flight.aircraft.time >= START:
@@ -198,6 +207,7 @@ def lose_a_motor(seed: int) -> dict[str, Any]:
     start = EPOCH_NS * 1e-9 + FAULT
     changes = {c.name: c.t - start for c in flight.identifier.supervisor.changed}
     out: dict[str, Any] = {"seed": seed, "run": flight.run.why, "changes": changes}
+    out["delay"], out["lag"] = flight.identifier.delay, flight.identifier.lag
     share = (len(LiveQuadrotor.names) - 1 + LEFT) / len(LiveQuadrotor.names)
     for when, estimate, left in (("before", healthy, 1.0), ("after", relearned, share)):
         assert estimate is not None
@@ -223,7 +233,8 @@ def quadrotor_lines(found: Iterable[dict[str, Any]]) -> Iterator[str]:
         ]
         tracking = [" / ".join(f"{v:.1f}" for v in part) for part in one["tracking"]]
         yield (
-            f"seed {one['seed']}: {one['run']}; errors before {errors[0]} %, {RELEARNED:g} s after "
+            f"seed {one['seed']}: {one['run']}; delay {1e3 * one['delay']:.0f} ms, "
+            f"lag {1e3 * one['lag']:.0f} ms; errors before {errors[0]} %, {RELEARNED:g} s after "
             f"{errors[1]} %; noticed: {noticed}; rms p / q / r {tracking[0]}, from the third "
             f"second on {tracking[1]} deg/s"
         )
@@ -261,9 +272,11 @@ def main() -> None:
     parser.add_argument("--excited", action="store_true", help="leave out the flights without")
     parser.add_argument("--severity", choices=tuple(SEVERITIES), action="append")
     parser.add_argument("--quadrotor", action="store_true", help="a motor that fails instead")
+    parser.add_argument("--untold", action="store_true", help="the quadrotor's delay and lag")
     options = parser.parse_args()
     if options.quadrotor:
-        flown = bench.each(lose_a_motor, range(options.seeds), options.workers)
+        lost = partial(lose_a_motor, untold=options.untold)
+        flown = bench.each(lost, range(options.seeds), options.workers)
         print(*quadrotor_lines(flown), sep="\n")
         return
     jobs = [

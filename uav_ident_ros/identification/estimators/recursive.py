@@ -225,6 +225,7 @@ class RecursiveRegression:
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""
         self.information.discount(weight)
+        self._error = ModelError(self._layout)
         self._begin_changes()
 
     # -- changes in flight -----------------------------------------------------------------
