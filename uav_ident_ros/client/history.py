@@ -17,9 +17,7 @@ class History(Generic[Value]):
         self._items: deque[tuple[int, Value]] = deque(maxlen=LENGTH)
 
     def add(self, t_ns: int, value: Value) -> None:
-        """Add a value; what was stamped at or after it is forgotten, as after a new start."""
-        while self._items and self._items[-1][0] >= t_ns:
-            self._items.pop()
+        """Add a value: it hides what came before with a later stamp, as after a new start."""
         self._items.append((t_ns, value))
 
     def at(self, t_ns: int) -> Value | None:
