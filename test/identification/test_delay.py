@@ -27,6 +27,7 @@ from uav_ident_ros.identification.feedback import ANSWER_TIMES
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.simulation.disturbance import ColouredNoise
@@ -117,12 +118,17 @@ def test_the_papers_differences_cannot_show_a_delay() -> None:
 
 
 def flown_with(
-    delay: float, told: float, lag_told: float = 0.0, seconds: float = 40.0, **changes: Any
+    delay: float,
+    told: float,
+    lag_told: float = 0.0,
+    seconds: float = 40.0,
+    lag: float = 0.0,
+    **changes: Any,
 ) -> tuple[OnlineIdentifier, Estimate]:
-    """Return an identifier, told a delay and a lag, after a flight whose servos have no lag."""
+    """Return an identifier, told a delay and a lag, after a flight with those of the servos."""
     peaks = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
     segments = [Segment("multisine", 2.0, seconds, peaks, seed=1)]
-    flight = LightFlight(segments, seconds, gust=0.3, delay=delay, seed=1).fly()
+    flight = LightFlight(segments, seconds, gust=0.3, delay=delay, seed=1, time_constant=lag).fly()
     m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15))
     own = settings(m, actuators__delay=told, actuators__time_constant=lag_told, **changes)
     identifier = OnlineIdentifier(own)
@@ -175,6 +181,26 @@ def test_the_model_s_own_error_with_the_wrong_delay_is_forgotten() -> None:
     rudder = identifier.structure.index("rdot/dr")
     assert last.sigma[rudder] < 0.15 * 9.0
     assert last.coefficients[rudder] == pytest.approx(-9.0, abs=2.0 * last.sigma[rudder])
+
+
+def test_a_lag_that_a_delay_stands_for_makes_the_quick_axes_unsure() -> None:
+    """It takes from an aileron what no delay does, and predicts no better."""
+    structure, found = STRUCTURES["flight_dynamics"], {}
+    for told in (0.0, 0.12):
+        identifier, last = flown_with(
+            0.02, 0.02, told, seconds=60.0, lag=0.12, actuators__estimate_delay=True
+        )
+        aileron = structure.index("pdot/da")
+        found[told] = identifier, last, last.coefficients[aileron], last.sigma[aileron]
+    identifier, last, value, sigma = found[0.0]
+    assert identifier.delay_confidence == "sure"
+    assert 0.2 * 45.0 < abs(value - 45.0) < 3.0 * sigma
+    assert "a servo lag of" in last.reason
+    assert "'actuators.time_constant'" in last.reason
+    _, last, value, sigma = found[0.12]
+    assert value == pytest.approx(45.0, abs=2.0 * sigma)
+    assert sigma < 0.1 * 45.0
+    assert "a servo lag of" not in last.reason
 
 
 def test_the_delay_survives_a_gap_and_a_new_time_base() -> None:

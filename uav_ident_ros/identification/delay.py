@@ -95,6 +95,7 @@ class DelayEstimate:
     rise: float = 0.0  # Of the prediction error to wrong delays, in its standard deviations
     lag: float = 0.0  # First-order lag, s
     lag_sigma: float = math.inf  # Its standard deviation, s
+    hidden: float = 0.0  # Lag beyond the one in use that a delay stands for, s, rms by the odds
 
     @property
     def sure(self) -> bool:
@@ -424,6 +425,7 @@ def told(
         rise=min(found.rise, alone.rise),
         lag=own,
         lag_sigma=math.hypot(SYSTEMATIC_ERROR, lag_sigma),
+        hidden=min(math.hypot(own - lag, lag_sigma), LAGS[-1]),
     )
 
 
@@ -468,6 +470,7 @@ def judge(
         total=max(float(mean[0]), 0.0) + lag,
         total_sigma=math.sqrt(variance[1] + between),
         rise=float((rises[0] / spread).min()) if told else 0.0,
+        hidden=math.sqrt(float(weight[0] @ np.square(LAGS))),
     )
 
 

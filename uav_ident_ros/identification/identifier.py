@@ -572,7 +572,14 @@ class OnlineIdentifier:
             # What was known beforehand stands against a delay that inputs seem to have which answer
             # gusts.
             delays = NO_ESTIMATE
-        self._setup_errors.look(estimator.coefficients, delays, self.delay, estimator.height)
+        actuators = self.settings.actuators
+        self._setup_errors.look(
+            estimator.coefficients,
+            delays,
+            self.delay,
+            estimator.height,
+            lag_is_told=actuators.time_constant > 0.0 or not actuators.estimate_delay,
+        )
 
     def _judge(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> None:
         """Give the verdict anew: something was learned, or scored, since the last one."""

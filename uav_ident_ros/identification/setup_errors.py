@@ -44,7 +44,13 @@ class SetupErrors:
         self._found: list[SetupError] = []
 
     def look(
-        self, values: FloatArray, estimate: DelayEstimate, delay: float, height: float
+        self,
+        values: FloatArray,
+        estimate: DelayEstimate,
+        delay: float,
+        height: float,
+        *,
+        lag_is_told: bool,
     ) -> None:
         """Look at what the flight shows by now.
 
@@ -58,12 +64,16 @@ class SetupErrors:
             Delay in use, s.
         height : float
             Height of the accelerometer above where it is said to be, m; 0 for none.
+        lag_is_told : bool
+            Whether the lag in use is known, or a found delay may stand for another.
         """
         self._found = []
         if not self._structure.has_flow:
             return
         if estimate.off(delay):
             self._found.append(self._delay_error(values, estimate, delay))
+        elif estimate.sure and not lag_is_told:
+            self._found.append(self._lag_error(values, estimate.hidden))
         if height:
             self._found.append(self._height_error(values, height))
 
@@ -90,11 +100,24 @@ class SetupErrors:
         Before an axis that settles with a, an input that comes T later than told looks like one of
         an effect of 1 / (1 + a T): to first order the row is off by ``a T``.
         """
-        settling = damping(self._structure, values, self._airspeed)
-        share = np.abs(estimate.off(delay) * settling)
+        off = estimate.off(delay)
+        return SetupError(self._late(values, off), estimate.contradiction(delay))
+
+    def _lag_error(self, values: FloatArray, hidden: float) -> SetupError:
+        """Return what a servo lag, s, does that a delay stands for.
+
+        The delay makes the input as late; what the lag takes from it, ``1 / (1 + a T)``, stays.
+        """
         return SetupError(
-            share[:, None] * np.abs(values[: len(ROWS)]), estimate.contradiction(delay)
+            self._late(values, hidden),
+            f"a servo lag of {1e3 * hidden:.0f} ms would predict as well as the delay that was "
+            "found: set 'actuators.time_constant', or inject on purpose ('excitation')",
         )
+
+    def _late(self, values: FloatArray, time: float) -> FloatArray:
+        """By how much an input that comes so late, s, falsifies the moment rows, (3, n)."""
+        share = np.abs(time * damping(self._structure, values, self._airspeed))
+        return np.asarray(share[:, None] * np.abs(values[: len(ROWS)]))
 
     def _height_error(self, values: FloatArray, height: float) -> SetupError:
         """Return what an accelerometer does that is higher, m, than `imu.lever_arm` says.
