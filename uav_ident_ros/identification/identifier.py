@@ -572,13 +572,12 @@ class OnlineIdentifier:
             # What was known beforehand stands against a delay that inputs seem to have which answer
             # gusts.
             delays = NO_ESTIMATE
-        actuators = self.settings.actuators
         self._setup_errors.look(
             estimator.coefficients,
             delays,
             self.delay,
             estimator.height,
-            lag_is_told=actuators.time_constant > 0.0 or not actuators.estimate_delay,
+            lag_is_told=self.lag > 0.0 or not self.settings.actuators.estimate_delay,
         )
 
     def _judge(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> None:
