@@ -20,6 +20,7 @@ from uav_ident_ros.identification.delay import (
     STEP,
     SYSTEMATIC_ERROR,
     DelayBank,
+    DelayEstimate,
     judge,
 )
 from uav_ident_ros.identification.estimate import Estimate
@@ -201,6 +202,14 @@ def test_a_lag_that_a_delay_stands_for_makes_the_quick_axes_unsure() -> None:
     assert value == pytest.approx(45.0, abs=2.0 * sigma)
     assert sigma < 0.1 * 45.0
     assert "a servo lag of" not in last.reason
+
+
+def test_no_lag_is_hidden_where_what_was_injected_has_told_it() -> None:
+    """A lag of 0.1 s was in use, and none is there."""
+    before = DelayBank(0.3, 0.1)
+    before.estimate = DelayEstimate(-0.08, 0.01, 0.02, 0.01, 9.0, 0.0, 0.008, hidden=0.1)
+    now = DelayBank(0.3, 0.0, before).estimate
+    assert (now.delay, now.sigma, now.hidden) == (0.02, 0.01, 0.008)
 
 
 def test_the_delay_survives_a_gap_and_a_new_time_base() -> None:

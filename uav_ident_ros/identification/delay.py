@@ -203,7 +203,8 @@ class DelayBank:
         self._response, self._told = InjectedResponse(), NO_ESTIMATE
         if before is not None:
             self._response, known = before._response, before.estimate
-            self._told = replace(known, delay=known.total - lag, sigma=known.total_sigma)
+            delay, sigma = known.total - lag, known.total_sigma
+            self._told = replace(known, delay=delay, sigma=sigma, hidden=known.lag_sigma)
         self.estimate: DelayEstimate = self._told
         self._delay_ns = 0
         self.restart()
