@@ -18,7 +18,6 @@ from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.inputs import InputMap
 from uav_ident_ros.identification.prediction import (
     Flown,
     FlowStates,
@@ -29,10 +28,10 @@ from uav_ident_ros.identification.prediction import (
     score_windows,
     window_errors,
 )
-from uav_ident_ros.identification.sampling import Block, Sampler
+from uav_ident_ros.identification.sampling import Block, InputMap, Sampler
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
-from uav_ident_ros.messages.imu import IMU_TYPE
+from uav_ident_ros.messages.feed import IMU_TYPE
 from uav_ident_ros.messages.types import RATES
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.noise import Measurements

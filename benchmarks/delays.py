@@ -30,8 +30,7 @@ from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation import jsbsim_flight
 from uav_ident_ros.simulation.airframe import airframe
-from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.inputs import Segment, sample_inputs
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment, sample_inputs
 from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT, Autopilot, PlantFlight, vehicle

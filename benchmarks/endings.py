@@ -28,10 +28,9 @@ import bench
 import numpy as np
 
 from uav_ident_ros.bags.reading import Bag
-from uav_ident_ros.domain import own_domain
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, load_with_notes
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.process import NodeProcess
+from uav_ident_ros.process import NodeProcess, own_domain
 
 BAG = bench.ROOT / "bags" / "multisine"
 TOPICS = ("/imu/data", "/actuators")

@@ -44,10 +44,10 @@ from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
 from uav_ident_ros.simulation.live import Live
-from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.quadrotor import Body
 from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
+from uav_ident_ros.simulation.rate_reference import Manoeuvres
 
 CONFIG = bench.ROOT / "config" / "closed_loop"
 AIRCRAFT = "c172p"

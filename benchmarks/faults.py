@@ -30,7 +30,6 @@ import numpy as np
 from hostile import SECOND_NS, Hostile, stamped
 
 from uav_ident_ros.bags.reading import Bag
-from uav_ident_ros.domain import own_domain
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, declarations
@@ -38,7 +37,7 @@ from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.offline.run import OfflineRun, run_over
 from uav_ident_ros.offline.ticks import Ticks
 from uav_ident_ros.player import Outputs, Player, PlayerError
-from uav_ident_ros.process import NodeProcess
+from uav_ident_ros.process import NodeProcess, own_domain
 
 BAG = bench.ROOT / "bags" / "multisine"
 

@@ -23,10 +23,8 @@ from bench import BUILD
 from uav_ident_ros import simulation
 from uav_ident_ros.simulation.airframe import build
 from uav_ident_ros.simulation.channels import QUADROTOR
-from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import CoefficientChange, Flight
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.flight import CoefficientChange, Flight, SimulationError
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure

@@ -19,14 +19,13 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, parse_fault
-from uav_ident_ros.simulation.flight import EPOCH_NS
+from uav_ident_ros.simulation.flight import EPOCH_NS, SimulationError
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live, Sample
-from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared
+from uav_ident_ros.simulation.rate_reference import Manoeuvres
 
 DELAY = 0.02
 """From a sample to the surface that its command moves, s."""

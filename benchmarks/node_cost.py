@@ -206,7 +206,7 @@ COLUMNS = (
 
 def main() -> None:
     """Measure and print."""
-    from uav_ident_ros.domain import own_domain
+    from uav_ident_ros.process import own_domain
 
     parser = bench.parser(__doc__, seconds=60.0)
     parser.add_argument("--rates", type=float, nargs="+", default=[200.0, 500.0, 1000.0])

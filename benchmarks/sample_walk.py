@@ -23,7 +23,7 @@ from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.messages.imu import decode_imu_cdr
+from uav_ident_ros.messages.feed import decode_imu_cdr
 from uav_ident_ros.messages.types import ActuatorReader
 
 FLIGHT = bench.ROOT / "bags" / "c172p"

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from uav_ident_ros.bags.reading import Bag
-from uav_ident_ros.identification.inputs import InputMap
+from uav_ident_ros.identification.sampling import InputMap
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 FLIGHT = "thor75_flight"

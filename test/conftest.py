@@ -11,7 +11,7 @@ from once import made_once
 
 # The package limits BLAS's threads by the environment, so it must load before NumPy.
 import uav_ident_ros  # noqa: F401
-from uav_ident_ros.domain import own_domain
+from uav_ident_ros.process import own_domain
 
 # A shell starts what it runs in the background with SIGINT ignored, and every child inherits
 # that: the programs under test could not be interrupted.

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import AIRSPEED, ARMED, Drop
+from uav_ident_ros.identification.samples import AIRSPEED, ARMED, Drop
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.feed import Arrivals
 

@@ -20,7 +20,7 @@ from uav_ident_ros.bags import messages
 from uav_ident_ros.bags.messages import ARRAY
 from uav_ident_ros.bags.reading import MCAP_MAGIC, Bag, BagError
 from uav_ident_ros.bags.writing import BagWriter
-from uav_ident_ros.messages.imu import decode_imu_cdr
+from uav_ident_ros.messages.feed import decode_imu_cdr
 
 FOREIGN = "px4_msgs/msg/ActuatorServos"
 SUBSTITUTE = b"x/msg/" + b"Y" * 24

@@ -9,7 +9,7 @@ import pytest
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.gates import at_limit
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.inputs import InputMap
+from uav_ident_ros.identification.sampling import InputMap
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.types import ACTUATORS, ActuatorReader, frame_fault
 from uav_ident_ros.simulation.channels import QUADROTOR

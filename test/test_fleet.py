@@ -25,14 +25,17 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline import fleet_command, main
 from uav_ident_ros.offline.fleet import (
     BASELINE,
+    CSV_FILE,
     FALSE_NAMES,
+    FlightRow,
     changes,
     fleet_of,
     limit_of,
     pool,
+    read_flights,
     standard,
+    write_flights,
 )
-from uav_ident_ros.offline.flights_table import CSV_FILE, FlightRow, read_flights, write_flights
 from uav_ident_ros.offline.parallel import DONE_FILE
 
 NAMES = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")

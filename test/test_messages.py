@@ -25,7 +25,7 @@ from uav_ident_ros.identification.settings import (
 )
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages import types
-from uav_ident_ros.messages.imu import decode_imu_cdr
+from uav_ident_ros.messages.feed import decode_imu_cdr
 from uav_ident_ros.messages.published import (
     coefficients_layout,
     dense_coefficients,
@@ -246,7 +246,7 @@ def test_import_type() -> None:
 
 def test_messages_import_no_ros() -> None:
     code = (
-        "import sys, uav_ident_ros.messages.streams, uav_ident_ros.messages.imu; "
+        "import sys, uav_ident_ros.messages.feed, uav_ident_ros.messages.published; "
         "sys.exit(any(m.split('.')[0] in ('rclpy', 'sensor_msgs', 'rosbags', 'scipy')"
         " for m in sys.modules))"
     )

@@ -21,8 +21,8 @@ import yaml
 from repository import ROOT, console_scripts, setup_arguments
 
 from uav_ident_ros.commandline import USAGE_ERROR
-from uav_ident_ros.domain import own_domain
 from uav_ident_ros.node.memory import FINISH_WITHIN
+from uav_ident_ros.process import own_domain
 
 PACKAGE = "uav_ident_ros"
 SPDX = "SPDX-License-Identifier: Apache-2.0"

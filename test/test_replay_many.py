@@ -18,9 +18,9 @@ from repository import ROOT
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE, job, main
+from uav_ident_ros.offline.command import WORST_FIT, mean_fit, overview, percent, ranked, ranking
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.job import Job, Outcome
-from uav_ident_ros.offline.overview import WORST_FIT, mean_fit, overview, percent, ranked, ranking
 
 
 @pytest.fixture(scope="module")

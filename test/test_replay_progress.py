@@ -13,7 +13,7 @@ import pytest
 from excerpts import excerpt
 from programs import Capture, Terminal
 
-from uav_ident_ros.offline import NOT_USABLE, USABLE, progress
+from uav_ident_ros.offline import NOT_USABLE, USABLE, job
 
 
 def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
@@ -30,7 +30,7 @@ def test_one_bag_shows_every_phase_and_the_time_left(tmp_path: Path) -> None:
     status, shown = on_a_terminal([str(bag), "--output", str(tmp_path / "out")])
     assert status in (USABLE, NOT_USABLE), shown
     given = re.findall(r"(\w+) +(\d+)%\|.*?\| [\d:]+<[\d:?]+", shown)
-    assert list(dict.fromkeys(phase for phase, _ in given)) == list(progress.SHARES)
+    assert list(dict.fromkeys(phase for phase, _ in given)) == list(job.SHARES)
     shares = [int(share) for _, share in given]
     assert shares == sorted(shares)
     assert shares[-1] == 95
@@ -54,7 +54,7 @@ def test_without_a_terminal_a_line_now_and_then(
 ) -> None:
     now = itertools.count(0.0, 10.0)  # every look at the clock is ten seconds later
     monkeypatch.setattr("tqdm.std.time", lambda: next(now))
-    with progress.Progress() as shown:
+    with job.Progress() as shown:
         shown.enter("reading")
         assert list(shown.messages(range(8), 8)) == list(range(8))  # type: ignore[arg-type]
     shares = [int(share) for share in re.findall(r"reading +(\d+)%", capsys.readouterr().err)]

@@ -24,7 +24,6 @@ from uav_ident_ros.commandline import (
     end_as_on_ctrl_c,
     number,
 )
-from uav_ident_ros.domain import LAST_DOMAIN, own_domain
 from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.streams import STREAMS
@@ -35,7 +34,7 @@ from uav_ident_ros.offline import NO_RESULT, NODE_NAME
 from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.run import Inputs, choose_inputs
 from uav_ident_ros.player import Player, PlayerError
-from uav_ident_ros.process import NodeProcess
+from uav_ident_ros.process import LAST_DOMAIN, NodeProcess, own_domain
 from uav_ident_ros.share import shared
 
 FAILED = 1

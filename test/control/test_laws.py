@@ -10,9 +10,9 @@ from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource
 from uav_ident_ros.control import Effectiveness, IncrementalLaw, Law
 from uav_ident_ros.control.allocation import authority
 from uav_ident_ros.control.pid import PidController, PidGains
+from uav_ident_ros.control.reference import Smoother
 from uav_ident_ros.control.response import Response
 from uav_ident_ros.control.sideslip import SIDESLIP_RATE, rolls_over, yaw_for_roll
-from uav_ident_ros.control.smoothing import Smoother
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
 
 LAWS = pytest.mark.parametrize("law", list(Law))

@@ -20,11 +20,11 @@ from flying import (
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import ACTUATORS, RATES, Drop
+from uav_ident_ros.identification.samples import ACTUATORS, RATES, Drop
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
+from uav_ident_ros.simulation.inputs import ColouredNoise
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.plant import vehicle
 

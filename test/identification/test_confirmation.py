@@ -4,9 +4,8 @@
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.confirmation import Confirmation
-from uav_ident_ros.identification.noise import NoiseModel
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
+from uav_ident_ros.identification.residuals import Confirmation, NoiseModel
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, STRUCTURES
 
 LAYOUT = layout(STRUCTURES["augmented"])

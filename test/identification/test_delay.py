@@ -24,16 +24,15 @@ from uav_ident_ros.identification.delay import (
     judge,
 )
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.feedback import ANSWER_TIMES
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.residuals import ANSWER_TIMES
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight

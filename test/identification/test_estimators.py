@@ -22,9 +22,8 @@ from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.rigid_body import product_coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import CoefficientChange
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import vehicle
 

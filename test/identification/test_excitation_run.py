@@ -16,9 +16,9 @@ from uav_ident_ros.identification.excitation_run import (
     Phase,
 )
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.programmed_input import ProgrammedInput
 from uav_ident_ros.identification.settings import ExcitationSettings, Settings, SettingsError
 from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.waveforms import ProgrammedInput
 
 ARMED = "std_msgs/msg/Bool"
 TICK_NS = 50_000_000

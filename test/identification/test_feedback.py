@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.identification.estimators.information import Information
-from uav_ident_ros.identification.feedback import Feedback
 from uav_ident_ros.identification.prior import first_values, start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
+from uav_ident_ros.identification.residuals import Feedback
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FORCE_ROWS, STRUCTURES
 

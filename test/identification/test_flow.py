@@ -21,9 +21,8 @@ from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
-from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
 
 FLIGHT = STRUCTURES["flight_dynamics"]

@@ -13,10 +13,9 @@ from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.gates import ROW_GATES, Gates, GlitchFilter, Look, RestGate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import Drop
+from uav_ident_ros.identification.samples import Drop
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT, CoefficientChange
 

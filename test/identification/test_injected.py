@@ -10,10 +10,10 @@ from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import EXCITATION, Drop
 from uav_ident_ros.identification.parallel_model import ParallelModel
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
+from uav_ident_ros.identification.samples import EXCITATION, Drop
 from uav_ident_ros.identification.sampling import Block, Sampler, join
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
 from uav_ident_ros.identification.structure import (

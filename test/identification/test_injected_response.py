@@ -12,8 +12,7 @@ from uav_ident_ros.identification.delay import APART, LAGS, STEP, SYSTEMATIC_ERR
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.injected_response import Found, InjectedResponse
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.inputs import Segment, sample_inputs
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment, sample_inputs
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.quadrotor import Body
 from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight

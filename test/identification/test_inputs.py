@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.inputs import InputMap, ServoLag, cell_means
+from uav_ident_ros.identification.sampling import InputMap, ServoLag, cell_means
 from uav_ident_ros.identification.settings import Settings
 
 MS = 1_000_000

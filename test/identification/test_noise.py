@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.noise import ORDER, NoiseModel
 from uav_ident_ros.identification.regression import RowSamples
+from uav_ident_ros.identification.residuals import ORDER, NoiseModel
 from uav_ident_ros.identification.scales import MEMORY
 
 DT = 0.05

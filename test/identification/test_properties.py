@@ -24,7 +24,7 @@ from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_c
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier, State
-from uav_ident_ros.identification.intake import LARGEST_GYRO_RATE, LATEST_STAMP
+from uav_ident_ros.identification.samples import LARGEST_GYRO_RATE, LATEST_STAMP
 from uav_ident_ros.identification.settings import (
     LARGEST_COEFFICIENT,
     MAX_DELAY,

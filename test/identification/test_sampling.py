@@ -12,8 +12,7 @@ from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.sampling import RATE_SAMPLES, Block, Sampler
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
-from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 
 MS = 1_000_000

@@ -4,7 +4,7 @@
 import pytest
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import LATEST_STAMP, Drop, Stamp, StampGuard
+from uav_ident_ros.identification.samples import LATEST_STAMP, Drop, Stamp, StampGuard
 from uav_ident_ros.identification.scales import IN_A_ROW
 from uav_ident_ros.identification.settings import Settings
 

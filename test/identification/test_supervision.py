@@ -11,8 +11,7 @@ from light_aircraft import LightFlight
 from uav_ident_ros.identification import supervision
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT
 

@@ -14,8 +14,7 @@ from excerpts import decoded
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.import_logs.cli import main
 from uav_ident_ros.messages.types import header_ns
-from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 

@@ -10,9 +10,8 @@ import pytest
 from node_process import StartNode
 from recordings import Fly, MakePlayer, Recording
 
-from uav_ident_ros.domain import own_domain
 from uav_ident_ros.player import Player
-from uav_ident_ros.process import NodeProcess
+from uav_ident_ros.process import NodeProcess, own_domain
 
 
 @contextmanager

@@ -17,10 +17,10 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
-from uav_ident_ros.domain import own_domain
 from uav_ident_ros.guest import Guest
+from uav_ident_ros.process import own_domain
 from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, main, tracking_error
-from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.flight import SimulationError
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 

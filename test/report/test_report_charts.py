@@ -19,7 +19,6 @@ from uav_ident_ros.files.truth_file import Truth, read_truth
 from uav_ident_ros.identification.identifier import State
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.report.analysis import SAMPLE_RATE, autocorrelation, spectra, welch
 from uav_ident_ros.report.charts import (
     GRAVEST,
     coefficient_charts,
@@ -27,6 +26,7 @@ from uav_ident_ros.report.charts import (
     signal_charts,
     state_chart,
 )
+from uav_ident_ros.report.diagrams import SAMPLE_RATE, autocorrelation, spectra, welch
 from uav_ident_ros.report.flight import Flight, Predictions, collect, predict
 from uav_ident_ros.report.page import _embed
 from uav_ident_ros.report.picture import with_sigma

@@ -7,7 +7,7 @@ import pytest
 
 from uav_ident_ros.simulation.aircraft import Aircraft
 from uav_ident_ros.simulation.airframe import FOLDER, airframe, airframe_names
-from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.flight import SimulationError
 
 TEXT = """\
 description: mine

@@ -4,7 +4,7 @@ import pytest
 
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.identification.waveforms import WaveformError, disjoint_harmonics
-from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.flight import SimulationError
 from uav_ident_ros.simulation.inputs import Segment
 
 AMPLITUDES = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}

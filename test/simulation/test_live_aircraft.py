@@ -10,8 +10,8 @@ import pytest
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.closed_loop import CONFIG
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import Fault, parse_fault
+from uav_ident_ros.simulation.flight import SimulationError
 from uav_ident_ros.simulation.noise import Sensors
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")

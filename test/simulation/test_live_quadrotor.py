@@ -17,10 +17,10 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import parse_fault
-from uav_ident_ros.simulation.manoeuvres import Manoeuvres
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.quadrotor import Body
 from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
+from uav_ident_ros.simulation.rate_reference import Manoeuvres
 
 FILES = Path(__file__).resolve().parents[2] / "config" / "closed_loop"
 SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)

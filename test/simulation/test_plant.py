@@ -7,9 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, vehicle
 
 SMALL_UAV = vehicle("small_uav")

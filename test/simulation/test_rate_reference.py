@@ -9,9 +9,8 @@ import pytest
 pytest.importorskip("rclpy", reason="the reference is a ROS node")
 
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.simulation.manoeuvres import MAX_RATES, Manoeuvres, body_rates
 from uav_ident_ros.simulation.plant_node import quaternion
-from uav_ident_ros.simulation.rate_reference import attitude
+from uav_ident_ros.simulation.rate_reference import MAX_RATES, Manoeuvres, attitude, body_rates
 
 DT = 0.01
 

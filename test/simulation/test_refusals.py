@@ -12,9 +12,8 @@ from light_aircraft import LightFlight
 from programs import Capture
 
 from uav_ident_ros.simulation import closed_loop
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
-from uav_ident_ros.simulation.flight import CoefficientChange
+from uav_ident_ros.simulation.flight import CoefficientChange, SimulationError
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.noise import Sensors, measure

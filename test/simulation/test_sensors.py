@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.simulation.channels import CHANNEL_SETS
-from uav_ident_ros.simulation.disturbance import ColouredNoise
 from uav_ident_ros.simulation.flight import Flight
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 

@@ -14,9 +14,8 @@ There is no estimator in here, and but for `subscribe` no ROS. In a node::
 
 from uav_ident_ros.client.coefficients import Coefficients, MessageError
 from uav_ident_ros.client.excitation import Excitation
-from uav_ident_ros.client.history import History
 from uav_ident_ros.client.model import AttitudeModel, Inversion, Refusal
-from uav_ident_ros.client.source import CoefficientSource, Fallback
+from uav_ident_ros.client.source import CoefficientSource, Fallback, History
 from uav_ident_ros.client.subscription import subscribe, subscribe_excitation
 
 __all__ = [

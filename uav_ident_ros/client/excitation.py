@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from uav_ident_ros.client.history import History
+from uav_ident_ros.client.source import History
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 

@@ -2,15 +2,40 @@
 """Which coefficients a controller acts on: the newest, the last good or the author's own."""
 
 import dataclasses
+from collections import deque
 from enum import Enum
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from uav_ident_ros.client.coefficients import Coefficients, NamedMessage
-from uav_ident_ros.client.history import History
 from uav_ident_ros.client.model import AttitudeModel, Refusal
 from uav_ident_ros.identification.structure import BoolArray
 from uav_ident_ros.messages.types import NS_PER_S
+
+LENGTH = 128
+"""Values that are kept: six seconds of coefficients, one of a fast reference."""
+
+Value = TypeVar("Value")
+
+
+class History(Generic[Value]):
+    """The newest values of a topic by their stamps."""
+
+    def __init__(self) -> None:
+        self._items: deque[tuple[int, Value]] = deque(maxlen=LENGTH)
+
+    def add(self, t_ns: int, value: Value) -> None:
+        """Add a value: it hides what came before with a later stamp, as after a new start."""
+        self._items.append((t_ns, value))
+
+    def at(self, t_ns: int) -> Value | None:
+        """Newest value stamped at or before `t_ns`; None if there is none."""
+        for stamp, value in reversed(self._items):
+            if stamp <= t_ns:
+                return value
+        return None
+
 
 MAX_AGE = 0.5
 """Age at which coefficients count as stale, s: ten ticks missed."""

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.control.allocation import allocate
-from uav_ident_ros.control.reference import Gains, ReferenceModel
+from uav_ident_ros.control.reference import Gains, ReferenceModel, Smoother
 from uav_ident_ros.control.sideslip import LARGEST_YAW_RATE
-from uav_ident_ros.control.smoothing import Smoother
 from uav_ident_ros.identification.structure import FloatArray
 
 GAINS = Gains(rate=(5.0, 4.0, 2.0), bandwidth=20.0)

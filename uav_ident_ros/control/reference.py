@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The angular acceleration that follows a rate reference: common to all laws."""
+"""The angular acceleration that follows a rate reference, and the filter: common to all laws."""
 
 from __future__ import annotations
 
@@ -39,3 +39,42 @@ class ReferenceModel:
         slope = (reference - self._smooth) / self._gains.reference_time
         self._smooth = self._smooth + dt * slope
         return np.asarray(slope + np.array(self._gains.rate) * (reference - x))
+
+
+# --- the filter that rates and inputs pass alike --------------------------------------------------
+
+
+DAMPING = 0.8
+"""Damping ratio: no overshoot to speak of."""
+
+
+class Smoother:
+    """Low-pass ``w^2 / (s^2 + 2 d w s + w^2)`` of a vector, exact for inputs held between samples.
+
+    Parameters
+    ----------
+    bandwidth : float
+        w, rad/s.
+    start : (n,) array
+        Value at rest.
+
+    Attributes
+    ----------
+    value, slope : (n,) arrays
+        Filtered signal and its derivative, 1/s.
+    """
+
+    def __init__(self, bandwidth: float, start: FloatArray) -> None:
+        self._bandwidth = bandwidth
+        self.value = np.array(start, dtype=np.float64)
+        self.slope = np.zeros_like(self.value)
+
+    def update(self, signal: FloatArray, dt: float) -> None:
+        """Move on by `dt` seconds with `signal` held."""
+        w = self._bandwidth
+        decay, damped = DAMPING * w, w * np.sqrt(1.0 - DAMPING**2)
+        away = self.value - signal
+        c, s = np.cos(damped * dt), np.sin(damped * dt) / damped
+        e = np.exp(-decay * dt)
+        self.value = signal + e * (away * (c + decay * s) + self.slope * s)
+        self.slope = e * (self.slope * (c - decay * s) - away * w**2 * s)

@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from uav_ident_ros.client import AttitudeModel
-from uav_ident_ros.control.smoothing import Smoother
+from uav_ident_ros.control.reference import Smoother
 from uav_ident_ros.identification.linearisation import STATES, level_flight, linearise
 from uav_ident_ros.identification.structure import ROWS, FloatArray
 

@@ -22,7 +22,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.estimators.information import FIRST_RESIDUAL_VARIANCE
-from uav_ident_ros.identification.feedback import ANSWER_TIMES
 from uav_ident_ros.identification.injected_response import Found, InjectedResponse
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.prediction import HORIZONS
@@ -33,6 +32,7 @@ from uav_ident_ros.identification.prior import (
     RATE_SIGMA,
     SIDE_FORCE_SLOPE,
 )
+from uav_ident_ros.identification.residuals import ANSWER_TIMES
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.sampling import Block, join
 from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, SAMPLE_TIME, STEP

@@ -19,35 +19,38 @@ from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look, grounded
-from uav_ident_ros.identification.intake import (
-    ACTUATORS,
-    AIRSPEED,
-    ARMED,
-    EXCITATION,
-    NO_TICK,
-    RATES,
-    Drop,
-    Intake,
+from uav_ident_ros.identification.parallel_model import (
+    ParallelModel,
+    RunningFit,
+    Stretch,
+    Stretches,
 )
-from uav_ident_ros.identification.noise import NoiseModel
-from uav_ident_ros.identification.paper import BackwardDifference
-from uav_ident_ros.identification.parallel_model import ParallelModel
-from uav_ident_ros.identification.plausibility import Plausibility
+from uav_ident_ros.identification.plausibility import Plausibility, SetupErrors
 from uav_ident_ros.identification.prior import Start, resumed, start_from, without_flow
 from uav_ident_ros.identification.regression import (
+    BackwardDifference,
     Regression,
     RowSamples,
     StateVariableFilter,
     layout,
 )
-from uav_ident_ros.identification.running_fit import RunningFit
-from uav_ident_ros.identification.samples import NS, SampleBuffer
+from uav_ident_ros.identification.residuals import NoiseModel
+from uav_ident_ros.identification.samples import (
+    ACTUATORS,
+    AIRSPEED,
+    ARMED,
+    EXCITATION,
+    NO_TICK,
+    NS,
+    RATES,
+    Drop,
+    Intake,
+    SampleBuffer,
+)
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.scales import SAMPLE_TIME, SHORT_MEMORY
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
-from uav_ident_ros.identification.setup_errors import SetupErrors
 from uav_ident_ros.identification.speed import SpeedScaling
-from uav_ident_ros.identification.stretches import Stretch, Stretches
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.identification.supervision import State, Supervisor
 

@@ -1,14 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The identified model in parallel with the aircraft: what it predicts, and the instruments."""
+"""The identified model in parallel with the aircraft: what it predicts, and how well.
+
+Its states are the instruments.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from uav_ident_ros.identification.flow import FlowObserver
-from uav_ident_ros.identification.model import IdentifiedModel
-from uav_ident_ros.identification.sampling import Block
-from uav_ident_ros.identification.scales import RESPONSE_TIME
+from uav_ident_ros.identification.model import IdentifiedModel, bounded
+from uav_ident_ros.identification.prediction import HORIZONS, LAST_PART
+from uav_ident_ros.identification.sampling import Block, edge_values, join
+from uav_ident_ros.identification.scales import MEMORY, RESPONSE_TIME
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray, Structure
 
@@ -77,3 +85,185 @@ class ParallelModel:
         if self._since_injected >= RESPONSE_TIME:
             return states, False
         return self._response.respond(coefficients, block, leak_time), True
+
+
+# --- what is learned from at once -----------------------------------------------------------------
+
+
+class Stretch(NamedTuple):
+    """Blocks that continue one another, and what the identifier made of them."""
+
+    block: Block  # Measured signals over m cells
+    states: FloatArray  # (m + 1, 3 or 8) State of the identified model at the edges
+    learns: bool  # Whether the gates let it be learned from
+    readable: bool  # Whether it may be scored
+    injected: bool  # Whether the states answer what was injected on purpose alone
+    blocks: int = 1  # Number of blocks, one a tick
+
+    @property
+    def kind(self) -> tuple[bool, bool, bool]:
+        """What those must have alike that are joined."""
+        return self.learns, self.readable, self.injected
+
+
+class Stretches:
+    """Joins blocks to stretches."""
+
+    def __init__(self) -> None:
+        self._parts: list[Stretch] = []
+
+    def add(self, part: Stretch, length: float) -> Iterator[Stretch]:
+        """Take a block; yield the stretches that end with it or before it, at `length` s."""
+        if self._parts and (part.block.restarted or part.kind != self._parts[0].kind):
+            yield self._ended()
+        self._parts.append(part)
+        if sum(p.block.time for p in self._parts) >= length - 0.5 * part.block.h:
+            yield self._ended()
+
+    def _ended(self) -> Stretch:
+        """Join the parts so far."""
+        parts, self._parts = self._parts, []
+        if len(parts) == 1:
+            return parts[0]
+        block, states = join([p.block for p in parts]), edge_values([p.states for p in parts])
+        return Stretch(block, states, *parts[0].kind, blocks=len(parts))
+
+
+# --- how well the coefficients foretell the next second, freely -----------------------------------
+
+
+FAILED_PREDICTION = 4.0
+"""Squared error, relative to the signal's own variation, at which a prediction has failed: how
+much further it went astray tells nothing more. A fit of -100 percent."""
+
+# The sums over samples: count, x, x^2, then squared errors.
+_SPREAD, _MODEL, _HOLD, _SAVED = slice(0, 3), 3, 4, 5
+
+
+class RunningFit:
+    """Free 1-second prediction fit of the coefficients in use, of those saved, and of holding.
+
+    Predictions follow one another: each starts from the measured state, with the coefficients
+    of that time; nothing measured but the inputs enters after that. It is compared with every
+    sample of its second.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the coefficients.
+    model : IdentifiedModel
+        What predicts.
+
+    Attributes
+    ----------
+    fit, hold, saved : (3,) array
+        Fit of p, q, r in percent, of the coefficients in use, of the rates held and of the
+        coefficients last saved; 0 until there is one.
+    flight_fit, flight_hold : (3,) array
+        The same over the last part of the flight so far.
+    predictions : int
+        Predictions that have counted.
+    """
+
+    def __init__(self, structure: Structure, model: IdentifiedModel) -> None:
+        self._holds_force = structure.has_forces
+        self._model = model
+        self.fit: FloatArray = np.zeros(3)
+        self.hold: FloatArray = np.zeros(3)
+        self.saved: FloatArray = np.zeros(3)
+        self.flight_fit: FloatArray = np.zeros(3)
+        self.flight_hold: FloatArray = np.zeros(3)
+        self.predictions = 0
+        self._sums: FloatArray = np.zeros((6, 3))
+        self._flight: FloatArray = np.zeros((6, 3))
+        self.forget()
+
+    def restart(self) -> None:
+        """Give up the prediction under way."""
+        self._parts: list[Block] = []
+        self._time = 0.0
+
+    def forget(self) -> None:
+        """Judge by what comes: the aircraft has changed. `fit` stays until there is a new one."""
+        self.restart()
+        self._age = 0.0
+        self._sums.fill(0.0)
+        self._flight.fill(0.0)
+
+    def save(self) -> None:
+        """Take note that the coefficients in use are saved: so far they have one history."""
+        self._sums[_SAVED] = self._sums[_MODEL]
+
+    def add(
+        self,
+        block: Block,
+        coefficients: FloatArray,
+        saved: FloatArray | None,
+    ) -> None:
+        """Take a block of signals; once a second is full, it is predicted and counts.
+
+        Parameters
+        ----------
+        block : Block
+            Signals.
+        coefficients : (R, n) array
+            Coefficients in use when the block began.
+        saved : (R, n) array or None
+            Coefficients last saved; None while there are none.
+        """
+        if block.restarted:
+            self.restart()
+        if not self._parts:
+            self._coefficients, self._saved = coefficients, saved
+        self._parts.append(block)
+        self._time += block.time
+        if self._time >= HORIZONS[0] - 0.5 * block.h:
+            self._count(join(self._parts))
+            self.restart()
+
+    def _count(self, second: Block) -> None:
+        """Predict a second, and count it."""
+        if self._holds_force:
+            held = np.broadcast_to(second.specific_force[:1], second.specific_force.shape)
+            second = replace(second, specific_force=held)
+        x, now = second.x[1:], np.zeros((6, 3))
+        now[_SPREAD] = np.full(3, len(x)), x.sum(axis=0), (x * x).sum(axis=0)
+        now[_HOLD] = ((x - second.x[0]) ** 2).sum(axis=0)
+        now[_MODEL] = self._error(second, self._coefficients)
+        if self._saved is not None:
+            now[_SAVED] = self._error(second, self._saved)
+        self.predictions += 1
+        self._age += self._time
+        self._sums = self._added(self._sums, now, min(MEMORY, 0.5 * self._age))
+        self._flight = self._added(self._flight, now, LAST_PART * self._age)
+        self.fit, self.hold, self.saved = _fit(self._sums)
+        self.flight_fit, self.flight_hold, _ = _fit(self._flight)
+        if self._saved is None:
+            self.saved = np.zeros(3)
+
+    def _added(self, sums: FloatArray, now: FloatArray, memory: float) -> FloatArray:
+        """Return sums with those of a second, and older ones faded by `memory`, s."""
+        sums = np.exp(-self._time / memory) * sums + now
+        typical = _spread(sums) * now[0] / sums[0]
+        failed = FAILED_PREDICTION * np.maximum(_spread(now), typical)
+        errors = slice(_SPREAD.stop, None)
+        sums[errors] -= np.maximum(now[errors] - failed, 0.0)
+        return np.asarray(sums)
+
+    def _error(self, second: Block, coefficients: FloatArray) -> FloatArray:
+        """Sum of the squared errors of a prediction, shape (3,)."""
+        states = self._model.propagate(coefficients, second, second.state[0])
+        return np.asarray(((second.x - bounded(states)[:, :3])[1:] ** 2).sum(axis=0))
+
+
+def _spread(sums: FloatArray) -> FloatArray:
+    """Sum of the squared deviations from the mean, shape (3,)."""
+    count, total, square = sums[_SPREAD]
+    return np.asarray(np.maximum(square - total * total / count, 0.0))
+
+
+def _fit(sums: FloatArray) -> FloatArray:
+    """Fits in percent of model, holding and saved, shape (3, 3)."""
+    errors, spread = sums[_SPREAD.stop :], _spread(sums)
+    ratio = np.divide(errors, spread, out=np.ones_like(errors), where=spread > 0.0)
+    return np.asarray(100.0 * (1.0 - np.sqrt(ratio)))

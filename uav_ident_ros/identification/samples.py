@@ -1,15 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stream of stamped samples: taken as they come, used in order of their stamps."""
+"""Samples in: checked, told from outliers, put by, and the ticks that they make due.
+
+Tick k is at message time ``k / update_rate``. It is due when the newest stamp of the rates has
+passed it by `input_wait`, and uses every sample stamped at or before it.
+"""
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import Enum, StrEnum
+from fractions import Fraction
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.identification.scales import IN_A_ROW
+from uav_ident_ros.identification.settings import MAX_DELAY, Settings
+from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
 
 TimeArray = NDArray[np.int64]
 
@@ -126,3 +138,336 @@ class SampleBuffer:
         since, low = self.t.take(left), self.v.take(left, axis=0)
         share = (t_ns - since) / (self.t.take(right) - since)
         return low + share[:, None] * (self.v.take(right, axis=0) - low)
+
+
+# --- what arrives ---------------------------------------------------------------------------------
+
+
+RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
+EXCITATION = "excitation"
+"""The streams, as `Intake.drops` names them."""
+
+SECOND_NS = 1_000_000_000
+
+NO_TICK = -(2**62)
+"""Time of the last tick before the first, ns."""
+
+LARGEST_GYRO_RATE = 100.0
+"""Rate that no gyro of an aircraft measures, rad/s: 5700 deg/s."""
+
+LARGEST_MOTION = 1000.0
+"""Specific force, m/s^2, and airspeed, m/s, that no aircraft survives."""
+
+LARGEST_CHANNEL = 1e5
+"""Raw channel value of no known unit: radians, fractions, PWM microseconds and motor speeds
+all stay below."""
+
+LATEST_STAMP = (2**31 - 1) * 1_000_000_000
+"""Last time that a ROS stamp can hold, ns: there is no message with the ticks after it."""
+
+
+class Drop(StrEnum):
+    """Why a sample was dropped."""
+
+    NOT_FINITE = "not finite"
+    WRONG_LENGTH = "wrong number of values"
+    ZERO_STAMP = "zero or negative stamp"
+    BEYOND_STAMP = "stamp beyond 2038"
+    OUTLYING_STAMP = "outlying stamp"
+    IMPLAUSIBLE = "implausibly large"
+    GLITCH = "out of range for an instant"
+    LATE = "late"
+    DUPLICATE = "repeated stamp"
+    CLOCK_MISMATCH = "stamp far from the Imu's"
+
+
+def time_problem(t_ns: int) -> Drop | None:
+    """Return why no sample can have this stamp, ns; None if one can."""
+    if t_ns <= 0:
+        return Drop.ZERO_STAMP
+    return Drop.BEYOND_STAMP if t_ns > LATEST_STAMP else None
+
+
+def value_problem(values: Sequence[float], count: int, largest: float) -> Drop | None:
+    """Return why a sample's values cannot be used; None if they can.
+
+    Parameters
+    ----------
+    values : sequence of floats
+        The values, any unit.
+    count : int
+        How many there must be.
+    largest : float
+        Magnitude that none may exceed.
+    """
+    if len(values) != count:
+        return Drop.WRONG_LENGTH
+    if not math.isfinite(sum(values)):
+        return Drop.NOT_FINITE
+    if max(map(abs, values)) > largest:
+        return Drop.IMPLAUSIBLE
+    return None
+
+
+class Stamp(Enum):
+    """Verdict on one stamp."""
+
+    GOOD = "good"
+    OUTLYING = "outlying"
+    NEW_BASE = "new base"
+
+
+class StampGuard:
+    """Tells an outlying stamp from a new time base.
+
+    Parameters
+    ----------
+    jump_ns : int
+        Distance from the newest stamp beyond which a stamp is outlying, ns.
+    """
+
+    def __init__(self, jump_ns: int) -> None:
+        self._jump_ns = jump_ns
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the stream: the next stamp starts a new one."""
+        self.newest: int | None = None
+        self._candidate: int = 0
+        self._agreeing: int = 0
+
+    def check(self, t_ns: int) -> Stamp:
+        """Judge the stamp `t_ns`; on NEW_BASE the stream has moved to it."""
+        if self.newest is None or abs(t_ns - self.newest) <= self._jump_ns:
+            self.newest = t_ns if self.newest is None else max(self.newest, t_ns)
+            self._agreeing = 0
+            return Stamp.GOOD
+        agrees = self._agreeing and 0 < t_ns - self._candidate <= self._jump_ns
+        self._agreeing = self._agreeing + 1 if agrees else 1
+        self._candidate = t_ns
+        if self._agreeing < IN_A_ROW:
+            return Stamp.OUTLYING
+        self.newest = t_ns
+        self._agreeing = 0
+        return Stamp.NEW_BASE
+
+
+class Stream(NamedTuple):
+    """A stream beside that of the rates."""
+
+    width: int  # Number of values of a sample
+    largest: float  # Magnitude that none of them may exceed
+    # Whether a late sample counts from the next tick on: it may never be said again
+    kept_if_late: bool = False
+    calls_off: bool = False  # Whether a sample calls off those before it of a later stamp
+
+
+Sample = tuple[int, Sequence[float], Sequence[float]]
+
+
+class Intake:
+    """What arrives, until a tick takes it.
+
+    Parameters
+    ----------
+    settings : Settings
+        Rates and waits of ticks, number of channels.
+    restart : callable
+        Starts all that works on the samples on a new time base; it calls `restart`.
+
+    Attributes
+    ----------
+    drops : dict
+        For each stream, how many samples were dropped for which reason.
+    fault : str
+        What is wrong with the clocks, in a sentence; empty if nothing is.
+    last_tick_ns : int
+        Time of the last tick that was due or run, ns.
+    """
+
+    def __init__(self, settings: Settings, restart: Callable[[], None]) -> None:
+        channels = len(settings.actuators.channels)
+        self._streams = {
+            ACTUATORS: Stream(channels, LARGEST_CHANNEL),
+            AIRSPEED: Stream(1, LARGEST_MOTION),
+            ARMED: Stream(1, 1.0, kept_if_late=True),
+            EXCITATION: Stream(len(INPUTS), LARGEST_CHANNEL, kept_if_late=True, calls_off=True),
+        }
+        self._restart_all = restart
+        self._rate = Fraction(settings.update_rate).limit_denominator(1_000_000)
+        self._wait_ns = round(settings.input_wait * SECOND_NS)
+        self._jump_ns = round(settings.time_jump * SECOND_NS)
+        self._lookback_ns = round((MAX_DELAY + settings.actuators.timeout) * SECOND_NS)
+        self._lookback_ns += 2 * self._jump_ns
+        self._guard = StampGuard(self._jump_ns)
+        self._buffers: Mapping[str, SampleBuffer] = {}
+        self.drops: dict[str, Counter[Drop]] = {name: Counter() for name in (RATES, *self._streams)}
+        self.fault = ""
+        self.restart()
+
+    def fill(self, buffers: Mapping[str, SampleBuffer]) -> None:
+        """Put samples into these buffers from now on, a stream an entry."""
+        self._buffers = buffers
+
+    def restart(self) -> None:
+        """Start on a new time base: what waits is forgotten."""
+        self._guard.reset()
+        self._outlying: list[Sample] = []
+        self._held: list[Callable[[], object]] | None = None
+        self._mismatches = 0
+        self._due: deque[int] = deque()
+        self._next_tick: int | None = None
+        self.last_tick_ns = NO_TICK
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Newest stamp of the rates, ns; None before any."""
+        return self._guard.newest
+
+    @property
+    def waiting(self) -> int:
+        """Number of ticks and outlying samples that wait."""
+        return len(self._due) + len(self._outlying)
+
+    # -- rates -----------------------------------------------------------------------------
+
+    def add_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
+        """Take a sample of rates and specific force; return why it was dropped, if it was."""
+        if self._held is not None:
+            self._held.append(partial(self.add_rates, t_ns, pqr, force))
+            return None
+        problem = (
+            value_problem(pqr, 3, LARGEST_GYRO_RATE)
+            or value_problem(force, 3, LARGEST_MOTION)
+            or time_problem(t_ns)
+        )
+        if problem is None:
+            stamp = self._guard.check(t_ns)
+            if stamp is Stamp.GOOD:
+                self._outlying.clear()
+                problem = self._take_rates(t_ns, pqr, force)
+            elif stamp is Stamp.NEW_BASE:
+                self._move_to_new_base((t_ns, pqr, force))
+            else:
+                self._outlying = self._outlying[1 - IN_A_ROW :]
+                self._outlying.append((t_ns, pqr, force))
+                problem = Drop.OUTLYING_STAMP
+        if problem is not None:
+            self.drops[RATES][problem] += 1
+        return problem
+
+    def _take_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
+        if t_ns <= self.last_tick_ns:
+            return Drop.LATE
+        self._buffers[RATES].append(t_ns, (*pqr, *force))
+        newest = self._guard.newest
+        assert newest is not None
+        if self.last_tick_ns == NO_TICK:
+            # The first samples may come in any order too.
+            first = self._first_tick(t_ns)
+            self._next_tick = first if self._next_tick is None else min(first, self._next_tick)
+        self._find_due(newest)
+        return None
+
+    def _move_to_new_base(self, sample: Sample) -> None:
+        """Start anew with the samples that agreed on the new base, once no tick is due."""
+        agreed = self._outlying[1 - IN_A_ROW :]
+        self.drops[RATES][Drop.OUTLYING_STAMP] -= len(agreed)
+        self._held = [partial(self.add_rates, *held) for held in (*agreed, sample)]
+        if not self._due:
+            self._take_held()
+
+    def _take_held(self) -> None:
+        """Begin the new time base with what was held back for it."""
+        held, self._held = self._held or [], None
+        self._restart_all()
+        for add in held:
+            add()
+
+    # -- the other streams -----------------------------------------------------------------
+
+    def add(self, name: str, t_ns: int, values: Sequence[float]) -> Drop | None:
+        """Take a sample of a stream beside the rates; return why it was dropped, if it was."""
+        if self._held is not None:
+            self._held.append(partial(self.add, name, t_ns, values))
+            return None
+        stream, buffer = self._streams[name], self._buffers[name]
+        problem = value_problem(values, stream.width, stream.largest) or self._stamp_problem(t_ns)
+        if name == ACTUATORS:
+            self._follow_clock(t_ns, problem)
+        if problem is Drop.LATE and stream.kept_if_late:
+            t_ns, problem = self.last_tick_ns + 1, None
+        if problem is not None:
+            self.drops[name][problem] += 1
+            return problem
+        if stream.calls_off:
+            buffer.call_off(t_ns)
+        buffer.append(t_ns, values)
+        if self._next_tick is None:
+            buffer.forget_waiting(t_ns, self._lookback_ns)
+        return None
+
+    def _stamp_problem(self, t_ns: int) -> Drop | None:
+        """Say what is wrong with a stamp beside those of the rates."""
+        problem = time_problem(t_ns)
+        if problem is not None:
+            return problem
+        newest = self._guard.newest
+        if newest is not None and abs(t_ns - newest) > self._jump_ns:
+            return Drop.CLOCK_MISMATCH
+        return Drop.LATE if t_ns <= self.last_tick_ns else None
+
+    def _follow_clock(self, t_ns: int, problem: Drop | None) -> None:
+        """Find that the actuators run on another clock, or no longer do."""
+        newest = self._guard.newest
+        if problem is None or problem is Drop.LATE:
+            self._mismatches, self.fault = 0, ""
+        elif problem is Drop.CLOCK_MISMATCH and newest is not None:
+            self._mismatches += 1
+            if self._mismatches >= IN_A_ROW:
+                self.fault = (
+                    f"the actuators are stamped {(t_ns - newest) / SECOND_NS:+.1f} s from the Imu: "
+                    "they run on different clocks. Play a bag with --clock and set use_sim_time, "
+                    "or synchronise the autopilot's time"
+                )
+
+    # -- ticks -----------------------------------------------------------------------------
+
+    def merge(self, t_ns: int) -> None:
+        """Bring the samples of all streams stamped at or before `t_ns` into use."""
+        for name, buffer in self._buffers.items():
+            if duplicates := buffer.merge(t_ns):
+                self.drops[name][Drop.DUPLICATE] += duplicates
+
+    @property
+    def due(self) -> int | None:
+        """Time of the next tick that may be computed, ns; None if none is due."""
+        return self._due[0] if self._due else None
+
+    def ticks(self, until_ns: int) -> Iterator[int]:
+        """Yield every tick up to and including `until_ns`, due or not."""
+        while self._due and self._due[0] <= until_ns:
+            yield self._due.popleft()
+        if self._held is not None and not self._due:
+            self._take_held()
+            return
+        while self._next_tick is not None and self._tick_ns(self._next_tick) <= until_ns:
+            self.last_tick_ns = self._tick_ns(self._next_tick)
+            self._next_tick += 1
+            yield self.last_tick_ns
+
+    def _find_due(self, newest_ns: int) -> None:
+        """Put the ticks on the list that rates stamped `newest_ns` make due."""
+        assert self._next_tick is not None
+        while self._tick_ns(self._next_tick) + self._wait_ns <= newest_ns:
+            self.last_tick_ns = self._tick_ns(self._next_tick)
+            self._due.append(self.last_tick_ns)
+            self._next_tick += 1
+
+    def _tick_ns(self, k: int) -> int:
+        return k * SECOND_NS * self._rate.denominator // self._rate.numerator
+
+    def _first_tick(self, t_ns: int) -> int:
+        """Index of the first tick at or after `t_ns`."""
+        k = t_ns * self._rate.numerator // (SECOND_NS * self._rate.denominator)
+        return k if self._tick_ns(k) >= t_ns else k + 1

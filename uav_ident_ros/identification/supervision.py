@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_ident_ros.identification.confirmation import Confirmation
 from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.estimators.excitation import WINDOW_TIME
 from uav_ident_ros.identification.gates import (
@@ -21,7 +20,8 @@ from uav_ident_ros.identification.gates import (
     Gates,
     ResidualGate,
 )
-from uav_ident_ros.identification.running_fit import RunningFit
+from uav_ident_ros.identification.parallel_model import RunningFit
+from uav_ident_ros.identification.residuals import Confirmation
 from uav_ident_ros.identification.scales import MEMORY
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (

@@ -96,8 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:
         from uav_ident_ros.bags.writing import BagWriteError
-        from uav_ident_ros.import_logs.fitting import Fitting
-        from uav_ident_ros.import_logs.writing import write_import
+        from uav_ident_ros.import_logs.writing import Fitting, write_import
     except ImportError as error:
         print(f"import_log: {error.name} is not installed: pip install rosbags", file=sys.stderr)
         return USAGE_ERROR

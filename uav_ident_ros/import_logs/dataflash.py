@@ -15,8 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.import_logs.log import STAMPS, Log, Messages
-from uav_ident_ros.import_logs.resync import BinaryLog, Gap, Records, read_binary
+from uav_ident_ros.import_logs.log import (
+    STAMPS,
+    BinaryLog,
+    Gap,
+    Log,
+    Messages,
+    Records,
+    read_binary,
+)
 
 HEADER = b"\xa3\x95"
 """First bytes of every message, before the number of its type."""

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.import_logs.flight_log import ImportLogError
-from uav_ident_ros.import_logs.log import Column, Log
-from uav_ident_ros.import_logs.resync import BinaryLog, Gap, Records, read_binary
+from uav_ident_ros.import_logs.log import BinaryLog, Column, Gap, Log, Records, read_binary
 from uav_ident_ros.messages.types import NS_PER_US
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"

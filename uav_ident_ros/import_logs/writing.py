@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An imported log as a bag with the standard topics."""
+"""An imported log as a bag with the standard topics, and the parameters that fit it."""
 
+import textwrap
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -19,9 +21,12 @@ from uav_ident_ros.bags.messages import (
     vector_stamped,
 )
 from uav_ident_ros.bags.writing import BagWriter, qos, whole
+from uav_ident_ros.files.parameter_file import load_parameters, written
 from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.import_logs.flight_log import FlightLog, Stream
-from uav_ident_ros.import_logs.stamps import inside, turned_at
+from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError, Stream, printable
+from uav_ident_ros.import_logs.stamps import coverage, inside, turned_at
 from uav_ident_ros.messages.types import FRAME_IDS
 
 ARMED_STEP_NS = 1_000_000_000
@@ -128,3 +133,198 @@ def _armed(log: FlightLog) -> Stream:
     t_ns = np.union1d(seconds, changes[(start <= changes) & (changes < end)])
     until = [(first, last - 1) for first, last in log.armed or []]
     return Stream("armed", t_ns[t_ns < end], inside(t_ns[t_ns < end], until))
+
+
+# --- the parameters that fit it -------------------------------------------------------------------
+
+
+WITHOUT_FORCES, WITHOUT_WINGS = "throttle_coupled", "augmented"
+"""Structure if there is no accelerometer, and that of a multirotor: no angle of attack tells its
+forces. The others have the default."""
+
+SLOWEST_FLIGHT, FASTEST = 5.0, 400.0
+"""Airspeed, m/s, below which forces do not go with it: a multirotor's, or a sensor that is off.
+And what `airspeed.reference` may be at most."""
+
+SLOWEST_NS = 2_500_000_000
+"""For how long a sample of the airspeed counts, ns: the autopilots log one a second or more."""
+
+ENOUGH_AIRSPEED = 0.8
+"""Share of the flight that an airspeed must cover to be used, of what the rates cover of it."""
+
+LEARN_TRIM_TIME = 2.0
+"""Length of the steady stretch that the trim is learnt from, s."""
+
+DIRECTIONS = ("nose down", "nose left", "right wing down", "throttle")
+"""What a positive de, dr, da, dth does."""
+
+SIGNS = {"de": "-qdot/de", "dr": "-rdot/dr", "da": "+pdot/da"}
+"""What these directions make of the control derivatives: a channel that does the opposite has the
+wrong sign in the log's parameters or in the column map."""
+
+COMMENT_WIDTH = 96
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """The parameters that fit an imported log."""
+
+    log: FlightLog
+    values: dict[str, Any]  # Of the identifier, by dotted name
+
+    @classmethod
+    def of(
+        cls,
+        log: FlightLog,
+        trim: str,  # One of `flight_log.TRIMS`
+        airspeed: bool | None,  # Whether to scale with the airspeed; None if measured in flight
+    ) -> Self:
+        """Return the parameters that fit a log.
+
+        Raises
+        ------
+        ImportLogError
+            If there is no airspeed to scale with.
+        """
+        channels = [channel for _, channel in log.used]
+        values: dict[str, Any] = {
+            "imu.type": TOPICS["rates"].msgtype,
+            "imu.convention": log.convention,
+            "imu.lever_arm": list(log.lever_arm),
+            "actuators.type": TOPICS["actuators"].msgtype,
+            "actuators.channels": [channel.name for channel in channels],
+            "actuators.scale": [channel.scale for channel in channels],
+            "actuators.trim": _trim(log, trim),
+            "actuators.estimate_delay": True,
+        }
+        if not log.has_force:
+            values["structure"] = WITHOUT_FORCES
+        elif log.hovers:
+            values["structure"] = WITHOUT_WINGS
+        if trim == "learn":
+            values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
+        for i, name in enumerate(INPUTS):
+            values[f"actuators.mixing.{name}"] = [channel.effect[i] for channel in channels]
+        moved = [name for name in SIGNS if any(values[f"actuators.mixing.{name}"])]
+        if moved:
+            values["supervision.expected_signs"] = [SIGNS[name] for name in moved]
+        if log.armed is not None:
+            values["armed.type"] = TOPICS["armed"].msgtype
+        return cls(log, values | _airspeed(log, airspeed))
+
+    def findings(self) -> dict[str, list[str]]:
+        """Return all there is to say under headings, those that are empty left out."""
+        findings = self.log.findings
+        titled = {
+            "Damaged": findings.damage,
+            "From the log": findings.read,
+            "Assumed": findings.assumed,
+            "Missing or doubtful": findings.lost,
+            "Inputs": self._inputs_in_words(),
+        }
+        return {title: sentences for title, sentences in titled.items() if sentences}
+
+    def _inputs_in_words(self) -> list[str]:
+        channels = [channel for _, channel in self.log.used]
+        lines = []
+        for channel, trim in zip(channels, self.values["actuators.trim"], strict=True):
+            scale = f", times {channel.scale:.6g}" if channel.scale != 1.0 else ""
+            lines.append(
+                f"{channel.name}: {channel.meaning}; {channel.unit} less {trim:.6g}{scale}"
+            )
+        for i, (name, direction) in enumerate(zip(INPUTS, DIRECTIONS, strict=True)):
+            terms = [f"{c.effect[i]:+.4g} {c.name}" for c in channels if c.effect[i]]
+            lines.append(f"{name} ({direction}) = {' '.join(terms) or 'nothing'}")
+        return lines
+
+    def write(self, path: Path) -> None:
+        """Write the parameter file, with everything that was found out as comments.
+
+        Raises
+        ------
+        ImportLogError
+            If a value that follows from the log is none that the identifier takes.
+        """
+        log, titled = self.log, self.findings()
+        heading = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
+        if log.parameters:
+            named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())
+            titled["Parameters of the autopilot"] = [named]
+        lines = ["# SPDX-License-Identifier: Apache-2.0", *_comment(heading)]
+        for title, sentences in titled.items():
+            lines.append(f"# {title}:")
+            lines += [line for sentence in sentences for line in _comment(sentence, "- ", "  ")]
+        lines += ["/**:", "  ros__parameters:"]
+        lines += [f"    {name}: {written(value)}" for name, value in self.values.items()]
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        try:
+            Settings.from_values(load_parameters(path, "/identifier"))
+        except SettingsError as error:
+            raise ImportLogError(f"log '{log.path}' gives no usable parameters: {error}") from None
+
+
+def _trim(log: FlightLog, trim: str) -> list[float]:
+    """Raw value of each used channel in trimmed flight."""
+    flown = log.streams["actuators"].values[log.in_flight("actuators")]
+    result = []
+    for column, channel in log.used:
+        raw = flown[np.isfinite(flown[:, column]), column]
+        usual = float(np.median(raw)) if trim == "flight" and len(raw) else channel.neutral
+        result.append(usual if channel.trim is None else channel.trim)
+    return result
+
+
+def _airspeed(log: FlightLog, use: bool | None) -> dict[str, Any]:
+    if use and "airspeed" not in log.streams:
+        raise ImportLogError(f"log '{log.path}' has no airspeed: leave --airspeed out")
+    values: dict[str, Any] = {}
+    speed = _flown_speed(log)
+    if use if use is not None else speed >= SLOWEST_FLIGHT:
+        values["airspeed.type"] = TOPICS["airspeed"].msgtype
+        log.findings.note(f"the airspeed is used; in flight its median is {speed:.3g} m/s")
+    elif "airspeed" in log.streams:
+        reason = (
+            f"in flight its median is {speed:.3g} m/s"
+            if speed
+            else "it was not measured for most of the flight"
+        )
+        log.findings.doubt(f"the airspeed is not used: {reason}")
+    usual = speed or log.ground_speed
+    if usual >= SLOWEST_FLIGHT:
+        values["airspeed.reference"] = round(min(usual, FASTEST), 3)
+    if speed >= SLOWEST_FLIGHT or log.hovers:
+        return values
+    if log.ground_speed >= SLOWEST_FLIGHT:
+        log.findings.assume(
+            f"airspeed.reference is the median speed over ground, {log.ground_speed:.3g} m/s"
+        )
+    else:
+        log.findings.doubt(
+            "no speed of flight is in the log: set airspeed.reference to the usual airspeed, which "
+            "the forces on wings go with"
+        )
+    return values
+
+
+def _flown_speed(log: FlightLog) -> float:
+    """Return the median airspeed in flight, m/s; 0 if it was not measured for most of it."""
+    if (airspeed := log.streams.get("airspeed")) is None:
+        return 0.0
+    rates = log.streams["rates"].t_ns
+    flown = airspeed.chosen(log.in_flight("airspeed") & (airspeed.values > 0.0))
+    flight = log.flown or [(int(rates.min()), int(rates.max()))]
+    # Of what was logged: a table of several recordings, or a logger that paused, has gaps in all.
+    logged = coverage(rates, flight, SLOWEST_NS)
+    if coverage(flown.t_ns, flight, SLOWEST_NS) < ENOUGH_AIRSPEED * logged:
+        return 0.0
+    return float(np.median(flown.values))
+
+
+def _comment(text: str, first: str = "", other: str = "") -> list[str]:
+    return textwrap.wrap(
+        printable(text, len(text)),
+        COMMENT_WIDTH,
+        initial_indent=f"# {first}",
+        subsequent_indent=f"# {other}",
+        break_on_hyphens=False,
+    )

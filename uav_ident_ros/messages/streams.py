@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import ACTUATORS, AIRSPEED, ARMED, EXCITATION, RATES, Drop
+from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, EXCITATION, RATES, Drop
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages import types
 from uav_ident_ros.messages.types import EXCITATION_TYPE, ActuatorReader, RatesReader, Reading

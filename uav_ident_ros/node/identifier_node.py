@@ -19,7 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 from uav_ident_ros.files.coefficients_file import initial_coefficients
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import EXCITATION
+from uav_ident_ros.identification.samples import EXCITATION
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.node import diagnostics

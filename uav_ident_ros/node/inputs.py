@@ -11,7 +11,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.intake import RATES
+from uav_ident_ros.identification.samples import RATES
 from uav_ident_ros.messages.feed import Feed
 from uav_ident_ros.messages.streams import STREAMS, Stream
 from uav_ident_ros.messages.types import ChannelError, RatesReader, import_type

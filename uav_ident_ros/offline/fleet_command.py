@@ -12,8 +12,7 @@ from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, save_coefficients
 from uav_ident_ros.offline import NO_RESULT
-from uav_ident_ros.offline.fleet import Aircraft, fleet_of
-from uav_ident_ros.offline.flights_table import read_flights
+from uav_ident_ros.offline.fleet import Aircraft, fleet_of, read_flights
 from uav_ident_ros.offline.tables import columns
 from uav_ident_ros.report import PictureError, drawing
 

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One bag replayed with one configuration: what is asked for, and what came of it."""
+"""One bag replayed with one configuration: what is asked for, how far it is, what came of it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from uav_ident_ros.bags.reading import Bag, BagError
+from uav_ident_ros.bags.reading import Bag, BagError, Message
 from uav_ident_ros.bags.writing import BagWriteError, write_file
 from uav_ident_ros.files.coefficients_file import (
     CoefficientsFileError,
@@ -20,15 +21,73 @@ from uav_ident_ros.files.parameter_file import ParameterFileError, load_paramete
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
-from uav_ident_ros.offline.estimates_bag import write_estimates
 from uav_ident_ros.offline.evidence import FIT_WINDOWS, measure
 from uav_ident_ros.offline.inputs import choose_inputs
-from uav_ident_ros.offline.notes import notes_on
-from uav_ident_ros.offline.progress import Progress
 from uav_ident_ros.offline.run import OfflineRun
-from uav_ident_ros.offline.summary import Replayed
+from uav_ident_ros.offline.summary import Replayed, notes_on
 from uav_ident_ros.offline.tables import AXES, write_table
+from uav_ident_ros.offline.ticks import write_estimates
 from uav_ident_ros.report import PictureError, drawing
+
+SHARES = {"reading": 0.75, "scoring": 0.1, "measuring": 0.05, "writing": 0.05, "drawing": 0.05}
+"""Phases of a replay, and their shares of its time as measured on flights of ten minutes."""
+
+STEPS = 400
+"""So many times the reading says how far it is."""
+
+LINE_EVERY = 30.0
+"""Time between two lines where there is no terminal, s."""
+
+
+def bar(**options: Any) -> Any:
+    """Return a tqdm bar on the error stream."""
+    from tqdm import tqdm
+
+    tqdm.monitor_interval = 0  # its thread would take Ctrl-C where this one holds it back
+    pace = {"mininterval": 0.0}
+    if not sys.stderr.isatty():
+        pace = {"mininterval": LINE_EVERY, "delay": LINE_EVERY}
+    return tqdm(leave=False, miniters=0, **pace, **options)
+
+
+class Progress:
+    """Progress over all phases with the time that is left; a context manager."""
+
+    def __init__(
+        self,
+        shown: bool = True,  # Silent if not: the work of one process among many
+    ) -> None:
+        form = "{desc:<9} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+        self._bar = bar(total=1.0, bar_format=form, disable=not shown)
+
+    def __enter__(self) -> Progress:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the terminal as it was."""
+        self._bar.close()
+
+    def enter(self, phase: str) -> None:
+        """Begin a phase, one of `SHARES`; all before it are done."""
+        phases = list(SHARES)
+        self._bar.set_description_str(phase, refresh=False)
+        self._reach(sum(SHARES[name] for name in phases[: phases.index(phase)]))
+
+    def messages(self, messages: Iterable[Message], total: int) -> Iterator[Message]:
+        """Pass messages on and show how many of the total have been read."""
+        every = max(1, total // STEPS)
+        for count, message in enumerate(messages):
+            if count % every == 0:
+                self._reach(SHARES["reading"] * min(count / total, 1.0))
+            yield message
+
+    def _reach(self, share: float) -> None:
+        self._bar.update(max(share - self._bar.n, 0.0))
+
+
+# --- the job --------------------------------------------------------------------------------------
+
 
 REFUSALS = (
     BagError,

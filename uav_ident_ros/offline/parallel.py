@@ -23,8 +23,7 @@ from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import bag_files, name_size_hash
-from uav_ident_ros.offline.job import REFUSALS, Job, Outcome, replay
-from uav_ident_ros.offline.progress import bar
+from uav_ident_ros.offline.job import REFUSALS, Job, Outcome, bar, replay
 
 DONE_FILE = "replayed.json"
 

@@ -30,8 +30,7 @@ from uav_ident_ros.identification.prediction import (
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.offline.inputs import Inputs, choose_inputs
-from uav_ident_ros.offline.intake import Intake, Refusals
+from uav_ident_ros.offline.inputs import Inputs, Intake, Refusals, choose_inputs
 from uav_ident_ros.offline.ticks import Ticks
 
 __all__ = ["Inputs", "OfflineRun", "Refusals", "Stretch", "choose_inputs"]

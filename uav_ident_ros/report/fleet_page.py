@@ -10,8 +10,7 @@ from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.offline.fleet import Aircraft
 from uav_ident_ros.offline.tables import Row, Table, Words
-from uav_ident_ros.report.page import render
-from uav_ident_ros.report.sections import Section
+from uav_ident_ros.report.page import Section, render
 from uav_ident_ros.report.style import COLORS
 from uav_ident_ros.report.timeline import Chart, hover, plain_figure, value_range
 

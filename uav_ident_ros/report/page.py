@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`report.html`: one file that any browser opens, from a memory stick, without a network."""
+"""`report.html`: one file that any browser opens, from a memory stick, without a network.
 
+Its sections are in the order of the questions that they answer.
+"""
+
+import platform
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +18,157 @@ from bokeh.document import Document
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader
 
+import uav_ident_ros
 from uav_ident_ros.bags.writing import write_file
+from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.samples import NS
+from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
+from uav_ident_ros.offline.find import bag_files
 from uav_ident_ros.offline.summary import Replayed
-from uav_ident_ros.offline.tables import Words
-from uav_ident_ros.report.sections import Section, sections
+from uav_ident_ros.offline.tables import (
+    AXES,
+    Table,
+    Words,
+    coefficients_table,
+    fit_row,
+    fit_tables,
+    modes_table,
+)
+from uav_ident_ros.report import diagrams, tables
+from uav_ident_ros.report.charts import (
+    coefficient_charts,
+    rate_charts,
+    signal_charts,
+    state_chart,
+)
+from uav_ident_ros.report.diagrams import spectra
+from uav_ident_ros.report.flight import predict
 from uav_ident_ros.report.style import COLORS
-from uav_ident_ros.report.timeline import Chart
+from uav_ident_ros.report.timeline import Chart, Timeline
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the page: cards, words, tables, then charts."""
+
+    id: str
+    heading: str
+    texts: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    charts: Sequence[Chart] = ()
+    cards: Sequence[Mapping[str, Any]] = ()
+
+
+def sections(replayed: Replayed) -> Iterator[Section]:
+    """Yield the sections of a replay."""
+    summary, evidence, flight = replayed.summary, replayed.evidence, replayed.flight
+    line = Timeline(flight.span, flight.clock.restarts)
+    tick = predict(flight, 1.0 / flight.settings.update_rate)
+    ahead = f"one tick ({tick.horizon:g} s) ahead", "holding the rates for one tick"
+    fits = zip(ahead, tick.fit(flight.span[1]), strict=True)
+    more = {FIT_WINDOWS: [fit_row(name, values.tolist()) for name, values in fits]}
+    fit = summary["prediction_fit"][FIT_WINDOWS]
+    cards = [tables.card(fit, axis) for axis in AXES]
+    yield Section("fit", "Fit", [_FIT_TEXT], [*fit_tables(summary, more)], cards=cards)
+    states = state_chart(flight, line, evidence.lost)
+    yield Section("learning", "Learning", [], [tables.gates_table(evidence.lost)], [states])
+    whiteness = diagrams.whiteness_chart(flight, tick)
+    charts = [*rate_charts(flight, line, tick), *([whiteness] if whiteness else [])]
+    yield Section("rates", "Rates, measured and predicted", [_RATES_TEXT], [], charts)
+    truth = read_truth(replayed.bag, flight.structure)
+    coefficients = [*coefficient_charts(flight, line, truth)]
+    text = _COEFFICIENTS_TEXT
+    if flight.settings.airspeed.type:
+        text += (
+            " The charts are at the airspeed flown, the table is at the reference, "
+            f"{flight.settings.airspeed.reference:g} m/s."
+        )
+    table = coefficients_table(summary, truth if truth.values else None)
+    known = [table, *tables.coefficient_correlations(evidence)]
+    yield Section("coefficients", "Coefficients", [text], known, coefficients)
+    if replayed.modes:
+        charts = [diagrams.mode_chart(replayed.modes)]
+        yield Section("modes", "Modes", [_MODES_TEXT], [modes_table(summary)], charts)
+    found = spectra(flight)
+    charts = [*signal_charts(flight, line)]
+    charts += [*diagrams.spectrum_charts(flight, found)] if found is not None else []
+    charts += [*diagrams.coverage_charts(flight)]
+    numbers = [tables.signals_table(flight, found), tables.correlations_table(flight)]
+    yield Section("inputs", "Inputs, forces and states", [_INPUTS_TEXT], numbers, charts)
+    yield _delay_section(evidence)
+    yield Section("messages", "Messages", [], [tables.messages_table(summary)])
+    yield Section("settings", "Settings", [], [*tables.settings_tables(summary)])
+    files = bag_files(replayed.bag)
+    yield Section("origin", "Origin", [], [*tables.origin_tables(files, versions())])
+
+
+_FIT_TEXT = (
+    "How well the model predicts the measured rates over the last 40 % of the flight: 100 % is "
+    "perfect, 0 % no better than the mean. The prediction is free: from the start of each window "
+    "nothing measured enters but the inputs. Above, it is that over 1 s; the mark on the bar is "
+    "what simply holding the rates would reach."
+)
+
+_RATES_TEXT = (
+    "Every prediction starts from the measured rates, 1 s or one tick before, with the "
+    "coefficients known then and the inputs measured since. Residuals are measured minus "
+    "predicted. Axes of the body: forward, right, down."
+)
+
+_COEFFICIENTS_TEXT = (
+    "The band is one standard deviation to either side, the dashed line the true value, where the "
+    "bag is simulated. A coefficient with a t-ratio below three is printed pale."
+)
+
+_INPUTS_TEXT = (
+    "The band holds the middle 80 % of a signal's power; the dotted line in the spectra is the "
+    "cut-off of the estimator's filter. An input that is strongly correlated with another, or with "
+    "a rate that an autopilot feeds back, teaches little. The model is known where the clouds of "
+    "the coverage are, and nowhere else."
+)
+
+
+_MODES_TEXT = (
+    "The identified model, linearised in level flight at the airspeed of the last tick. The "
+    "coefficients count as independent in the standard deviations."
+)
+
+
+def _delay_section(evidence: Evidence) -> Section:
+    found, errors, in_use = evidence.delay, evidence.delay_errors, evidence.delay_in_use
+    if not diagrams.separates_delays(errors):
+        return Section("delay", "Delay", ["Too little to tell delays apart."])
+    text = (
+        f"Best prediction at {1e3 * found.delay:.0f} ms, sigma {1e3 * found.sigma:.0f} ms, "
+        f"confidence {found.confidence}; in use at the end: {1e3 * in_use:.0f} ms."
+    )
+    if found.lag_sure:
+        text += (
+            f" By the response to what was injected the servos follow with a lag of "
+            f"{1e3 * found.lag:.0f} ms, sigma {1e3 * found.lag_sigma:.0f} ms, after a delay of "
+            f"{1e3 * max(found.total - found.lag, 0.0):.0f} ms."
+        )
+    chart = diagrams.delay_chart(evidence.delays, errors, in_use, text)
+    return Section("delay", "Delay", [text], charts=[chart])
+
+
+PACKAGES = ("numpy", "rosbags", "bokeh")
+"""Packages that the numbers or the pictures depend on."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package, of Python and of what it computes and draws with."""
+    found = {"uav_ident_ros": uav_ident_ros.__version__, "Python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
+
+# --- the page -------------------------------------------------------------------------------------
+
 
 EARLIEST_DATE_NS = 946_684_800_000_000_000
 """The year 2000, ns: earlier stamps count from the start of a computer and say no date."""

@@ -13,8 +13,8 @@ from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.offline.evidence import Evidence
 from uav_ident_ros.offline.tables import Cell, Number, Row, Table, Words
-from uav_ident_ros.report.analysis import SIGNALS, Spectra, signals
 from uav_ident_ros.report.charts import AXIS_WORDS, UNITS
+from uav_ident_ros.report.diagrams import SIGNALS, Spectra, signals
 from uav_ident_ros.report.flight import Flight
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.airframe import MODELS, airframe
-from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.flight import SimulationError
 
 FOOT = 0.3048
 """Length of a foot, m."""

@@ -23,7 +23,7 @@ import yaml
 
 from uav_ident_ros.files.strict_yaml import UNUSABLE, EntryError, finite, mapping, problem
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.flight import SimulationError
 
 FOLDER = Path(__file__).parent / "airframes"
 MODELS = FOLDER / "jsbsim"

@@ -13,9 +13,8 @@ from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.channels import CHANNEL_SETS, QUADROTOR
-from uav_ident_ros.simulation.disturbance import ColouredNoise
-from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.inputs import INPUT_KINDS, Segment
+from uav_ident_ros.simulation.flight import SimulationError
+from uav_ident_ros.simulation.inputs import INPUT_KINDS, ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Plan
 from uav_ident_ros.simulation.noise import Sensors, measure

@@ -26,9 +26,8 @@ from uav_ident_ros.control import Law
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import parse_fault
-from uav_ident_ros.simulation.flight import check_positive
+from uav_ident_ros.simulation.flight import SimulationError, check_positive
 from uav_ident_ros.simulation.preparation import CONFIG, prepare, write
 
 ROOT = CONFIG.parents[1]

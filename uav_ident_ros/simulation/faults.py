@@ -21,7 +21,7 @@ from typing import Any
 
 from uav_ident_ros.simulation.aircraft import FOOT
 from uav_ident_ros.simulation.channels import QUADROTOR
-from uav_ident_ros.simulation.errors import SimulationError
+from uav_ident_ros.simulation.flight import SimulationError
 
 SURFACE_NAMES = ("elevator", "rudder", "aileron", "throttle")
 """Names of the channels, in the order of de, dr, da, dth."""

@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
 from uav_ident_ros.simulation.channels import PLAIN, ChannelSet
-from uav_ident_ros.simulation.errors import SimulationError
+
+
+class SimulationError(ValueError):
+    """A flight cannot be simulated as asked; the message names what and why."""
+
 
 IntArray = NDArray[np.int64]
 

@@ -10,7 +10,6 @@ import numpy as np
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, settle
 from uav_ident_ros.simulation.channels import QUADROTOR
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import (
     MAX_TURBULENCE,
     SURFACE_NAMES,
@@ -19,7 +18,7 @@ from uav_ident_ros.simulation.faults import (
     move_centre,
     start_turbulence,
 )
-from uav_ident_ros.simulation.flight import CoefficientChange, Flight, effect_of
+from uav_ident_ros.simulation.flight import CoefficientChange, Flight, SimulationError, effect_of
 from uav_ident_ros.simulation.linearisation import cruise_derivatives
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Live, Plan
 from uav_ident_ros.simulation.noise import Sensors

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import (
     Flight,
+    SimulationError,
     check_positive,
     sample_count,
     stamps,

@@ -9,8 +9,7 @@ import numpy as np
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.channels import CHANNEL_SETS, ChannelSet
-from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import Flight, IntArray
+from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError
 
 FRD_TO_FLU = np.array([1.0, -1.0, -1.0])
 """Half a turn about x: its own inverse."""

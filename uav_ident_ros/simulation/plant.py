@@ -25,15 +25,15 @@ from uav_ident_ros.identification.structure import (
     STRUCTURES,
     FloatArray,
 )
-from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.flight import (
     STEP_TOLERANCE,
     CoefficientChange,
     Flight,
+    SimulationError,
     changed_coefficients,
     check_positive,
 )
+from uav_ident_ros.simulation.inputs import CALM, ColouredNoise
 from uav_ident_ros.simulation.live import Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
 

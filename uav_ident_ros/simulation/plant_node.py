@@ -41,9 +41,8 @@ from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import UsageError, node_usage, read_parameters, run
 from uav_ident_ros.ros import to_stamp
 from uav_ident_ros.simulation.channels import QUADROTOR
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import Fault, parse_fault
-from uav_ident_ros.simulation.flight import EPOCH_NS
+from uav_ident_ros.simulation.flight import EPOCH_NS, SimulationError
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live, Sample
 from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors

@@ -23,8 +23,7 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.share import shared
 from uav_ident_ros.simulation.airframe import Airframe, airframe
-from uav_ident_ros.simulation.errors import SimulationError
-from uav_ident_ros.simulation.flight import EPOCH_NS, IntArray
+from uav_ident_ros.simulation.flight import EPOCH_NS, IntArray, SimulationError
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, LiveAircraft
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure

@@ -8,10 +8,9 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
-from uav_ident_ros.simulation.disturbance import CALM, ColouredNoise
-from uav_ident_ros.simulation.errors import SimulationError
 from uav_ident_ros.simulation.faults import Fault
-from uav_ident_ros.simulation.flight import Flight, check_positive
+from uav_ident_ros.simulation.flight import Flight, SimulationError, check_positive
+from uav_ident_ros.simulation.inputs import CALM, ColouredNoise
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.quadrotor import Body, Hold, Quadrotor

@@ -18,9 +18,9 @@ from uav_ident_ros.identification.estimators.change import Change, ChangeDetecto
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information
 from uav_ident_ros.identification.estimators.model_error import ModelError
-from uav_ident_ros.identification.feedback import Feedback
 from uav_ident_ros.identification.prior import Start, slope_bounds, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
+from uav_ident_ros.identification.residuals import Feedback
 from uav_ident_ros.identification.scales import LOOK_TIME, OUTLYING, SHORT_MEMORY
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
 from uav_ident_ros.identification.structure import (

@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the residuals of each row tell: noise, feedback, and what the flight confirms.
+
+Gusts and the model's own errors are slow, and an autopilot answers them. An autoregressive model
+of the residual makes it white, and with it everything that is held against it: regressors,
+instruments, inputs (prewhitening; Box, Jenkins and Reinsel, Time Series Analysis, 2008).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uav_ident_ros.identification.regression import Layout, Regression, RowSamples
+from uav_ident_ros.identification.scales import (
+    GUST_TIME,
+    INDEPENDENT_TIME,
+    LONG_MEMORY,
+    LOOK_TIME,
+    MEMORY,
+    ROUNDING,
+    SURE,
+)
+from uav_ident_ros.identification.structure import (
+    INPUT_COLUMNS,
+    INPUTS,
+    MAIN_INPUTS,
+    ROWS,
+    FloatArray,
+)
+
+ORDER = 3
+"""Order of the autoregression, samples: gust, filter and one more."""
+
+LOADING = 0.01
+"""White noise added to the autocovariances, relative to the variance: keeps what is left of a
+slow input after whitening above what rounding and sampling leave."""
+
+
+class NoiseModel:
+    """Autoregressive models of the residuals of several rows.
+
+    Parameters
+    ----------
+    rows : int
+        Number of rows.
+
+    Attributes
+    ----------
+    weights : (rows, ORDER) array
+        What is predicted of a residual from those before it, the newest first.
+    variance : (rows,) array
+        Variance of the innovation: of what is left.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self.weights: FloatArray = np.zeros((rows, ORDER))
+        self.variance: FloatArray = np.zeros(rows)
+        self._covariances: FloatArray = np.zeros((rows, ORDER + 1))
+        self._time = self._since_fit = 0.0
+        self._lags = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
+        # What turns `ORDER` + m signals into m innovations, (rows, m, `ORDER` + m)
+        self._matrices: dict[int, FloatArray] = {}
+        self._past: FloatArray | None = None
+        self._known = 0
+
+    def whiten(self, samples: RowSamples, *, restarted: bool) -> RowSamples:
+        """Learn from the residuals of samples, and whiten them.
+
+        Parameters
+        ----------
+        samples : RowSamples
+            m samples.
+        restarted : bool
+            Whether the first does not continue those before.
+
+        Returns
+        -------
+        RowSamples
+            The same, their residuals are innovations; zeros in the place of the first `ORDER` after
+            a restart.
+        """
+        new = samples.signals
+        if restarted or self._past is None:
+            self._past, self._known = np.zeros((len(new), ORDER, new.shape[2])), 0
+        signals = np.concatenate((self._past, new), axis=1)
+        self._past = signals[:, -ORDER:]
+        m = new.shape[1]
+        self._learn(signals[:, :, 0], samples.dt)
+        if m not in self._matrices:
+            matrix = self._matrices[m] = np.zeros((len(self.weights), m, ORDER + m))
+            for k in range(m):
+                matrix[:, k, k : k + ORDER] = -self.weights[:, ::-1]
+                matrix[:, k, k + ORDER] = 1.0
+        white = self._matrices[m] @ signals
+        if self._known < ORDER:
+            white[:, : ORDER - self._known] = 0.0
+            self._known += m
+        return RowSamples(white, samples.dt)
+
+    def _learn(self, residual: FloatArray, dt: float) -> None:
+        """Take residuals (rows, ORDER + m), the first `ORDER` of which are known already."""
+        new = residual[:, ORDER:]
+        m = new.shape[1]
+        self._time += m * dt
+        share = min(m * dt / min(self._time, MEMORY), 1.0)
+        lagged = residual[:, _lags(m)]
+        products = (lagged @ new[:, :, None])[:, :, 0]
+        self._covariances += share * (products / m - self._covariances)
+        self._since_fit += m * dt
+        if self._since_fit >= LOOK_TIME:
+            self._since_fit = 0.0
+            self._fit()
+
+    def _fit(self) -> None:
+        """Solve the Yule-Walker equations."""
+        c = self._covariances
+        matrix = c[:, self._lags]
+        level = np.maximum(c[:, 0], np.finfo(float).tiny)
+        np.einsum("ijj->ij", matrix)[...] += (LOADING * level)[:, None]
+        self.weights = np.linalg.solve(matrix, c[:, 1:, None])[:, :, 0]
+        self._matrices.clear()
+        left = c[:, 0] - (self.weights * c[:, 1:]).sum(axis=1)
+        self.variance = np.maximum(left, LOADING * c[:, 0])
+
+
+@lru_cache(maxsize=64)
+def _lags(m: int) -> NDArray[np.intp]:
+    """Places of the m newest of `ORDER` + m samples and of those before them, a lag a row."""
+    return np.add.outer(np.arange(ORDER, -1, -1), np.arange(m))
+
+
+# --- feedback -------------------------------------------------------------------------------------
+
+
+ANSWER_TIMES = np.array([0.1, 0.5, 2.5])
+"""Time constants in which past residuals fade, s: from a rate loop to one that holds attitudes."""
+
+
+class Feedback:
+    """Follows how much of the inputs past residuals explain: feedback is not information.
+
+    A gust moves the aircraft, an autopilot answers, and the input is correlated with the gust w: no
+    residual shows it, and no time averages it away. But the answer comes after the gust: past
+    residuals explain a share R^2 of an input that is fed back, and nothing of one that is not (the
+    test of residuals against future inputs; Ljung, System Identification, 1999, ch. 13 and 16). Of
+    w the residual e shows ``sigma_e = sigma_w sqrt(1 - R^2)``, the rest went into the estimate. So
+    over a time T the sum of ``z w``, by which the estimate is off, is at most (Cauchy and Schwarz)
+
+        C = T sigma_e^2 S_q,  S_q = sum q z z^T,  q = R^2 / (1 - R^2),
+
+    where the sum of independent disturbances has a correlation time in place of T.
+
+    Parameters
+    ----------
+    layout : Layout
+        The regression problem.
+
+    Attributes
+    ----------
+    share : (4,) array
+        Share R^2 of each input that is an answer to disturbances, 0 ... 1.
+    ratio : (rows, k) array
+        ``q = R^2 / (1 - R^2)`` of the input that each instrument follows.
+    answering : (rows, k, k) array or None
+        Root of the product of q of each pair of instruments; None where nothing answers.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._driven_by = layout.driven_by
+        self._past: FloatArray = np.zeros((len(ANSWER_TIMES), len(ROWS)))
+        self._answers = self._past.size + 1  # and the constant
+        size = self._answers + len(INPUTS)
+        self._products: FloatArray = np.zeros((size, size))
+        self._gathered: list[tuple[Regression, FloatArray, float]] = []
+        self._since_look = 0.0
+        self._set_share(np.zeros(len(INPUTS)))
+
+    def _set_share(self, share: FloatArray) -> None:
+        self.share = share
+        self.ratio: FloatArray = (share / (1.0 - share))[self._driven_by]
+        root = np.sqrt(self.ratio)
+        answering = root[:, :, None] * root[:, None, :]
+        self.answering: FloatArray | None = answering if share.any() else None
+
+    def add(self, samples: Regression, residual: FloatArray, weight: FloatArray) -> None:
+        """Take samples; they are looked at every `INDEPENDENT_TIME`.
+
+        Parameters
+        ----------
+        samples : Regression
+            m samples.
+        residual : (m, 3) array
+            Their residuals in the moment rows, rad/s^2.
+        weight : (3,) array
+            How much the rows learn from them, 0 ... 1.
+        """
+        self._gathered.append((samples, residual, samples.dt * max(weight.tolist())))
+        self._since_look += samples.time
+        if self._since_look >= INDEPENDENT_TIME:
+            self._since_look = 0.0
+            self._count()
+            if self._products[self._answers - 1, self._answers - 1]:
+                self._look()
+
+    def _count(self) -> None:
+        """Add up the products of the samples that were gathered."""
+        gathered, self._gathered = self._gathered, []
+        signals = np.ones((sum(len(residual) for _, residual, _ in gathered), len(self._products)))
+        weight, first = np.empty((len(signals), 1)), 0
+        for samples, residual, counted in gathered:
+            if samples.restarted:
+                self._past = np.zeros_like(self._past)
+            keep = np.exp(-samples.dt / ANSWER_TIMES)[:, None]
+            last = first + len(residual)
+            signals[first:last, self._answers :] = samples.f[:, INPUT_COLUMNS]
+            for k in range(first, last):
+                signals[k, : self._past.size] = self._past.ravel()
+                self._past = keep * self._past + residual[k - first]
+            fade = np.exp(-counted * len(residual) / LONG_MEMORY)
+            self._products *= fade
+            weight[:first] *= fade
+            weight[first:last] = counted
+            first = last
+        self._products += (weight * signals).T @ signals
+
+    def _look(self) -> None:
+        n = self._answers
+        time = self._products[n - 1, n - 1]
+        mean = self._products[n - 1] / time
+        covariance = self._products / time - np.outer(mean, mean)
+        matrix = covariance[: n - 1, : n - 1].copy()
+        diagonal = np.einsum("jj->j", matrix)
+        diagonal += ROUNDING * diagonal + np.finfo(float).tiny
+        across = covariance[: n - 1, n:]
+        explained = np.einsum("ji,ji->i", across, np.linalg.solve(matrix, across))
+        variance = np.diag(covariance)[n:]
+        moved = variance > np.finfo(float).tiny
+        share = np.divide(explained, variance, out=np.zeros(len(INPUTS)), where=moved)
+        # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
+        chance = (n - 1) * GUST_TIME / time
+        sure = share > chance * (1.0 + SURE * np.sqrt(2.0 / (n - 1)))
+        self._set_share(np.where(sure, share - chance, 0.0))
+
+
+# --- confirmation ---------------------------------------------------------------------------------
+
+
+CONFIRMED = math.log(100.0)
+"""Logarithm of the odds, a hundred to one, from which on a derivative counts as confirmed."""
+
+LARGEST_ODDS = 2.0 * CONFIRMED
+"""Logarithm of the odds beyond which more evidence adds nothing: what has failed is noticed
+soon, however long it had worked."""
+
+NO_VARIANCE = float(np.finfo(float).eps)
+"""Variance, rad^2/s^4, below which a residual has none."""
+
+
+class Confirmation:
+    """Evidence for and against the main control derivatives of the moment rows.
+
+    A sequential probability ratio test (Wald 1945) a control derivative: does the whitened residual
+    look more as if the surface did what is believed, or as if it did nothing? A surface that is
+    lost or reversed speaks against it as soon as it moves, one that does not move says nothing, and
+    what was confirmed fades.
+    """
+
+    def __init__(self) -> None:
+        self._odds = [0.0] * len(ROWS)
+
+    def forget(self, row: int) -> None:
+        """Forget the evidence of a row: its derivatives are learned anew."""
+        self._odds[row] = 0.0
+
+    def add(
+        self, white: RowSamples, effect: FloatArray, variance: FloatArray, max_age: float
+    ) -> None:
+        """Weigh whitened samples.
+
+        Parameters
+        ----------
+        white : RowSamples
+            The samples.
+        effect : (3, m) array
+            What the main input of each row makes in them, by the derivatives believed.
+        variance : (rows,) array
+            Variance of their residuals, the innovations.
+        max_age : float
+            Time in which what was confirmed fades while the input does not move, s; 0 for never.
+        """
+        # Squared residual if the input did nothing, less the squared residual as it is.
+        gain = np.add.reduce(effect * (2.0 * white.residual[: len(ROWS)] + effect), axis=1)
+        keep = 1.0
+        if max_age > 0.0:
+            # From the largest odds to those that confirm in just this time.
+            keep = (CONFIRMED / LARGEST_ODDS) ** (effect.shape[1] * white.dt / max_age)
+        for i, (more, spread) in enumerate(zip(gain.tolist(), variance.tolist(), strict=False)):
+            odds = keep * self._odds[i] + 0.5 * more / max(spread, NO_VARIANCE)
+            self._odds[i] = max(min(odds, LARGEST_ODDS), -LARGEST_ODDS)
+
+    def doubt(self, row: int) -> str:
+        """Return why the main control derivative of a row is in doubt; empty if it is not."""
+        odds = self._odds[row]
+        if odds >= CONFIRMED:
+            return ""
+        surface = MAIN_INPUTS[ROWS[row]]
+        if odds <= -CONFIRMED:
+            return f"{ROWS[row]} does not follow {surface} as {ROWS[row]}/{surface} says"
+        return f"{ROWS[row]}/{surface} is unconfirmed: {surface} has hardly moved of late"
