@@ -22,7 +22,7 @@ from uav_ident_ros.offline.advice import (
     ADVICE,
     DELAY_OFF,
     DROPPED_SHARE,
-    FORCE_POINTS,
+    FEW_POINTS,
     FORCE_SHARE,
     GROUNDED_SHARE,
     LARGEST_NOISE,
@@ -144,8 +144,8 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("row_needs_force", {"force_share": {"pdot": 0.0, "rdot": FORCE_SHARE * JUST_BELOW}},
      {"force_share": {"pdot": 0.0, "rdot": FORCE_SHARE * JUST_ABOVE}},
      "the yaw row needs ay: it explains 15 %"),
-    ("leans_on_force", {"fit": fit(measured_force=80.0 + FORCE_POINTS * JUST_BELOW)},
-     {"fit": fit(measured_force=[80.0, 80.0, 80.0 + FORCE_POINTS * JUST_ABOVE])},
+    ("leans_on_force", {"fit": fit(measured_force=80.0 + FEW_POINTS * JUST_BELOW)},
+     {"fit": fit(measured_force=[80.0, 80.0, 80.0 + FEW_POINTS * JUST_ABOVE])},
      r"lean on specific forces, .*: with the measured ones the fit is higher, .* r: 20 \(ay\)"),
     # a structure without forces
     ("leans_on_force", {"fit": fit(model=0.0, measured_force=np.nan)},
@@ -205,6 +205,17 @@ def test_the_first_cause_hides_what_follows_from_it() -> None:
     flying = [advice.name for advice in advise(replace(bad, lost={"too little excitation": 0.9}))]
     assert flying[:4] == ["slow_streams", "gated", "wrong_delay", "wrong_sign"]
     assert "no_better_than_holding" in flying
+
+
+def test_slow_messages_come_last_where_the_best_axis_misses_little() -> None:
+    weak = replace(E, imu_rate=20.0, **WEAK_RUDDER)
+    for missing, order in (
+        (JUST_BELOW, ["weak_excitation", "slow_streams"]),
+        (JUST_ABOVE, ["slow_streams", "weak_excitation"]),
+    ):
+        model = np.array([100.0 - missing * FEW_POINTS, 10.0, np.nan])
+        found = advise(replace(weak, fit=fit(model=model, measured_force=model)))
+        assert [advice.name for advice in found] == order
 
 
 def test_reasons_that_differ_in_numbers_alone_are_one_and_numbers_of_a_name_stay() -> None:

@@ -126,6 +126,35 @@ def test_every_number_is_where_it_belongs() -> None:
     assert "collinear: qdot/1, qdot/az; rdot/p, rdot/r" in shown
 
 
+RUNNING = {
+    "excite: state": "rudder", "excite: last run": "none yet", "excite: elapsed [s]": "4.1",
+    "excite: remaining [s]": "25.9", "excite: until known [s]": "9",
+    "excite: not known yet": "qdot/de, rdot/dr",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("status", "line"),
+    [
+        (RUNNING, "excite    rudder  4.1 s, at most 25.9 s left  known in 9 s: qdot/de, rdot/dr"),
+        (RUNNING | {"excite: until known [s]": "cannot be told yet"},
+         "excite    rudder  4.1 s, at most 25.9 s left  not yet told when known: qdot/de, rdot/dr"),
+        ({"excite: last run": "aborted: p too large"}, "excite    aborted: p too large"),
+        ({"excite: last run": "done after 20 s"}, "excite    done after 20 s"),
+        ({"excite: last run": "none yet"}, ""),
+    ],
+)  # fmt: skip
+def test_a_run_of_excitation_is_told_while_it_goes_and_when_it_is_over(
+    status: dict[str, str], line: str
+) -> None:
+    result, _ = received()
+    result.diagnosed("learning", STATUS | status)
+    lines = [shown for shown in text(result, 100).splitlines() if shown.startswith("excite ")]
+    assert lines == ([line] if line else [])
+    if "aborted" in line:
+        assert styles(result)["aborted: p too large"] == "yellow"
+
+
 def styles(result: WatchedNode) -> dict[str, str]:
     console = printed(80)
     segments = console.render(picture(result, console))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What pauses learning, what it protects, and what is said about it."""
 
+import math
 from collections.abc import Callable
 from copy import deepcopy
 from functools import cache
@@ -11,7 +12,14 @@ import pytest
 from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
 
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
-from uav_ident_ros.identification.gates import ROW_GATES, Gates, GlitchFilter, Look, RestGate
+from uav_ident_ros.identification.gates import (
+    ROW_GATES,
+    Gates,
+    GlitchFilter,
+    Look,
+    RestGate,
+    SensorGate,
+)
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import Drop
 from uav_ident_ros.identification.settings import Settings
@@ -152,6 +160,50 @@ def test_a_rate_that_never_moved_is_not_stuck() -> None:
     exact = measure(flight, Sensors(gyro_noise=0.0), seed=2)
     estimates = run(identifier(exact), messages(exact))
     assert not any("stuck" in e.reason for e in estimates)
+
+
+def rounded(rate: float, step: float, still: tuple[float, float] = (0.0, 0.0)) -> list[str]:
+    """What the gate of the Imu says at each tick of a minute; it may hold q still for a while.
+
+    Each axis is moved in turn and then left to itself, as test inputs do. The gyro rounds to
+    `step`, rad/s, and its noise is a quarter of that.
+    """
+    t = np.arange(0.0, 60.0, 1.0 / rate)
+    rng = np.random.default_rng(7)
+    moving = (t[:, None] // 10.0) % 3 == np.arange(3)
+    rates = 0.002 * rng.standard_normal((len(t), 3)).cumsum(axis=0) / math.sqrt(rate)
+    rates += 0.1 * moving * np.sin(2.0 * np.pi * t[:, None] * np.array([0.4, 0.5, 0.3]))
+    rates += 0.25 * step * rng.standard_normal(rates.shape)
+    rates = step * np.round(rates / step) if step else rates
+    held = (still[0] <= t) & (t < still[1])
+    rates[held, 1] = rates[held][:1, 1]
+    force = rng.normal(size=(len(t), 3))
+    gate, reasons, given = SensorGate(), [], 0
+    for tick in np.arange(0.05, 60.0, 0.05):
+        end = int(np.searchsorted(t, tick, side="right"))
+        samples = np.hstack([rates, force])[given:end]
+        look = Look(float(tick), samples, np.empty((0, 4)), None, None, True, "", Settings())
+        reasons.append(gate.check(look))
+        given = end
+    return reasons
+
+
+@pytest.mark.parametrize(("rate", "step"), [(10.0, 0.002), (25.0, 0.002), (1000.0, 0.0175)])
+def test_a_gyro_that_rounds_coarsely_is_stuck_only_where_it_repeats_itself_for_longer(
+    rate: float, step: float
+) -> None:
+    assert set(rounded(rate, step)) == {""}
+    reasons = rounded(rate, step, still=(41.0, 55.0))
+    assert "the Imu is stuck: q has not changed for 0.25 s or more" in reasons[-19 * 20 : -5 * 20]
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0, 1000.0])
+def test_a_gyro_that_never_repeats_itself_is_stuck_at_once(rate: float) -> None:
+    """Again and again: what it repeats while it is stuck is no habit."""
+    for begin in (3.0, 33.0):
+        reasons = rounded(rate, 0.0, still=(begin, begin + 2.0))
+        assert not any(reasons[: round(begin / 0.05)])
+        assert reasons[round(begin / 0.05) + 6].startswith("the Imu is stuck: q ")
 
 
 def test_sticks_at_their_limit_pause(excited: Measurements) -> None:

@@ -20,6 +20,8 @@ FORMATS: dict[str, tuple[str, str]] = {
     "ARSP": ("QBffcffBBfB", "TimeUS,I,Airspeed,DiffPress,Temp,RawPress,Offset,U,H,Hp,Pri"),
     "CTUN": ("Qccccffffffi", "TimeUS,NavRoll,Roll,NavPitch,Pitch,ThO,RdO,ThD,As,SAs,E2T,GU"),
     "ARM": ("QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method"),
+    "EV": ("QB", "TimeUS,Id"),
+    "STAT": ("QB", "TimeUS,isFlying"),
     "GPS": ("Qf", "TimeUS,Spd"),
     "MODE": ("QMBB", "TimeUS,Mode,ModeNum,Rsn"),
     "ATT": ("QccccCC", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw"),

@@ -227,9 +227,43 @@ def test_a_log_that_begins_in_flight(importer: Importer) -> None:
     rows = [(end_us, "ARM", (0,)), *((int(t), "ATT", (0, 3000, 0, -1000, 0, 9000)) for t in IMU_US)]
     bag, values, printed = imported(importer, imu() + rcou() + rows, PLANE, "--flight-only")
     assert bag.imu_t_ns[-1] == end_us * 1000
-    assert "armed for 0.8 s in 1 stretch(es) (ARM, EV)" in printed
+    assert "armed for 0.8 s in 1 stretch(es) (ARM)" in printed
     assert values["armed.type"] == "std_msgs/msg/Bool"
     assert "attitude: ATT" in printed
+
+
+@pytest.mark.parametrize(
+    ("rows", "flown", "said"),
+    [
+        ([(0, "ARM", 1), (100, "STAT", 0), (150, "STAT", 1), (250, "STAT", 0)], (150, 250),
+         "in the air for 0.4 s in 1 stretch(es) (STAT.isFlying)"),
+        ([(0, "EV", 10), (100, "EV", 28), (200, "EV", 17), (200, "EV", 18), (250, "EV", 11)],
+         (100, 200), "in the air for 0.4 s in 1 stretch(es) (EV)"),
+        ([(50, "EV", 10), (250, "EV", 11)], (50, 250), "armed for 0.8 s in 1 stretch(es) (EV)"),
+        ([(100, "EV", 28), (200, "EV", 18)], (100, 200), "in the air for 0.4 s"),
+        ([(0, "ARM", 1), (100, "STAT", 0)], (0, 0),
+         "never in the air (STAT.isFlying): no model can come of this log; if it did fly, empty"),
+        ([(200, "EV", 15)], None, "the log does not say when it flew"),
+    ],
+)  # fmt: skip
+def test_nothing_is_learned_on_the_ground_while_armed(
+    importer: Importer, rows: list, flown: tuple[int, int] | None, said: str
+) -> None:
+    """A plane taxies, a copter waits for the throttle."""
+    events = [(int(IMU_US[at]), kind, (state, 0, 0, 0)[:size])
+              for at, kind, state in rows
+              for size in [{"ARM": 4, "STAT": 1, "EV": 1}[kind]]]  # fmt: skip
+    it = imported(importer, imu() + rcou() + events, PLANE)
+    assert said in " ".join(it.printed.split())
+    assert ("armed.type" in it.values) == (flown is not None)
+    read = decoded(it.folder)
+    if flown is None:
+        assert "/armed" not in read
+        return
+    begin, end = (1000 * int(IMU_US[at]) for at in flown)
+    states = [(t, m.data) for t, m in read["/armed"]]
+    assert states and all(state == (begin <= t < end) for t, state in states)
+    assert begin == end or {(begin, True), (end, False)} <= {*states}
 
 
 def test_a_parameter_that_changes_is_noted(importer: Importer) -> None:

@@ -13,6 +13,7 @@ from excerpts import BAGS, replay, summary
 from imported import Contents, Imported, Importer, contents, flight, mixing
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
+from uav_ident_ros.import_logs.writing import FIRST_NS
 from uav_ident_ros.simulation.noise import Measurements
 
 PUBLICATION_DELAY = 300
@@ -217,11 +218,16 @@ def test_tables_of_other_units(tmp_path: Path, measured: Measurements, importer:
         encoding="utf-8",
     )
     options = ("--columns", str(tmp_path / "columns.yaml"), "--airspeed")
-    imported, values, _ = importer(tmp_path / "flight.csv", *options)
+    it = importer(tmp_path / "flight.csv", *options)
+    imported, values, _ = it
     np.testing.assert_allclose(imported.rates, measured.rates, rtol=1e-12)
     np.testing.assert_allclose(imported.specific_force, measured.specific_force, rtol=1e-12)
     np.testing.assert_allclose(imported.airspeed, 20.0, rtol=1e-12)
-    np.testing.assert_array_equal(imported.imu_t_ns, measured.imu_t_ns - measured.imu_t_ns[0])
+    since_start = measured.imu_t_ns - measured.imu_t_ns[0]
+    np.testing.assert_array_equal(imported.imu_t_ns, np.maximum(since_start, FIRST_NS))
+    replay(it.folder, tmp_path / "out", by=it.folder / "identifier.yaml")
+    inputs = summary(tmp_path / "out")["inputs"]
+    assert all(entry["dropped"] == {} for entry in inputs.values())  # the first row, too
     assert imported.frame_ids == {"base_link"}
     assert values["imu.convention"] == "flu"
     assert values["imu.lever_arm"] == [0.1, 0.0, -0.05]

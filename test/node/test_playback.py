@@ -30,9 +30,10 @@ from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.ros import stamp_ns
 
 ON_TIME = 2e-3
-"""How late the player may be, s rms: a machine too busy for real time proves nothing."""
+"""How late the player may be, s of the recording, rms: its stamps on arrival are off by as much."""
 
-ATTEMPTS = 2
+SLOWER = 0.1
+"""Speed, times real time, at which a busy machine is as much less late in the recording's time."""
 
 
 @pytest.fixture(scope="module")
@@ -143,18 +144,19 @@ def test_both_topics_are_read_from_their_bytes_as_a_microcontroller_does(
 
 
 def test_unstamped_actuators_at_real_time_fit_within_a_point(fly: Fly, tmp_path: Path) -> None:
-    """Stamped on arrival by /clock at 100 Hz, the inputs are a few milliseconds off."""
+    """Stamped on arrival by /clock at 100 Hz, the inputs are a few milliseconds off.
+
+    A machine too busy for real time plays slower: /clock is all that the node knows of time.
+    """
     flight = recording("pulses", 10.0)
     _, player = fly(flight, sim_time=True)
-    for _ in range(ATTEMPTS):
+    for speed in (1.0, SLOWER):
         player.outputs.clear()
         # again from the start: the node starts cold
-        late = player.play(flight.messages, in_step=True)
+        late = player.play(flight.messages, speed=speed, in_step=True)
         player.spin_for(0.5)
-        if late < ON_TIME:
+        if speed * late < ON_TIME:
             break
-    else:
-        pytest.skip("this machine is too busy to play a bag in real time")
     ticks = [stamp_ns(m.header.stamp) for m in player.outputs.named]
     assert len(ticks) == len(player.outputs.coefficients)
     live = dict(zip(ticks, (m.data for m in player.outputs.coefficients), strict=True))

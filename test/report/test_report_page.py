@@ -4,6 +4,7 @@
 import hashlib
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,12 @@ from html_page import Node, parse
 import uav_ident_ros
 from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.files.truth_file import Truth
+from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.offline import NOT_USABLE
 from uav_ident_ros.offline.tables import coefficients_table
+from uav_ident_ros.report.page import _delay_section
 
 LARGEST_FILE = 3_000_000
 """Bytes: small enough for an e-mail."""
@@ -243,3 +246,14 @@ def test_a_flight_too_short_to_judge_and_oddly_named_has_a_report_too(tmp_path: 
     assert "rates-p" in shown
     assert not {"spectra-rates", "whiteness", "delay-curve"} & set(shown)
     assert page.one("section", id="delay").one("p").text.startswith("Too little")
+
+
+def test_a_servo_lag_is_told_before_a_block_was_judged_with_it() -> None:
+    found = DelayEstimate(0.02, 0.005, 0.07, 0.005, 9.0, lag=0.05, lag_sigma=0.008)
+    for errors in (np.zeros((0, 3)), np.zeros((5, 3))):
+        evidence: Any = SimpleNamespace(
+            delay=found, delays=np.arange(len(errors)), delay_errors=errors, delay_in_use=0.02
+        )
+        section = _delay_section(evidence)
+        assert "a lag of 50 ms, sigma 8 ms, after a delay of 20 ms" in section.texts[0]
+        assert not section.charts

@@ -10,7 +10,6 @@ another question: `estimators.excitation`.
 from __future__ import annotations
 
 import math
-import operator
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
@@ -25,6 +24,7 @@ from uav_ident_ros.identification.scales import (
     OUTLYING,
     RESPONSE_TIME,
     SHORT_MEMORY,
+    SURE,
 )
 from uav_ident_ros.identification.settings import ActuatorSettings, Settings
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
@@ -36,8 +36,15 @@ by 3 to 6, aircraft in the smoothest flight by 11 and more."""
 REST_SWAY = 0.01
 """Swing of the rates of an aircraft that stands, rad/s: wind and an idling engine rock it."""
 
+CHANCE = math.erfc(SURE / math.sqrt(2.0))
+"""Expected number of what is no chance any more: as rare as `SURE` standard deviations."""
+
 SIGNALS = ("p", "q", "r", "ax", "ay", "az")
 """What an Imu measures, in its own axes."""
+
+
+AXES = 3
+"""Signals of each sensor of an Imu."""
 
 
 class Look(NamedTuple):
@@ -197,7 +204,7 @@ class SensorGate:
     """
 
     def __init__(self) -> None:
-        self._last: list[float] | None = None
+        self._repeats: Repeats | None = None
         self._constant_since: FloatArray = np.zeros(6)
         self._moved: BoolArray = np.zeros(6, dtype=bool)
         self._bad_until = -np.inf
@@ -220,19 +227,84 @@ class SensorGate:
         return f"the gyro is saturated: {signal} reaches {max_rate:g} rad/s"
 
     def _stuck(self, t: float, samples: FloatArray, stuck_time: float) -> str:
-        before, self._last = self._last or samples[0].tolist(), samples[-1].tolist()
-        if all(map(operator.ne, before, self._last)):  # nearly always
+        if self._repeats is None:
+            self._repeats = Repeats(samples[0])
+        changed = self._repeats.add(samples)
+        if changed.all():  # nearly always
             self._constant_since.fill(t)
             self._moved.fill(True)
             return ""
-        changed = np.logical_or.reduce(samples != before)
         self._moved |= changed
         self._constant_since[changed] = t
         stuck = self._moved & (t - self._constant_since > stuck_time)
         if stuck_time <= 0.0 or not stuck.any():
             return ""
+        stuck &= self._repeats.by_chance() < CHANCE
+        if not stuck.any():
+            return ""
+        self._repeats.strange |= stuck
         signal = int(stuck.argmax())
         return f"the Imu is stuck: {SIGNALS[signal]} has not changed for {stuck_time:g} s or more"
+
+
+class Repeats:
+    """How often each signal of the Imu repeats its value, and for how long at a time.
+
+    A signal that rounds coarsely, or is logged slowly, repeats itself wherever it is quiet.
+
+    Parameters
+    ----------
+    first : (6,) array
+        The first sample.
+
+    Attributes
+    ----------
+    strange : (6,) bool array
+        Signals whose present run of equal values is no habit of theirs: it will not count as one.
+    """
+
+    def __init__(self, first: FloatArray) -> None:
+        self._last = first
+        self._present: FloatArray = np.zeros(len(first))  # Repeats in the run that goes on
+        # Of runs that have ended: how many there were, and the repeats in them
+        self._runs: FloatArray = np.zeros(len(first))
+        self._repeats: FloatArray = np.zeros(len(first))
+        self._changes: FloatArray = np.ones(len(first))
+        self.strange: BoolArray = np.ones(len(first), dtype=bool)  # before it first moved
+
+    def add(self, samples: FloatArray) -> BoolArray:
+        """Add new samples, (k, 6); return which signals have changed in them."""
+        same = samples == np.concatenate([self._last[None], samples[:-1]])
+        self._last = samples[-1]
+        if not same.any() and not self._present.any():  # nearly always
+            self._changes += len(same)
+            return np.ones(len(self._last), dtype=bool)
+        changed: BoolArray = ~np.logical_and.reduce(same)
+        repeats = np.add.reduce(same)
+        before = np.where(changed, same.argmin(axis=0), len(same))
+        after = np.where(changed, same[::-1].argmin(axis=0), len(same))
+        ended = self._present + before
+        counts = changed & ~self.strange
+        starts = np.add.reduce(same[1:] & ~same[:-1]) - (after > 0)
+        self._runs += np.where(changed, starts, 0) + (counts & (ended > 0))
+        self._repeats += np.where(changed, repeats - before - after, 0) + counts * ended
+        self._changes += len(same) - repeats
+        self._present = np.where(changed, after, ended)
+        self.strange &= ~changed
+        return changed
+
+    def by_chance(self) -> FloatArray:
+        """Return how many of its runs would be as long as the present one by chance, (6,).
+
+        A repeat follows on a change as often as it did so far, one repeat on another, too; of
+        what has not been seen, the former stands for the latter. The axes of a sensor round alike,
+        and the one that moved least shows how long it can repeat itself.
+        """
+        runs = self._runs + 1.0
+        first = runs / (self._changes + 1.0)
+        another = (self._repeats - self._runs + first) / (self._repeats + 1.0)
+        another = np.repeat(another.reshape(-1, AXES).max(axis=1), AXES)
+        return np.asarray(runs * another ** (self._present - 1.0))
 
 
 class RestGate:

@@ -470,7 +470,8 @@ class SupervisionSettings:
         "2000 deg/s; see the sensor's data sheet.")
     stuck_time: float = _setting(0.25, "s", (0.0, 60.0), read_only=False, text=
         "Time for which a signal of the Imu may repeat one value before it counts as stuck and "
-        "learning pauses; 0 for ever. Raise it for an Imu that rounds coarsely.")
+        "learning pauses; 0 for ever. One that rounds coarsely may repeat itself as long as it "
+        "did before.")
     max_residual: float = _setting(6.0, "", (0.0, 1000.0), read_only=False, text=
         "Residual of a row, relative to its usual size, from which usable coefficients are kept "
         "from learning; 0 for never. Lower it where knocks and landings spoil the estimate.")

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.structure import BoolArray
 from uav_ident_ros.import_logs.autopilot import Actuators, ActuatorsReader, Import, table
 from uav_ident_ros.import_logs.channels import (
     PWM_MAX,
@@ -53,8 +55,8 @@ UNNAMED = "no SERVOn_FUNCTION names a surface or a motor of a known frame"
 
 RAW, FILTERED = "GYR", "IMU"
 
-EVENT_ARMED, EVENT_DISARMED = 10, 11
-"""EV.Id, in logs without ARM messages."""
+ARMED, AIRBORNE = {10: True, 11: False}, {28: True, 18: False}
+"""EV.Id that begin a state (ARMED, NOT_LANDED) and end it (DISARMED, LAND_COMPLETE)."""
 
 NORMALISED = 10.0
 """Demands beyond this are in the units before Copter 3.4, thousands: none is above one since."""
@@ -79,7 +81,7 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     it = Import(log, KNOWN | _of_firmware(log, firmware), choice)
     it.refuse_others("firmware", firmware, "it calls itself")
     _name_as_today(log, firmware)
-    it.take_flight("STAT", "isFlying", lambda flying: flying > 0, _armed(log), "ARM, EV")
+    it.take_flight(_airborne(it), _armed(log))
     readers = dict.fromkeys((RAW, FILTERED), _rates)
     rates = it.read_rates(readers, lambda name, unit: _gyro(log, name, unit))
     actuators = _outputs(it)
@@ -116,23 +118,39 @@ def _of_firmware(log: Log, firmware: str) -> dict[str, Any]:
     return result
 
 
-def _armed(log: Log) -> Stretches | None:
-    """Stretches in which it was armed; None if the log does not say.
+def _armed(log: Log) -> tuple[str, Stretches] | None:
+    """Say when it was armed, if the log does."""
+    armed = log.messages("ARM")
+    if armed is not None and armed.has("ArmState"):
+        states = armed.columns["ArmState"] > 0
+        return "ARM", _between(log, armed.stamp_ns, states)
+    return _by_events(log, ARMED)
 
-    What is logged is the change: before the first the state was the other.
-    """
-    for name, field in (("ARM", "ArmState"), ("EV", "Id")):
-        messages = log.messages(name)
-        if messages is None or not messages.has(field):
-            continue
-        t_ns, values = messages.stamp_ns, messages.columns[field]
-        if name == "EV":
-            known = np.isin(values, (EVENT_ARMED, EVENT_DISARMED))
-            t_ns, values = t_ns[known], values[known] == EVENT_ARMED
-        if len(t_ns):
-            states = np.append(not values[0], values > 0)
-            return intervals(np.append(log.start_ns or 0, t_ns), states, log.end_ns)
-    return None
+
+def _airborne(it: Import) -> tuple[str, Stretches] | None:
+    """Say when it was in the air, if the log does: Plane keeps a state, Copter tells of events."""
+    return it.stretches("STAT", "isFlying", lambda flying: flying > 0) or _by_events(
+        it.log, AIRBORNE
+    )
+
+
+def _by_events(log: Log, meaning: dict[int, bool]) -> tuple[str, Stretches] | None:
+    """Say when a state held that events begin and end, if there are any."""
+    events = log.messages("EV")
+    if events is None or not events.has("Id"):
+        return None
+    known = np.isin(events.columns["Id"], [*meaning])
+    if not known.any():
+        return None
+    states = np.array([meaning[int(number)] for number in events.columns["Id"][known]])
+    return "EV", _between(log, events.stamp_ns[known], states)
+
+
+def _between(log: Log, t_ns: TimeArray, states: BoolArray) -> list[tuple[int, int]]:
+    """Stretches of a state whose changes are logged: before the first it was the other."""
+    return intervals(
+        np.append(log.start_ns or 0, t_ns), np.append(not states[0], states), log.end_ns
+    )
 
 
 def _gyro(log: Log, name: str, unit: int) -> Messages | None:

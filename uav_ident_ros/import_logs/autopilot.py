@@ -61,7 +61,6 @@ class Import:
     log: Log
     table: Mapping[Any, Any]  # What this autopilot's messages and parameters mean
     choice: Choice  # What to take in place of the best
-    armed: Stretches | None = None  # Stretches in which it was armed; None if the log does not say
     flown: Stretches | None = None  # Stretches in the air, or armed; None if it does not say
 
     @property
@@ -182,23 +181,27 @@ class Import:
 
     # --- flight, rates, commands ------------------------------------------------------------------
 
+    def stretches(
+        self, name: str, field: str, holds: Callable[[Any], Any]
+    ) -> tuple[str, Stretches] | None:
+        """Return where messages stand that tell a state, and when it holds; None without them."""
+        messages = self.log.messages(name)
+        if messages is None or not messages.has(field):
+            return None
+        active = holds(messages.columns[field])
+        found = intervals(messages.stamp_ns, active, self.log.end_ns, self.log.start_ns)
+        return f"{name}.{field}", found
+
     def take_flight(
         self,
-        name: str,  # name, field, flying: messages that say when it was in the air, and how
-        field: str,
-        flying: Callable[[Any], Any],
-        armed: Stretches | None,  # Stretches in which it was armed; None if the log does not say
-        where: str,  # What says so
+        airborne: tuple[str, Stretches] | None,  # What says when it was in the air, and when
+        armed: tuple[str, Stretches] | None,  # What says when it was armed, and when
     ) -> None:
         """Take the stretches in the air; if nothing says more, those in which it was armed."""
-        self.armed = armed
-        messages = self.log.messages(name)
-        if messages is not None and messages.has(field):
-            active = flying(messages.columns[field])
-            stretches = intervals(messages.stamp_ns, active, self.log.end_ns, self.log.start_ns)
-            self.flown = self._note_stretches("in the air", f"{name}.{field}", stretches)
-        if armed is not None and (self.flown is None or not armed):
-            self.flown = self._note_stretches("armed", where, armed)
+        if airborne is not None:
+            self.flown = self._note_stretches("in the air", *airborne)
+        if armed is not None and (self.flown is None or not armed[1]):
+            self.flown = self._note_stretches("armed", *armed)
         elif self.flown is None:
             self.findings.assume("the log does not say when it flew: all of it counts as flight")
 
@@ -211,7 +214,8 @@ class Import:
             )
         else:
             self.findings.doubt(
-                f"the vehicle was never {state} ({source}): no model can come of this log"
+                f"the vehicle was never {state} ({source}): no model can come of this log; if it "
+                "did fly, empty 'armed.type'"
             )
         return stretches
 
@@ -277,7 +281,6 @@ class Import:
             self.findings,
             lever_arm=self._lever_arm(),
             flown=self.flown,
-            armed=self.armed,
             hovers=hovers,
             ground_speed=self._ground_speed(),
             parameters={

@@ -142,7 +142,6 @@ class FlightLog:
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # Stretches in the air, or armed; None if the log does not say
     flown: Stretches | None = None
-    armed: Stretches | None = None  # Stretches in which it was armed; None if it does not say
     hovers: bool = False  # Whether it is a multirotor, or a VTOL by the commands of its hover
     ground_speed: float = 0.0  # Median speed over ground in flight, m/s; 0 if it is not known
     # What the log says of the autopilot's parameters that matter, by name

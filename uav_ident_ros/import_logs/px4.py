@@ -42,7 +42,6 @@ from uav_ident_ros.import_logs.flight_log import (
 )
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.px4_log import read_folder, read_ulog
-from uav_ident_ros.import_logs.stamps import intervals
 from uav_ident_ros.messages.types import PX4_ARMING_STATE_ARMED, PX4_RELATIVE_TIMESTAMP_INVALID
 
 KNOWN = table("px4")
@@ -81,15 +80,13 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     it = Import(log, KNOWN, choice)
     for name in ("CA_AIRFRAME", "MAV_TYPE"):
         it.refuse_others(name, log.parameters.get(name), name)
-    armed, status = None, log.messages("vehicle_status")
+    status = log.messages("vehicle_status")
     if status is not None and status.has("vehicle_type"):
         kind = int(status.columns["vehicle_type"][-1])
         it.refuse_others("vehicle_type", kind, "vehicle_status.vehicle_type")
-    if status is not None and status.has("arming_state"):
-        active = status.columns["arming_state"] == PX4_ARMING_STATE_ARMED
-        armed = intervals(status.stamp_ns, active, log.end_ns, log.start_ns)
     it.take_flight(
-        LANDED, "landed", lambda landed: landed == 0, armed, "vehicle_status.arming_state"
+        it.stretches(LANDED, "landed", lambda landed: landed == 0),
+        it.stretches("vehicle_status", "arming_state", lambda s: s == PX4_ARMING_STATE_ARMED),
     )
     rates = it.read_rates(RATES_READERS, log.messages, "sensor_gyro")
     hovering = _hovers(log, choice.actuators_instance)

@@ -26,13 +26,16 @@ from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError, Stream, printable
-from uav_ident_ros.import_logs.stamps import coverage, inside, turned_at
+from uav_ident_ros.import_logs.stamps import Stretches, coverage, inside, turned_at
 from uav_ident_ros.messages.types import FRAME_IDS
 
 ARMED_STEP_NS = 1_000_000_000
 """Time between two messages that say the same of whether it is armed, ns: the type has no stamp."""
 
 STRING, BOOL = "std_msgs/msg/String", "std_msgs/msg/Bool"
+
+FIRST_NS = 1
+"""First stamp of a bag, ns: zero says in ROS that there is none, and the message would be lost."""
 
 IMU_STREAMS = ("rates", "attitude")
 """What the messages of the Imu are made of."""
@@ -100,8 +103,8 @@ def write_import(log: FlightLog, folder: Path, finish: Callable[[Path], None]) -
         If it cannot be written; nothing half-written stays behind.
     """
     streams = {name: stream for name, stream in log.streams.items() if name in TOPICS}
-    if log.armed is not None:
-        streams["armed"] = _armed(log)
+    if log.flown is not None:
+        streams["armed"] = _armed(log.flown, log.streams["rates"].t_ns)
     with whole(folder) as working:
         with BagWriter(working) as bag:
             entries = []
@@ -116,22 +119,22 @@ def write_import(log: FlightLog, folder: Path, finish: Callable[[Path], None]) -
 def _entries(log: FlightLog, stream: Stream, name: str) -> Iterator[tuple[int, str, Any]]:
     """Yield log time, topic and message; log times never step back, whatever the stamps do."""
     make, topic = TOPICS[name].maker(log), TOPICS[name].name
-    log_ns: TimeArray = np.maximum.accumulate(stream.t_ns)
+    stamp_ns: TimeArray = np.maximum(stream.t_ns, FIRST_NS)
+    log_ns: TimeArray = np.maximum.accumulate(stamp_ns)
     for recorded, t_ns, value in zip(
-        log_ns.tolist(), stream.t_ns.tolist(), stream.values, strict=True
+        log_ns.tolist(), stamp_ns.tolist(), stream.values, strict=True
     ):
         yield recorded, topic, make(t_ns, value)
 
 
-def _armed(log: FlightLog) -> Stream:
+def _armed(flown: Stretches, rates_ns: TimeArray) -> Stream:
     """Return the state at every change, and once a second: the type has no stamp."""
-    rates = log.streams["rates"].t_ns
-    start, end = int(rates.min()), int(rates.max())
+    start, end = int(rates_ns.min()), int(rates_ns.max())
     # Seconds in which there are rates: a damaged stamp may lie years ahead.
-    seconds = start + ARMED_STEP_NS * np.unique((rates - start) // ARMED_STEP_NS)
-    changes = np.array([t for stretch in log.armed or [] for t in stretch], dtype=np.int64)
+    seconds = start + ARMED_STEP_NS * np.unique((rates_ns - start) // ARMED_STEP_NS)
+    changes = np.array([t for stretch in flown for t in stretch], dtype=np.int64)
     t_ns = np.union1d(seconds, changes[(start <= changes) & (changes < end)])
-    until = [(first, last - 1) for first, last in log.armed or []]
+    until = [(first, last - 1) for first, last in flown]
     return Stream("armed", t_ns[t_ns < end], inside(t_ns[t_ns < end], until))
 
 
@@ -208,7 +211,7 @@ class Fitting:
         moved = [name for name in SIGNS if any(values[f"actuators.mixing.{name}"])]
         if moved:
             values["supervision.expected_signs"] = [SIGNS[name] for name in moved]
-        if log.armed is not None:
+        if log.flown is not None:
             values["armed.type"] = TOPICS["armed"].msgtype
         return cls(log, values | _airspeed(log, airspeed))
 

@@ -5,6 +5,8 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
+import numpy as np
+
 from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.identification.structure import INPUTS, ROWS
@@ -27,8 +29,9 @@ DELAY_SIGMAS = 3.0
 FORCE_SHARE = 0.15
 """Share of a row's residual that a specific force must explain to be worth a regressor."""
 
-FORCE_POINTS = 20.0
-"""Points of the fit that come from measured forces and that a planner without them will miss."""
+FEW_POINTS = 20.0
+"""Points of the fit that are worth no word: from measured forces, that a planner without them will
+miss, or missing to a perfect fit."""
 
 LARGEST_NOISE = 0.1
 """Gyro noise from which the least-squares start suffers whatever is flown, rad/s: 6 deg/s."""
@@ -191,7 +194,7 @@ def leans_on_force(e: Evidence) -> Iterator[str]:
         for row, axis, measured, free in zip(
             ROWS, AXES, e.fit.measured_force, e.fit.model, strict=True
         )
-        if measured - free > FORCE_POINTS
+        if measured - free > FEW_POINTS
     ]
     if points:
         yield (
@@ -303,7 +306,7 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     short_flight,
     collinear_groups,
 )
-"""All advice: what explains the next comes first."""
+"""All advice: what explains the next comes first, but see `_is_cheap`."""
 
 OF_THE_BAG = (slow_streams, many_drops, short_flight)
 """Advice that holds without a model, too."""
@@ -314,7 +317,13 @@ def advise(evidence: Evidence) -> tuple[Advice, ...]:
     for cause in ROOT_CAUSES:
         if any(cause(evidence)):
             return _pieces((cause, *OF_THE_BAG), evidence)
-    return _pieces(ADVICE, evidence)
+    return _pieces(sorted(ADVICE, key=lambda piece: _is_cheap(piece, evidence)), evidence)
+
+
+def _is_cheap(piece: Callable[[Evidence], Iterator[str]], evidence: Evidence) -> bool:
+    """Whether it costs few points, whatever it says: slow messages cost the best axis, too."""
+    best = float(np.fmax.reduce(evidence.fit.model))
+    return piece is slow_streams and 100.0 - best < FEW_POINTS
 
 
 def _pieces(

@@ -136,20 +136,22 @@ _MODES_TEXT = (
 
 def _delay_section(evidence: Evidence) -> Section:
     found, errors, in_use = evidence.delay, evidence.delay_errors, evidence.delay_in_use
-    if not diagrams.separates_delays(errors):
-        return Section("delay", "Delay", ["Too little to tell delays apart."])
-    text = (
-        f"Best prediction at {1e3 * found.delay:.0f} ms, sigma {1e3 * found.sigma:.0f} ms, "
-        f"confidence {found.confidence}; in use at the end: {1e3 * in_use:.0f} ms."
-    )
+    separated = diagrams.separates_delays(errors)
+    text = "Too little to tell delays apart."
+    # What was injected may have told the lag, and since then no block was judged.
+    if separated or found.lag_sure:
+        text = (
+            f"Best prediction at {1e3 * found.delay:.0f} ms, sigma {1e3 * found.sigma:.0f} ms, "
+            f"confidence {found.confidence}; in use at the end: {1e3 * in_use:.0f} ms."
+        )
     if found.lag_sure:
         text += (
             f" By the response to what was injected the servos follow with a lag of "
             f"{1e3 * found.lag:.0f} ms, sigma {1e3 * found.lag_sigma:.0f} ms, after a delay of "
             f"{1e3 * max(found.total - found.lag, 0.0):.0f} ms."
         )
-    chart = diagrams.delay_chart(evidence.delays, errors, in_use, text)
-    return Section("delay", "Delay", [text], charts=[chart])
+    charts = [diagrams.delay_chart(evidence.delays, errors, in_use, text)] if separated else []
+    return Section("delay", "Delay", [text], charts=charts)
 
 
 PACKAGES = ("numpy", "rosbags", "bokeh")
