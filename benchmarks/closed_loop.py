@@ -24,9 +24,8 @@ import numpy as np
 
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages.types import header_ns
+from uav_ident_ros.messages.types import header_ns, stamp_ns
 from uav_ident_ros.process import own_domain
-from uav_ident_ros.ros import stamp_ns
 from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, tracking_error
 
 DURATION = 100.0

@@ -29,8 +29,8 @@ import flights
 import numpy as np
 
 from uav_ident_ros.bags.writing import jazzy_types
+from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.process import NodeProcess
-from uav_ident_ros.ros import stamp_ns
 from uav_ident_ros.simulation.recording import actuator_messages, imu_messages
 
 FLIGHT = "exact_noise_002"
@@ -66,7 +66,7 @@ def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, byte
     ):  # fmt: skip
         chosen = itertools.islice(read(flight), 0, None, every)
         for _, _, message in chosen:
-            t_ns = stamp_ns(message.header.stamp) - start
+            t_ns = header_ns(message) - start
             data = jazzy_types().serialize_cdr(message, message.__msgtype__)
             found.append((t_ns, topic, bytearray(data)))
     found.sort(key=lambda item: item[0])
@@ -138,7 +138,7 @@ def measure(imu_rate: float, seconds: float, parameters: list[str]) -> tuple[str
         player.node.create_subscription(
             JointState,
             "/identifier/coefficients_named",
-            lambda m: ages.append(time.time_ns() - stamp_ns(m.header.stamp)),
+            lambda m: ages.append(time.time_ns() - header_ns(m)),
             1000,
         )
         publisher.start()

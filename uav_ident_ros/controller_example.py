@@ -32,8 +32,8 @@ from uav_ident_ros.client import (
 from uav_ident_ros.control import Effect, Gains, Law, RateController
 from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.messages.types import header_ns, stamp_ns
 from uav_ident_ros.node.program import node_usage, read_parameters, run, spin
-from uav_ident_ros.ros import stamp_ns
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 AXES = ("roll", "pitch", "yaw")
@@ -114,10 +114,10 @@ class ControllerExample(Node):
     def _on_reference(self, message: Vector3Stamped) -> None:
         vector = message.vector
         reference = np.array([vector.x, vector.y, vector.z])
-        self._references.add(stamp_ns(message.header.stamp), reference)
+        self._references.add(header_ns(message), reference)
 
     def _on_imu(self, message: Imu) -> None:
-        t_ns = stamp_ns(message.header.stamp)
+        t_ns = header_ns(message)
         rates = message.angular_velocity
         x = np.array([rates.x, rates.y, rates.z]) * FLU_TO_FRD
         reference = self._references.at(t_ns - self._reference_delay_ns)

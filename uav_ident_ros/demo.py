@@ -30,6 +30,7 @@ from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import ACTUATORS, MessageTypeError, import_type
 from uav_ident_ros.monitor.cli import Listener
 from uav_ident_ros.monitor.picture import View
+from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME
 from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.run import Inputs, choose_inputs
@@ -187,15 +188,21 @@ def play(
     ------
     PlayerError
         If the node does not answer.
+    KeyboardInterrupt
+        If a signal asks for the end.
     """
-    with running_node(flight, log) as node, contextlib.ExitStack() as open_:
-        player = Player({topic: import_type(name) for topic, name in flight.types.items()})
+    ending = Ending()
+    with contextlib.ExitStack() as open_:
+        open_.callback(ending.restore)
+        node = open_.enter_context(running_node(flight, log))
+        topics = {topic: import_type(name) for topic, name in flight.types.items()}
+        player = Player(topics, ending=ending)
         open_.callback(player.close)
         player.wait_until(lambda: node.poll() is not None or player.node_is_there(), "the node")
         if node.poll() is not None:
             return False
         player.wait_for_node()
-        listener = Listener()
+        listener = Listener(ending)
         open_.callback(listener.close)
         watched = listener.listen(NODE_NAME)
         view = View()

@@ -10,6 +10,7 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
+from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.ros import to_stamp
 
 LOOK_EVERY = 0.02
@@ -79,7 +80,13 @@ class StepClock:
 class Guest:
     """A node in a context of its own: without signal handlers Ctrl-C stays a KeyboardInterrupt."""
 
-    def __init__(self, name: str, **options: Any) -> None:
+    def __init__(
+        self,
+        name: str,
+        ending: Ending | None = None,  # Takes the signals, where others must not be interrupted
+        **options: Any,
+    ) -> None:
+        self._ending = ending
         context = Context()
         context.init(args=[])
         self.node = Node(
@@ -95,5 +102,24 @@ class Guest:
         self.node.context.try_shutdown()
 
     def spin_for(self, seconds: float, until: Callable[[], bool] | None = None) -> bool:
-        """Listen for a while, or until a condition holds; return whether it does."""
-        return listen(self._executor, seconds, until)
+        """Listen for a while, or until a condition holds; return whether it does.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If a signal asks for the end: here, and not in the middle of the middleware's work.
+        """
+        if self._ending is None:
+            return listen(self._executor, seconds, until)
+        holds = listen(self._executor, seconds, lambda: self.called_off() or _holds(until))
+        if self.called_off():
+            raise KeyboardInterrupt
+        return holds
+
+    def called_off(self) -> bool:
+        """Whether a signal asks for the end."""
+        return self._ending is not None and self._ending.requested
+
+
+def _holds(until: Callable[[], bool] | None) -> bool:
+    return until is not None and until()

@@ -20,8 +20,9 @@ from std_msgs.msg import Float64MultiArray
 
 from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.guest import CLOCK_AHEAD_NS, LOOK_EVERY, Guest, StepClock
-from uav_ident_ros.messages.types import NS_PER_S
-from uav_ident_ros.ros import latched, stamp_ns
+from uav_ident_ros.messages.types import NS_PER_S, header_ns
+from uav_ident_ros.node.ending import Ending
+from uav_ident_ros.ros import latched
 
 CLOCK_PERIOD_NS = 10_000_000
 """Interval of /clock, ns: 100 Hz, so that stamps on arrival are good to 10 ms."""
@@ -62,7 +63,7 @@ class Outputs:
     @property
     def newest_ns(self) -> int:
         """Stamp of the newest tick, ns; 0 before the first."""
-        return stamp_ns(self.named[-1].header.stamp) if self.named else 0
+        return header_ns(self.named[-1]) if self.named else 0
 
     def clear(self) -> None:
         """Forget everything."""
@@ -78,8 +79,9 @@ class Player(Guest):
         topics: dict[str, type],  # Topics to publish and their message classes
         node_name: str = "/identifier",  # Full name of the node that listens
         clock: bool = True,  # Whether to publish /clock
+        ending: Ending | None = None,  # As in `Guest`
     ) -> None:
-        super().__init__("player")
+        super().__init__("player", ending)
         self.outputs = Outputs()
         self._node_name = node_name
         self._publishers = {
@@ -211,7 +213,7 @@ class Player(Guest):
         self._executor.spin_once(timeout_sec=0.0)
         wanted_ns = t_ns - ANSWER_WITHIN_NS
         if wanted_ns >= start_ns + START_UP_NS and not self._clock.wait(
-            lambda: self.outputs.newest_ns >= wanted_ns, t_ns, PATIENCE
+            lambda: self.called_off() or self.outputs.newest_ns >= wanted_ns, t_ns, PATIENCE
         ):
             raise PlayerError(
                 f"waited {PATIENCE:g} s in vain for the output of "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every ROS node here needs: stamps to nanoseconds and back, and latched topics."""
+"""What every ROS node here needs: stamps from nanoseconds, and latched topics."""
 
 from builtin_interfaces.msg import Time
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -16,11 +16,6 @@ def latched(depth: int) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL,
     )
-
-
-def stamp_ns(stamp: Time) -> int:
-    """Return a stamp in ns."""
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def to_stamp(t_ns: int) -> Time:

@@ -13,11 +13,10 @@ from rclpy.parameter import Parameter
 
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import BagWriter
-from uav_ident_ros.messages.types import import_type
+from uav_ident_ros.messages.types import header_ns, import_type
 from uav_ident_ros.offline import NOT_USABLE, USABLE
 from uav_ident_ros.player import Outputs, Player
 from uav_ident_ros.process import NodeProcess
-from uav_ident_ros.ros import stamp_ns
 
 RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
 TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC)
@@ -137,9 +136,9 @@ def published(outputs: Outputs) -> TickValues:
 
 def joined(named: Iterable, predicted: Iterable, error: Iterable) -> TickValues:
     """Values and deviations of the coefficients, predicted rates and their error, by tick."""
-    ticks = {stamp_ns(m.header.stamp): (*m.position, *m.effort) for m in named}
+    ticks = {header_ns(m): (*m.position, *m.effort) for m in named}
     for messages in (predicted, error):
-        vectors = {stamp_ns(m.header.stamp): m.vector for m in messages}
+        vectors = {header_ns(m): m.vector for m in messages}
         assert vectors.keys() == ticks.keys()
         for tick, v in vectors.items():
             ticks[tick] += (v.x, v.y, v.z)

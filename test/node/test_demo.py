@@ -3,6 +3,9 @@
 
 import re
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,7 @@ from programs import Capture, python, refusal
 from recordings import recording, write_bag
 from repository import ROOT
 
+from uav_ident_ros.commandline import INTERRUPTED
 from uav_ident_ros.demo import main
 
 PNG = b"\x89PNG"
@@ -32,6 +36,17 @@ def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_pa
     assert (folder / "report.html").is_file()
     # the monitor's view of the live node
     assert re.search(r"^/identifier  (learning|converged)  ", run.stdout, re.MULTILINE)
+
+
+def test_ctrl_c_ends_it_and_its_node_while_it_plays(tmp_path: Path) -> None:
+    options = ["--speed", "1", "--output", str(tmp_path)]
+    command = [sys.executable, "-m", "uav_ident_ros.demo", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as demo:
+        assert demo.stdout is not None
+        assert any("/identifier" in line for line in demo.stdout)  # it shows the node
+        demo.send_signal(signal.SIGINT)
+        assert demo.wait(30.0) == INTERRUPTED
+    assert "Traceback" not in (tmp_path / "demo_c172p" / "node.log").read_text()
 
 
 @pytest.mark.parametrize(

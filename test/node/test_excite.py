@@ -25,9 +25,9 @@ from std_srvs.srv import SetBool
 from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
 from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.node.excite import slowest_ticks
 from uav_ident_ros.player import Player
-from uav_ident_ros.ros import stamp_ns
 
 MS = 1_000_000
 PARAMETERS = {
@@ -69,10 +69,10 @@ def test_a_run_is_published_tick_by_tick_and_aborted_at_once(
     assert call(player, SetBool, "excite", data=True).success
     assert not call(player, SetBool, "excite", data=True).success
     player.play_in_step(part(flight, 2.0, 5.0))
-    stamps = [stamp_ns(m.header.stamp) for m in received]
+    stamps = [header_ns(m) for m in received]
     assert {tuple(m.name) for m in received} == {INPUTS}
     assert set(np.diff(stamps)) == {50 * MS}
-    ticks = {stamp_ns(m.header.stamp) for m in player.outputs.named}
+    ticks = {header_ns(m) for m in player.outputs.named}
     assert {t - 150 * MS for t in stamps} >= ticks - {min(ticks)}  # one for each tick
     requested = positions(received)
     assert (np.abs(requested).max(axis=0) > [0.006, 0.012, 0.018, -1.0]).all()
@@ -86,7 +86,7 @@ def test_a_run_is_published_tick_by_tick_and_aborted_at_once(
     answer = call(player, SetBool, "excite", data=False)
     assert answer.success and answer.message == "excitation is zero"
     player.wait_until(lambda: len(received) > 0, "zero")
-    assert stamp_ns(received[0].header.stamp) < stamps[-1]  # what lies ahead is called off
+    assert header_ns(received[0]) < stamps[-1]  # what lies ahead is called off
     player.play_in_step(part(flight, 5.0, 8.0))
     assert not positions(received).any()
     assert len(received) < 20  # half a second, then silence
@@ -118,9 +118,7 @@ def test_a_replay_of_the_flight_reads_the_excitation_of_the_node(
     live |= published(player.outputs)
     topic = f"{NODE}/excitation"
     # each left the node with its tick, at the earliest: `input_wait` after it
-    words = [
-        Message(topic, stamp_ns(m.header.stamp) - 100 * MS, serialize_message(m)) for m in received
-    ]
+    words = [Message(topic, header_ns(m) - 100 * MS, serialize_message(m)) for m in received]
     assert len(words) > 100 and positions(received).any()
     both = sorted([*flight.messages, *words], key=lambda message: message.log_ns)
     types = {**flight.types, topic: "sensor_msgs/msg/JointState"}

@@ -23,11 +23,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.offline.ticks import Ticks
 from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess
-from uav_ident_ros.ros import stamp_ns
 
 ON_TIME = 2e-3
 """How late the player may be, s of the recording, rms: its stamps on arrival are off by as much."""
@@ -120,7 +120,7 @@ def test_both_topics_are_read_from_their_bytes_as_a_microcontroller_does(
 
     decoded = player.outputs.named[-1]
     cdr = Cdr(raw["coefficients_named"][-1])
-    assert cdr.number("i") * 10**9 + cdr.number("I") == stamp_ns(decoded.header.stamp)
+    assert cdr.number("i") * 10**9 + cdr.number("I") == header_ns(decoded)
     assert cdr.string() == ""  # frame_id
     names = [cdr.string() for _ in range(cdr.number("I"))]
     position, velocity, effort = cdr.doubles(), cdr.doubles(), cdr.doubles()
@@ -157,7 +157,7 @@ def test_unstamped_actuators_at_real_time_fit_within_a_point(fly: Fly, tmp_path:
         player.spin_for(0.5)
         if speed * late < ON_TIME:
             break
-    ticks = [stamp_ns(m.header.stamp) for m in player.outputs.named]
+    ticks = [header_ns(m) for m in player.outputs.named]
     assert len(ticks) == len(player.outputs.coefficients)
     live = dict(zip(ticks, (m.data for m in player.outputs.coefficients), strict=True))
     values = load_parameters(flight.parameter_file, "identifier")

@@ -11,9 +11,9 @@ from recordings import Fly, call, published, recording, replayed
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Setting, Settings, declarations
+from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.node.parameters import PARAMETER_TYPES
 from uav_ident_ros.player import Player
-from uav_ident_ros.ros import stamp_ns
 
 CHANGEABLE = [setting for setting in declarations() if not setting.read_only]
 LEARNING = ("forgetting_time", "model.leak_time")
@@ -69,7 +69,7 @@ def test_every_change_is_followed_and_the_fit_recovers(fly: Fly) -> None:
         begin = ends[part - 1] if part else 0
         player.play_in_step([m for m in flight.messages if begin < m.log_ns <= ends[part]])
         named = player.outputs.named
-        stamps = [stamp_ns(m.header.stamp) for m in named]
+        stamps = [header_ns(m) for m in named]
         assert set(np.diff(stamps)) == {TICK_NS}, "no tick is missed"
         return stamps, [dict(zip(m.name, m.position, strict=True)) for m in named]
 

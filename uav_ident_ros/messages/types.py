@@ -86,10 +86,14 @@ class ActuatorAdapter:
 # --- reading ---------------------------------------------------------------------------------
 
 
+def stamp_ns(stamp: Any) -> int:
+    """Return a builtin_interfaces/Time in ns."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
 def header_ns(message: Any) -> int:
     """Stamp of the message's std_msgs/Header, ns."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+    return stamp_ns(message.header.stamp)
 
 
 def px4_ns(message: Any) -> int:

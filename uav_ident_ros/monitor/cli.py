@@ -5,7 +5,6 @@ import argparse
 import importlib.util
 import math
 import sys
-from collections.abc import Callable
 from contextlib import closing
 from typing import NoReturn
 
@@ -54,27 +53,8 @@ NO_RICH = (
 class Listener(Guest):
     """A node of its own that listens until it is asked to end, and publishes nothing."""
 
-    def __init__(self) -> None:
-        self._ending = Ending()  # before there is anything to leave
-        super().__init__("uav_ident_monitor", start_parameter_services=False)
-
-    def close(self) -> None:
-        """Leave the graph."""
-        super().close()
-        self._ending.close()
-
-    def wait(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Listen for a while, or until a condition holds; return whether it does.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            If a signal asks for the end: here, and not in the middle of the middleware's work.
-        """
-        holds = self.spin_for(seconds, lambda: self._ending.requested or until())
-        if self._ending.requested:
-            raise KeyboardInterrupt
-        return holds
+    def __init__(self, ending: Ending) -> None:
+        super().__init__("uav_ident_monitor", ending, start_parameter_services=False)
 
     def identifiers(self) -> list[str]:
         """Return the full names of the identifiers that publish now, sorted."""
@@ -91,9 +71,9 @@ class Listener(Guest):
         timeout: float,  # Seconds to look at most; the list is empty if there is none by then
     ) -> list[str]:
         """Look for identifiers until some have been found, and those beside them."""
-        if not self.wait(timeout, lambda: bool(self.identifiers())):
+        if not self.spin_for(timeout, lambda: bool(self.identifiers())):
             return []
-        self.wait(SETTLE)
+        self.spin_for(SETTLE)
         return self.identifiers()
 
     def listen(self, node: str) -> WatchedNode:
@@ -167,7 +147,7 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
             return NOTHING_RECEIVED
         node = _the_one(found)
     watched = listener.listen(node)
-    listener.wait(timeout, lambda: watched.fresh and bool(watched.status.state))
+    listener.spin_for(timeout, lambda: watched.fresh and bool(watched.status.state))
     if watched.newest is None and not watched.status.state:
         print(f"monitor: nothing was heard of '{node}' for {timeout:g} s", file=sys.stderr)
         return NOTHING_RECEIVED
@@ -188,7 +168,7 @@ def watch(listener: Listener, node: str | None, plain: bool) -> NoReturn:
     with closing(View(plain)) as view:
         while True:
             view.show(watched)
-            listener.wait(view.period)
+            listener.spin_for(view.period)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -197,7 +177,8 @@ def main(arguments: list[str] | None = None) -> int:
     if importlib.util.find_spec("rich") is None:
         print(NO_RICH, file=sys.stderr)
         return USAGE_ERROR
-    listener = Listener()
+    ending = Ending()  # before there is anything to leave
+    listener = Listener(ending)
     try:
         if options.once:
             return once(listener, options.node, options.timeout)
@@ -212,6 +193,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     finally:
         listener.close()
+        ending.close()
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ class Ending:
 
     def __init__(self) -> None:
         self.requested = False  # Whether the program was asked to end
+        self._before = {number: signal.getsignal(number) for number in SIGNALS}
         for number in SIGNALS:
             # nohup and setsid: who ignores the terminal's end wants to outlive it.
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
@@ -25,6 +26,11 @@ class Ending:
 
     def _request(self, *_: object) -> None:
         self.requested = True
+
+    def restore(self) -> None:
+        """Let others take the signals again, for a program that goes on."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     def close(self) -> None:
         """Ignore what still comes: Python would put the deadly handlers back as it ends.
