@@ -15,11 +15,7 @@ import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.simulation.flight import (
-    CoefficientChange,
-    Flight,
-    effect_of,
-)
+from uav_ident_ros.simulation.flight import CoefficientChange, Flight, effect_of
 from uav_ident_ros.simulation.inputs import ColouredNoise
 from uav_ident_ros.simulation.live import Live, Plan
 from uav_ident_ros.simulation.noise import Sensors

@@ -19,11 +19,7 @@ from uav_ident_ros.identification.model import bounded, integrate, rates_derivat
 from uav_ident_ros.identification.prior import PRODUCT_SIGMA, start_from
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import (
-    INPUT_COLUMNS,
-    PRODUCT_COLUMNS,
-    FloatArray,
-)
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, PRODUCT_COLUMNS, FloatArray
 
 WINDOW = 1.0
 """Length of a shooting window, s."""

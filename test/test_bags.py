@@ -16,10 +16,9 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from uav_ident_ros.bags import messages
-from uav_ident_ros.bags.messages import ARRAY
+from uav_ident_ros.bags import writing
 from uav_ident_ros.bags.reading import MCAP_MAGIC, Bag, BagError
-from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.bags.writing import ARRAY, BagWriter
 from uav_ident_ros.messages.feed import decode_imu_cdr
 
 FOREIGN = "px4_msgs/msg/ActuatorServos"
@@ -28,7 +27,7 @@ FOREIGN_TEXT = "uint64 timestamp\nuint64 timestamp_sample\nfloat32[8] control\n"
 
 
 def array(value: float) -> Any:
-    return messages.array([float(value)])
+    return writing.array([float(value)])
 
 
 def write(path: Path, *, compress: bool = False) -> Path:

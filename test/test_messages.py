@@ -11,9 +11,8 @@ import pytest
 from estimates import estimate_of
 from programs import python
 
-from uav_ident_ros.bags import messages
-from uav_ident_ros.bags.messages import NOT_MEASURED, UNKNOWN
-from uav_ident_ros.bags.writing import jazzy_types
+from uav_ident_ros.bags import writing
+from uav_ident_ros.bags.writing import NOT_MEASURED, UNKNOWN, jazzy_types
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.settings import (
@@ -63,7 +62,7 @@ def vector(x: float, y: float, z: float) -> SimpleNamespace:
 def imu(frame_id: str = "base_link", *, rates: bool = True, force: bool = True) -> Any:
     covariances = tuple(UNKNOWN if known else NOT_MEASURED for known in (rates, force))
     turn = np.random.default_rng(len(frame_id)).normal(size=4).tolist()
-    return messages.imu(STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), frame_id, turn, covariances)
+    return writing.imu(STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), frame_id, turn, covariances)
 
 
 def serialized(message: Any, **options: Any) -> bytes:

@@ -28,9 +28,8 @@ from excerpts import (
 from programs import Capture, python, refusal
 from rosbags.highlevel import AnyReader
 
-from uav_ident_ros.bags.messages import TWIST, joint_state, plain, twist_stamped
 from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.bags.writing import TWIST, BagWriter, joint_state, plain, twist_stamped
 from uav_ident_ros.files.coefficients_file import load_coefficients, save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier

@@ -13,8 +13,7 @@ from pyulog.ulog2csv import convert_ulog2csv
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.identification.frames import rotation
-from uav_ident_ros.import_logs.stamps import quaternions
+from uav_ident_ros.identification.frames import quaternions, rotation
 from uav_ident_ros.offline import NOT_USABLE
 from uav_ident_ros.simulation.channels import ELEVON, QUADROTOR
 

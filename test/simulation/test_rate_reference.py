@@ -8,8 +8,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="the reference is a ROS node")
 
+from geometry_msgs.msg import Quaternion
+
+from uav_ident_ros.identification.frames import quaternions
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.simulation.plant_node import quaternion
 from uav_ident_ros.simulation.rate_reference import MAX_RATES, Manoeuvres, attitude, body_rates
 
 DT = 0.01
@@ -47,6 +49,7 @@ def test_a_steady_turn_needs_the_rates_of_a_coordinated_one() -> None:
 @pytest.mark.parametrize("angles", [(0.3, -0.2, 1.0), (-1.2, 0.7, -3.0), (0.0, 0.0, 0.0)])
 def test_the_attitude_survives_the_quaternion(angles: tuple[float, float, float]) -> None:
     roll, pitch, yaw = angles
-    q = quaternion(roll, -pitch, 0.5 * math.pi - yaw)
+    turned = quaternions(roll, -pitch, 0.5 * math.pi - yaw)
+    q = Quaternion(**dict(zip("xyzw", turned.tolist(), strict=True)))
     assert attitude(q) == pytest.approx((roll, pitch))
     assert q.w**2 + q.x**2 + q.y**2 + q.z**2 == pytest.approx(1.0)

@@ -8,8 +8,7 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
 
-from uav_ident_ros.bags.messages import TWIST, VECTOR, vector_stamped
-from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos
+from uav_ident_ros.bags.writing import TWIST, VECTOR, BagWriteError, BagWriter, qos, vector_stamped
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.simulation import recording
 from uav_ident_ros.simulation.inputs import Segment
@@ -108,16 +107,10 @@ def test_the_truth_beside_the_bag(tmp_path: Path) -> None:
     assert truth["excitation"] == [[0.0, 2.0]]
 
 
-def test_the_writer_names_the_topic_that_is_wrong(tmp_path: Path) -> None:
+def test_a_message_is_written_with_the_log_time_and_the_stamp_given(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         bag.topic("/a", VECTOR, qos(10, transient_local=True))
-        with pytest.raises(BagWriteError, match=r"'/a'.*twice"):
-            bag.topic("/a", VECTOR)
-        with pytest.raises(BagWriteError, match="no_msgs/msg/Such"):
-            bag.topic("/b", "no_msgs/msg/Such")
         bag.write("/a", 7, vector_stamped(1_500_000_000, (1.0, 2.0, 3.0), "base_link"))
-        with pytest.raises(BagWriteError, match="'/b'"):
-            bag.write("/b", 8, b"")
     with AnyReader([tmp_path / "bag"]) as reader:
         ((connection, t, raw),) = reader.messages()
         message = reader.deserialize(raw, connection.msgtype)

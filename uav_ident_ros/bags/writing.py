@@ -6,13 +6,15 @@ from __future__ import annotations
 import dataclasses
 import heapq
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
 from rosbags.interfaces import (
     Connection,
     Qos,
@@ -22,16 +24,11 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import (
-    CompressionFormat,
-    CompressionMode,
-    StoragePlugin,
-    Writer,
-    WriterError,
-)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import NS_PER_S
 
 FOREVER = QosTime(2147483647, 4294967295)
@@ -102,17 +99,8 @@ def jazzy_types() -> Typestore:
 
 
 def message_class(msgtype: str) -> Any:
-    """Return the class of a message type such as ``sensor_msgs/msg/Imu``.
-
-    Raises
-    ------
-    BagWriteError
-        If ROS 2 Jazzy's common interfaces have no such type.
-    """
-    try:
-        return jazzy_types().types[msgtype]
-    except KeyError:
-        raise BagWriteError(f"message type '{msgtype}' is not among ROS 2 Jazzy's") from None
+    """Return the class of a message type such as ``sensor_msgs/msg/Imu``."""
+    return jazzy_types().types[msgtype]
 
 
 def stamp(t_ns: int) -> Any:
@@ -175,17 +163,7 @@ class BagWriter:
         msgtype: str,  # Message type, ``package/msg/Name``
         qos: Qos | None = None,  # Profile it was offered with; see `qos`
     ) -> None:
-        """Announce a topic.
-
-        Raises
-        ------
-        BagWriteError
-            If it was announced before or its type is unknown.
-        """
-        if name in self._topics:
-            raise BagWriteError(f"topic '{name}' of bag '{self.path}' is announced twice")
-        if msgtype not in self.types.types:
-            raise BagWriteError(f"topic '{name}': message type '{msgtype}' is unknown")
+        """Announce a topic."""
         self._topics[name] = self._writer.add_connection(
             name, msgtype, typestore=self.types, offered_qos_profiles=(qos,) if qos else ()
         )
@@ -197,19 +175,8 @@ class BagWriter:
         # Message as a dataclass of the typestore (see `message_class`), or its CDR bytes
         message: Any,
     ) -> None:
-        """Write one message.
-
-        Raises
-        ------
-        BagWriteError
-            If the topic was not announced.
-        """
-        connection = self._topics.get(topic)
-        if connection is None:
-            raise BagWriteError(
-                f"topic '{topic}' of bag '{self.path}' was not announced; announced are "
-                f"{', '.join(self._topics) or 'none'}"
-            )
+        """Write one message."""
+        connection = self._topics[topic]
         if dataclasses.is_dataclass(message):
             message = self.types.serialize_cdr(message, connection.msgtype)
         self._writer.write(connection, int(log_time_ns), message)
@@ -218,7 +185,83 @@ class BagWriter:
         """Write the messages of streams, each in the order of its log times, by their log times.
 
         At equal times the earlier stream comes first: actuators before rates, as the command
-        precedes its effect. Parameters of each message, and errors, as of `write`.
+        precedes its effect. Parameters of each message as of `write`.
         """
         for log_ns, topic, message in heapq.merge(*streams, key=itemgetter(0)):
             self.write(topic, log_ns, message)
+
+
+# --- messages of the common interfaces from plain values ------------------------------------------
+
+
+IMU, JOINT_STATE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/JointState"
+ARRAY = "std_msgs/msg/Float64MultiArray"
+VECTOR, TWIST = "geometry_msgs/msg/Vector3Stamped", "geometry_msgs/msg/TwistStamped"
+
+NOT_MEASURED, UNKNOWN = np.array([-1.0, *[0.0] * 8]), np.zeros(9)
+"""Covariances of an Imu that say that there is no such measurement, or that it is not known."""
+
+NO_TURN = (0.0, 0.0, 0.0, 1.0)
+EMPTY = np.zeros(0)
+
+
+def header(t_ns: int, frame_id: str = "") -> Any:
+    """std_msgs/msg/Header."""
+    return message_class("std_msgs/msg/Header")(stamp=stamp(t_ns), frame_id=frame_id)
+
+
+def vector(x: float, y: float, z: float) -> Any:
+    """geometry_msgs/msg/Vector3."""
+    return message_class("geometry_msgs/msg/Vector3")(x, y, z)
+
+
+def imu(
+    t_ns: int,
+    rates: Sequence[float],  # Angular velocity, rad/s
+    force: Sequence[float] | None,  # Specific force, m/s^2; None if it is not measured
+    frame_id: str = "",
+    orientation: Sequence[float] | None = None,  # x, y, z, w; None if it is not measured
+    covariances: tuple[FloatArray, FloatArray] = (UNKNOWN, UNKNOWN),  # of rates and force
+) -> Any:
+    """sensor_msgs/msg/Imu."""
+    return message_class(IMU)(
+        header=header(t_ns, frame_id),
+        orientation=message_class("geometry_msgs/msg/Quaternion")(*(orientation or NO_TURN)),
+        orientation_covariance=UNKNOWN if orientation else NOT_MEASURED,
+        angular_velocity=vector(*rates),
+        angular_velocity_covariance=covariances[0],
+        linear_acceleration=vector(*(force or NO_TURN[:3])),
+        linear_acceleration_covariance=covariances[1] if force else NOT_MEASURED,
+    )
+
+
+def joint_state(
+    t_ns: int, names: Sequence[str], positions: ArrayLike, efforts: ArrayLike = EMPTY
+) -> Any:
+    """sensor_msgs/msg/JointState."""
+    numbers = (np.ascontiguousarray(part, dtype=float) for part in (positions, EMPTY, efforts))
+    return message_class(JOINT_STATE)(header(t_ns), list(names), *numbers)
+
+
+def array(values: ArrayLike, dimensions: Sequence[tuple[str, int, int]] = ()) -> Any:
+    """std_msgs/msg/Float64MultiArray."""
+    dimension = message_class("std_msgs/msg/MultiArrayDimension")
+    layout = message_class("std_msgs/msg/MultiArrayLayout")
+    dim = [dimension(*words) for words in dimensions]
+    return message_class(ARRAY)(layout(dim, data_offset=0), np.ascontiguousarray(np.ravel(values)))
+
+
+def vector_stamped(t_ns: int, xyz: Sequence[float], frame_id: str = "") -> Any:
+    """geometry_msgs/msg/Vector3Stamped."""
+    return message_class(VECTOR)(header(t_ns, frame_id), vector(*xyz))
+
+
+def twist_stamped(t_ns: int, linear: Sequence[float]) -> Any:
+    """geometry_msgs/msg/TwistStamped of something that does not turn."""
+    twist = message_class("geometry_msgs/msg/Twist")(vector(*linear), vector(0.0, 0.0, 0.0))
+    return message_class(TWIST)(header(t_ns), twist)
+
+
+def plain(msgtype: str, data: float | bool | str) -> Any:
+    """Return a message of std_msgs with one field, `data`."""
+    return message_class(msgtype)(data=data)

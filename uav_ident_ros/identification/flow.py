@@ -14,11 +14,7 @@ from math import asin, atan2, cos, exp, inf, sin
 
 import numpy as np
 
-from uav_ident_ros.identification.model import (
-    GRAVITY,
-    LARGEST_ANGLE,
-    plan_steps,
-)
+from uav_ident_ros.identification.model import GRAVITY, LARGEST_ANGLE, plan_steps
 from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import (

@@ -73,3 +73,15 @@ def centripetal(x: FloatArray, arm: FloatArray) -> FloatArray:
     along = p * arm[0] + q * arm[1] + r * arm[2]
     square = p * p + q * q + r * r
     return np.stack([q * along - square * arm[1], r * along - square * arm[2]], axis=-1)
+
+
+def quaternions(
+    roll: FloatArray | float, pitch: FloatArray | float, yaw: FloatArray | float
+) -> FloatArray:
+    """Return the unit quaternions x, y, z, w of Euler angles (rad), shape (..., 4)."""
+    (cr, sr), (cp, sp), (cy, sy) = (
+        (np.cos(angle / 2.0), np.sin(angle / 2.0)) for angle in (roll, pitch, yaw)
+    )
+    x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
+    z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
+    return np.stack([x, y, z, w], axis=-1)

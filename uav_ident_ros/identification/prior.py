@@ -10,11 +10,7 @@ import numpy as np
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.rigid_body import Inertia, product_coefficients
 from uav_ident_ros.identification.scales import SURE
-from uav_ident_ros.identification.settings import (
-    LARGEST_COEFFICIENT,
-    Settings,
-    SettingsError,
-)
+from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings, SettingsError
 from uav_ident_ros.identification.structure import (
     CONSTANT,
     FLOW_ANGLES,

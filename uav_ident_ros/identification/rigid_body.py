@@ -11,11 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import (
-    RATE_COLUMNS,
-    FloatArray,
-    Structure,
-)
+from uav_ident_ros.identification.structure import RATE_COLUMNS, FloatArray, Structure
 
 FIRST_MOMENT_COLUMN = RATE_COLUMNS.start
 """Columns from here on multiply moment derivatives; those before it, inertia ratios."""

@@ -13,13 +13,7 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.estimators.excitation import WINDOW_TIME
-from uav_ident_ros.identification.gates import (
-    TOO_FAR,
-    TOO_QUIET,
-    Gate,
-    Gates,
-    ResidualGate,
-)
+from uav_ident_ros.identification.gates import TOO_FAR, TOO_QUIET, Gate, Gates, ResidualGate
 from uav_ident_ros.identification.parallel_model import RunningFit
 from uav_ident_ros.identification.residuals import Confirmation
 from uav_ident_ros.identification.scales import MEMORY

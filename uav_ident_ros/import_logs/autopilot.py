@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from uav_ident_ros.identification.frames import quaternions
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import Channel, Choice, Findings, FlightLog, Stream
 from uav_ident_ros.import_logs.log import Log, Messages
@@ -24,7 +25,6 @@ from uav_ident_ros.import_logs.stamps import (
     inside,
     interpolate,
     intervals,
-    quaternions,
 )
 
 ENOUGH_RATE = 20.0

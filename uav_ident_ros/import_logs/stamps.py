@@ -140,16 +140,6 @@ def interpolate(t_ns: TimeArray, samples_ns: TimeArray, values: FloatArray) -> F
     return np.column_stack([np.interp(at, known, column) for column in values.T])
 
 
-def quaternions(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Return the unit quaternions x, y, z, w of Euler angles (rad), shape (n, 4)."""
-    (cr, sr), (cp, sp), (cy, sy) = (
-        (np.cos(angle / 2.0), np.sin(angle / 2.0)) for angle in (roll, pitch, yaw)
-    )
-    x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
-    z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
-    return np.column_stack([x, y, z, w])
-
-
 def turned_at(t_ns: TimeArray, samples_ns: TimeArray, quaternion: FloatArray) -> FloatArray:
     """Return unit quaternions (k, 4) at other times (n,), joined along the shorter arcs."""
     flips = np.cumprod(np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))

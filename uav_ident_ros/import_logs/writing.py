@@ -9,18 +9,20 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from uav_ident_ros.bags.messages import (
+from uav_ident_ros.bags.writing import (
     IMU,
     JOINT_STATE,
     TWIST,
     VECTOR,
+    BagWriter,
     imu,
     joint_state,
     plain,
+    qos,
     twist_stamped,
     vector_stamped,
+    whole,
 )
-from uav_ident_ros.bags.writing import BagWriter, qos, whole
 from uav_ident_ros.files.parameter_file import load_parameters, written
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import Settings, SettingsError

@@ -12,11 +12,7 @@ from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, MultiAr
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.messages.published import (
-    coefficients_layout,
-    dense_coefficients,
-    named_entries,
-)
+from uav_ident_ros.messages.published import coefficients_layout, dense_coefficients, named_entries
 from uav_ident_ros.ros import RELIABLE, latched, to_stamp
 
 

@@ -14,24 +14,23 @@ from typing import Any, NamedTuple, overload
 
 import numpy as np
 
-from uav_ident_ros.bags.messages import (
+from uav_ident_ros.bags.writing import (
     ARRAY,
     JOINT_STATE,
     VECTOR,
+    BagWriteError,
+    BagWriter,
     array,
     joint_state,
+    qos,
     vector_stamped,
+    whole,
 )
-from uav_ident_ros.bags.writing import BagWriteError, BagWriter, qos, whole
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray, Structure
-from uav_ident_ros.messages.published import (
-    coefficients_layout,
-    dense_coefficients,
-    named_entries,
-)
+from uav_ident_ros.messages.published import coefficients_layout, dense_coefficients, named_entries
 
 _VECTORS = ("predicted_rates", "prediction_error", "fit")
 _WORDS = ("adapting", "usable", "usable_rows", "state", "reason")

@@ -35,12 +35,7 @@ from uav_ident_ros.offline.tables import (
     modes_table,
 )
 from uav_ident_ros.report import diagrams, tables
-from uav_ident_ros.report.charts import (
-    coefficient_charts,
-    rate_charts,
-    signal_charts,
-    state_chart,
-)
+from uav_ident_ros.report.charts import coefficient_charts, rate_charts, signal_charts, state_chart
 from uav_ident_ros.report.diagrams import spectra
 from uav_ident_ros.report.flight import predict
 from uav_ident_ros.report.style import COLORS

@@ -51,12 +51,6 @@ class Sensors:
     channels: str = "plain"  # Name of the channel set of the raw actuators
 
     def __post_init__(self) -> None:
-        if self.convention not in FRAME_IDS:
-            raise SimulationError(f"convention '{self.convention}' is unknown: use flu or frd")
-        if self.channels not in CHANNEL_SETS:
-            raise SimulationError(
-                f"channel set '{self.channels}' is unknown: use {', '.join(CHANNEL_SETS)}"
-            )
         names = ("gyro_noise", "accelerometer_noise", "airspeed_noise", "stamp_jitter", "latency")
         for name in names:
             if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:

@@ -13,11 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY, integrate, rates_derivative
-from uav_ident_ros.identification.rigid_body import (
-    Inertia,
-    coefficients_from_physics,
-    full_moments,
-)
+from uav_ident_ros.identification.rigid_body import Inertia, coefficients_from_physics, full_moments
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
@@ -66,10 +62,6 @@ def _gain_matrix(gains: Mapping[str, float]) -> FloatArray:
     matrix = np.zeros((len(INPUTS), len(RATES)))
     for name, value in gains.items():
         target, _, source = name.partition("/")
-        if target not in INPUTS or source not in RATES:
-            raise SimulationError(
-                f"autopilot gain '{name}' is unknown: write input/rate, as in 'de/q'"
-            )
         matrix[INPUTS.index(target), RATES.index(source)] = value
     return matrix
 
@@ -132,15 +124,7 @@ VEHICLE_NAMES = tuple(_VEHICLES)
 
 
 def vehicle(name: str) -> Vehicle:
-    """Return the plant called `name`.
-
-    Raises
-    ------
-    SimulationError
-        If there is none.
-    """
-    if name not in _VEHICLES:
-        raise SimulationError(f"plant '{name}' is unknown: use one of {', '.join(VEHICLE_NAMES)}")
+    """Return the plant called `name`, one of `VEHICLE_NAMES`."""
     return _VEHICLES[name]()
 
 
@@ -185,7 +169,6 @@ class PlantFlight(Plan):
 
     def fly(self, name: str = "") -> Flight:
         """Fly it; see `Plan.fly`. A plant may diverge, too."""
-        _check_structure(self.vehicle)
         gust_rng, force_rng = (np.random.default_rng([self.seed, k]) for k in range(2))
         gust = np.asarray(self.moment) + self.gusts.sample(self.samples, 3, self.rate, gust_rng)
         force = self.force.sample(self.samples, 3, self.rate, force_rng) - [0.0, 0.0, GRAVITY]
@@ -205,21 +188,6 @@ class PlantFlight(Plan):
             changes=self.changes,
             extra={"gust": gust},
             **common,
-        )
-
-
-def _check_structure(vehicle: Vehicle) -> None:
-    structure = STRUCTURES[vehicle.structure]
-    if vehicle.coefficients.shape != structure.mask.shape:
-        raise SimulationError(
-            f"coefficients of plant '{vehicle.name}' have shape {vehicle.coefficients.shape}: "
-            f"structure '{structure.name}' needs {structure.mask.shape}"
-        )
-    if np.any(vehicle.coefficients[~structure.mask]):
-        i, j = np.argwhere((vehicle.coefficients != 0.0) & ~structure.mask)[0]
-        raise SimulationError(
-            f"plant '{vehicle.name}' has a coefficient in row {'pqr'[i]} of "
-            f"'{structure.regressors[j]}', which structure '{structure.name}' does not have"
         )
 
 

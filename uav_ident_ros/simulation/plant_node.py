@@ -35,6 +35,7 @@ from uav_ident_ros.client import (
     subscribe_excitation,
 )
 from uav_ident_ros.guest import StepClock, listen
+from uav_ident_ros.identification.frames import quaternions
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FRAME_IDS, NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
@@ -383,25 +384,13 @@ def _imu_message(t_ns: int, sample: Sample) -> Imu:
     message.angular_velocity = _vector(sample.measured_rates * FRD_TO_FLU)
     message.linear_acceleration = _vector(sample.measured_force * FRD_TO_FLU)
     roll, pitch, yaw = sample.attitude.tolist()
-    message.orientation = quaternion(roll, -pitch, 0.5 * math.pi - yaw)
+    turned = quaternions(roll, -pitch, 0.5 * math.pi - yaw)
+    message.orientation = Quaternion(**dict(zip("xyzw", turned.tolist(), strict=True)))
     return message
 
 
 def _vector(values: FloatArray) -> Vector3:
     return Vector3(x=float(values[0]), y=float(values[1]), z=float(values[2]))
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Orientation from the angles of REP-103, rad: about x, then y, then z of the world."""
-    (sr, cr), (sp, cp), (sy, cy) = (
-        (math.sin(0.5 * angle), math.cos(0.5 * angle)) for angle in (roll, pitch, yaw)
-    )
-    return Quaternion(
-        w=cr * cp * cy + sr * sp * sy,
-        x=sr * cp * cy - cr * sp * sy,
-        y=cr * sp * cy + sr * cp * sy,
-        z=cr * cp * sy - sr * sp * cy,
-    )
 
 
 def main(args: list[str] | None = None) -> int:

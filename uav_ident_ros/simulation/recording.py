@@ -9,17 +9,19 @@ from typing import Any
 import numpy as np
 import yaml
 
-from uav_ident_ros.bags.messages import (
+from uav_ident_ros.bags.writing import (
     ARRAY,
     IMU,
     JOINT_STATE,
     TWIST,
+    BagWriter,
     array,
     imu,
     joint_state,
+    qos,
     twist_stamped,
+    whole,
 )
-from uav_ident_ros.bags.writing import BagWriter, qos, whole
 from uav_ident_ros.files.truth_file import TRUTH_FILE
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.simulation.noise import Measurements

@@ -9,11 +9,7 @@ from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Inf
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.scales import MEMORY, ROUNDING
-from uav_ident_ros.identification.settings import (
-    LARGEST_COEFFICIENT,
-    Settings,
-    SettingsError,
-)
+from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings, SettingsError
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,

@@ -22,13 +22,7 @@ from numpy.typing import NDArray
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Layout, RowSamples
 from uav_ident_ros.identification.scales import INDEPENDENT_TIME, OUTLYING, ROUNDING, SHORT_MEMORY
-from uav_ident_ros.identification.structure import (
-    ROWS,
-    BoolArray,
-    FloatArray,
-    FlowRows,
-    Structure,
-)
+from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray, FlowRows, Structure
 
 FADE_TIME = 8.0
 """Time constant with which the information of the least-squares start then fades, s. It is
