@@ -37,7 +37,8 @@ from ulog_writing import commands, sensor_combined, write_ulog  # noqa: E402
 from uav_ident_ros.bags.reading import Bag, BagError  # noqa: E402
 from uav_ident_ros.identification.settings import SettingsError  # noqa: E402
 from uav_ident_ros.import_logs.cli import main as import_log  # noqa: E402
-from uav_ident_ros.offline.run import OfflineRun, choose_inputs  # noqa: E402
+from uav_ident_ros.offline.inputs import choose_inputs  # noqa: E402
+from uav_ident_ros.offline.run import OfflineRun  # noqa: E402
 
 LONGEST, MOST_MEMORY = 10.0, 500.0
 """What reading one file may take, s of the processor, and the process may hold, MiB."""

@@ -24,7 +24,7 @@ from uav_ident_ros.client import Refusal
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Settings, declarations
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.offline.run import choose_inputs
+from uav_ident_ros.offline.inputs import choose_inputs
 
 README = ROOT / "README.md"
 PARAMETERS = ROOT / "docs" / "parameters.md"

@@ -38,7 +38,7 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import entry_names
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline import NOT_USABLE, main
-from uav_ident_ros.offline.run import Refusals, choose_inputs
+from uav_ident_ros.offline.inputs import Refusals, choose_inputs
 from uav_ident_ros.offline.ticks import write_estimates
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]

@@ -33,7 +33,7 @@ from uav_ident_ros.monitor.picture import View
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME
 from uav_ident_ros.offline import main as replay
-from uav_ident_ros.offline.run import Inputs, choose_inputs
+from uav_ident_ros.offline.inputs import Inputs, choose_inputs
 from uav_ident_ros.player import Player, PlayerError
 from uav_ident_ros.process import LAST_DOMAIN, NodeProcess, own_domain
 from uav_ident_ros.share import shared

@@ -209,7 +209,7 @@ def test_a_band_is_one_sigma_to_either_side(flight: Flight) -> None:
     data = drawn.data_source.data
     index = flight.structure.index("pdot/pq")
     kept = np.searchsorted(flight.tick_t, data["t"].astype(float) - 1e-3)
-    sigma = flight.coefficient(index)[1][kept]
+    sigma = flight.estimates.history(index)[1][kept]
     np.testing.assert_allclose(data["high"] - data["value"], sigma, rtol=1e-3, atol=1e-5)
     np.testing.assert_allclose(data["value"] - data["low"], sigma, rtol=1e-3, atol=1e-5)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -314,16 +315,15 @@ class Plausibility:
         quick = len(raw) * SAMPLE_TIME >= self._inputs[-1][0] - self._inputs[0][0]
         u = self._map.apply(raw)
         without_trim = raw @ self._map.matrix.T
-        found = []
+        found: list[Finding] = []
         used = (u != u[0]).any(axis=0)  # the others are not in use, or not armed yet
         for i in np.flatnonzero(used).tolist():
             name, own = INPUTS[i], u[:, i]
-            if quick:
-                found.append(_interleaved(name, own))
+            if quick and (publishers := _interleaved(name, own)) is not None:
+                found.append(publishers)
             if name != "dth":  # throttles come in all units, motor speeds among them
-                trim = _trim(name, own, without_trim[:, i])
-                found += [_counts(name, own), trim, _degrees(name, own)]
-        return [finding for finding in found if finding is not None]
+                found += _off_range(name, own, without_trim[:, i])
+        return found
 
 
 def _gravity_left(times: FloatArray, rates: FloatArray, force: FloatArray) -> float:
@@ -354,37 +354,30 @@ def _rotations(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
 
 
-def _counts(name: str, u: FloatArray) -> Finding | None:
-    if np.abs(u).max() < COUNTS or abs(middle := float(np.median(u))) < COUNTS:
-        return None
-    return Finding(
-        "channel range",
-        f"{name} is {middle:.0f} on average: its channels look like PWM in microseconds. Set "
-        "actuators.trim to about 1500 and actuators.scale to 0.001 or to radians per microsecond",
-    )
-
-
-def _trim(name: str, u: FloatArray, without_trim: FloatArray) -> Finding | None:
-    if np.abs(u).min() < LARGEST_TRIM or np.abs(without_trim).max() > LARGEST_TRIM:
-        return None
-    return Finding(
-        "trim",
-        f"{name} is {np.median(u):+.2f} rad from its trim and never within {LARGEST_TRIM:g}, "
-        f"without actuators.trim it is {np.median(without_trim):+.2f}: the trim is in the unit of "
-        "the channels, is it in degrees?",
-    )
-
-
-def _degrees(name: str, u: FloatArray) -> Finding | None:
-    largest = float(np.abs(u).max())
-    if not LARGEST_DEFLECTION < largest < COUNTS or np.abs(np.median(u)) > LARGEST_DEFLECTION:
-        return None
-    return Finding(
-        "channel range",
-        f"{name} reaches {largest:.1f} rad, which no surface does: in degrees? Set "
-        "actuators.scale to 0.01745",
-        fault=False,
-    )
+def _off_range(name: str, u: FloatArray, without_trim: FloatArray) -> Iterator[Finding]:
+    """Yield what makes a surface's deflections none: counts, a trim or an angle in degrees."""
+    largest, middle = float(np.abs(u).max()), float(np.median(u))
+    if largest >= COUNTS and abs(middle) >= COUNTS:
+        yield Finding(
+            "channel range",
+            f"{name} is {middle:.0f} on average: its channels look like PWM in microseconds. Set "
+            "actuators.trim to about 1500 and actuators.scale to 0.001 or to radians per "
+            "microsecond",
+        )
+    if np.abs(u).min() >= LARGEST_TRIM and np.abs(without_trim).max() <= LARGEST_TRIM:
+        yield Finding(
+            "trim",
+            f"{name} is {middle:+.2f} rad from its trim and never within {LARGEST_TRIM:g}, without "
+            f"actuators.trim it is {np.median(without_trim):+.2f}: the trim is in the unit of the "
+            "channels, is it in degrees?",
+        )
+    if LARGEST_DEFLECTION < largest < COUNTS and abs(middle) <= LARGEST_DEFLECTION:
+        yield Finding(
+            "channel range",
+            f"{name} reaches {largest:.1f} rad, which no surface does: in degrees? Set "
+            "actuators.scale to 0.01745",
+            fault=False,
+        )
 
 
 def _interleaved(name: str, u: FloatArray) -> Finding | None:

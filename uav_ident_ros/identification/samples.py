@@ -364,9 +364,14 @@ class Intake:
         assert newest is not None
         if self.last_tick_ns == NO_TICK:
             # The first samples may come in any order too.
-            first = self._first_tick(t_ns)
+            first = t_ns * self._rate.numerator // (SECOND_NS * self._rate.denominator)
+            first += self._tick_ns(first) < t_ns
             self._next_tick = first if self._next_tick is None else min(first, self._next_tick)
-        self._find_due(newest)
+        assert self._next_tick is not None
+        while (tick_ns := self._tick_ns(self._next_tick)) + self._wait_ns <= newest:
+            self.last_tick_ns = tick_ns
+            self._due.append(tick_ns)
+            self._next_tick += 1
         return None
 
     def _move_to_new_base(self, sample: Sample) -> None:
@@ -456,18 +461,5 @@ class Intake:
             self._next_tick += 1
             yield self.last_tick_ns
 
-    def _find_due(self, newest_ns: int) -> None:
-        """Put the ticks on the list that rates stamped `newest_ns` make due."""
-        assert self._next_tick is not None
-        while self._tick_ns(self._next_tick) + self._wait_ns <= newest_ns:
-            self.last_tick_ns = self._tick_ns(self._next_tick)
-            self._due.append(self.last_tick_ns)
-            self._next_tick += 1
-
     def _tick_ns(self, k: int) -> int:
         return k * SECOND_NS * self._rate.denominator // self._rate.numerator
-
-    def _first_tick(self, t_ns: int) -> int:
-        """Index of the first tick at or after `t_ns`."""
-        k = t_ns * self._rate.numerator // (SECOND_NS * self._rate.denominator)
-        return k if self._tick_ns(k) >= t_ns else k + 1

@@ -408,7 +408,12 @@ class Sampler:
         start = self._edge_ns
         if start is None or start < first_ns:
             start, self._continues = first_ns, False
-        edges = np.arange(start, self._usable(last_ns) + 1, self.h_ns, dtype=np.int64)
+        if self._linear:
+            # A straight line needs the sample at its end: cells wait for it, but not for ever.
+            newest = int(self.raw_inputs.t[-1]) + self._delay_ns
+            if last_ns - newest <= self._stale_age():
+                last_ns = min(last_ns, newest)
+        edges = np.arange(start, last_ns + 1, self.h_ns, dtype=np.int64)
         if len(edges) < 2:
             return
         at = edges - self._delay_ns
@@ -420,16 +425,6 @@ class Sampler:
                 self._continues = True
         self._continues = bool(runs) and runs[-1][1] == len(edges) and end - begin > 1
         self._edge_ns = int(edges[-1])
-
-    def _usable(self, last_ns: int) -> int:
-        """Last time up to which cells may be cut, given rates up to `last_ns`.
-
-        A straight line needs the sample at its end: cells wait for it, but not for ever.
-        """
-        if not self._linear:
-            return last_ns
-        newest = int(self.raw_inputs.t[-1]) + self._delay_ns
-        return min(last_ns, newest) if last_ns - newest <= self._stale_age() else last_ns
 
     def _known_runs(self, at: TimeArray, stale_ns: int | None = None) -> list[tuple[int, int]]:
         """Begin and end (exclusive) of each run of times at which an input was fresh enough.

@@ -33,8 +33,6 @@ from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.offline.inputs import Inputs, Intake, Refusals, choose_inputs
 from uav_ident_ros.offline.ticks import Ticks
 
-__all__ = ["Inputs", "OfflineRun", "Refusals", "Stretch", "choose_inputs"]
-
 BLOCK = 8192
 """Samples of an Imu that are conditioned at a time: a minute or less, which takes some MB."""
 

@@ -141,7 +141,7 @@ def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator
     kept = np.unique(kept)
     structure, t = flight.structure, flight.tick_t[kept]
     for name, index in zip(structure.names, structure.free, strict=True):
-        value, sigma = (history[kept] for history in flight.coefficient(index))
+        value, sigma = (history[kept] for history in flight.estimates.history(index))
         low, high = value - sigma, value + sigma
         true_t, true = truth.steps(name, flight.span[1])
         chart = line.figure("", 130)

@@ -79,10 +79,6 @@ class Flight:
         """Measured p, q, r, shape (N, 3)."""
         return _joined([part.rates for part in self.time_bases])
 
-    def rates_at(self, t: FloatArray) -> FloatArray:
-        """Return p, q, r at times (k,), s, by straight lines, shape (k, 3)."""
-        return np.stack([np.interp(t, self.t, column) for column in self.rates.T], axis=1)
-
     @cached_property
     def force(self) -> FloatArray:
         """Measured ay, az, m/s^2, shape (N, 2)."""
@@ -92,10 +88,6 @@ class Flight:
     def u(self) -> FloatArray:
         """Inputs de, dr, da, dth at the gyro samples, delayed and lagged, shape (N, 4)."""
         return np.concatenate([_inputs_at(part.inputs, part.t_ns) for part in self.time_bases])
-
-    def coefficient(self, index: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-        """Return a coefficient and its standard deviation over the ticks, (K,) each."""
-        return self.estimates.history(index)
 
     @cached_property
     def published(self) -> dict[str, FloatArray]:
@@ -207,7 +199,12 @@ def predict(flight: Flight, horizon: float) -> Predictions:
             published = Published.of(piece.ticks, flight.structure)
             t_ns, predicted = predict_ahead(piece, published, horizon)
             t = flight.clock.seconds(part.era, t_ns)
-            parts.append((t, predicted, *(flight.rates_at(s) for s in (t, t - horizon))))
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    order = np.argsort(columns[0], kind="stable")
-    return Predictions(horizon, *(column[order] for column in columns))
+            parts.append((t, predicted))
+    t, predicted = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(t, kind="stable")
+    t, predicted = t[order], predicted[order]
+    measured, before = (
+        np.stack([np.interp(at, flight.t, column) for column in flight.rates.T], axis=1)
+        for at in (t, t - horizon)
+    )
+    return Predictions(horizon, t, predicted, measured, before)

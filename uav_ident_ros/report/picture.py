@@ -94,7 +94,7 @@ def _draw_coefficients(panel: Any, row: int, flight: Flight, truth: Mapping[str,
     regressors = flight.structure.regressors
     columns = [j for i, j in flight.structure.free if i == row and regressors[j] in REGRESSORS]
     # the first half is where they come from: noise, until they have settled
-    histories = {j: flight.coefficient((row, j)) for j in columns}
+    histories = {j: flight.estimates.history((row, j)) for j in columns}
     settled = np.array([values[len(values) // 2 :] for values, _ in histories.values()])
     known = [truth[name] for j in columns if (name := f"{ROWS[row]}/{regressors[j]}") in truth]
     reach = np.array([0.0, *settled.ravel(), *known])

@@ -153,15 +153,6 @@ def _surface_ranges(name: str, rate: float) -> FloatArray:
     return out
 
 
-def _trimmed(fdm: Any) -> bool:
-    """Let JSBSim trim; return whether it could. It knows no thrust but its engines'."""
-    try:
-        fdm.do_trim(FULL_TRIM)
-    except Exception:  # jsbsim.TrimFailureError is no public base class
-        return False
-    return True
-
-
 class Aircraft:
     """JSBSim aircraft in trimmed flight: takes surfaces, gives signals.
 
@@ -204,7 +195,12 @@ class Aircraft:
         fdm["gear/gear-pos-norm"] = 0.0
         fdm.run_ic()
         fdm["propulsion/fuel_freeze"] = 1  # mass and inertia stay what they are
-        if not (self._engines and _trimmed(fdm)):
+        trimmed = False
+        if self._engines:  # it knows no other thrust
+            with contextlib.suppress(Exception):  # jsbsim.TrimFailureError has no public base class
+                fdm.do_trim(FULL_TRIM)
+                trimmed = True
+        if not trimmed:
             self._solve_trim()
         for name in _TRIMS:
             fdm[name] = 0.0  # the surfaces take over what the trim tabs held

@@ -58,11 +58,6 @@ def check_positive(spec: object, *names: str) -> None:
             raise SimulationError(f"{name} is {getattr(spec, name)}: it must be positive")
 
 
-def sample_count(duration: float, rate: float) -> int:
-    """Return the number of samples of a flight (s) at a rate (Hz), first and last included."""
-    return math.floor(duration * rate + STEP_TOLERANCE) + 1
-
-
 def effect_of(changes: Sequence[CoefficientChange], time: float) -> FloatArray:
     """Effect of each input at `time` (s), relative to the start, shape (4,)."""
     effect = np.ones(len(INPUTS))

@@ -16,10 +16,10 @@ import numpy as np
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import (
+    STEP_TOLERANCE,
     Flight,
     SimulationError,
     check_positive,
-    sample_count,
     stamps,
     whole_steps,
 )
@@ -73,8 +73,8 @@ class Plan:
 
     @property
     def samples(self) -> int:
-        """Number of the noise-free samples."""
-        return sample_count(self.duration, self.rate)
+        """Number of the noise-free samples, first and last included."""
+        return math.floor(self.duration * self.rate + STEP_TOLERANCE) + 1
 
     def fly(
         self,
