@@ -3,7 +3,7 @@
 
 Each aircraft flies two minutes of multisines in calm air and is identified once, online. What came
 out is compared, name by name, with the derivatives of the aircraft, found by central differences of
-its accelerations (`uav_ident_ros.simulation.linearisation`), trimmed at the mean airspeed of the
+its accelerations (`uav_ident_ros.simulation.aircraft`), trimmed at the mean airspeed of the
 flight: who excites at trim throttle slows down, the c172p by 3 %, which is 7 % of an aileron. With
 ``--coefficients FILE`` no flight is flown: the file is compared with the cruise point.
 
@@ -24,10 +24,10 @@ from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.linearisation import level_modes
 from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.simulation.aircraft import Linearisation, linearise_cruise
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
-from uav_ident_ros.simulation.linearisation import Linearisation, linearise_cruise
 from uav_ident_ros.simulation.noise import Sensors, measure
 
 DURATION = 120.0

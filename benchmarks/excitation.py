@@ -39,14 +39,13 @@ from uav_ident_ros.identification.excitation_run import ExcitationRun
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.simulation.aircraft import cruise_derivatives
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
-from uav_ident_ros.simulation.linearisation import cruise_derivatives
 from uav_ident_ros.simulation.live import Live
 from uav_ident_ros.simulation.noise import Sensors
-from uav_ident_ros.simulation.quadrotor import Body
-from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
+from uav_ident_ros.simulation.quadrotor_flight import Body, LiveQuadrotor
 from uav_ident_ros.simulation.rate_reference import Manoeuvres
 
 CONFIG = bench.ROOT / "config" / "closed_loop"

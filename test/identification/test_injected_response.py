@@ -14,8 +14,7 @@ from uav_ident_ros.identification.injected_response import Found, InjectedRespon
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment, sample_inputs
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.quadrotor import Body
-from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
+from uav_ident_ros.simulation.quadrotor_flight import Body, QuadrotorFlight
 
 DELAYS = STEP * np.arange(-6, 13)
 FINE = 5

@@ -11,9 +11,9 @@ from uav_ident_ros.simulation.inputs import Segment
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
+from uav_ident_ros.simulation.aircraft import STATES, linearise_cruise
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
-from uav_ident_ros.simulation.linearisation import STATES, linearise_cruise
 
 SMALL = 0.5
 """Of the usual excitation: small enough for derivatives that are local."""

@@ -6,9 +6,9 @@ import pytest
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
+from uav_ident_ros.simulation.aircraft import linearise, linearise_cruise
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
-from uav_ident_ros.simulation.linearisation import linearise, linearise_cruise
 from uav_ident_ros.simulation.noise import Sensors
 
 SENSORS = Sensors(rate=100.0)

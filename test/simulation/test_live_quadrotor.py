@@ -18,8 +18,7 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.noise import Sensors
-from uav_ident_ros.simulation.quadrotor import Body
-from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
+from uav_ident_ros.simulation.quadrotor_flight import Body, LiveQuadrotor
 from uav_ident_ros.simulation.rate_reference import Manoeuvres
 
 FILES = Path(__file__).resolve().parents[2] / "config" / "closed_loop"

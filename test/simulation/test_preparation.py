@@ -14,7 +14,7 @@ from uav_ident_ros.client import Coefficients
 from uav_ident_ros.control import Law
 from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.simulation.linearisation import linearise_cruise
+from uav_ident_ros.simulation.aircraft import linearise_cruise
 from uav_ident_ros.simulation.preparation import Prepared, prepare, write
 
 NAME, LAW = "ultra_stick_25e", Law.INCREMENTAL

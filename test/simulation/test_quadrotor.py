@@ -14,8 +14,7 @@ from uav_ident_ros.simulation.cli import main
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.quadrotor import Body, Quadrotor
-from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
+from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, Body, Quadrotor, QuadrotorFlight
 
 
 def hovering(**inputs: float) -> tuple[Quadrotor, list[float]]:

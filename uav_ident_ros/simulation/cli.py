@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from uav_ident_ros.commandline import OneLineParser
+from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
@@ -29,8 +29,6 @@ PLANT_AMPLITUDES = (0.08, 0.12, 0.06, 0.2)
 
 FORCE_NOISE = ColouredNoise(0.3, 0.5)
 """Variation of a plant's specific force, which its structure does not determine, m/s^2 and s."""
-
-BAD_ARGUMENTS = 2
 
 _DESCRIPTION = """\
 Fly a simulated aircraft and write an MCAP bag with /imu/data (sensor_msgs/Imu) and /actuators
@@ -211,14 +209,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from uav_ident_ros.simulation.recording import write_bag
     except ImportError as error:
         print(f"simulate: {error.name} is not installed: pip install rosbags", file=sys.stderr)
-        return BAD_ARGUMENTS
+        return USAGE_ERROR
     try:
         plan, sensors = flight_from(options)
         measured = measure(plan.fly(options.output.name), sensors, options.seed)
         write_bag(measured, options.output, options.compress)
     except (SimulationError, BagWriteError, OSError) as error:
         print(f"simulate: {error}", file=sys.stderr)
-        return BAD_ARGUMENTS
+        return USAGE_ERROR
     print(
         f"{options.output}: {len(measured.imu_t_ns)} Imu and {len(measured.actuators)} actuator "
         f"messages, {measured.flight.duration:.1f} s"

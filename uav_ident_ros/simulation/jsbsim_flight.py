@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, settle
+from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, cruise_derivatives, settle
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import (
     MAX_TURBULENCE,
@@ -19,7 +19,6 @@ from uav_ident_ros.simulation.faults import (
     start_turbulence,
 )
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight, SimulationError, effect_of
-from uav_ident_ros.simulation.linearisation import cruise_derivatives
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
 
