@@ -24,14 +24,21 @@ COPIED = ("uav_ident_ros", "test", "benchmarks", "config", "pyproject.toml")
 
 TESTS: dict[str, tuple[str, ...]] = {
     "gates": ("test_gates.py",),
-    "intake": ("test_stamps.py", "test_properties.py"),
-    "running_fit": ("test_supervision.py",),
     "model": ("test_estimators.py", "test_conditioning.py"),
-    "samples": ("test_samples.py", "test_sampling.py", "test_speed.py"),
-    "parallel_model": ("test_injected.py",),
-    "prior": ("test_prior.py", "test_resume.py"),
+    "samples": (
+        "test_samples.py",
+        "test_sampling.py",
+        "test_speed.py",
+        "test_stamps.py",
+        "test_properties.py",
+    ),
+    "parallel_model": ("test_injected.py", "test_supervision.py"),
+    "plausibility": ("test_plausibility.py", "test_setup_errors.py"),
+    "prior": ("test_prior.py", "test_resume.py", "test_rigid_body.py"),
+    "residuals": ("test_noise.py", "test_feedback.py", "test_confirmation.py"),
+    "sampling": ("test_sampling.py", "test_inputs.py"),
     "information": ("test_estimators.py",),
-    "programmed_input": ("test_excitation_run.py",),
+    "waveforms": ("test_excitation.py", "test_excitation_run.py"),
     "scales": (
         "test_model.py",
         "test_change.py",
@@ -55,7 +62,7 @@ GIVEN = {
         "LARGEST_DEFLECTION", "PASSED",
     },
     "rigid bodies": {"PRODUCT_SIGMA"},
-    "shapes by their names": {"PULSES"},
+    "shapes by their names": {"AXES", "PULSES"},
     "memory, not results": {"BLOCK"},
     "the definition of the score": {
         "HORIZONS", "INPUT_TIMEOUT", "LARGEST_STEP_NS", "LAST_PART", "MAX_GAP", "SETTLED_NS",

@@ -303,13 +303,18 @@ def test_who_pulls_much_did_not_turn_slowly(speed: float, found: str | None) -> 
 
 def test_the_ranges_of_an_input() -> None:
     sway = 0.05 * np.sin(np.arange(100))
-    for offset, found in ((0.5, None), (0.7, "trim")):
-        assert named(plausibility._trim("de", offset + sway, sway)) == found
-        assert plausibility._trim("de", offset + sway, offset + sway + 0.2) is None
-    for middle, found in ((80.0, None), (120.0, "channel range")):
-        assert named(plausibility._counts("de", middle + sway)) == found
-    for largest, found in ((2.9, None), (3.5, "channel range"), (120.0, None)):
-        assert named(plausibility._degrees("de", largest * np.sin(np.arange(100)))) == found
+
+    def found(u: np.ndarray, without_trim: np.ndarray) -> list[tuple[str, bool]]:
+        return [(f.name, f.fault) for f in plausibility._off_range("de", u, without_trim)]
+
+    for offset, trim in ((0.5, []), (0.7, [("trim", True)])):
+        assert found(offset + sway, sway) == trim
+        assert found(offset + sway, offset + sway + 0.2) == []
+    for middle, counts in ((80.0, []), (120.0, [("channel range", True)])):
+        assert found(middle + sway, middle + sway) == counts
+    for largest, degrees in ((2.9, []), (3.5, [("channel range", False)]), (120.0, [])):
+        u = largest * np.sin(np.arange(100))
+        assert found(u, u) == degrees
 
 
 def test_what_makes_two_streams_of_one() -> None:
