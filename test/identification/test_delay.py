@@ -282,6 +282,14 @@ def test_the_minimum_of_the_curve_is_the_delay_unless_it_is_flat_or_at_an_end() 
         assert not judge(curve(beyond), DELAYS).sure
 
 
+def test_one_block_that_nothing_predicts_outweighs_no_other() -> None:
+    blocks = np.concatenate([curve(0.11)] * 4)
+    take_off = 1e3 * curve(0.02)[:1]  # larger than all others together, and least elsewhere
+    estimate = judge(np.concatenate((take_off, blocks)), DELAYS)
+    assert estimate.sure
+    assert estimate.delay == pytest.approx(0.11, abs=estimate.sigma)
+
+
 def test_answers_make_the_delay_as_unsure_as_the_motion_is_unexplained() -> None:
     errors = curve(0.11)
     share = np.sqrt((1.0 / errors.sum(axis=0)[0].max(axis=0)).mean() * errors[:, 0].shape[0])

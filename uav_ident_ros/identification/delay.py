@@ -217,9 +217,13 @@ class DelayBank:
 
     @property
     def errors(self) -> FloatArray:
-        """Squared prediction errors of p, q, r at each delay, with the lag in use, (J, 3)."""
-        shape = (len(LAGS), len(self.delays), 3)
-        return np.asarray(sum(self._errors, np.zeros(shape))[0])
+        """Squared prediction errors of p, q, r at each delay, with the lag in use, (J, 3).
+
+        Geometric means over blocks: what is judged.
+        """
+        if not self._errors:
+            return np.zeros((len(self.delays), 3))
+        return np.exp(_logarithms(np.stack(self._errors))[:, 0].mean(axis=0))
 
     def add(
         self,
@@ -438,23 +442,30 @@ def judge(
 ) -> DelayEstimate:
     """Return the delay at which the models predicted best, and how sure that is.
 
+    Each block has an unexplained motion of its own, of unknown variance: the likelihood of a delay
+    then falls with the mean over blocks of the logarithm of their squared errors. Of their sum one
+    block has the most, a take-off or a gust, whatever the others tell.
+
     Sigma is that of the jackknife over blocks, half the difference of the flight's halves, and
     what an autopilot's answers can feign.
     """
-    count, total = len(errors), errors.sum(axis=0)
-    halves = (errors[: count // 2].sum(axis=0), errors[count // 2 :].sum(axis=0))
-    sets = np.stack((total, *halves, *(total - errors)))
-    cost = np.log(sets).mean(axis=3)
+    count = len(errors)
+    logs = _logarithms(errors)
+    mean = logs.mean(axis=0)
+    halves = (logs[: count // 2].mean(axis=0), logs[count // 2 :].mean(axis=0))
+    means = np.stack((mean, *halves, *(mean + (mean - logs) / (count - 1))))
+    total, cost = np.exp(mean), means.mean(axis=3)
     _, least, inside = _vertices(cost, delays)
     # It is the squared error, not its logarithm, that is a parabola.
-    best, _, _ = _vertices((sets / sets.min(axis=2, keepdims=True)).mean(axis=3), delays)
+    squares = np.exp(means - means.min(axis=2, keepdims=True)).mean(axis=3)
+    best, _, _ = _vertices(squares, delays)
     weight = np.where(inside, np.exp((least[:, :1] - least) / ALIKE), 0.0)
     weight[:, 0] = np.where(inside.any(axis=1), weight[:, 0], 1.0)
     weight /= weight.sum(axis=1, keepdims=True)
     sums = best + LAGS
-    mean = (weight * sums).sum(axis=1)
-    between = float((weight[0] * (sums[0] - mean[0]) ** 2).sum())
-    found = np.stack((best[:, 0], mean), axis=1)
+    whole = (weight * sums).sum(axis=1)
+    between = float((weight[0] * (sums[0] - whole[0]) ** 2).sum())
+    found = np.stack((best[:, 0], whole), axis=1)
     # The two, by the jackknife and by the halves.
     variance = (count - 1) * found[3:].var(axis=0) + 0.25 * (found[1] - found[2]) ** 2
     middle = int(np.argmin(cost[0, 0]))
@@ -468,11 +479,16 @@ def judge(
     return DelayEstimate(
         delay=float(found[0, 0]),
         sigma=math.sqrt(variance[0]),
-        total=max(float(mean[0]), 0.0) + lag,
+        total=max(float(whole[0]), 0.0) + lag,
         total_sigma=math.sqrt(variance[1] + between),
         rise=float((rises[0] / spread).min()) if told else 0.0,
         hidden=math.sqrt(float(weight[0] @ np.square(LAGS))),
     )
+
+
+def _logarithms(errors: FloatArray) -> FloatArray:
+    """Return the logarithms of errors, those of none as of next to none."""
+    return np.asarray(np.log(np.maximum(errors, np.finfo(float).tiny)))
 
 
 def _feigned(
