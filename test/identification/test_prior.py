@@ -1,18 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is known before a flight: each prior beside what real aircraft have."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.prior import first_values, resumed, slope_bounds, weak_sigma
-from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.prior import (
+    first_values,
+    physical_bounds,
+    resumed,
+    slope_bounds,
+    start_from,
+    weak_sigma,
+)
+from uav_ident_ros.identification.regression import RowSamples, layout
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import ROWS, STRUCTURES
 
 FLIGHT = STRUCTURES["flight_dynamics"]
 
 LIVELIEST = {"pdot/p": (2, 16.1), "qdot/alpha": (3, 102.5), "pdot/da": (6, 159.0)}
 """Largest derivatives of ultra_stick_25e, a model of 1.3 m; how many times as wide the prior is."""
+
+
+DAMPING = ("pdot/p", "qdot/q", "rdot/r")
 
 
 def sigma(name: str, structure: str = "flight_dynamics") -> float:
@@ -64,3 +79,41 @@ def test_what_another_flight_knew_well_is_known_to_a_fifth() -> None:
     saved = CoefficientSet(FLIGHT.name, values, np.where(FLIGHT.mask, 1e-9, 0.0))
     known = values != 0.0
     assert resumed(saved).sigma[known] == pytest.approx(0.2 * np.abs(values[known]), rel=1e-6)
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_a_rate_damps_itself_unless_a_measured_force_has_a_share_of_it(structure: str) -> None:
+    own = STRUCTURES[structure]
+    damping = tuple(zip(*(own.index(name) for name in DAMPING), strict=True))
+    for free in (own.mask, own.mask & ~own.mask):
+        shared = structure == "augmented" and free.any()
+        expected = np.inf if shared else 0.0
+        np.testing.assert_array_equal(physical_bounds(own, free)[damping], expected)
+
+
+def test_beyond_a_bound_is_solved_as_if_the_coefficient_were_fixed_there() -> None:
+    own = STRUCTURES["throttle_coupled"]
+    problem, start = layout(own), start_from(Settings(structure=own.name))
+    rng = np.random.default_rng(1)
+    regressors = rng.normal(size=(len(ROWS), 400, problem.width)) * problem.used[:, None]
+    regressors[..., 1:] += 0.3 * regressors[..., :1]  # they are told apart, and not orthogonal
+    regressors *= problem.used[:, None]
+    truth = np.where(problem.used, rng.uniform(-9.0, -1.0, problem.used.shape), 0.0)
+    row, column = own.index("pdot/p")
+    entry = problem.index[row].tolist().index(column)
+    truth[row, entry] = 3.0
+    y = (regressors @ truth[..., None] + rng.normal(size=(len(ROWS), 400, 1)))[..., 0]
+    signals = np.concatenate((0.0 * y[..., None], y[..., None], regressors, regressors), axis=2)
+
+    fixed = start.free.copy()
+    fixed[row, column] = False
+    found = []
+    for given in (start, replace(start, free=fixed)):
+        information = Information(own, problem, given, correlation_time=0.1)
+        information.add([RowSamples(signals, 0.025)], np.ones(len(ROWS)))
+        found.append(information.solve(given.values).values[0])
+    assert found[0][row, column] == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-6, atol=1e-9)
+    assert found[0][own.index("qdot/q")] == pytest.approx(
+        truth[1, problem.index[1].tolist().index(own.index("qdot/q")[1])], abs=0.5
+    )

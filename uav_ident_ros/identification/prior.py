@@ -18,6 +18,7 @@ from uav_ident_ros.identification.structure import (
     INPUTS,
     LAST_COLUMNS,
     PRODUCT_COLUMNS,
+    RATE_COLUMNS,
     RATE_PRODUCTS,
     RATES,
     ROWS,
@@ -133,6 +134,20 @@ def slope_bounds(structure: Structure) -> FloatArray:
     bounds = np.full(structure.mask.shape, np.inf)
     values = first_values(structure)
     bounds[values < 0.0] = 0.1 * values[values < 0.0]
+    return bounds
+
+
+def physical_bounds(structure: Structure, free: BoolArray) -> FloatArray:
+    """Largest values that an aircraft has, shape (R, n): its forces and rates damp themselves.
+
+    With positive damping, as late inputs or an autopilot's answers feign it, a model grows by e in
+    a fraction of a second. Beside a measured force, if `free` (R, n) has one, nothing is known of
+    it: the force has a share of the damping.
+    """
+    bounds = slope_bounds(structure)
+    shared = free[: len(ROWS), LAST_COLUMNS].any(axis=1) & structure.has_forces
+    own = np.flatnonzero(~shared)
+    bounds[own, RATE_COLUMNS.start + own] = 0.0
     return bounds
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.prior import Start
+from uav_ident_ros.identification.prior import Start, physical_bounds
 from uav_ident_ros.identification.regression import Layout, RowSamples
 from uav_ident_ros.identification.scales import INDEPENDENT_TIME, OUTLYING, ROUNDING, SHORT_MEMORY
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray, FlowRows, Structure
@@ -162,6 +162,7 @@ class Solution(NamedTuple):
     """
 
     values: FloatArray  # (parts, R, n) Coefficients of the structure
+    unbounded: FloatArray  # (parts, R, n) The same without bounds
     linear: FloatArray  # (parts, rows, k) Coefficients of the regression problem
     sums: Sums  # What they are solved from
     transform: FloatArray  # (rows, k, k) T, from the structure's coefficients to the linear ones
@@ -263,6 +264,10 @@ class Information:
         self._pairs = self._moves[:, :, None] * self._moves[:, None, :]
         self._rest = np.where(self.free, np.finfo(float).tiny, 1.0)
         self._lost = self.free.sum(axis=1)
+        bounds = physical_bounds(self._structure, start.free)[self._i, self._j]
+        # One coefficient of a row at most is bounded: its rate's damping, its angle's slope.
+        self._bounded = np.nonzero(self.free & np.isfinite(bounds))
+        self._room = bounds[self._bounded] - self._initial[self._bounded][:, 0]
 
     @property
     def unit(self) -> FloatArray:
@@ -380,10 +385,33 @@ class Information:
             change: FloatArray = np.linalg.solve(matrix, projected @ target)
         except np.linalg.LinAlgError:
             change = np.full_like(target, np.nan)
-        physical = self._initial + change
+        unbounded = found = self._placed((self._initial + change)[..., 0], self._start.values)
+        held = self._within_bounds(change, matrix)
+        physical = self._initial + held
+        if held is not change:
+            found = self._placed(physical[..., 0], self._start.values)
         linear = (transform @ physical)[..., 0]
-        found = self._placed(physical[..., 0], self._start.values)
-        return Solution(found, linear, sums, transform, projected, scale, matrix, prior)
+        return Solution(found, unbounded, linear, sums, transform, projected, scale, matrix, prior)
+
+    def _within_bounds(self, change: FloatArray, matrix: FloatArray) -> FloatArray:
+        """Hold a coefficient that is beyond its bound there, the others as they are likely then.
+
+        The least squares with one active bound: a step along a column of the inverse of `matrix`
+        (parts, rows, k, k). The start of the instrumental variable is biased, and goes on as it is:
+        what it leaves unexplained is the first that is known of the noise.
+        """
+        rows, entries = self._bounded
+        beyond = change[:, rows, entries] - self._room[:, None]
+        if self.warming_up or not (beyond > 0.0).any():
+            return change
+        unit = np.zeros_like(change[0])
+        unit[rows, entries] = 1.0
+        step = np.linalg.solve(matrix, np.broadcast_to(unit, change.shape))
+        held = change.copy()
+        held[:, rows] -= (np.maximum(beyond, 0.0) / step[:, rows, entries])[..., None] * step[
+            :, rows
+        ]
+        return held
 
     def spread(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
         """Return how well the coefficients of all parts are known.

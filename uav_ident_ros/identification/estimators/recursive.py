@@ -16,9 +16,9 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
-from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information
+from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information, Solution
 from uav_ident_ros.identification.estimators.model_error import ModelError
-from uav_ident_ros.identification.prior import Start, slope_bounds, weak_sigma
+from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
 from uav_ident_ros.identification.scales import LOOK_TIME, OUTLYING, SHORT_MEMORY
@@ -79,7 +79,6 @@ class RecursiveRegression:
     def __init__(self, start: Start, settings: Settings, *, instrumental: bool) -> None:
         self._structure = STRUCTURES[settings.structure]
         self._layout = layout(self._structure)
-        self._bounds = slope_bounds(self._structure)
         self._error = ModelError(self._layout)
         inputs_known = start.known_before(self._structure)[: len(ROWS), INPUT_COLUMNS]
         self._known_before = inputs_known.any(axis=1, keepdims=True)
@@ -192,7 +191,7 @@ class RecursiveRegression:
         values, sigma = solution.values[0], self.sigma
         if due:
             covariance, sigmas = self.information.spread(solution)
-            sigma = self._sigma(solution.values, sigmas)
+            sigma = self._sigma(solution, sigmas)
         largest = np.maximum.reduce(np.abs(values), axis=None)
         sound = largest < LARGEST_COEFFICIENT  # NaN fails too
         if not sound or (due and not np.isfinite(sigma).all()):
@@ -203,15 +202,21 @@ class RecursiveRegression:
             self._since_sigma, self.sigma = 0.0, sigma
         self._linear = self._layout.matrix(solution.linear[0])
         self.inputs = self._linear[: len(ROWS), INPUT_COLUMNS]
-        self.coefficients = np.minimum(values, self._bounds)
+        self.coefficients = values
 
-    def _sigma(self, values: FloatArray, sigmas: FloatArray) -> FloatArray:
-        """Return the standard deviations to be published, from those of all parts."""
-        own, white, *reference = values
+    def _sigma(self, solution: Solution, sigmas: FloatArray) -> FloatArray:
+        """Return the standard deviations to be published, from those of all parts.
+
+        Estimates that a bound holds agree there, however far apart they are: it is what they are
+        without it that counts, and how far the bound moves them.
+        """
+        own, white, *reference = solution.unbounded
         sigma = sigmas[0]
         for other in reference:
             sigma = np.hypot(sigma, own - other)
         sigma = np.hypot(np.maximum(sigma, sigmas[1]), own - white)
+        own, beyond = solution.values[0], own - solution.values[0]
+        sigma = np.hypot(sigma, beyond)
         main = MAIN_DERIVATIVES
         sigma[main] = np.hypot(sigma[main], self._error.share * own[main])
         sigma = np.hypot(sigma, MODEL_ERROR * own)
