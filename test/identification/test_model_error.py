@@ -35,12 +35,14 @@ def rolled(
     return RowSamples.of(Regression.of(y, f, f, DT), y, LAYOUT)
 
 
-def shares(samples: RowSamples, looked: ModelError, ratio: np.ndarray = OPEN_LOOP) -> np.ndarray:
+def shares(
+    samples: RowSamples, looked: ModelError, ratio: np.ndarray = OPEN_LOOP, settled: bool = True
+) -> np.ndarray:
     """What is found after each two samples, (m / 2, 3)."""
     found = []
     for k in range(0, samples.count, 2):
         part = RowSamples(samples.signals[:, k : k + 2], samples.dt)
-        looked.add(part, EVERYWHERE, ratio, KNOWN, restarted=k == 0)
+        looked.add(part, EVERYWHERE, ratio, KNOWN, restarted=k == 0, settled=settled)
         found.append(looked.share)
     return np.array(found)
 
@@ -74,9 +76,9 @@ def test_an_aileron_that_lags_is_found(lag: float) -> None:
     assert share(rolled(lag=lag))[0] > 0.1
 
 
-def test_an_aileron_that_acts_early_counts_in_every_row() -> None:
+def early(seconds: float = 60.0, noise: float = 0.3) -> tuple[RowSamples, float]:
     """A lag of 0.1 s is told that is not there: the command is lagged, what acts is not."""
-    samples = rolled()
+    samples = rolled(seconds=seconds, noise=noise)
     u = samples.f[0, :, LAYOUT.main[0]]
     lagged, keep = np.zeros_like(u), np.exp(-DT / 0.1)
     for k in range(1, len(u)):
@@ -84,9 +86,32 @@ def test_an_aileron_that_acts_early_counts_in_every_row() -> None:
     for regressors in (samples.f, samples.z):
         regressors[0, :, LAYOUT.main[0]] = lagged
     ahead = keep / (1.0 - keep) * np.diff(lagged)  # u is as far ahead of it, sample by sample
+    return samples, float(np.std(ahead) / np.std(lagged))
+
+
+def test_an_aileron_that_acts_early_counts_in_every_row() -> None:
+    samples, ahead = early()
     looked = ModelError(LAYOUT)
     assert shares(samples, looked)[-1].tolist() == [0.0, 0.0, 0.0]  # nothing is taken away
-    assert looked.doubt == pytest.approx([np.std(ahead) / np.std(lagged)] * 3, rel=0.1)
+    assert looked.doubt == pytest.approx([ahead] * 3, rel=0.1)
+
+
+@pytest.mark.parametrize("settled", [True, False])
+def test_what_seemed_early_at_the_start_goes_as_soon_as_there_is_enough_without(
+    settled: bool,
+) -> None:
+    looked = ModelError(LAYOUT)
+    samples, ahead = early(30.0, noise=0.1)
+    shares(samples, looked, settled=False)
+    assert looked.doubt == pytest.approx([ahead] * 3, rel=0.1)
+    shares(rolled(seconds=20.0), looked, settled=settled)
+    assert (looked.doubt.max() < 0.01) == settled
+
+
+def test_what_was_late_at_the_start_stays() -> None:
+    looked = ModelError(LAYOUT)
+    shares(rolled(0.015, seconds=20.0), looked, settled=False)
+    assert (shares(rolled(0.015, seconds=20.0), looked)[:, 0] > 0.1).all()
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 1.0])

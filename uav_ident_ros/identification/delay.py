@@ -223,7 +223,7 @@ class DelayBank:
         """
         if not self._errors:
             return np.zeros((len(self.delays), 3))
-        return np.exp(_logarithms(np.stack(self._errors))[:, 0].mean(axis=0))
+        return np.asarray(np.exp(_logarithms(np.stack(self._errors))[:, 0].mean(axis=0)))
 
     def add(
         self,

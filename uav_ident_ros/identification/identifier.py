@@ -48,7 +48,7 @@ from uav_ident_ros.identification.samples import (
     SampleBuffer,
 )
 from uav_ident_ros.identification.sampling import Block, Sampler
-from uav_ident_ros.identification.scales import SAMPLE_TIME, SHORT_MEMORY
+from uav_ident_ros.identification.scales import SAMPLE_TIME, START_TIME
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
@@ -58,10 +58,6 @@ STRETCH_TIME = 2.0 * SAMPLE_TIME
 """Time that is learned from at once, s: the cost of an update hardly depends on how many samples it
 takes. With a quarter second, what the last moments tell of the trim comes late: a point of the fit
 of recorded flights."""
-
-START_TIME = 2.0 * SHORT_MEMORY
-"""Time of learning for which the coefficients of a cold start count as poor, s: the model leaks,
-and every tick is learned from at once."""
 
 START_LEAK_TIME = 0.5
 """Leak of the model meanwhile, s: with poor coefficients its rate products would diverge."""

@@ -28,6 +28,10 @@ SHORT_MEMORY = 10.0
 """Memory of a running mean square, s: that of the residuals weighs the prior, that of the rates
 what a model may answer. In it least squares builds the first model."""
 
+START_TIME = 2.0 * SHORT_MEMORY
+"""Time of learning for which the coefficients of a cold start count as poor, s: the model leaks,
+and every tick is learned from at once."""
+
 MEMORY = 30.0
 """Memory of what describes the flight of late, s: noise, fit, usual slopes."""
 

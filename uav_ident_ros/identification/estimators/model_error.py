@@ -58,7 +58,9 @@ class ModelError:
         self._gathered: list[tuple[RowSamples, FloatArray]] = []
         # of each block, the sum of z f^T, z z^T and z y side by side, and of the squared residuals
         self._blocks: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=BLOCKS)
-        self._sure: BoolArray = np.zeros((len(self._entries), EXTRA), dtype=bool)
+        self._settled = 0  # of these, the newest, whose instruments a known model made
+        # Of all blocks, and of those: what was found, and is not taken back yet
+        self._sure: BoolArray = np.zeros((2, len(self._entries), EXTRA), dtype=bool)
         self.share: FloatArray = np.zeros(len(ROWS))
         self._early = 0.0
         self.height = 0.0
@@ -76,7 +78,7 @@ class ModelError:
         self._gathered.clear()
         for products, squares in self._blocks:
             products[row] = squares[row] = 0.0
-        self._sure[row], self.share[row] = False, 0.0
+        self._sure[:, row], self.share[row] = False, 0.0
 
     def add(
         self,
@@ -86,6 +88,7 @@ class ModelError:
         effect: FloatArray,
         *,
         restarted: bool,
+        settled: bool = True,
     ) -> None:
         """Take samples; they are looked at in blocks of `INDEPENDENT_TIME`.
 
@@ -101,12 +104,16 @@ class ModelError:
             Control derivative of each row's main input.
         restarted : bool
             Whether the first does not continue those before.
+        settled : bool
+            Whether the model that makes the instruments is known. At the start it leaks, and gusts
+            are in them; as soon as there are blocks enough without, those of the start go.
         """
         if restarted:
             self._gathered.clear()
         self._gathered.append((samples, samples.dt * weight))
         if sum(part.time for part, _ in self._gathered) >= INDEPENDENT_TIME - 0.5 * samples.dt:
             self._close_block()
+            self._settled += settled
             own = np.zeros(len(self._entries))
             own[: len(ROWS)] = ratio[range(len(ROWS)), self._entries[: len(ROWS)]]
             self._look(own, effect)
@@ -136,11 +143,35 @@ class ModelError:
         return extended
 
     def _look(self, ratio: FloatArray, effect: FloatArray) -> None:
-        """Solve in units of each regressor's rms, and compare the extra ones with their sigma."""
+        """Look at all blocks, and for what comes early at those after the start, if enough.
+
+        A model that leaks lets gusts into the instruments, which the inputs then seem to foretell.
+        """
         blocks, squares = (np.array(part) for part in zip(*self._blocks, strict=True))
         k = blocks.shape[2]
         if len(blocks) <= k:
             return  # as many coefficients leave no scatter to judge by
+        found, self.height = self._found(blocks, squares, self._sure[0], ratio, effect)
+        self.share = np.maximum(found, 0.0).max(axis=1)
+        if self._settled > k:
+            newest = slice(-min(self._settled, BLOCKS), None)
+            found, _ = self._found(blocks[newest], squares[newest], self._sure[1], ratio, effect)
+        self._early = -found[:, 1].min(initial=0.0)
+
+    def _found(
+        self,
+        blocks: FloatArray,
+        squares: FloatArray,
+        sure: BoolArray,
+        ratio: FloatArray,
+        effect: FloatArray,
+    ) -> tuple[FloatArray, float]:
+        """Return what each moment row's extra regressors take away, (3, 2), and the height, m.
+
+        Solved in units of each regressor's rms; they are compared with their own sigma, and `sure`
+        (rows, 2) follows.
+        """
+        k = blocks.shape[2]
         total = np.add.reduce(blocks)
         zf, zz, zy = total[..., :k], total[..., k:-1], total[..., -1]
         power = np.einsum("ijj->ij", zz)
@@ -166,10 +197,9 @@ class ModelError:
         extra, whole = linear[:, -EXTRA:], linear[range(len(linear)), self._entries, None]
         whole[: len(ROWS), 0] = effect / scale[range(len(ROWS)), self._entries[: len(ROWS)]]
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
-        least = np.where(self._sure, ACQUITTED, DOUBTLESS)
-        self._sure = extra**2 > least**2 * variance
-        found = np.where(self._sure, away, 0.0)[: len(ROWS)]
-        self.share = np.maximum(found, 0.0).max(axis=1)
-        self._early = -found[:, 1].min(initial=0.0)
+        least = np.where(sure, ACQUITTED, DOUBTLESS)
+        sure[:] = extra**2 > least**2 * variance
+        height = 0.0
         for row in range(len(ROWS), len(extra)):
-            self.height = float(extra[row, 1] * scale[row, -1]) if self._sure[row, 1] else 0.0
+            height = float(extra[row, 1] * scale[row, -1]) if sure[row, 1] else 0.0
+        return np.where(sure, away, 0.0)[: len(ROWS)], height

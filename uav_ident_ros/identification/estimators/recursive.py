@@ -21,7 +21,7 @@ from uav_ident_ros.identification.estimators.model_error import ModelError
 from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
-from uav_ident_ros.identification.scales import LOOK_TIME, OUTLYING, SHORT_MEMORY
+from uav_ident_ros.identification.scales import LOOK_TIME, OUTLYING, SHORT_MEMORY, START_TIME
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
@@ -153,7 +153,9 @@ class RecursiveRegression:
         counts = False if samples.injected else self._known_before
         ratio = counts * self._feedback.ratio[: len(ROWS)]
         effect = self._linear[MAIN_DERIVATIVES]
-        self._error.add(rows, weight, ratio, effect, restarted=samples.restarted)
+        settled = self.information.time.max() >= START_TIME
+        restarted = samples.restarted
+        self._error.add(rows, weight, ratio, effect, restarted=restarted, settled=settled)
         self.model_error, self.height = self._error.doubt, self._error.height
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
