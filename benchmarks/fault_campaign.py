@@ -48,12 +48,12 @@ from loop import (
     nominal_of,
     rate_controller,
 )
+from pid import SURFACES, PidController, PidGains
 
 from uav_ident_ros.client import CoefficientSource, Fallback
 from uav_ident_ros.control import Law
 from uav_ident_ros.control.choice import control_derivatives
 from uav_ident_ros.control.controller import OWN_GAINS
-from uav_ident_ros.control.pid import SURFACES, PidController, PidGains
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, RATE_COLUMNS, FloatArray
 from uav_ident_ros.simulation.airframe import airframe_names

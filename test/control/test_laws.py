@@ -4,12 +4,12 @@
 import numpy as np
 import pytest
 from equations import matrix
+from pid import PidController, PidGains
 from plants import DT_NS, LIMITS, START, STEP, STRUCTURE, coefficients, controller, flown
 
 from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource
 from uav_ident_ros.control import Effectiveness, IncrementalLaw, Law
 from uav_ident_ros.control.allocation import authority
-from uav_ident_ros.control.pid import PidController, PidGains
 from uav_ident_ros.control.reference import Smoother
 from uav_ident_ros.control.response import Response
 from uav_ident_ros.control.sideslip import SIDESLIP_RATE, rolls_over, yaw_for_roll
