@@ -105,6 +105,18 @@ def test_a_control_check_on_the_ground_teaches_nothing_and_its_cost_is_told(
     assert since(ungated, 1.0, 9.0)[-1].coefficients.any()
 
 
+@pytest.mark.parametrize(
+    ("airspeed", "said"), [(None, "at rest: "), (6.0, "at rest: "), (7.0, "too quiet: ")]
+)
+def test_what_flies_by_its_airspeed_is_not_at_rest(airspeed: float | None, said: str) -> None:
+    """A third of the reference, 20 m/s, is flight."""
+    gate, nothing = RestGate(), np.zeros((2, 6))
+    for t in np.arange(0.0, 3.0, 0.05):
+        look = Look(t, nothing, np.empty((0, 4)), airspeed, None, True, "", Settings())
+        reason = gate.check(look)
+    assert reason == f"{said}no rate moves beyond the gyro's noise"
+
+
 def test_a_force_that_never_moves_is_the_ground_too(excited: Measurements) -> None:
     # The simulated accelerometer sees noise alone.
     stream = messages(excited)
@@ -195,6 +207,27 @@ def test_a_gyro_that_rounds_coarsely_is_stuck_only_where_it_repeats_itself_for_l
     assert set(rounded(rate, step)) == {""}
     reasons = rounded(rate, step, still=(41.0, 55.0))
     assert "the Imu is stuck: q has not changed for 0.25 s or more" in reasons[-19 * 20 : -5 * 20]
+
+
+@pytest.mark.parametrize("step", [0.0, 0.002])
+def test_a_gyro_whose_range_is_smaller_than_told_is_saturated(
+    excited: Measurements, step: float
+) -> None:
+    """It stays at the largest value that it ever had, as no gyro does that still measures."""
+    rates = excited.rates
+    rates = step * np.round(rates / step) if step else rates
+    limit = 0.7 * np.abs(rates[:, 1]).max()
+    limit = step * np.round(limit / step) if step else limit
+
+    def clip(t: float, m: Message) -> Message:
+        p, q, r = m.values[:3]
+        rounded = step * np.round(np.array([p, q, r]) / step) if step else np.array([p, q, r])
+        rounded[1] = np.clip(rounded[1], -limit, limit)
+        return with_rates(m, rounded)
+
+    estimates = run(identifier(excited), altered(excited, clip))
+    reasons = {e.reason for e in since(estimates, 10.0, 45.0) if "saturated" in e.reason}
+    assert reasons == {f"the gyro is saturated: q reaches {limit:g} rad/s"}
 
 
 @pytest.mark.parametrize("rate", [20.0, 100.0, 1000.0])

@@ -237,10 +237,24 @@ def test_a_doubt_stays_until_it_is_the_less_likely() -> None:
         (6.0, coefficients(), 9.0, []),
         (7.0, swapped, 15.0, []),
         (12.0, swapped, 15.0, []),
+        (13.0, swapped, 9.0, []),
+        (18.0, swapped, 15.0, []),  # once is chance: nobody is accused by what may be noise
+        (18.5, swapped, 9.0, ["swapped"]),
+        (25.0, swapped, 50.0, ["swapped"]),
     ):
         looker.look(t, nothing, nothing[:, :4])
         looker.judge(values, np.full(STRUCTURE.mask.shape, sigma))
         assert [finding.name for finding in looker.findings] == named_, t
+
+
+def test_a_reversed_surface_is_named_with_the_evidence_by_which_it_was_sure() -> None:
+    expected, nothing = ("+pdot/da",), np.zeros((0, 6))
+    given = {"structure": "augmented", "supervision__expected_signs": expected}
+    looker = Plausibility(settings_of(**given))
+    for t, sigma in ((1.0, 3.0), (6.0, 4.0), (7.0, 400.0)):
+        looker.look(t, nothing, nothing[:, :4])
+        looker.judge(coefficients(pdot_da=-45.0), np.full(STRUCTURE.mask.shape, sigma))
+    assert looker.fault.startswith("pdot/da is -45 +- 4, expected is +")
 
 
 def test_an_unknown_expected_sign_is_refused() -> None:

@@ -70,6 +70,32 @@ def test_what_was_usable_grows_stale_in_quiet_flight(max_age: float, usable: boo
     assert ("has hardly moved of late" in estimates[-1].reason) != usable
 
 
+@pytest.mark.parametrize(
+    ("what", "max_age", "usable"),
+    [("silent", 5.0, False), ("silent", 0.0, True), ("saturated", 5.0, False), ("off", 5.0, True)],
+)
+def test_what_was_usable_grows_stale_while_nothing_can_be_learned(
+    what: str, max_age: float, usable: bool
+) -> None:
+    """The actuators are silent, or the gyro saturated; with learning switched off it may stay."""
+    flight = measured(42.0)
+    stream = messages(flight)
+    then_ns = stream[0].t_ns + 35_000_000_000
+    values = {"structure": "throttle_coupled", "supervision__max_age": max_age}
+    identifier = OnlineIdentifier(settings(flight, **values))
+    assert run(identifier, (m for m in stream if m.t_ns < then_ns))[-1].usable
+    identifier.supervisor.adapt = what != "off"
+    rest = [m for m in stream if m.t_ns >= then_ns]
+    if what == "silent":
+        rest = [m for m in rest if m.stream == "rates"]
+    if what == "saturated":
+        at_limit = (35.0, *(0.0,) * 5)
+        rest = [m._replace(values=at_limit) if m.stream == "rates" else m for m in rest]
+    estimates = run(identifier, rest)
+    assert estimates[5].usable
+    assert estimates[-1].usable == usable
+
+
 def test_without_adapting_the_fit_tells_the_axis_whose_coefficient_is_wrong() -> None:
     flight = plant_flight(12.0)
     measurements = measure(flight, Sensors(gyro_noise=0.0), seed=2)

@@ -27,6 +27,7 @@ from uav_ident_ros.identification.scales import (
     SURE,
 )
 from uav_ident_ros.identification.settings import ActuatorSettings, Settings
+from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
 REST_NOISE = 8.0
@@ -207,6 +208,9 @@ class SensorGate:
         self._repeats: Repeats | None = None
         self._constant_since: FloatArray = np.zeros(6)
         self._moved: BoolArray = np.zeros(6, dtype=bool)
+        # Of the rates: the largest magnitude so far, and the range that it has shown to be
+        self._largest: FloatArray = np.zeros(AXES)
+        self._range: FloatArray = np.full(AXES, np.inf)
         self._bad_until = -np.inf
         self._reason = ""
 
@@ -215,7 +219,9 @@ class SensorGate:
         t, samples, settings = look.t, look.samples, look.settings.supervision
         if len(samples):
             problem = self._stuck(t, samples, settings.stuck_time)
-            problem = self._saturated(samples, settings.max_rate) or problem
+            problem = (
+                self._saturated(samples, settings.max_rate) or problem or self._clipped(samples)
+            )
             if problem:
                 self._reason, self._bad_until = problem, t + INDEPENDENT_TIME
         return self._reason if t < self._bad_until else ""
@@ -225,6 +231,23 @@ class SensorGate:
             return ""
         signal = SIGNALS[int(np.abs(samples[:, :3]).max(axis=0).argmax())]
         return f"the gyro is saturated: {signal} reaches {max_rate:g} rad/s"
+
+    def _clipped(self, samples: FloatArray) -> str:
+        """Find a range smaller than told: a rate stays at the largest value that it ever had."""
+        assert self._repeats is not None
+        size = np.maximum.reduce(np.abs(samples[:, :AXES]))
+        self._range[size > self._range] = np.inf
+        self._largest = np.maximum(self._largest, size)
+        stays = self._repeats.present[:AXES] >= IN_A_ROW - 1
+        if stays.any():
+            stays &= self._moved[:AXES] & (np.abs(samples[-1, :AXES]) >= self._largest)
+            stays &= self._repeats.by_chance()[:AXES] < CHANCE
+            self._range[stays] = self._largest[stays]
+        clipped = size >= self._range
+        if not clipped.any():
+            return ""
+        signal = int(clipped.argmax())
+        return f"the gyro is saturated: {SIGNALS[signal]} reaches {self._range[signal]:g} rad/s"
 
     def _stuck(self, t: float, samples: FloatArray, stuck_time: float) -> str:
         if self._repeats is None:
@@ -259,13 +282,15 @@ class Repeats:
 
     Attributes
     ----------
+    present : (6,) array
+        Repeats in the run that goes on.
     strange : (6,) bool array
         Signals whose present run of equal values is no habit of theirs: it will not count as one.
     """
 
     def __init__(self, first: FloatArray) -> None:
         self._last = first
-        self._present: FloatArray = np.zeros(len(first))  # Repeats in the run that goes on
+        self.present: FloatArray = np.zeros(len(first))
         # Of runs that have ended: how many there were, and the repeats in them
         self._runs: FloatArray = np.zeros(len(first))
         self._repeats: FloatArray = np.zeros(len(first))
@@ -276,20 +301,20 @@ class Repeats:
         """Add new samples, (k, 6); return which signals have changed in them."""
         same = samples == np.concatenate([self._last[None], samples[:-1]])
         self._last = samples[-1]
-        if not same.any() and not self._present.any():  # nearly always
+        if not same.any() and not self.present.any():  # nearly always
             self._changes += len(same)
             return np.ones(len(self._last), dtype=bool)
         changed: BoolArray = ~np.logical_and.reduce(same)
         repeats = np.add.reduce(same)
         before = np.where(changed, same.argmin(axis=0), len(same))
         after = np.where(changed, same[::-1].argmin(axis=0), len(same))
-        ended = self._present + before
+        ended = self.present + before
         counts = changed & ~self.strange
         starts = np.add.reduce(same[1:] & ~same[:-1]) - (after > 0)
         self._runs += np.where(changed, starts, 0) + (counts & (ended > 0))
         self._repeats += np.where(changed, repeats - before - after, 0) + counts * ended
         self._changes += len(same) - repeats
-        self._present = np.where(changed, after, ended)
+        self.present = np.where(changed, after, ended)
         self.strange &= ~changed
         return changed
 
@@ -304,7 +329,7 @@ class Repeats:
         first = runs / (self._changes + 1.0)
         another = (self._repeats - self._runs + first) / (self._repeats + 1.0)
         another = np.repeat(another.reshape(-1, AXES).max(axis=1), AXES)
-        return np.asarray(runs * another ** (self._present - 1.0))
+        return np.asarray(runs * another ** (self.present - 1.0))
 
 
 class RestGate:
@@ -332,17 +357,21 @@ class RestGate:
         # It opens at once, and closes when it next looks.
         if self._ticks and (self._reason or t - self._looked >= LOOK_TIME):
             self._looked = t
-            self._reason = self._at_rest(settings.min_motion, settings.min_force_motion)
+            what = self._still(settings.min_motion, settings.min_force_motion)
+            slow = look.settings.airspeed.reference / LARGEST_RATIO
+            flies = look.airspeed is not None and look.airspeed > slow
+            self._reason = what and f"{'too quiet' if flies else 'at rest'}: {what}"
         return self._reason
 
-    def _at_rest(self, min_motion: float, min_force_motion: float) -> str:
+    def _still(self, min_motion: float, min_force_motion: float) -> str:
+        """Return what does not move; empty if everything does."""
         means = np.concatenate([mean for _, mean in self._ticks]).reshape(-1, 6)
         swing = np.maximum.reduce(means) - np.minimum.reduce(means)
         rate = float(swing[:3].max())
         if rate < min_motion and rate < max(REST_SWAY, REST_NOISE * _noise(means[:, :3])):
-            return "at rest: no rate moves beyond the gyro's noise"
+            return "no rate moves beyond the gyro's noise"
         if swing[3:].max() < min_force_motion:
-            return f"at rest: no specific force has moved by {min_force_motion:g} m/s^2"
+            return f"no specific force has moved by {min_force_motion:g} m/s^2"
         return ""
 
 

@@ -48,7 +48,7 @@ from uav_ident_ros.identification.samples import (
     SampleBuffer,
 )
 from uav_ident_ros.identification.sampling import Block, Sampler
-from uav_ident_ros.identification.scales import SAMPLE_TIME, START_TIME
+from uav_ident_ros.identification.scales import LOOK_TIME, SAMPLE_TIME, START_TIME
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
@@ -237,6 +237,7 @@ class OnlineIdentifier:
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
         self._looked_ns = NO_TICK
+        self._idle = 0.0
         self._newest_rates: FloatArray | None = None  # Imu axes
 
     # -- the delay of the inputs -----------------------------------------------------------
@@ -367,6 +368,7 @@ class OnlineIdentifier:
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
+        self._idle += 1.0 / self.settings.update_rate
         self.intake.merge(t_ns)
         self._speed.update(t_ns)
         if self._as_paper:
@@ -464,6 +466,7 @@ class OnlineIdentifier:
 
     def _estimate(self, samples: Regression, t: float, ticks: int) -> None:
         """Update the coefficients with samples of some ticks that end at `t` s."""
+        self._idle = 0.0
         estimator, supervisor = self.estimator, self.supervisor
         self._learned_time += samples.time
         residual = estimator.residual(samples)
@@ -535,6 +538,11 @@ class OnlineIdentifier:
 
     def _published(self, t_ns: int, fed: bool) -> Estimate:
         """Judge the coefficients, and return all that is published of a tick."""
+        if self._idle > LOOK_TIME and self.supervisor.adapt:
+            # Nothing that was learned of late confirms what was known.
+            max_age = self.settings.supervision.max_age
+            self.supervisor.confirmed.fade(1.0 / self.settings.update_rate, max_age)
+            self._news = True
         if self._news:
             self._look_at_settings()
         if self._news or self._speed.enabled:

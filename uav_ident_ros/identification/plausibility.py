@@ -95,6 +95,17 @@ class Finding:
     fault: bool = True
 
 
+class Doubt(NamedTuple):
+    """Channels that were found, by what they do, to be swapped or reversed.
+
+    It stays until it is the less likely, and is a finding once it was sure again some time later.
+    """
+
+    since: float  # s
+    finding: Finding  # With the evidence when it was last sure
+    confirmed: bool = False
+
+
 class Plausibility:
     """Looks at the signals for mistakes in how they are read.
 
@@ -130,16 +141,16 @@ class Plausibility:
         self._now = -math.inf
         self._looked = -math.inf
         self._found.clear()
-        self._doubted: tuple[float, Finding] | None = None
+        self._doubt: Doubt | None = None
 
     @property
     def findings(self) -> list[Finding]:
         """What is wrong now, faults first."""
-        if not self._found and self._doubted is None:  # nearly always
+        if not self._found and self._doubt is None:  # nearly always
             return []
         found = [f for _, f in self._found.values()]
-        if self._doubted is not None and self._now - self._doubted[0] >= ENOUGH:
-            found.append(self._doubted[1])
+        if self._doubt is not None and self._doubt.confirmed:
+            found.append(self._doubt.finding)
         return sorted(found, key=lambda f: not f.fault)
 
     @property
@@ -155,7 +166,7 @@ class Plausibility:
     @property
     def doubted(self) -> bool:
         """Whether the coefficients say that channels are swapped or reversed, sure or not yet."""
-        return self._doubted is not None
+        return self._doubt is not None
 
     def judge(self, coefficients: FloatArray, sigma: FloatArray) -> None:
         """Look at what was learned for channels that are swapped or reversed.
@@ -166,14 +177,16 @@ class Plausibility:
             Estimate and standard deviations.
         """
         known = (self._structure, coefficients, sigma, self._expected)
-        since, before = self._doubted or (self._now, None)
-        found = coefficient_finding(*known)
-        if found is None and before is not None:  # it stays until it is the less likely
-            found = coefficient_finding(*known, sure=0.0)
-            found = found if found is not None and found.name == before.name else None
-        if before is None or found is None or found.name != before.name:
-            since = self._now
-        self._doubted = None if found is None else (since, found)
+        found, before = coefficient_finding(*known), self._doubt
+        if found is None:
+            likely = before and coefficient_finding(*known, sure=0.0)
+            if likely is None or before is None or likely.name != before.finding.name:
+                self._doubt = None
+        elif before is None or found.name != before.finding.name:
+            self._doubt = Doubt(self._now, found)
+        else:
+            confirmed = before.confirmed or self._now - before.since >= ENOUGH
+            self._doubt = Doubt(before.since, found, confirmed)
 
     def look(self, t: float, samples: FloatArray, raw: FloatArray) -> None:
         """Look at what came with a tick.

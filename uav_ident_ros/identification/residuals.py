@@ -294,13 +294,16 @@ class Confirmation:
         """
         # Squared residual if the input did nothing, less the squared residual as it is.
         gain = np.add.reduce(effect * (2.0 * white.residual[: len(ROWS)] + effect), axis=1)
-        keep = 1.0
-        if max_age > 0.0:
-            # From the largest odds to those that confirm in just this time.
-            keep = (CONFIRMED / LARGEST_ODDS) ** (effect.shape[1] * white.dt / max_age)
+        self.fade(effect.shape[1] * white.dt, max_age)
         for i, (more, spread) in enumerate(zip(gain.tolist(), variance.tolist(), strict=False)):
-            odds = keep * self._odds[i] + 0.5 * more / max(spread, NO_VARIANCE)
+            odds = self._odds[i] + 0.5 * more / max(spread, NO_VARIANCE)
             self._odds[i] = max(min(odds, LARGEST_ODDS), -LARGEST_ODDS)
+
+    def fade(self, time: float, max_age: float) -> None:
+        """Let what was confirmed fade for some time, s; from the largest odds within `max_age`."""
+        if max_age > 0.0:
+            keep = (CONFIRMED / LARGEST_ODDS) ** (time / max_age)
+            self._odds = [keep * odds for odds in self._odds]
 
     def doubt(self, row: int) -> str:
         """Return why the main control derivative of a row is in doubt; empty if it is not."""
