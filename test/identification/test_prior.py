@@ -2,6 +2,7 @@
 """What is known before a flight: each prior beside what real aircraft have."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.prior import (
+    Start,
     first_values,
     physical_bounds,
     resumed,
@@ -19,7 +21,7 @@ from uav_ident_ros.identification.prior import (
 )
 from uav_ident_ros.identification.regression import RowSamples, layout
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import ROWS, STRUCTURES
+from uav_ident_ros.identification.structure import STRUCTURES
 
 FLIGHT = STRUCTURES["flight_dynamics"]
 
@@ -91,29 +93,47 @@ def test_a_rate_damps_itself_unless_a_measured_force_has_a_share_of_it(structure
         np.testing.assert_array_equal(physical_bounds(own, free)[damping], expected)
 
 
-def test_beyond_a_bound_is_solved_as_if_the_coefficient_were_fixed_there() -> None:
-    own = STRUCTURES["throttle_coupled"]
-    problem, start = layout(own), start_from(Settings(structure=own.name))
+def added(structure: str, name: str, value: float, **more: Any) -> tuple[Information, Start]:
+    """Information of samples, regressors as instruments, by coefficients of which one is given."""
+    own = STRUCTURES[structure]
+    problem, start = layout(own), start_from(Settings(structure=structure))
+    start = replace(start, free=start.free & more.pop("free", own.mask))
     rng = np.random.default_rng(1)
-    regressors = rng.normal(size=(len(ROWS), 400, problem.width)) * problem.used[:, None]
+    regressors = rng.normal(size=(problem.rows, 400, problem.width))
     regressors[..., 1:] += 0.3 * regressors[..., :1]  # they are told apart, and not orthogonal
     regressors *= problem.used[:, None]
     truth = np.where(problem.used, rng.uniform(-9.0, -1.0, problem.used.shape), 0.0)
-    row, column = own.index("pdot/p")
-    entry = problem.index[row].tolist().index(column)
-    truth[row, entry] = 3.0
-    y = (regressors @ truth[..., None] + rng.normal(size=(len(ROWS), 400, 1)))[..., 0]
+    truth[(problem.place == own.index(name)).all(axis=2) & problem.used] = value
+    y = (regressors @ truth[..., None])[..., 0] + rng.normal(size=(problem.rows, 400))
     signals = np.concatenate((0.0 * y[..., None], y[..., None], regressors, regressors), axis=2)
+    information = Information(own, problem, start, correlation_time=0.1, **more)
+    information.add([RowSamples(signals, 0.01)], np.ones(problem.rows))
+    return information, start
 
-    fixed = start.free.copy()
-    fixed[row, column] = False
-    found = []
-    for given in (start, replace(start, free=fixed)):
-        information = Information(own, problem, given, correlation_time=0.1)
-        information.add([RowSamples(signals, 0.025)], np.ones(len(ROWS)))
-        found.append(information.solve(given.values).values[0])
-    assert found[0][row, column] == pytest.approx(0.0, abs=1e-12)
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-6, atol=1e-9)
-    assert found[0][own.index("qdot/q")] == pytest.approx(
-        truth[1, problem.index[1].tolist().index(own.index("qdot/q")[1])], abs=0.5
+
+def test_beyond_a_bound_is_solved_as_if_the_coefficient_were_fixed_there() -> None:
+    own = STRUCTURES["throttle_coupled"]
+    fixed = own.mask.copy()
+    fixed[own.index("pdot/p")] = False
+    bounded, given = (
+        information.solve(start.values).values[0]
+        for information, start in (
+            added(own.name, "pdot/p", 3.0),
+            added(own.name, "pdot/p", 3.0, free=fixed),
+        )
     )
+    assert bounded[own.index("pdot/p")] == pytest.approx(0.0, abs=1e-12)
+    assert bounded[own.index("qdot/q")] < -0.5
+    np.testing.assert_allclose(bounded, given, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "held"), [("pdot/p", False), ("az/alpha", True)])
+def test_the_start_of_the_instruments_has_no_bound_but_of_what_is_divided_by(
+    name: str, held: bool
+) -> None:
+    information, start = added("flight_dynamics", name, 3.0, instrumental=(True,))
+    assert information.warming_up
+    solution, at = information.solve(start.values), FLIGHT.index(name)
+    largest = physical_bounds(FLIGHT, start.free)[at]
+    assert solution.values[0][at] == (pytest.approx(largest) if held else pytest.approx(3.0, abs=1))
+    assert solution.unbounded[0][at] > largest

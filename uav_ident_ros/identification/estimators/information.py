@@ -397,20 +397,20 @@ class Information:
         """Hold a coefficient that is beyond its bound there, the others as they are likely then.
 
         The least squares with one active bound: a step along a column of the inverse of `matrix`
-        (parts, rows, k, k). The start of the instrumental variable is biased, and goes on as it is:
-        what it leaves unexplained is the first that is known of the noise.
+        (parts, rows, k, k). The start of the instrumental variable is biased, and its moments go on
+        as they are: what they leave unexplained is the first that is known of the noise.
         """
         rows, entries = self._bounded
-        beyond = change[:, rows, entries] - self._room[:, None]
-        if self.warming_up or not (beyond > 0.0).any():
+        beyond = np.fmax(change[:, rows, entries] - self._room[:, None], 0.0)
+        if self.warming_up:
+            beyond[:, rows < len(ROWS)] = 0.0
+        if not beyond.any():
             return change
         unit = np.zeros_like(change[0])
         unit[rows, entries] = 1.0
         step = np.linalg.solve(matrix, np.broadcast_to(unit, change.shape))
-        held = change.copy()
-        held[:, rows] -= (np.maximum(beyond, 0.0) / step[:, rows, entries])[..., None] * step[
-            :, rows
-        ]
+        held, size = change.copy(), beyond / step[:, rows, entries]
+        held[:, rows] -= size[..., None] * step[:, rows]
         return held
 
     def spread(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
