@@ -218,7 +218,7 @@ def outcome(name: str, status: int, model: tuple[float | None, ...]) -> Outcome:
         "model": dict(zip("pqr", model, strict=True)),
         "hold": {"p": -20.0, "q": None, "r": -10.0},
     }
-    content = {"prediction_fit": {"last_40_percent": fit}, "reason": "why", "delay": 0.0}
+    content = {"prediction_fit": {"last_40_percent": fit}, "doubt": "why", "delay": 0.0}
     return Outcome(Job(Path(name), name, Path(name)), status, summary=content)
 
 

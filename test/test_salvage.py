@@ -1,13 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Damaged bags: a line names the loss, and everything else is used."""
 
+import math
 import os
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-from excerpts import ACTUATORS, BAGS, IMU, SECOND_NS, Entry, excerpt, replay
+from excerpts import (
+    ACTUATORS,
+    BAGS,
+    IMU,
+    SECOND_NS,
+    Entry,
+    excerpt,
+    parameter_file,
+    parameters,
+    replay,
+)
 from excerpts import summary as summary_of
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
@@ -16,7 +27,7 @@ from programs import Capture
 
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.salvage import SalvageReader
-from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.bags.writing import BagWriter, plain
 from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE
 
 SECONDS, MESSAGES = 12, 12 * 250 + 2
@@ -263,6 +274,41 @@ def test_actuators_that_start_late_and_stop_early(tmp_path: Path) -> None:
         "the actuators stop 10.0 s before the Imu: nothing is learned after",
     ]
     assert summary["prediction_fit"]["after_30_s"]["windows"] > 150
+
+
+ARMED = "std_msgs/msg/Bool"
+
+
+def test_the_verdict_of_a_flight_outlasts_its_landing(tmp_path: Path, capsys: Capture) -> None:
+    with Bag(BAGS / "multisine") as bag:
+        landing_ns = bag.start_ns + 40 * SECOND_NS
+
+    def landed(topic: str, at: int, message: Any) -> list[Entry]:
+        return [(topic, at, message), ("/armed", at, plain(ARMED, at < landing_ns))]
+
+    params = parameter_file(tmp_path / "params.yaml", **parameters(armed__type=ARMED))
+    bag_path, output = excerpt(tmp_path / "bag", 50.0, change=landed), tmp_path / "out"
+    assert replay(bag_path, output, by=params) == USABLE
+    summary = summary_of(output)
+    assert (summary["state"], summary["reason"]) == ("paused", "not armed")
+    assert summary["judged_ns"] == pytest.approx(landing_ns, abs=SECOND_NS // 5)
+    assert "as of 40.0 s: nothing was learned after" in capsys.readouterr().out
+
+
+def test_a_fault_at_the_end_is_what_counts(tmp_path: Path) -> None:
+    with Bag(BAGS / "multisine") as bag:
+        end_ns = bag.start_ns + 40 * SECOND_NS
+
+    def in_degrees(topic: str, at: int, message: Any) -> None:
+        if topic == IMU and at > end_ns:
+            rate = message.angular_velocity
+            rate.x, rate.y, rate.z = (math.degrees(value) for value in (rate.x, rate.y, rate.z))
+
+    bag_path, output = excerpt(tmp_path / "bag", 50.0, change=in_degrees), tmp_path / "out"
+    status, summary = replayed(bag_path, output)
+    assert (status, summary["state"]) == (NOT_USABLE, "fault")
+    assert summary["judged_ns"] == summary["last_tick_ns"]
+    assert "deg" in summary["doubt"]
 
 
 def test_actuators_that_are_announced_but_never_come(tmp_path: Path) -> None:

@@ -95,6 +95,8 @@ class OnlineIdentifier:
         What the flight says about the delay, whether it is used or not.
     running_fit : RunningFit
         1-second prediction fit of the coefficients, of those saved, and of holding the rate.
+    idle : float
+        Time since samples were last learned from, s: inputs are missing, or a gate is closed.
 
     Raises
     ------
@@ -237,7 +239,7 @@ class OnlineIdentifier:
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
         self._looked_ns = NO_TICK
-        self._idle = 0.0
+        self.idle = 0.0
         self._newest_rates: FloatArray | None = None  # Imu axes
 
     # -- the delay of the inputs -----------------------------------------------------------
@@ -368,7 +370,7 @@ class OnlineIdentifier:
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
-        self._idle += 1.0 / self.settings.update_rate
+        self.idle += 1.0 / self.settings.update_rate
         self.intake.merge(t_ns)
         self._speed.update(t_ns)
         if self._as_paper:
@@ -466,7 +468,7 @@ class OnlineIdentifier:
 
     def _estimate(self, samples: Regression, t: float, ticks: int) -> None:
         """Update the coefficients with samples of some ticks that end at `t` s."""
-        self._idle = 0.0
+        self.idle = 0.0
         estimator, supervisor = self.estimator, self.supervisor
         self._learned_time += samples.time
         residual = estimator.residual(samples)
@@ -538,7 +540,7 @@ class OnlineIdentifier:
 
     def _published(self, t_ns: int, fed: bool) -> Estimate:
         """Judge the coefficients, and return all that is published of a tick."""
-        if self._idle > LOOK_TIME and self.supervisor.adapt:
+        if self.idle > LOOK_TIME and self.supervisor.adapt:
             # Nothing that was learned of late confirms what was known.
             max_age = self.settings.supervision.max_age
             self.supervisor.confirmed.fade(1.0 / self.settings.update_rate, max_age)

@@ -152,7 +152,7 @@ class Outcome:
         """Why it is not usable, or there is no result; empty if it is usable."""
         if self.status == NO_RESULT:
             return self.warnings[-1].splitlines()[0] if self.warnings else ""
-        return str(self.summary["reason"]) if self.status == NOT_USABLE else ""
+        return str(self.summary["doubt"]) if self.status == NOT_USABLE else ""
 
     @property
     def verdict(self) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.bags.reading import Bag, Message
-from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.prediction import (
@@ -30,6 +30,7 @@ from uav_ident_ros.identification.prediction import (
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.structure import FloatArray, Structure
+from uav_ident_ros.identification.supervision import State
 from uav_ident_ros.offline.inputs import Inputs, Intake, Refusals, choose_inputs
 from uav_ident_ros.offline.ticks import Ticks
 
@@ -82,6 +83,7 @@ class OfflineRun:
         self.identifier = OnlineIdentifier(inputs.settings, initial, **parts)
         self.intake = Intake(inputs, self.identifier)  # What became of the messages
         self.estimates = Ticks(self.identifier.structure)  # One per tick, in order
+        self._learned = -1  # Place of the last one that learned; the last of all if none did
         # time base, delay and lag of each estimate
         self._contexts: list[tuple[int, float, float]] = []
 
@@ -116,12 +118,25 @@ class OfflineRun:
     def _tick(self) -> None:
         identifier = self.identifier
         for estimate in identifier.advance():
+            if identifier.idle == 0.0:
+                self._learned = len(self.estimates)
             self.estimates.append(estimate)
             context = (self.intake.era, identifier.delay, identifier.lag)
             last = self._contexts[-1] if self._contexts else None
             self._contexts.append(last if last == context else context)
 
     # -- results ---------------------------------------------------------------------------
+
+    @property
+    def judged(self) -> Estimate:
+        """The estimate whose verdict is that of the flight: of the last tick that learned.
+
+        After it the aircraft has landed, or the inputs ended. The verdict ages from there on, as a
+        controller must see it; what the flight has shown stays. A fault at the end counts.
+        """
+        last, faulty = self.estimates[-1], State.FAULT.value
+        doubted = last.state == faulty or self.identifier.plausibility.doubted
+        return last if doubted else self.estimates[self._learned]
 
     def result(self) -> CoefficientSet:
         """Return the coefficients at the last tick; with an airspeed, at its reference."""

@@ -107,11 +107,12 @@ class Replayed:
     def doubt(self) -> str:
         """Why a controller should not act on the model; empty if it may.
 
-        The verdict of the last tick, unless the score beside it loses to holding the rates.
+        The verdict of the last tick that learned, unless the score beside it loses to holding the
+        rates.
         """
-        last, score = self.run.estimates[-1], self.fits[FIT_WINDOWS]
-        if not last.usable:
-            return last.reason or "the verdict of the last tick"
+        judged, score = self.run.judged, self.fits[FIT_WINDOWS]
+        if not judged.usable:
+            return judged.reason or "the verdict of the last tick that learned"
         worse = [axis for axis, lost in zip(AXES, score.model < score.hold, strict=True) if lost]
         if worse:
             return f"over the last part of the flight {', '.join(worse)} loses to holding the rate"
@@ -154,9 +155,10 @@ class Replayed:
                 "state": last.state,
                 "reason": last.reason,
                 "fault": run.fault,
+                "judged_ns": run.judged.t_ns,
                 "usable": not self.doubt,
                 "doubt": self.doubt,
-                "usable_rows": dict(zip(ROWS, last.usable_rows, strict=True)),
+                "usable_rows": dict(zip(ROWS, run.judged.usable_rows, strict=True)),
                 "gates": {
                     name: cost._asdict()
                     for name, cost in identifier.supervisor.gates.costs().items()

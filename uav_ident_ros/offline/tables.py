@@ -200,6 +200,9 @@ def _verdict(summary: Mapping[str, Any]) -> Iterator[str]:
     each = ", ".join(f"{row} {'usable' if usable else 'not'}" for row, usable in rows)
     doubt = summary["doubt"]
     yield f"verdict: not usable ({each}): {doubt}" if doubt else "verdict: usable"
+    if summary["judged_ns"] < summary["last_tick_ns"]:
+        seconds = (summary["judged_ns"] - summary["first_tick_ns"]) * NS
+        yield f"as of {seconds:.1f} s: nothing was learned after"
     remarks = [("note", text) for text in summary["notes"]]
     remarks += [("advice", advice["text"]) for advice in summary["advice"]]
     for word, text in remarks:
