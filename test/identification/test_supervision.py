@@ -44,6 +44,17 @@ def test_a_good_identification_is_usable_but_not_before_it_could_be_judged(
     assert {e.state for e in early} == {"waiting", "learning"}
 
 
+def test_samples_that_come_more_slowly_than_ticks_are_not_waited_for() -> None:
+    slow = measure(plant_flight(20.0), Sensors(rate=10.0, gyro_noise=0.02), seed=2)
+    _, estimates = flown(slow)
+    states = [estimate.state for estimate in estimates]
+    begun = states.index("learning")
+    assert 0 < begun < len(states) // 2
+    assert set(states[:begun]) == {"waiting"}
+    assert set(states[begun:]) == {"learning"}
+    assert all(estimate.adapting for estimate in estimates[begun:])
+
+
 def quiet_after(seconds: float, **changes: Any) -> Measurements:
     """Half a minute in gusts without an excitation, after so long of one."""
     segment = Segment("multisine", duration=seconds, amplitudes=AMPLITUDES, seed=1)

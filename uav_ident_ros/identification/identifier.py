@@ -212,7 +212,7 @@ class OnlineIdentifier:
         self.intake.fault = ""
         self._noise = NoiseModel(self._layout.rows)
         self._setup_errors = SetupErrors(self.structure, self.settings.airspeed.reference)
-        self._learned_time = 0.0
+        self._learned_time = self.idle = 0.0
         self.restart()
 
     def _make_signals_anew(self, given: set[str]) -> None:
@@ -238,8 +238,7 @@ class OnlineIdentifier:
         self._news = True
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
-        self._looked_ns = NO_TICK
-        self.idle = 0.0
+        self._looked_ns = self._fed_ns = NO_TICK
         self._newest_rates: FloatArray | None = None  # Imu axes
 
     # -- the delay of the inputs -----------------------------------------------------------
@@ -379,7 +378,7 @@ class OnlineIdentifier:
             fed = self._paper_tick(t_ns)
         else:
             self._look(t_ns, self._new_rates(), self.sampler.raw_inputs.v)
-            fed = self._filtered_tick()
+            fed = self._filtered_tick(t_ns)
         return self._published(t_ns, fed)
 
     def _new_rates(self) -> FloatArray:
@@ -411,17 +410,19 @@ class OnlineIdentifier:
         )  # fmt: skip
         supervisor.gates.look(look)
 
-    def _filtered_tick(self) -> bool:
-        """Learn from the blocks that this tick completes; return whether there were any."""
-        fed = False
+    def _filtered_tick(self, t_ns: int) -> bool:
+        """Learn from the blocks that this tick completes; return whether samples still come.
+
+        A tick without a block is none of waiting where samples come more slowly than ticks.
+        """
         for block in self.sampler.blocks():
-            fed = True
+            self._fed_ns = t_ns
             if not self._has_accelerometer and self._parallel.flow is not None:
                 self._look_for_accelerometer(block)
             length = STRETCH_TIME if self._learned_time >= START_TIME else 0.0
             for stretch in self._stretches.add(self._follow(block), length):
                 self._learn(stretch)
-        return fed
+        return t_ns - self._fed_ns <= self.settings.filter.max_gap / NS
 
     def _follow(self, block: Block) -> Stretch:
         """Run the model over a block."""
