@@ -245,6 +245,7 @@ def test_replay_of_a_damaged_bag(
     assert note.startswith(f"'flight.mcap' {words}")
     assert f"note: {note[:60]}" in capsys.readouterr().out
     assert summary["ticks"] > 450
+    assert summary["judged_ns"] == summary["last_tick_ns"]
     assert summary["coefficients"]["pdot/da"]["value"] == pytest.approx(60.0, rel=0.05)
 
 

@@ -29,6 +29,7 @@ from uav_ident_ros.identification.prediction import (
 )
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
+from uav_ident_ros.identification.scales import LOOK_TIME
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.identification.supervision import State
 from uav_ident_ros.offline.inputs import Inputs, Intake, Refusals, choose_inputs
@@ -129,14 +130,17 @@ class OfflineRun:
 
     @property
     def judged(self) -> Estimate:
-        """The estimate whose verdict is that of the flight: of the last tick that learned.
+        """The estimate whose verdict is that of the flight.
 
-        After it the aircraft has landed, or the inputs ended. The verdict ages from there on, as a
-        controller must see it; what the flight has shown stays. A fault at the end counts.
+        That of the last tick; of the last that learned where the aircraft has landed since, or the
+        inputs ended, and the verdict ages, as a controller must see it: what the flight has shown
+        stays. A fault at the end counts.
         """
-        last, faulty = self.estimates[-1], State.FAULT.value
-        doubted = last.state == faulty or self.identifier.plausibility.doubted
-        return last if doubted else self.estimates[self._learned]
+        last, identifier = self.estimates[-1], self.identifier
+        doubted = last.state == State.FAULT.value or identifier.plausibility.doubted
+        if doubted or identifier.idle <= LOOK_TIME:
+            return last
+        return self.estimates[self._learned]
 
     def result(self) -> CoefficientSet:
         """Return the coefficients at the last tick; with an airspeed, at its reference."""
