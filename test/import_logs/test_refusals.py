@@ -114,7 +114,7 @@ def test_garbage_inside_a_log_is_reported(importer: Importer, write: Any) -> Non
 def test_one_damaged_byte_costs_one_sample(
     importer: Importer, write: Any, part: str, at: int, value: int
 ) -> None:
-    """A library's own reader stops at it, and with it goes the rest of the log."""
+    """A library's own reader may lose its way there, and with it much of the log."""
     path = write(importer.folder)
     whole = bytearray(path.read_bytes())
     if write is ulog:

@@ -21,6 +21,7 @@ from uav_ident_ros.import_logs.log import (
     Gap,
     Log,
     Messages,
+    Places,
     Records,
     read_binary,
 )
@@ -91,7 +92,7 @@ class _Dataflash(BinaryLog):
         first, second, number = self.data[at : at + 3].ljust(3, b"\0")
         return (first == HEADER[0]) + (second == HEADER[1]) + (number in self._kinds) >= 2
 
-    def take(self, at: int, length: int) -> list[int] | None:
+    def take(self, at: int, length: int) -> Places | None:
         number = self.data[at + 2]
         if number == FMT:
             declared, size, *texts = struct.unpack("<3xBB4s16s64s", self.data[at : at + length])
@@ -120,7 +121,8 @@ class _Dataflash(BinaryLog):
                 kind.name, kind.instance = OLD_INSTANCES.get(kind.name, (kind.name, 0))
                 if kind.name in self._types:
                     self.keep(kind, INSTANCE_FIELD)
-        log.start_ns = min((t_ns for _, t_ns in self.stamped), default=None)
+        stamps = np.hstack(self.stamped)[1, 1:]
+        log.start_ns = int(stamps.min()) if len(stamps) else None
         if gaps and gaps[-1][1] == self.size and self.size - gaps[-1][0] < TRAILER:
             if self.data[gaps[-1][0] :][:2] == HEADER:
                 return True

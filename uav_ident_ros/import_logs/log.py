@@ -6,7 +6,8 @@ Binary logs that describe themselves are read here, too: every message, over dam
 
 import mmap
 import re
-from collections.abc import Callable, Sequence
+from array import array
+from collections.abc import Callable, MutableSequence, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -147,6 +148,9 @@ class Log:
 Gap = tuple[int, int]
 """Where bytes that are no message begin and end."""
 
+Places = MutableSequence[int]
+"""Where messages begin."""
+
 
 @dataclass
 class Records:
@@ -157,7 +161,7 @@ class Records:
     divisors: Sequence[float] = ()  # What the values are to be divided by; none if left out
     instance: int = 0
     sizes: range = range(0)  # Bytes that a message may have
-    places: list[int] = field(default_factory=list)  # Where they begin
+    places: Places = field(default_factory=lambda: array("q"))
 
     def columns(self, data: mmap.mmap) -> dict[str, Column]:
         """Return the fields as arrays, in the units of their declaration."""
@@ -178,7 +182,7 @@ class BinaryLog:
     def __init__(self, data: mmap.mmap, log: Log) -> None:
         self.data, self.size, self.log = data, len(data), log
         self.lengths: set[int] = set()  # Lengths that messages with samples can have, bytes
-        self.stamped: list[tuple[int, int]] = []  # Place and stamp, ns, of what was kept
+        self.stamped = [np.array([[-1], [0]])]  # Places and stamps, ns, of what was kept
 
     def length(self, at: int) -> int:
         """Return the length of the message that begins here, bytes; 0 if none does."""
@@ -188,7 +192,7 @@ class BinaryLog:
         """Return whether what stands here is the begin of a message but for a byte or so."""
         raise NotImplementedError
 
-    def take(self, at: int, length: int) -> list[int] | None:
+    def take(self, at: int, length: int) -> Places | None:
         """Take the message that begins here; return the places of its kind, if they are kept."""
         raise NotImplementedError
 
@@ -200,7 +204,7 @@ class BinaryLog:
         """Add the samples of some records to the log."""
         columns = records.columns(self.data)
         good, t_ns = self.log.add(records.name, records.instance, columns, instance_field)
-        self.stamped += zip(np.array(records.places)[good].tolist(), t_ns.tolist(), strict=True)
+        self.stamped.append(np.array([np.array(records.places)[good], t_ns]))
 
     def walk(self, start: int) -> list[Gap]:
         """Take every message, and return the gaps between them.
@@ -209,7 +213,7 @@ class BinaryLog:
         begins for certain.
         """
         gaps: list[Gap] = []
-        places: list[int] | None = None
+        places: Places | None = None
         at = last = start
         while at < self.size:
             if length := self.length(at):
@@ -248,7 +252,8 @@ class BinaryLog:
         if not gaps:
             return
         lost = sum(end - begin for begin, end in gaps)
-        places, stamps = np.array([(-1, 0), *sorted(self.stamped)]).T
+        kept = np.hstack(self.stamped)
+        places, stamps = kept[:, np.argsort(kept[0])]
         lost_ns = 0
         for begin, end in gaps:
             before, after = np.searchsorted(places, begin) - 1, np.searchsorted(places, end)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.import_logs.flight_log import ImportLogError
-from uav_ident_ros.import_logs.log import BinaryLog, Column, Gap, Log, Records, read_binary
+from uav_ident_ros.import_logs.log import BinaryLog, Column, Gap, Log, Places, Records, read_binary
 from uav_ident_ros.messages.types import NS_PER_US
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
@@ -125,7 +125,7 @@ class _Ulog(BinaryLog):
 
     # -- what it says ------------------------------------------------------------------------
 
-    def take(self, at: int, length: int) -> list[int] | None:
+    def take(self, at: int, length: int) -> Places | None:
         kind, begin = self.data[at + 2 : at + 3], at + MESSAGE_HEADER
         if kind == b"D":
             number = int.from_bytes(self.data[begin : begin + 2], "little")
