@@ -9,12 +9,16 @@ it flies on, identified, last good or nominal, is decided axis by axis. With the
 """
 
 import sys
+import time
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3Stamped
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
@@ -40,6 +44,10 @@ AXES = ("roll", "pitch", "yaw")
 
 REPORT_PERIOD = 1.0
 """Time between reports on /diagnostics, s; a change is reported at once."""
+
+ACQUAINTANCE_TIME, LOOK_PERIOD = 30.0, 0.05
+"""In lock-step with a simulation: how long commands may wait for the identifier to be known, and
+how often that is looked at, s of wall clock."""
 
 PARAMETERS: dict[str, Any] = {
     "law": "incremental",  # or inversion
@@ -84,18 +92,36 @@ class ControllerExample(Node):
             delay=value["coefficients_delay"],
         )
         self._controller = None if nominal is None else self._make(nominal)
-        if self._adaptive:
-            subscribe(self, self._source)
+        coefficients = subscribe(self, self._source) if self._adaptive else None
         self._excitation = Excitation(value["excitation_limit"])
         subscribe_excitation(self, self._excitation)
         self._references: History[FloatArray] = History()
         self._reference_delay_ns = round(value["reference_delay"] * 1e9)
         self._reported = (0, "")
         best_effort = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._commands = self.create_publisher(JointState, "command", 50)
+        self._commands: Publisher | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, 50)
         self.create_subscription(Imu, "imu/data", self._on_imu, best_effort)
+        if coefficients is None or not value["coefficients_delay"]:
+            self._announce()
+        else:
+            self._announce_once_known(coefficients)
+
+    def _announce(self) -> None:
+        self._commands = self.create_publisher(JointState, "command", 50)
+
+    def _announce_once_known(self, coefficients: Any) -> None:
+        """Offer commands when the coefficients can come: a simulation starts with the offer."""
+        end = time.monotonic() + ACQUAINTANCE_TIME
+
+        def look() -> None:
+            if coefficients.get_publisher_count() or time.monotonic() > end:
+                self.destroy_timer(timer)
+                self._announce()
+
+        # the node's own clock may be the simulation's, which stands still until then
+        timer = self.create_timer(LOOK_PERIOD, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _make(self, nominal: Coefficients) -> RateController:
         value = self._value
@@ -117,6 +143,8 @@ class ControllerExample(Node):
         self._references.add(header_ns(message), reference)
 
     def _on_imu(self, message: Imu) -> None:
+        if self._commands is None:
+            return
         t_ns = header_ns(message)
         rates = message.angular_velocity
         x = np.array([rates.x, rates.y, rates.z]) * FLU_TO_FRD

@@ -14,11 +14,13 @@ from geometry_msgs.msg import TwistStamped
 from node_process import wait_for
 from programs import Capture
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
+from uav_ident_ros.client.subscription import TOPIC
 from uav_ident_ros.guest import Guest
-from uav_ident_ros.process import own_domain
+from uav_ident_ros.process import NodeProcess, own_domain
+from uav_ident_ros.ros import latched
 from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, main, tracking_error
 from uav_ident_ros.simulation.flight import SimulationError
 
@@ -132,6 +134,23 @@ def publish_faults(running: ClosedLoop, *commands: str) -> None:
             pilot.node.create_subscription(kind, topic, heard.append, qos_profile_sensor_data)
         assert pilot.spin_for(TIMEOUT, lambda: len(flown) > 20 and len(speeds) > 1)
         assert speeds[-1].twist.linear.x == pytest.approx(53.0, abs=6.0)
+
+
+def test_in_lock_step_commands_are_offered_once_the_identifier_is_heard(tmp_path: Path) -> None:
+    given, module = {"coefficients_delay": 0.3}, "uav_ident_ros.controller_example"
+    with (
+        own_domain(),
+        NodeProcess(module, tmp_path / "log", given),
+        closing(Guest("identifier")) as guest,
+    ):
+
+        def offered() -> bool:
+            return bool(guest.node.count_publishers("command"))
+
+        assert guest.spin_for(TIMEOUT, lambda: bool(guest.node.count_subscribers("imu/data")))
+        assert not guest.spin_for(0.3, offered)
+        guest.node.create_publisher(JointState, TOPIC, latched(1))
+        assert guest.spin_for(5.0, offered)
 
 
 def test_a_process_that_does_not_start_ends_the_flight(tmp_path: Path, capsys: Capture) -> None:

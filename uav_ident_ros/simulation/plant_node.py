@@ -143,7 +143,8 @@ class PlantNode(Node):
         self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, RELIABLE)
         self.create_subscription(String, "~/fault", self._on_fault, RELIABLE)
         self._excite = self.create_client(SetBool, "identifier/excite")
-        subscribe(self, CoefficientSource(Fallback.REFUSE), callback=self._on_coefficients)
+        refusing = CoefficientSource(Fallback.REFUSE)
+        self._identified = subscribe(self, refusing, callback=self._on_coefficients)
         self._requests = Excitation(UNLIMITED)
         subscribe_excitation(self, self._requests)
 
@@ -294,7 +295,10 @@ class PlantNode(Node):
         return condition()
 
     def _wait_for_everyone(self) -> None:
-        """Listen until there is a controller, and an identifier if one is waited for."""
+        """Listen until there is a controller, and an identifier if one is waited for.
+
+        A controller in step offers its commands when it can hear the identifier.
+        """
         guided, identified = bool(self._value["wait_for_reference"]), not self._identifier_silent
         clock = self._clock.publisher
         assert clock is not None, "only in step"
@@ -305,8 +309,9 @@ class PlantNode(Node):
                 "a rate_reference": not guided or self.count_publishers("rate_reference") > 0,
                 "an identifier": not identified
                 or (
-                    self.count_publishers("identifier/coefficients_named") > 0
+                    self._identified.get_publisher_count() > 0
                     and clock.get_subscription_count() > 0
+                    and self._actuators.get_subscription_count() > 0
                 ),
                 "listeners to 'imu/data'": self._imu.get_subscription_count() > guided + identified,
             }
@@ -316,7 +321,7 @@ class PlantNode(Node):
             raise SimulationError(
                 f"waited {START_PATIENCE:g} s in vain for {' and '.join(missing())}"
             )
-        self._wait(lambda: False, 1.0)  # until they know this node too
+        self._wait(lambda: False, 1.0)  # until whoever is known knows it
 
     def _wait_for_answers(self) -> None:
         """Listen until the newest sample is answered and the coefficients are not far behind."""
