@@ -221,8 +221,9 @@ def render(sections: Sequence[Section], **content: Any) -> str:
 def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
     """Return the charts as JSON, and the name of each in it; both are the same in every run."""
     document, roots = Document(), {chart.identity: chart.model for chart in charts}
-    for model in roots.values():
-        document.add_root(model)
+    with document.models.freeze():  # each root would look through all that are there
+        for model in roots.values():
+            document.add_root(model)
     seen: dict[str, str] = {}
 
     def named(made_up: str) -> str:
