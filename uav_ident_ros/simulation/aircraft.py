@@ -311,9 +311,10 @@ def settle(aircraft: Aircraft, rate: float = AUTOPILOT_RATE) -> tuple[Autopilot,
     """
     signals = aircraft.step()
     autopilot, every = Autopilot(aircraft, signals, rate), round(aircraft.rate / rate)
-    for step in range(round(SETTLING_TIME * rate) * every):
-        if step % every == 0:
-            aircraft.set_surfaces(aircraft.clip(autopilot.surfaces(signals)))
+    for _ in range(round(SETTLING_TIME * rate)):
+        aircraft.set_surfaces(aircraft.clip(autopilot.surfaces(signals)))
+        for _ in range(every - 1):  # nobody looks at these
+            aircraft.fdm.run()
         signals = aircraft.step()
     return autopilot, signals
 
