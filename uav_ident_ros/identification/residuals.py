@@ -29,6 +29,7 @@ from uav_ident_ros.identification.structure import (
     INPUTS,
     MAIN_INPUTS,
     ROWS,
+    BoolArray,
     FloatArray,
 )
 
@@ -146,13 +147,13 @@ class Feedback:
     A gust moves the aircraft, an autopilot answers, and the input is correlated with the gust w: no
     residual shows it, and no time averages it away. But the answer comes after the gust: past
     residuals explain a share R^2 of an input that is fed back, and nothing of one that is not (the
-    test of residuals against future inputs; Ljung, System Identification, 1999, ch. 13 and 16). Of
-    w the residual e shows ``sigma_e = sigma_w sqrt(1 - R^2)``, the rest went into the estimate. So
+    test of residuals against future inputs; Ljung, System Identification, 1999, ch. 13 and 16). So
     over a time T the sum of ``z w``, by which the estimate is off, is at most (Cauchy and Schwarz)
 
-        C = T sigma_e^2 S_q,  S_q = sum q z z^T,  q = R^2 / (1 - R^2),
+        C = T sigma_w^2 S,  S = sum R^2 z z^T,
 
-    where the sum of independent disturbances has a correlation time in place of T.
+    where the sum of independent disturbances has a correlation time in place of T. Of w the
+    residual shows what is not in the estimate already (`Information.spread`).
 
     Parameters
     ----------
@@ -162,11 +163,13 @@ class Feedback:
     Attributes
     ----------
     share : (4,) array
-        Share R^2 of each input that is an answer to disturbances, 0 ... 1.
+        Share R^2 of each input that is an answer to disturbances, 0 ... 1; 0 where that may be
+        chance.
     ratio : (rows, k) array
         ``q = R^2 / (1 - R^2)`` of the input that each instrument follows.
     answering : (rows, k, k) array or None
-        Root of the product of q of each pair of instruments; None where nothing answers.
+        Root of the product of R^2 of each pair of instruments, by chance or not; None where nothing
+        answers.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -177,12 +180,17 @@ class Feedback:
         self._products: FloatArray = np.zeros((size, size))
         self._gathered: list[tuple[Regression, FloatArray, float]] = []
         self._since_look = 0.0
-        self._set_share(np.zeros(len(INPUTS)))
+        self._set_share(np.zeros(len(INPUTS)), np.zeros(len(INPUTS), dtype=bool))
 
-    def _set_share(self, share: FloatArray) -> None:
-        self.share = share
-        self.ratio: FloatArray = (share / (1.0 - share))[self._driven_by]
-        root = np.sqrt(self.ratio)
+    @property
+    def sure(self) -> BoolArray:
+        """Which instruments follow an input that answers, and not by chance, (rows, k)."""
+        return self.ratio > 0.0
+
+    def _set_share(self, share: FloatArray, sure: BoolArray) -> None:
+        self.share = np.where(sure, share, 0.0)
+        self.ratio: FloatArray = (self.share / (1.0 - self.share))[self._driven_by]
+        root = np.sqrt(share)[self._driven_by]
         answering = root[:, :, None] * root[:, None, :]
         self.answering: FloatArray | None = answering if share.any() else None
 
@@ -243,7 +251,7 @@ class Feedback:
         # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
         chance = (n - 1) * GUST_TIME / time
         sure = share > chance * (1.0 + SURE * np.sqrt(2.0 / (n - 1)))
-        self._set_share(np.where(sure, share - chance, 0.0))
+        self._set_share(np.maximum(share - chance, 0.0), sure)
 
 
 # --- confirmation ---------------------------------------------------------------------------------

@@ -21,7 +21,12 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.prior import Start, physical_bounds
 from uav_ident_ros.identification.regression import Layout, RowSamples
-from uav_ident_ros.identification.scales import INDEPENDENT_TIME, OUTLYING, ROUNDING, SHORT_MEMORY
+from uav_ident_ros.identification.scales import (
+    INDEPENDENT_TIME,
+    OUTLYING,
+    ROUNDING,
+    SHORT_MEMORY,
+)
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray, FlowRows, Structure
 
 FADE_TIME = 8.0
@@ -58,7 +63,7 @@ class Sums:
 
     Parameters
     ----------
-    table : (parts, rows, k (1 + 4 k) + 2) array
+    table : (parts, rows, k (1 + 5 k) + 2) array
         All of it, row by row: the attributes are views of it.
     k : int
         Coefficients of a row.
@@ -67,18 +72,21 @@ class Sums:
     ----------
     products : (parts, rows, k, 1 + 3 k) array
         Side by side, each times dt: ``r = sum z y``, ``R = sum z f^T``, ``S = sum z z^T``, and
-        ``sum q z z^T`` with q as `Feedback` has it: what answers disturbances.
+        ``sum R^2 z z^T`` with R^2 as `Feedback` has it: what answers disturbances.
     scores : (parts, rows, k, k) array
         Sum of ``g g^T`` over blocks, ``g`` the sum of ``z e`` over a block, times dt.
+    power : (parts, rows, k, k) array
+        ``sum f f^T`` while something answered, times dt.
     blocks, answer_time : (parts, rows) array
         Number of blocks, and time with answers, s.
     """
 
     def __init__(self, table: FloatArray, k: int) -> None:
         self.table, self.k = table, k
-        first, last = k * (1 + 3 * k), k * (1 + 4 * k)
+        first, second, last = k * (1 + 3 * k), k * (1 + 4 * k), k * (1 + 5 * k)
         self.products = table[..., :first].reshape(*table.shape[:2], k, 1 + 3 * k)
-        self.scores = table[..., first:last].reshape(*table.shape[:2], k, k)
+        self.scores = table[..., first:second].reshape(*table.shape[:2], k, k)
+        self.power = table[..., second:last].reshape(*table.shape[:2], k, k)
         self.blocks, self.answer_time = table[..., last], table[..., last + 1]
         self.zy, self.zf = self.products[..., :1], self.products[..., 1 : 1 + k]
         self.zz = self.products[..., 1 + k : 1 + 2 * k]
@@ -87,7 +95,7 @@ class Sums:
     @classmethod
     def nothing(cls, parts: int, rows: int, k: int) -> Self:
         """Return sums of nothing."""
-        return cls(np.zeros((parts, rows, k * (1 + 4 * k) + 2)), k)
+        return cls(np.zeros((parts, rows, k * (1 + 5 * k) + 2)), k)
 
     def __getitem__(self, parts: slice) -> Sums:
         """Return some of the parts: views, not copies."""
@@ -109,7 +117,7 @@ class Sums:
         weight : (rows,) array
             How much they count.
         answering : (rows, k, k) array, optional
-            q of each pair of instruments; nothing answers a disturbance without it.
+            R^2 of each pair of instruments; nothing answers a disturbance without it.
         """
         k = self.k
         weighted = samples.z * (samples.dt * weight)[:, None, None]
@@ -117,6 +125,9 @@ class Sums:
         self.products[..., : 1 + 2 * k] += products[..., 1:]
         if answering is not None:
             self.answers += products[..., 2 + k :] * answering
+            self.power += (samples.f * (samples.dt * weight)[:, None, None]).swapaxes(
+                -1, -2
+            ) @ samples.f
             answers = np.logical_or.reduce(answering, axis=(1, 2))
             self.answer_time += samples.time * weight * answers
         return np.asarray(products[..., 0])
@@ -413,18 +424,27 @@ class Information:
         held[:, rows] -= size[..., None] * step[:, rows]
         return held
 
-    def spread(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
+    def spread(
+        self, solution: Solution, answering: BoolArray | bool = False
+    ) -> tuple[FloatArray, FloatArray]:
         """Return how well the coefficients of all parts are known.
 
         ``G Omega G^T`` with Omega the sum of the outer products of the scores of one-second
         blocks: it holds for residuals coloured within a block, where ``s^2 R^-1`` is several
-        times too small (block-mean form of Morelli and Klein 1997), and what answers disturbances
-        in full (`Feedback`). The prior adds its own part.
+        times too small (block-mean form of Morelli and Klein 1997). The prior adds its own part,
+        and so does what answers disturbances.
+
+        Parameters
+        ----------
+        solution : Solution
+            Coefficients of all parts.
+        answering : (rows, k) bool array, optional
+            Instruments that are sure to answer disturbances.
 
         Returns
         -------
         covariance : (parts, rows, k, k) array
-            Covariance of the linear coefficients, row by row.
+            Covariance of the linear coefficients, row by row, without what answers.
         sigma : (parts, R, n) array
             Standard deviations of the coefficients of the structure.
         """
@@ -437,17 +457,45 @@ class Information:
         # Few blocks: their scatter underestimates; p coefficients cost p degrees of freedom.
         correction = 1.0 + self._lost / np.maximum(sums.blocks - self._lost, 1.0)
         middle = sums.scores * correction[..., None, None]
-        answered = (self.variance * sums.answer_time)[..., None, None] * sums.answers
-        answered[1:2] = 0.0  # whitened: what is new in a gust comes before it is answered
-        middle += answered
         held = inverse * (prior**2 * self._prior_variance)[..., None, :]
         covariance = gain @ middle @ gain.swapaxes(-1, -2) + held @ inverse.swapaxes(-1, -2)
+        variance = np.maximum(diagonal(covariance), 0.0)
+        for part in range(len(variance)):
+            if part != 1:  # whitened: what is new in a gust comes before it is answered
+                variance[part] += self._answered(solution, part, gain[part], answering)
         resolution = 1.0 - diagonal(inverse) * prior
-        sigma = self._sigma(covariance, solution.linear, resolution)
+        sigma = self._sigma(variance, solution.linear, resolution)
         return transform @ covariance @ transform.swapaxes(-1, -2), sigma
 
+    def _answered(
+        self, solution: Solution, part: int, gain: FloatArray, answering: BoolArray | bool
+    ) -> FloatArray:
+        """Return by how much what answers disturbances can be off at most, squared, (rows, k).
+
+        With C of `Feedback` the errors are at most ``d d^T = sigma_w^2 H``, ``H = G C G^T``. In
+        flight they look like ``d f``, and as much of the disturbance is missing in the residual:
+        ``sigma_e^2 >= (1 - kappa) sigma_w^2``, kappa the largest eigenvalue of H times the mean of
+        ``f f^T``. From kappa = 1 on the estimate may follow the disturbance and leave no residual:
+        nothing but what was known before bounds the error, not even where R^2 may be chance.
+        """
+        sums = solution.sums
+        if not sums.answers[part].any():
+            return np.zeros(gain.shape[:2])
+        # ``H times the mean`` without the time, by which one is multiplied, the other divided
+        linear = solution.transform @ gain
+        hidden = linear @ sums.answers[part] @ linear.swapaxes(-1, -2) @ sums.power[part]
+        if not np.isfinite(hidden).all():
+            return np.full(gain.shape[:2], np.nan)
+        kappa = np.abs(np.linalg.eigvals(hidden)).max(axis=-1, keepdims=True)
+        gain = gain * ((kappa >= 1.0) | answering)[:, None, :]
+        square = np.add.reduce((gain @ sums.answers[part]) * gain, axis=-1)
+        most = self.variance[part] * sums.answer_time[part]
+        square *= most[:, None] / np.maximum(1.0 - kappa, ROUNDING)
+        moved = solution.values[part][self._i, self._j] - self._initial[..., 0]
+        return np.asarray(np.minimum(square, self._prior_variance + moved**2))
+
     def _sigma(
-        self, covariance: FloatArray, linear: FloatArray, resolution: FloatArray
+        self, variance: FloatArray, linear: FloatArray, resolution: FloatArray
     ) -> FloatArray:
         """Return the standard deviations of the structure's coefficients, (parts, R, n).
 
@@ -455,7 +503,6 @@ class Information:
         the force row that defines it adds to that of the moment, as far as the samples tell of it:
         the `resolution` (parts, rows, k), 1 without a prior.
         """
-        variance = np.maximum(diagonal(covariance), 0.0)
         out = self._placed(variance, np.zeros_like(self._start.values))
         row, column, entry, angle, force = self._flow
         share, resolved = linear[:, row, angle] ** 2, resolution[:, row, entry] ** 2
