@@ -4,6 +4,7 @@
 import gc
 import signal
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,27 @@ settings.register_profile(
 )
 settings.register_profile("anew", max_examples=500, deadline=None, print_blob=True)
 settings.load_profile("repeatable")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Give every worker its share of the tests of nodes, among its first: they wait for each other.
+
+    A worker begins with its part of the list, and the last that are left compute all the time.
+    """
+    workers = getattr(config, "workerinput", {}).get("workercount", 1)
+    files = [list(own) for _, own in groupby(items, key=lambda item: item.path)]
+    waiting = [own for own in files if own[0].path.parent.name == "node"]
+    others = [item for own in files if own not in waiting for item in own]
+    ordered: list[pytest.Item] = []
+    for k in range(workers):
+        own = others[len(others) * k // workers : len(others) * (k + 1) // workers]
+        nodes = waiting[k::workers]
+        every = max(1, 3 * len(own) // (4 * max(1, len(nodes))))
+        for place, tests in enumerate(nodes):
+            ordered += [*tests, *own[place * every : (place + 1) * every]]
+        ordered += own[len(nodes) * every :]
+    items[:] = ordered
 
 
 def pytest_collection_finish() -> None:
