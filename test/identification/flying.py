@@ -12,6 +12,7 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements
 from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.recording import parameters
@@ -29,18 +30,19 @@ class Message(NamedTuple):
     values: tuple[float, ...]
 
 
-def plant_flight(duration: float, **changes: Any) -> Flight:
-    """Multisines on the small aircraft of known coefficients; each flight is flown once."""
-    key = repr((duration, sorted(changes.items())))
-    if key not in _FLOWN:
-        _FLOWN[key] = _fly_plant(duration, **changes)
-    return _FLOWN[key]
-
-
 _FLOWN: dict[str, Flight] = {}
 
 
-def _fly_plant(duration: float, **changes: Any) -> Flight:
+def flight_of(plan: Plan) -> Flight:
+    """The flight; each is flown once."""
+    key = repr(plan)
+    if key not in _FLOWN:
+        _FLOWN[key] = plan.fly()
+    return _FLOWN[key]
+
+
+def plant_flight(duration: float, **changes: Any) -> Flight:
+    """Multisines on the small aircraft of known coefficients."""
     values: dict[str, Any] = {
         "vehicle": vehicle("small_uav"),
         "segments": (Segment("multisine", amplitudes=AMPLITUDES, seed=1),),
@@ -49,7 +51,7 @@ def _fly_plant(duration: float, **changes: Any) -> Flight:
         "max_step": 2.5e-3,
         "seed": 1,
     }
-    return PlantFlight(**{**values, **changes}).fly()
+    return flight_of(PlantFlight(**{**values, **changes}))
 
 
 def settings(measurements: Measurements, **changes: Any) -> Settings:

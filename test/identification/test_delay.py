@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import Message, errors, messages, plant_flight, run, settings, worst
+from flying import Message, errors, flight_of, messages, plant_flight, run, settings, worst
 from light_aircraft import LightFlight
 
 from uav_ident_ros.bags.reading import Bag
@@ -128,7 +128,9 @@ def flown_with(
     """Return an identifier, told a delay and a lag, after a flight with those of the servos."""
     peaks = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
     segments = [Segment("multisine", 2.0, seconds, peaks, seed=1)]
-    flight = LightFlight(segments, seconds, gust=0.3, delay=delay, seed=1, time_constant=lag).fly()
+    flight = flight_of(
+        LightFlight(segments, seconds, gust=0.3, delay=delay, seed=1, time_constant=lag)
+    )
     m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15))
     own = settings(m, actuators__delay=told, actuators__time_constant=lag_told, **changes)
     identifier = OnlineIdentifier(own)

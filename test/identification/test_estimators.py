@@ -100,7 +100,7 @@ def test_sigma_covers_the_error(estimator: str) -> None:
 
 def test_a_halved_control_derivative_is_followed_alone() -> None:
     name, gusts = "pdot/da", ColouredNoise(0.3, 0.3)
-    m = measured(40.0, changes=(CoefficientChange(25.0, {name: 0.5}),), gusts=gusts)
+    m = measured(36.0, changes=(CoefficientChange(25.0, {name: 0.5}),), gusts=gusts)
     identifier = started(m)
     estimates = run(identifier, messages(m))
     t = np.array([e.t_ns - m.imu_t_ns[0] for e in estimates]) * 1e-9

@@ -174,13 +174,15 @@ def test_a_rate_that_never_moved_is_not_stuck() -> None:
     assert not any("stuck" in e.reason for e in estimates)
 
 
-def rounded(rate: float, step: float, still: tuple[float, float] = (0.0, 0.0)) -> list[str]:
-    """What the gate of the Imu says at each tick of a minute; it may hold q still for a while.
+def rounded(
+    rate: float, step: float, still: tuple[float, float] = (0.0, 0.0), seconds: float = 60.0
+) -> list[str]:
+    """What the gate of the Imu says at each tick; it may hold q still for a while.
 
     Each axis is moved in turn and then left to itself, as test inputs do. The gyro rounds to
     `step`, rad/s, and its noise is a quarter of that.
     """
-    t = np.arange(0.0, 60.0, 1.0 / rate)
+    t = np.arange(0.0, seconds, 1.0 / rate)
     rng = np.random.default_rng(7)
     moving = (t[:, None] // 10.0) % 3 == np.arange(3)
     rates = 0.002 * rng.standard_normal((len(t), 3)).cumsum(axis=0) / math.sqrt(rate)
@@ -191,7 +193,7 @@ def rounded(rate: float, step: float, still: tuple[float, float] = (0.0, 0.0)) -
     rates[held, 1] = rates[held][:1, 1]
     force = rng.normal(size=(len(t), 3))
     gate, reasons, given = SensorGate(), [], 0
-    for tick in np.arange(0.05, 60.0, 0.05):
+    for tick in np.arange(0.05, seconds, 0.05):
         end = int(np.searchsorted(t, tick, side="right"))
         samples = np.hstack([rates, force])[given:end]
         look = Look(float(tick), samples, np.empty((0, 4)), None, None, True, "", Settings())
@@ -234,7 +236,7 @@ def test_a_gyro_whose_range_is_smaller_than_told_is_saturated(
 def test_a_gyro_that_never_repeats_itself_is_stuck_at_once(rate: float) -> None:
     """Again and again: what it repeats while it is stuck is no habit."""
     for begin in (3.0, 33.0):
-        reasons = rounded(rate, 0.0, still=(begin, begin + 2.0))
+        reasons = rounded(rate, 0.0, still=(begin, begin + 2.0), seconds=begin + 1.0)
         assert not any(reasons[: round(begin / 0.05)])
         assert reasons[round(begin / 0.05) + 6].startswith("the Imu is stuck: q ")
 

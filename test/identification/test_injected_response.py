@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import Message, messages, run, settings
+from flying import Message, flight_of, messages, run, settings
 
 from uav_ident_ros.identification.delay import APART, LAGS, STEP, SYSTEMATIC_ERROR, told
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -108,9 +108,9 @@ def hovering(
     peaks = {"de": 0.02, "dr": 0.05, "da": 0.02}
     segments = (Segment("multisine", 2.0, 38.0, peaks, 10.0, (0.2, 4.0), seed=1),)
     noise = ColouredNoise(gusts, 0.3)
-    flight = QuadrotorFlight(
-        segments, 40.0, 500.0, delay=0.012, time_constant=lag, gusts=noise, seed=1
-    ).fly()
+    flight = flight_of(
+        QuadrotorFlight(segments, 40.0, 500.0, delay=0.012, time_constant=lag, gusts=noise, seed=1)
+    )
     m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, channels="quadrotor", stamped=True))
     given = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9).tolist()
     stamps = m.actuator_t_ns.tolist()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from equations import matrix
-from flying import Message, run
+from flying import Message, flight_of, run
 from light_aircraft import LightFlight
 
 from uav_ident_ros.identification import plausibility
@@ -28,7 +28,7 @@ class Signals:
     def __init__(self, duration: float = 12.0, **spec: Any) -> None:
         peaks = {"de": 0.05, "dr": 0.06, "da": 0.05, "dth": 0.1}
         excitation = spec.pop("excitation", (Segment("multisine", amplitudes=peaks),))
-        flight = LightFlight(excitation, duration, **{"bank": 20.0, "gust": 0.3, **spec}).fly()
+        flight = flight_of(LightFlight(excitation, duration, **{"bank": 20.0, "gust": 0.3, **spec}))
         noise = np.random.default_rng(1)
         self.t = flight.time[::2]
         self.rates = flight.rates[::2] + 0.01 * noise.standard_normal((len(self.t), 3))

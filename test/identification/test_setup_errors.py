@@ -4,7 +4,7 @@
 from functools import cache
 
 import pytest
-from flying import messages, run, settings
+from flying import flight_of, messages, run, settings
 from light_aircraft import LightFlight
 
 from uav_ident_ros.identification.estimate import Estimate
@@ -24,7 +24,7 @@ def flown(height: float, told: float) -> tuple[OnlineIdentifier, Estimate]:
     sensors = Sensors(
         rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15, lever_arm=(0.0, 0.0, -height)
     )
-    m = measure(LightFlight(segments, 40.0, gust=0.3, seed=1).fly(), sensors)
+    m = measure(flight_of(LightFlight(segments, 40.0, gust=0.3, seed=1)), sensors)
     identifier = OnlineIdentifier(settings(m, imu__lever_arm=[0.0, 0.0, -told]))
     return identifier, run(identifier, messages(m))[-1]
 

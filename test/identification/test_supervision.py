@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The running fit, the states and the verdict, both ways."""
 
+from copy import deepcopy
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from flying import AMPLITUDES, messages, plant_flight, run, settings
+from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
 from light_aircraft import LightFlight
 
 from uav_ident_ros.identification import supervision
@@ -81,6 +83,22 @@ def test_what_was_usable_grows_stale_in_quiet_flight(max_age: float, usable: boo
     assert ("has hardly moved of late" in estimates[-1].reason) != usable
 
 
+@cache
+def _learned(max_age: float) -> tuple[OnlineIdentifier, list[Message]]:
+    flight = measured(42.0)
+    stream = messages(flight)
+    then_ns = stream[0].t_ns + 35_000_000_000
+    values = {"structure": "throttle_coupled", "supervision__max_age": max_age}
+    identifier = OnlineIdentifier(settings(flight, **values))
+    assert run(identifier, (m for m in stream if m.t_ns < then_ns))[-1].usable
+    return identifier, [m for m in stream if m.t_ns >= then_ns]
+
+
+def learned(max_age: float) -> tuple[OnlineIdentifier, list[Message]]:
+    """An identifier that is usable after 35 s, and what comes then."""
+    return deepcopy(_learned(max_age))
+
+
 @pytest.mark.parametrize(
     ("what", "max_age", "usable"),
     [("silent", 5.0, False), ("silent", 0.0, True), ("saturated", 5.0, False), ("off", 5.0, True)],
@@ -89,14 +107,8 @@ def test_what_was_usable_grows_stale_while_nothing_can_be_learned(
     what: str, max_age: float, usable: bool
 ) -> None:
     """The actuators are silent, or the gyro saturated; with learning switched off it may stay."""
-    flight = measured(42.0)
-    stream = messages(flight)
-    then_ns = stream[0].t_ns + 35_000_000_000
-    values = {"structure": "throttle_coupled", "supervision__max_age": max_age}
-    identifier = OnlineIdentifier(settings(flight, **values))
-    assert run(identifier, (m for m in stream if m.t_ns < then_ns))[-1].usable
+    identifier, rest = learned(max_age)
     identifier.supervisor.adapt = what != "off"
-    rest = [m for m in stream if m.t_ns >= then_ns]
     if what == "silent":
         rest = [m for m in rest if m.stream == "rates"]
     if what == "saturated":

@@ -89,10 +89,11 @@ def test_the_same_seed_gives_the_same_samples() -> None:
         aircraft = LiveAircraft("c172p", noisy, seed=seed)
         return [aircraft.sample() for _ in range(400)]
 
-    first, again, other = (np.array([s.measured_rates for s in samples(k)]) for k in (1, 1, 2))
+    flights = [samples(k) for k in (1, 1, 2)]
+    first, again, other = (np.array([s.measured_rates for s in flight]) for flight in flights)
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 0.0
-    error = first - samples(1)[0].rates
+    error = first - flights[0][0].rates
     np.testing.assert_allclose(error.mean(axis=0), [0.1, 0.0, 0.0], atol=0.002)
     np.testing.assert_allclose(error.std(axis=0), 0.01, rtol=0.15)
 
