@@ -274,7 +274,7 @@ def test_jump_of_the_time_base_is_not_scored_across(tmp_path: Path) -> None:
 def test_the_score_in_pieces_is_that_of_the_whole(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = replayed_run(excerpt(tmp_path / "bag", 9.0, name), parameters(name))
+    run = replayed_run(excerpt(tmp_path / "bag", 7.0, name), parameters(name))
     index = run.structure.free[-1]
     assert run.estimates.history(index)[1].tolist() == [e.sigma[index] for e in run.estimates]
     whole = run.score()
@@ -390,7 +390,7 @@ def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
             early = message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec - 60_000_000
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(early, SECOND_NS)
 
-    bag = excerpt(tmp_path / "bag", 60.0, "multisine", delayed)
+    bag = excerpt(tmp_path / "bag", 45.0, "multisine", delayed)
     run = replayed_run(bag, parameters(actuators__estimate_delay=True))
     assert run.identifier.delay == pytest.approx(0.06, abs=0.015)
     fit = run.score()["last_40_percent"]

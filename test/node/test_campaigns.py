@@ -31,7 +31,7 @@ def test_a_node_killed_while_it_saves_leaves_a_whole_file_and_the_next_goes_on()
 def test_nothing_that_a_graph_can_do_brings_the_node_down(
     sim_time: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bag = excerpt(tmp_path / "multisine", 30.0)
+    bag = excerpt(tmp_path / "multisine", 15.0)
     shutil.copy(PARAMETERS, bag)
     for name, value in {**SHORT, "BAG": bag}.items():
         monkeypatch.setattr(faults, name, value)
