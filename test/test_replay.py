@@ -330,11 +330,18 @@ BAD_INPUT = [
 ]  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A second of flight."""
+    return excerpt(tmp_path_factory.mktemp("short") / "bag", 1.0, "pulses")
+
+
 @pytest.mark.parametrize(("options", "line", "words"), BAD_INPUT)
 def test_bad_input_is_one_line_and_status_2(
     options: str,
     line: str,
     words: str,
+    short: Path,
     tmp_path: Path,
     capsys: Capture,
     monkeypatch: pytest.MonkeyPatch,
@@ -342,7 +349,7 @@ def test_bad_input_is_one_line_and_status_2(
     monkeypatch.chdir(tmp_path)
     Path("text.txt").write_text("hello")
     Path("other.yaml").write_text("/a:\n  ros__parameters:\n    update_rate: 20.0\n")
-    given = [str(excerpt(tmp_path / "bag", 1.0, "pulses")), *options.split()]
+    given = [str(short), *options.split()]
     if line:
         Path("params.yaml").write_text(f"/**:\n  ros__parameters:\n    {line}\n")
         given += ["--params-file", "params.yaml"]

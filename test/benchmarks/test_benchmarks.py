@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("scipy")
-pytest.importorskip("padasip")
 
 import cases
 import output_error

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from bokeh.models import CrosshairTool, HoverTool, VArea
 from excerpts import SECOND_NS, excerpt, parameters, replayed_run
-from scipy import signal
 
 from uav_ident_ros.files.truth_file import Truth, read_truth
 from uav_ident_ros.identification.identifier import State
@@ -29,7 +28,6 @@ from uav_ident_ros.report.charts import (
 from uav_ident_ros.report.diagrams import SAMPLE_RATE, autocorrelation, spectra, welch
 from uav_ident_ros.report.flight import Flight, Predictions, collect, predict
 from uav_ident_ros.report.page import _embed
-from uav_ident_ros.report.picture import with_sigma
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
 
@@ -123,6 +121,8 @@ def test_the_band_of_a_multisine_is_found(flight: Flight) -> None:
 
 def test_a_density_is_that_of_scipy() -> None:
     values = np.random.default_rng(3).standard_normal(5000).cumsum()
+    from scipy import signal  # half of the time that all imports of the tests take
+
     _, expected = signal.welch(
         values, SAMPLE_RATE, window=np.hanning(1000), noverlap=500, detrend="linear"
     )
@@ -225,6 +225,9 @@ def test_a_band_is_one_sigma_to_either_side(flight: Flight) -> None:
     ],
 )
 def test_a_value_has_the_figures_of_its_sigma(value: float, sigma: float, text: str) -> None:
+    # brings matplotlib, which not every worker needs
+    from uav_ident_ros.report.picture import with_sigma
+
     assert with_sigma(value, sigma) == text
 
 
