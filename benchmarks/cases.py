@@ -3,9 +3,10 @@
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,8 @@ TimeArray = NDArray[np.int64]
 RECORDED = ROOT.parent / "shared" / "bags"
 """Recorded real flights; cases of one that is absent are left out."""
 
-RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
+AIRSPEED_TYPE = "std_msgs/msg/Float64"
+TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC) = ("/imu/data", "/actuators", "/airspeed")
 """Topics of the recorded flights."""
 
 RECORDED_DELAY = {
@@ -89,6 +91,9 @@ class Case:
     actuator_t_ns: TimeArray
     actuator_arrival_ns: TimeArray
     actuators: FloatArray  # (M, C) Raw channels
+    # airspeed_t_ns, airspeed: (K,) Arrival, ns, and airspeed of a recorded one, m/s
+    airspeed_t_ns: TimeArray = field(default_factory=lambda: np.array([], dtype=np.int64))
+    airspeed: FloatArray = field(default_factory=lambda: np.array([]))
     true_rates: FloatArray | None = None  # (N, 3) Noise-free p, q, r, FRD, rad/s
     flight: Flight | None = None  # What really happened
 
@@ -147,16 +152,19 @@ def is_recorded(name: str) -> bool:
 def recorded(name: str) -> Case:
     """Return a recorded real flight."""
     read = RATES[IMU_TYPE].read
-    imu, actuators = [], []
+    imu, actuators, airspeed = [], [], []
     with Bag(Path(RECORDED / name)) as bag:
-        decode = {topic: bag.decoder(topic) for topic in (RATES_TOPIC, ACTUATORS_TOPIC)}
-        for topic, log_ns, data in bag.messages((RATES_TOPIC, ACTUATORS_TOPIC)):
+        topics = [topic for topic in TOPICS if topic in bag.types]
+        decode = {topic: bag.decoder(topic) for topic in topics}
+        for topic, log_ns, data in bag.messages(topics):
             message = decode[topic](data)
             if topic == RATES_TOPIC:
                 reading = read(message)
                 imu.append((reading[0], log_ns, reading[1], reading[2] or (0.0, 0.0, 0.0)))
-            else:
+            elif topic == ACTUATORS_TOPIC:
                 actuators.append((log_ns, list(message.data)))
+            else:
+                airspeed.append((log_ns, message.data))
     stamps = np.array([row[0] for row in imu], dtype=np.int64)
     arrivals = np.array([row[0] for row in actuators], dtype=np.int64)
     first = np.unique(arrivals, return_index=True)[1]
@@ -175,6 +183,8 @@ def recorded(name: str) -> Case:
         actuator_t_ns=arrivals[first],
         actuator_arrival_ns=arrivals[first],
         actuators=np.array([row[1] for row in actuators])[first],
+        airspeed_t_ns=np.array([row[0] for row in airspeed], dtype=np.int64),
+        airspeed=np.array([row[1] for row in airspeed]),
     )
 
 
@@ -262,10 +272,13 @@ def fed(
 ) -> Iterator[int]:
     """Give an identifier a flight; yield the arrival of each rates sample, which may be due."""
     excitation = iter(given)
-    for arrival, is_rates, t, v in messages(case):
-        if is_rates:
+    for arrival, kind, t, v in messages(case):
+        if kind == RATES_TOPIC:
             identifier.add_rates(t, v[:3], v[3:])
             yield arrival
+        elif kind == AIRSPEED_TOPIC:
+            if identifier.settings.airspeed.type:
+                identifier.add_airspeed(t, *v)
         else:
             identifier.add_actuators(t, v)
             for added in islice(excitation, 1):
@@ -273,23 +286,22 @@ def fed(
 
 
 def messages(case: Case) -> Any:
-    """Yield (arrival, is rates, stamp, values) in the order of arrival, actuators first."""
-    signals = np.concatenate([case.rates, case.force], axis=1).tolist()
-    imu = zip(
-        case.imu_arrival_ns.tolist(),
-        (True,) * len(signals),
-        case.imu_t_ns.tolist(),
-        signals,
-        strict=True,
+    """Yield (arrival, topic, stamp, values) in the order of arrival, rates last."""
+    streams = (
+        (ACTUATORS_TOPIC, case.actuator_arrival_ns, case.actuator_t_ns, case.actuators),
+        (AIRSPEED_TOPIC, case.airspeed_t_ns, case.airspeed_t_ns, case.airspeed[:, None]),
+        (
+            RATES_TOPIC,
+            case.imu_arrival_ns,
+            case.imu_t_ns,
+            np.concatenate([case.rates, case.force], axis=1),
+        ),
     )
-    actuators = zip(
-        case.actuator_arrival_ns.tolist(),
-        (False,) * len(case.actuators),
-        case.actuator_t_ns.tolist(),
-        case.actuators.tolist(),
-        strict=True,
-    )
-    return heapq.merge(actuators, imu, key=lambda message: (message[0], message[1]))
+    listed = [
+        zip(arrival.tolist(), (topic,) * len(t_ns), t_ns.tolist(), values.tolist(), strict=True)
+        for topic, arrival, t_ns, values in streams
+    ]
+    return heapq.merge(*listed, key=itemgetter(0))
 
 
 def constant_track(case: Case, settings: Settings, coefficients: FloatArray) -> Track:

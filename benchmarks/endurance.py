@@ -26,7 +26,7 @@ MARGIN = 1.0
 
 def messages(case: cases.Case, duration: float) -> Iterator[tuple[bool, int, list[float]]]:
     """Yield (is rates, stamp, values) of the flight again and again, for `duration` s."""
-    flight = [(is_rates, t, v) for _, is_rates, t, v in cases.messages(case)]
+    flight = [(topic == cases.RATES_TOPIC, t, v) for _, topic, t, v in cases.messages(case)]
     start = int(case.imu_t_ns[0])
     period = int(case.imu_t_ns[-1]) - start + int(np.median(np.diff(case.imu_t_ns)))
     lap = 0

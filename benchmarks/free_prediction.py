@@ -3,8 +3,11 @@
 
 One online pass over each flight with defaults, p / q / r over the last 40 %, against the measured
 rates; beside it holding the rate, the model with the forces measured inside the window, and
-`augmented` with the forces measured. Recorded flights get their delay, and an airspeed of 17 m/s.
+`augmented` with the forces measured. Recorded flights get their delay, and an airspeed of 17 m/s;
+with ``--airspeed`` the one that their bag has.
 """
+
+from functools import partial
 
 import bench
 import cases
@@ -18,11 +21,11 @@ SIMULATED = tuple(
 )
 
 
-def row(flight: str) -> str:
-    """One row of the table."""
+def row(airspeed: str, flight: str) -> str:
+    """One row of the table, with an airspeed of that type, or without."""
     case = cases.load(flight)
     free, augmented = (
-        cases.score(case, cases.identify(case, {"structure": structure}))
+        cases.score(case, cases.identify(case, {"structure": structure, "airspeed.type": airspeed}))
         for structure in ("flight_dynamics", "augmented")
     )
     columns = (
@@ -40,11 +43,13 @@ def main() -> None:
     """Print the table."""
     parser = bench.parser(__doc__, workers=2)
     parser.add_argument("flights", nargs="*", metavar="FLIGHT")
+    parser.add_argument("--airspeed", action="store_true", help="that of the bag")
     options = parser.parse_args()
     flights = options.flights or [*filter(cases.is_recorded, cases.RECORDED_DELAY), *SIMULATED]
     print("| flight | 1 s | 3 s | 5 s | holding, 1 s | forces measured | augmented, measured |")
     print("|---|---|---|---|---|---|---|")
-    bench.done(row, flights, options.workers)
+    airspeed = cases.AIRSPEED_TYPE if options.airspeed else ""
+    bench.done(partial(row, airspeed), flights, options.workers)
 
 
 if __name__ == "__main__":

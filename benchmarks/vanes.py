@@ -2,8 +2,9 @@
 """Angle of attack and sideslip as published beside vanes: ``python benchmarks/vanes.py``.
 
 `thor75_flight` has vanes; the identifier never sees them. Correlation over the flight from 30 s on,
-in the air, between 0.05 and 3 rad/s: the zero of a vane and its flutter tell nothing. Below, what
-any coefficients could reach: the force alone, and with the surface's part fitted to the vane.
+in the air, between 0.05 and 3 rad/s: the zero of a vane and its flutter tell nothing. With the
+airspeed that the bag has, and with the usual one; below each what any coefficients could reach: the
+force alone, and with the surface's part fitted to the vane.
 """
 
 import cases
@@ -25,26 +26,21 @@ SETTLED = 30.0
 """Time from which angles count, s."""
 
 
-def recorded(topic: str, *fields: str) -> FloatArray:
-    """Log times, s, and values of a topic, one row a message."""
+def recorded_vanes() -> FloatArray:
+    """Log times, s, angle of attack and sideslip, rad, a message a row."""
     with Bag(cases.RECORDED / FLIGHT) as bag:
-        decode = bag.decoder(topic)
-        rows = []
-        for _, log_ns, data in bag.messages((topic,)):
-            value = decode(data)
-            at = getattr(value, "vector", value)
-            rows.append((log_ns * 1e-9, *(getattr(at, field) for field in fields)))
-    return np.array(rows)
+        decode = bag.decoder("/vanes")
+        messages = ((log_ns, decode(data).vector) for _, log_ns, data in bag.messages(("/vanes",)))
+        return np.array([(log_ns * 1e-9, at.x, at.y) for log_ns, at in messages])
 
 
-def main() -> None:
-    """Print the correlations."""
-    case = cases.load(FLIGHT)
-    track = cases.identify(case, {"structure": "flight_dynamics"})
+def compare(case: cases.Case, airspeed: str) -> None:
+    """Print the correlations with an airspeed of that type, or without."""
+    track = cases.identify(case, {"structure": "flight_dynamics", "airspeed.type": airspeed})
     assert track.flow is not None
     t = np.asarray(track.t_ns) * 1e-9
-    vanes, airspeed = recorded("/vanes", "x", "y"), recorded("/airspeed", "data")
-    speed = np.interp(t, *airspeed.T)
+    vanes = recorded_vanes()
+    speed = np.interp(t, case.airspeed_t_ns * 1e-9, case.airspeed)
     air = (speed > FLYING) & (track.time > SETTLED)
     band = butter(2, BAND, "bandpass", fs=2.0 * np.pi * (len(t) - 1) / (t[-1] - t[0]), output="sos")
 
@@ -58,23 +54,29 @@ def main() -> None:
     forces = at_ticks(case.imu_t_ns, case.measured(track.settings)[1])
     inputs = InputMap(actuators).apply(case.actuators)
     surfaces = at_ticks(case.actuator_t_ns, inputs, actuators.delay)
-    per_pressure = (cases.RECORDED_SPEED / np.maximum(speed, FLYING)) ** 2
+    if airspeed:
+        forces *= (cases.RECORDED_SPEED / np.maximum(speed, FLYING)) ** 2
     for k, (name, label) in enumerate((("beta", "dr"), ("alpha", "de"))):
         vane = dynamic(np.interp(t, vanes[:, 0], vanes[:, 2 - k]))
 
         def agreement(signal: FloatArray, vane: FloatArray = vane) -> float:
             return abs(float(np.corrcoef(signal, vane)[0, 1]))
 
+        both = np.stack((dynamic(forces[k]), dynamic(surfaces[INPUTS.index(label)])), 1)
+        best = both @ np.linalg.lstsq(both, vane, rcond=None)[0]
         print(
-            f"{name}: correlation with the vane {agreement(dynamic(track.flow.angles[:, k])):.2f}"
+            f"{name}: correlation with the vane {agreement(dynamic(track.flow.angles[:, k])):.2f}; "
+            f"of the force alone {agreement(both[:, 0]):.2f}; "
+            f"less what {label} would best make of it {agreement(best):.2f}"
         )
-        for what, scale in (("the usual airspeed", 1.0), ("the measured one", per_pressure)):
-            both = np.stack((dynamic(forces[k] * scale), dynamic(surfaces[INPUTS.index(label)])), 1)
-            best = both @ np.linalg.lstsq(both, vane, rcond=None)[0]
-            print(
-                f"  the force alone, with {what}: {agreement(both[:, 0]):.2f}; "
-                f"less what {label} would best make of it: {agreement(best):.2f}"
-            )
+
+
+def main() -> None:
+    """Print the correlations."""
+    case = cases.load(FLIGHT)
+    for what, airspeed in (("recorded", cases.AIRSPEED_TYPE), ("usual", "")):
+        print(f"with the {what} airspeed:")
+        compare(case, airspeed)
 
 
 if __name__ == "__main__":
