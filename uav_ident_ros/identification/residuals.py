@@ -167,9 +167,9 @@ class Feedback:
         chance.
     ratio : (rows, k) array
         ``q = R^2 / (1 - R^2)`` of the input that each instrument follows.
-    answering : (rows, k, k) array or None
-        Root of the product of R^2 of each pair of instruments, by chance or not; None where nothing
-        answers.
+    answering : (rows, 3, k, k) array or None
+        Of each pair of instruments the root of the product of q, of R^2, both by chance or not,
+        and of R^2 that is no chance; None where nothing answers.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -182,16 +182,11 @@ class Feedback:
         self._since_look = 0.0
         self._set_share(np.zeros(len(INPUTS)), np.zeros(len(INPUTS), dtype=bool))
 
-    @property
-    def sure(self) -> BoolArray:
-        """Which instruments follow an input that answers, and not by chance, (rows, k)."""
-        return self.ratio > 0.0
-
     def _set_share(self, share: FloatArray, sure: BoolArray) -> None:
         self.share = np.where(sure, share, 0.0)
         self.ratio: FloatArray = (self.share / (1.0 - self.share))[self._driven_by]
-        root = np.sqrt(share)[self._driven_by]
-        answering = root[:, :, None] * root[:, None, :]
+        root = np.sqrt((share / (1.0 - share), share, self.share))[:, self._driven_by]
+        answering = (root[..., :, None] * root[..., None, :]).swapaxes(0, 1)
         self.answering: FloatArray | None = answering if share.any() else None
 
     def add(self, samples: Regression, residual: FloatArray, weight: FloatArray) -> None:

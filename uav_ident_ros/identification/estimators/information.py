@@ -63,39 +63,44 @@ class Sums:
 
     Parameters
     ----------
-    table : (parts, rows, k (1 + 5 k) + 2) array
+    table : (parts, rows, k (1 + 7 k) + 2) array
         All of it, row by row: the attributes are views of it.
     k : int
         Coefficients of a row.
 
     Attributes
     ----------
-    products : (parts, rows, k, 1 + 3 k) array
-        Side by side, each times dt: ``r = sum z y``, ``R = sum z f^T``, ``S = sum z z^T``, and
-        ``sum R^2 z z^T`` with R^2 as `Feedback` has it: what answers disturbances.
+    products : (parts, rows, k, 1 + 2 k) array
+        Side by side, each times dt: ``r = sum z y``, ``R = sum z f^T``, ``S = sum z z^T``.
+    answers : (parts, rows, 3, k, k) array
+        ``sum q z z^T``, ``sum R^2 z z^T`` and the same of R^2 that is no chance, times dt, as
+        `Feedback` has them.
     scores : (parts, rows, k, k) array
         Sum of ``g g^T`` over blocks, ``g`` the sum of ``z e`` over a block, times dt.
     power : (parts, rows, k, k) array
-        ``sum f f^T`` while something answered, times dt.
+        ``sum f f^T`` in the time with answers, times dt.
     blocks, answer_time : (parts, rows) array
-        Number of blocks, and time with answers, s.
+        Number of blocks, and time with answers, by chance or not, s.
     """
 
     def __init__(self, table: FloatArray, k: int) -> None:
         self.table, self.k = table, k
-        first, second, last = k * (1 + 3 * k), k * (1 + 4 * k), k * (1 + 5 * k)
-        self.products = table[..., :first].reshape(*table.shape[:2], k, 1 + 3 * k)
-        self.scores = table[..., first:second].reshape(*table.shape[:2], k, k)
-        self.power = table[..., second:last].reshape(*table.shape[:2], k, k)
-        self.blocks, self.answer_time = table[..., last], table[..., last + 1]
+        shape, ends = (
+            table.shape[:2],
+            np.cumsum((k * (1 + 2 * k), 3 * k * k, k * k, k * k)).tolist(),
+        )
+        self.products = table[..., : ends[0]].reshape(*shape, k, 1 + 2 * k)
+        self.answers = table[..., ends[0] : ends[1]].reshape(*shape, 3, k, k)
+        self.scores = table[..., ends[1] : ends[2]].reshape(*shape, k, k)
+        self.power = table[..., ends[2] : ends[3]].reshape(*shape, k, k)
+        self.blocks, self.answer_time = table[..., ends[3]], table[..., ends[3] + 1]
         self.zy, self.zf = self.products[..., :1], self.products[..., 1 : 1 + k]
-        self.zz = self.products[..., 1 + k : 1 + 2 * k]
-        self.answers = self.products[..., 1 + 2 * k :]
+        self.zz = self.products[..., 1 + k :]
 
     @classmethod
     def nothing(cls, parts: int, rows: int, k: int) -> Self:
         """Return sums of nothing."""
-        return cls(np.zeros((parts, rows, k * (1 + 5 * k) + 2)), k)
+        return cls(np.zeros((parts, rows, k * (1 + 7 * k) + 2)), k)
 
     def __getitem__(self, parts: slice) -> Sums:
         """Return some of the parts: views, not copies."""
@@ -116,20 +121,18 @@ class Sums:
             The samples.
         weight : (rows,) array
             How much they count.
-        answering : (rows, k, k) array, optional
-            R^2 of each pair of instruments; nothing answers a disturbance without it.
+        answering : (rows, 3, k, k) array, optional
+            What `answers` weighs each pair of instruments by; nothing answers without it.
         """
         k = self.k
         weighted = samples.z * (samples.dt * weight)[:, None, None]
         products = weighted.swapaxes(-1, -2) @ samples.signals
-        self.products[..., : 1 + 2 * k] += products[..., 1:]
+        self.products += products[..., 1:]
         if answering is not None:
-            self.answers += products[..., 2 + k :] * answering
-            self.power += (samples.f * (samples.dt * weight)[:, None, None]).swapaxes(
-                -1, -2
-            ) @ samples.f
-            answers = np.logical_or.reduce(answering, axis=(1, 2))
-            self.answer_time += samples.time * weight * answers
+            self.answers += products[..., None, :, 2 + k :] * answering
+            self.answer_time += samples.time * weight
+            f = samples.f
+            self.power += (f * (samples.dt * weight)[:, None, None]).swapaxes(-1, -2) @ f
         return np.asarray(products[..., 0])
 
     def weigh(self, keep: FloatArray) -> None:
@@ -380,7 +383,7 @@ class Information:
             Which parts; all if left out.
         """
         sums, transform = self.sums_of(parts), self._transform(values)
-        weighed = sums.zz + sums.answer_time[..., None, None] * self._before * sums.answers
+        weighed = sums.zz + sums.answer_time[..., None, None] * self._before * sums.answers[:, :, 0]
         power = np.maximum(weighed.diagonal(axis1=2, axis2=3), POWERLESS)
         scale = (self._moves / np.sqrt(power))[..., None]
         prior = self._precision * self.unit[parts][..., None]
@@ -424,9 +427,7 @@ class Information:
         held[:, rows] -= size[..., None] * step[:, rows]
         return held
 
-    def spread(
-        self, solution: Solution, answering: BoolArray | bool = False
-    ) -> tuple[FloatArray, FloatArray]:
+    def spread(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
         """Return how well the coefficients of all parts are known.
 
         ``G Omega G^T`` with Omega the sum of the outer products of the scores of one-second
@@ -438,8 +439,6 @@ class Information:
         ----------
         solution : Solution
             Coefficients of all parts.
-        answering : (rows, k) bool array, optional
-            Instruments that are sure to answer disturbances.
 
         Returns
         -------
@@ -462,37 +461,41 @@ class Information:
         variance = np.maximum(diagonal(covariance), 0.0)
         for part in range(len(variance)):
             if part != 1:  # whitened: what is new in a gust comes before it is answered
-                variance[part] += self._answered(solution, part, gain[part], answering)
+                variance[part] += self._answered(solution, part, gain[part])
         resolution = 1.0 - diagonal(inverse) * prior
         sigma = self._sigma(variance, solution.linear, resolution)
         return transform @ covariance @ transform.swapaxes(-1, -2), sigma
 
-    def _answered(
-        self, solution: Solution, part: int, gain: FloatArray, answering: BoolArray | bool
-    ) -> FloatArray:
+    def _answered(self, solution: Solution, part: int, gain: FloatArray) -> FloatArray:
         """Return by how much what answers disturbances can be off at most, squared, (rows, k).
 
-        With C of `Feedback` the errors are at most ``d d^T = sigma_w^2 H``, ``H = G C G^T``. In
+        With C of `Feedback` the errors d are at most ``d d^T = sigma_w^2 H``, ``H = G C G^T``. In
         flight they look like ``d f``, and as much of the disturbance is missing in the residual:
-        ``sigma_e^2 >= (1 - kappa) sigma_w^2``, kappa the largest eigenvalue of H times the mean of
-        ``f f^T``. From kappa = 1 on the estimate may follow the disturbance and leave no residual:
-        nothing but what was known before bounds the error, not even where R^2 may be chance.
+        ``sigma_w^2 = sigma_e^2 + d F d^T``, F the mean of ``f f^T``. So d is in the ellipsoid
+        ``d (H^-1 - F) d^T <= sigma_e^2``: along an eigenvector h of ``H F``, kappa its eigenvalue,
+        ``d d^T <= sigma_e^2 h h^T / (1 - kappa)``. From kappa = 1 on the error may follow the
+        disturbance and leave no residual: only what was known before bounds it. There what may
+        answer by chance counts, too.
         """
         sums = solution.sums
-        if not sums.answers[part].any():
-            return np.zeros(gain.shape[:2])
-        # ``H times the mean`` without the time, by which one is multiplied, the other divided
-        linear = solution.transform @ gain
-        hidden = linear @ sums.answers[part] @ linear.swapaxes(-1, -2) @ sums.power[part]
-        if not np.isfinite(hidden).all():
-            return np.full(gain.shape[:2], np.nan)
-        kappa = np.abs(np.linalg.eigvals(hidden)).max(axis=-1, keepdims=True)
-        gain = gain * ((kappa >= 1.0) | answering)[:, None, :]
-        square = np.add.reduce((gain @ sums.answers[part]) * gain, axis=-1)
-        most = self.variance[part] * sums.answer_time[part]
-        square *= most[:, None] / np.maximum(1.0 - kappa, ROUNDING)
+        most: FloatArray = np.zeros(gain.shape[:2])
+        if not sums.answers[part].any() or not np.isfinite(gain).all():
+            return most
+        # Of H and the mean one is times the time with answers, the other over it: neither here.
+        power = solution.transform.swapaxes(-1, -2) @ sums.power[part] @ solution.transform
+        level = (self.variance[part] * sums.answer_time[part])[:, None]
         moved = solution.values[part][self._i, self._j] - self._initial[..., 0]
-        return np.asarray(np.minimum(square, self._prior_variance + moved**2))
+        before = np.maximum(self._prior_variance + moved**2, POWERLESS)[..., None]
+        for kind, from_kappa in ((1, 1.0), (2, 0.0)):
+            values, vectors = np.linalg.eigh(sums.answers[part, :, kind])
+            half = gain @ (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+            kappa, directions = np.linalg.eigh(half.swapaxes(-1, -2) @ power @ half)
+            along = (half @ directions) ** 2
+            known = 1.0 / np.maximum(np.add.reduce(along / before, axis=1), POWERLESS)
+            reach = np.minimum(level / np.maximum(1.0 - kappa, ROUNDING), known)
+            reach *= kappa >= from_kappa
+            most = np.maximum(most, (along @ reach[..., None])[..., 0])
+        return most
 
     def _sigma(
         self, variance: FloatArray, linear: FloatArray, resolution: FloatArray

@@ -192,7 +192,7 @@ class RecursiveRegression:
         solution = self.information.solve(before, slice(None) if due else slice(1))
         values, sigma = solution.values[0], self.sigma
         if due:
-            covariance, sigmas = self.information.spread(solution, self._feedback.sure)
+            covariance, sigmas = self.information.spread(solution)
             sigma = self._sigma(solution, sigmas)
         largest = np.maximum.reduce(np.abs(values), axis=None)
         sound = largest < LARGEST_COEFFICIENT  # NaN fails too
