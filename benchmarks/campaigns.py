@@ -281,7 +281,8 @@ def changes(seeds: int, workers: int) -> list[Result]:
 
 def _change_of(job: Job) -> Result:
     name = job[0]
-    when = float(flights.definition(name)["changes"][0]["time"])
+    planned = flights.definition(name)
+    when = float((planned.get("changes") or planned["faults"])[0]["time"])
     flight, track, what = _flown(job, when + WATCHED)
     primary = PRIMARY[name.split("_")[2]]
     i, j = track.structure.index(primary)
@@ -298,7 +299,7 @@ def _change_of(job: Job) -> Result:
     where = _index(track.structure, others)
     allowed = np.maximum(2.0 * track.sigma[begin][where], 0.1 * np.abs(old[where]))
     moved = (np.abs(track.coefficients[begin:, *where] - old[where]) / allowed).max(axis=0)
-    watched = set(flight.changes[0].factors)
+    watched = {name for change in flight.changes for name in change.factors}
     own = {track.structure.index(n) for n in watched & set(track.structure.names)} or {
         (row, j) for row in range(3)
     }

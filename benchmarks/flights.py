@@ -23,6 +23,7 @@ from bench import BUILD
 from uav_ident_ros import simulation
 from uav_ident_ros.simulation.airframe import build
 from uav_ident_ros.simulation.channels import QUADROTOR
+from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight, SimulationError
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
@@ -68,6 +69,7 @@ def definition(name: str) -> dict[str, Any]:
 NESTED = {
     "segments": (Segment, "input"),
     "changes": (CoefficientChange, "change"),
+    "faults": (Fault, "fault"),
     "gusts": (ColouredNoise, "gusts"),
     "force": (ColouredNoise, "force"),
     "autopilot": (Autopilot, "autopilot"),

@@ -15,7 +15,7 @@ import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.simulation.flight import CoefficientChange, Flight, effect_of
+from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise
 from uav_ident_ros.simulation.live import Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
@@ -45,6 +45,8 @@ TURN_TIME = 10.0
 GUST_TIME, ROLL_GUST_TIME = 1.5, 0.3
 """Correlation times of wind and of its rolling part, s: 30 m and 6 m of flight."""
 
+TIME_TOLERANCE = 1e-9
+"""A change this close to a step happens at it, s."""
 
 State = tuple[float, float, float, float, float, float, float, float, float]
 """Rates p q r (rad/s), speed u v w through the air (m/s), roll and pitch (rad), altitude (m)."""
@@ -100,6 +102,16 @@ class LightFlight(Plan):
         )
 
 
+def _effect_of(changes: Sequence[CoefficientChange], time: float) -> FloatArray:
+    """Effect of each input at `time` (s), relative to the start, shape (4,)."""
+    effect = np.ones(len(INPUTS))
+    for change in changes:
+        for name, factor in change.factors.items():
+            if change.time <= time + TIME_TOLERANCE:
+                effect[INPUTS.index(name)] *= factor
+    return effect
+
+
 class _LiveLight(Live):
     """It in flight: midpoint rule. A row has state, accelerations, forces and surfaces."""
 
@@ -117,7 +129,7 @@ class _LiveLight(Live):
         surface = acting + (self._surface - acting) * self._keep
         surface[:3] = np.clip(surface[:3], -spec.travel, spec.travel)
         self._surface = surface
-        effect = effect_of(spec.changes, self.time) if spec.changes else 1.0
+        effect = _effect_of(spec.changes, self.time) if spec.changes else 1.0
         u = (surface * effect).tolist()
         slope, acceleration, force = _slope(self.state, u, gust)
         if self.rows is not None:

@@ -13,8 +13,9 @@ from light_aircraft import LightFlight
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.structure import FloatArray, Structure
+from uav_ident_ros.identification.structure import INPUTS, FloatArray, Structure
 from uav_ident_ros.simulation.airframe import airframe
+from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
@@ -132,11 +133,16 @@ def _fly(
             **light,
         )  # fmt: skip
     else:
+        faults = [
+            Fault("effect", SURFACE_NAMES[INPUTS.index(name)], factor, change.time)
+            for change in changes
+            for name, factor in change.factors.items()
+        ]
         plan = AircraftFlight(
             segments, duration, 200.0, 50.0, aircraft=aircraft, bank=bank, turbulence=int(wind),
-            changes=changes, delay=delay, seed=seed,
+            faults=faults, delay=delay, seed=seed,
         )  # fmt: skip
-    measured = measure(plan.fly(), sensors, seed)
+    measured = measure(replace(plan.fly(), changes=changes), sensors, seed)
     return measured if spoil is None else spoil(measured)
 
 

@@ -17,12 +17,10 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterFile
 from launch_ros.substitutions import FindPackageShare
 
+from uav_ident_ros.commandline import USAGE_ERROR
 from uav_ident_ros.messages.streams import STREAMS
 
 PACKAGE = "uav_ident_ros"
-
-WRONGLY_STARTED = 2
-"""Exit status of a program that was started wrongly: starting it again would not help."""
 
 
 class LaunchError(Exception):
@@ -117,14 +115,15 @@ def files_exist(*arguments: str) -> OpaqueFunction:
 
 def fails_with(
     *processes: Action,  # Those that are watched
-    respawn: str | None = None,  # Launch argument that says whether they are started again instead
+    # Launch argument that says whether they are started again instead: not what was started wrongly
+    respawn: str | None = None,
 ) -> list[RegisterEventHandler]:
     """Return the handlers that end the launch, with status 1, if one of its processes fails."""
 
     def judge(event: ProcessExited, context: LaunchContext) -> SomeEntitiesType | None:
         status = event.returncode
         again = respawn is not None and LaunchConfiguration(respawn).perform(context) == "true"
-        if status == 0 or context.is_shutdown or (again and status != WRONGLY_STARTED):
+        if status == 0 or context.is_shutdown or (again and status != USAGE_ERROR):
             return None
         raise LaunchError(f"'{event.process_name}' ended with status {status}")
 

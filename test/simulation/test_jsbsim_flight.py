@@ -6,7 +6,8 @@ import pytest
 from programs import Capture
 
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.simulation.flight import CoefficientChange, Flight
+from uav_ident_ros.simulation.faults import parse_fault
+from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
@@ -91,8 +92,8 @@ def test_specific_force_is_that_of_the_centre_of_gravity(cessna: Flight) -> None
 
 
 def test_surfaces_follow_the_commands_after_the_delay_and_a_halved_one_does_half() -> None:
-    halved = (CoefficientChange(5.0, {"da": 0.5}),)
-    flight = spec_of("c172p", 8.0, delay=0.06, changes=halved).fly()
+    halved = [parse_fault("5: aileron effect 0.5")]
+    flight = spec_of("c172p", 8.0, delay=0.06, faults=halved).fly()
     index = command_index(flight)
     known = index >= 0
     command = flight.inputs[index[known]]

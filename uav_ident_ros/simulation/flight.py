@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.channels import PLAIN, ChannelSet
 
 
@@ -27,9 +26,6 @@ EPOCH_NS = 1_700_000_000 * 10**9
 
 STEP_TOLERANCE = 1e-6
 """Largest distance of a time from the simulation's grid, in steps."""
-
-TIME_TOLERANCE = 1e-9
-"""A change this close to a step happens at it, s."""
 
 
 def stamps(seconds: FloatArray) -> IntArray:
@@ -56,16 +52,6 @@ def check_positive(spec: object, *names: str) -> None:
     for name in names:
         if not 0.0 < getattr(spec, name) < math.inf:
             raise SimulationError(f"{name} is {getattr(spec, name)}: it must be positive")
-
-
-def effect_of(changes: Sequence[CoefficientChange], time: float) -> FloatArray:
-    """Effect of each input at `time` (s), relative to the start, shape (4,)."""
-    effect = np.ones(len(INPUTS))
-    for change in changes:
-        for name, factor in change.factors.items():
-            if change.time <= time + TIME_TOLERANCE:
-                effect[INPUTS.index(name)] *= factor
-    return effect
 
 
 @dataclass(frozen=True)

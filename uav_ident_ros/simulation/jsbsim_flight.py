@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, cruise_derivatives, settle
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import (
@@ -18,7 +18,7 @@ from uav_ident_ros.simulation.faults import (
     move_centre,
     start_turbulence,
 )
-from uav_ident_ros.simulation.flight import CoefficientChange, Flight, SimulationError, effect_of
+from uav_ident_ros.simulation.flight import Flight, SimulationError
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
 
@@ -116,8 +116,7 @@ class AircraftFlight(Plan):
     aircraft: str  # Its name, or the path of its file: see `uav_ident_ros.simulation.airframe`
     bank: float = 0.0  # Bank angle of alternating turns, deg; 0 for level flight
     turbulence: int = 0  # JSBSim's MIL-F-8785C severity, 0 (calm) to 7
-    # From a time on, an input (``de`` and so on) has its effect about trim multiplied
-    changes: tuple[CoefficientChange, ...] = ()
+    faults: Sequence[Fault] = ()  # Those that come at a time of their own
     speed: float | None = None  # True airspeed, m/s; None for the aircraft's own
 
     def __post_init__(self) -> None:
@@ -141,13 +140,7 @@ class AircraftFlight(Plan):
 
     def fly(self, name: str = "") -> Flight:
         """Fly it; see `Plan.fly`."""
-        faults = [Fault("turbulence", value=self.turbulence, time=0.0)]
-        for change in self.changes:
-            effect = effect_of(self.changes, change.time)
-            faults += [
-                Fault("effect", SURFACE_NAMES[i], effect[i], change.time)
-                for i in map(INPUTS.index, change.factors)
-            ]
+        faults = [Fault("turbulence", value=self.turbulence, time=0.0), *self.faults]
         sensors = Sensors(rate=self.actuator_rate)
         live = LiveAircraft(
             self.aircraft, sensors, self.delay, faults, self.seed, self.speed, self.rate
@@ -169,7 +162,6 @@ class AircraftFlight(Plan):
             specific_force=record[:, 6:9],
             inputs=commands - live.trim,
             trim=np.array(live.trim),
-            changes=self.changes,
             # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
             local_truth=cruise_derivatives(self.aircraft, round(float(airspeed.mean()), 1)),
             airspeed=airspeed,
