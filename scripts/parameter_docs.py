@@ -102,10 +102,10 @@ def changeable() -> str:
     at_once = ", ".join(f"`{setting.name}`" for setting in free if not setting.restarts)
     warm = ", ".join(f"`{setting.name}`" for setting in free if setting.restarts)
     return (
-        f"These take effect at the next tick: {at_once}.\n\nThese change what the signals are, and "
-        "are taken over as at a warm start: the filters restart, the coefficients go on, and what "
-        f"was learned before is trusted less: {warm}.\n\nAll others are read once, at the start: "
-        "they say what the messages and the coefficients mean, or how many there are.\n"
+        f"These take effect at the next tick: {at_once}.\n\nThese change the signals: {warm}. The "
+        "filters restart. The coefficients go on, with less trust, as at a warm start.\n\nThe node "
+        "reads all others once, at the start: they set the meaning of the messages and of the "
+        "coefficients, or their number.\n"
     )
 
 

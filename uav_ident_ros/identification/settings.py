@@ -249,12 +249,11 @@ class ImuSettings:
         "'frd', MAVROS and most drivers 'flu'.")
     rpy: tuple[float, ...] = _setting((0.0, 0.0, 0.0), "rad", (-math.pi, math.pi), text=
         "Roll, pitch, yaw of the sensor in the body, after the convention is applied (FRD). Set "
-        "it if the sensor is not mounted along the body's axes.")
+        "them if the sensor is not mounted along the body's axes.")
     lever_arm: tuple[float, ...] = _setting(
         (0.0, 0.0, 0.0), "m", (-100.0, 100.0), restarts=True, text=
-        "Position of the sensor from the centre of gravity, FRD. With it the rotation's own "
-        "accelerations are removed from ay and az. Set it if the sensor is more than some "
-        "centimetres away.")
+        "Position of the sensor from the centre of gravity, FRD. It removes the rotation's own "
+        "accelerations from ay and az. Set it if the sensor is more than some centimetres away.")
 
 
 @dataclass(frozen=True)
@@ -268,7 +267,8 @@ class MixingSettings:
     da: tuple[float, ...] = _setting((0.0, 0.0, 1.0, 0.0), text=
         "Aileron from the channels: one weight per channel. Change it for elevons and flaperons.")
     dth: tuple[float, ...] = _setting((0.0, 0.0, 0.0, 1.0), text=
-        "Throttle from the channels: one weight per channel. Several motors share it.")
+        "Throttle from the channels: one weight per channel. Change it for several motors, which "
+        "share it.")
 
 
 @dataclass(frozen=True)
@@ -288,42 +288,43 @@ class ActuatorSettings:
         "Factor of each channel before the mixing, N values; negative reverses. Empty: ones. Set "
         "it to bring raw values to radians or fractions.")
     thrust_curve: tuple[float, ...] = _setting((), "", (0.0, 1.0), text=
-        "Share of the square in each channel's thrust, N values, of scaled commands from 0 to 1: "
-        "f of thrust = f s^2 + (1 - f) s. Empty: zeros. 1.0 where a command is a motor's speed, "
-        "0.0 for a surface, and where the autopilot sends thrust, as PX4 with THR_MDL_FAC does.")
+        "Quadratic share f of each channel's thrust, N values: thrust = f s^2 + (1 - f) s, for "
+        "scaled commands s from 0 to 1. Empty: zeros. Set 1.0 where a command is a motor's speed,"
+        " 0.0 for a surface and where the autopilot sends thrust (PX4 with THR_MDL_FAC).")
     trim: tuple[float, ...] = _setting((), restarts=True, text=
-        "Raw value of each channel in trimmed flight, N values. Empty: zeros. Set it to what the "
-        "autopilot's trimmed flight shows.")
+        "Raw value of each channel in trimmed flight, N values. Empty: zeros. Set it to the "
+        "values of steady level flight.")
     learn_trim_time: float = _setting(0.0, "s", (0.0, 60.0), text=
-        "Learn the trim from the first steady stretch of flight of this length instead; 0 uses "
-        "'actuators.trim'. Use it where the trim is not known and the flight begins steady.")
+        "Learn the trim from the first steady stretch of flight of this length; 0 uses "
+        "'actuators.trim'. Use it if the trim is not known and the flight begins steady.")
     delay: float = _setting(0.0, "s", (0.0, MAX_DELAY), restarts=True, text=
-        "Transport delay from the channel's stamp to the surface. An unmodelled 50 ms costs more "
-        "than any choice of estimator. Set it if it is known from a bench test or from replay.")
+        "Transport delay from the channel's stamp to the surface. A delay error of 50 ms costs "
+        "more accuracy than any choice of estimator. Set it if it is known from a bench test or "
+        "from replay.")
     estimate_delay: bool = _setting(False, text=
-        "Use the delay with which the model predicts best, once the flight has shown it, starting "
-        "from 'actuators.delay'; and the servo lag, where the response to what is injected tells "
-        "it. Switch it on if the delay is not known.")
+        "Estimate the delay in flight, starting from 'actuators.delay', and use it once it is "
+        "sure; the servo lag likewise, if an injected signal shows it. Switch it on if the delay "
+        "is not known.")
     longest_delay: float = _setting(0.3, "s", (0.1, MAX_DELAY), restarts=True, text=
-        "Longest delay, beyond 'actuators.time_constant', that is looked for in flight. Raise it "
-        "for inputs that come over a slow link.")
+        "Longest delay that is searched in flight, beyond 'actuators.time_constant'. Raise it for"
+        " inputs that come over a slow link.")
     time_constant: float = _setting(0.0, "s", (0.0, 2.0), restarts=True, text=
-        "First-order lag of the servos; 0 for none. Set it where the channels are commands, not "
-        "positions.")
+        "First-order lag of the servos or motors; 0 for none. Set it if the channels are "
+        "commands, not positions.")
     interpolation: str = _setting("hold", choices=("hold", "linear"), text=
-        "Between two samples the input is held ('hold', as a servo does) or joined by a straight "
-        "line ('linear', for logged surface positions).")
+        "Input between two samples: held ('hold', as a servo does) or joined by a straight line "
+        "('linear', for logged surface positions).")
     lower_limit: tuple[float, ...] = _setting((), text=
-        "Raw value of each channel at its lower limit, N values: learning pauses there, where the "
-        "surface need not follow. Empty: no limits. Set it, so that wild values are not learned "
-        "from.")
+        "Raw value of each channel at its lower limit, N values. Learning pauses there, because "
+        "the surface need not follow. Empty: no limits. Set it to keep wild values out of the "
+        "estimate.")
     upper_limit: tuple[float, ...] = _setting((), text=
-        "Raw value of each channel at its upper limit, N values. Empty: no limits. Set it, so "
-        "that wild values are not learned from.")
+        "Raw value of each channel at its upper limit, N values, as 'actuators.lower_limit'. "
+        "Empty: no limits. Set it to keep wild values out of the estimate.")
     timeout: float = _setting(0.5, "s", (0.01, 60.0), text=
-        "Age at which the last channel values no longer count; adaptation waits for new ones. "
-        "Values that come at a steady rate are missed sooner, after five intervals or 0.1 s. "
-        "Raise it for publishers that send only what changes.")
+        "Age at which the last channel values expire and learning waits for new ones. At a steady"
+        " rate they expire sooner, after five intervals or 0.1 s. Raise it for publishers that "
+        "send changes only.")
 
 
 @dataclass(frozen=True)
@@ -332,15 +333,16 @@ class FilterSettings:
 
     method: str = _setting(
         "state_variable", choices=("state_variable", "backward_difference"), text=
-        "How the derivative is obtained: 'state_variable' (the same low-pass on both sides of the "
-        "equation, at the gyro's rate) or 'backward_difference' of the rates at the ticks, which "
-        "is the paper's and good for nothing else. Leave it.")
+        "Source of the derivative: 'state_variable' (the same low-pass on both sides of the "
+        "equation, at the gyro's rate) or 'backward_difference' of the rates at the ticks, as in "
+        "the paper. Change it to reproduce the paper alone.")
     cutoff: float = _setting(15.0, "rad/s", (1.0, 200.0), restarts=True, text=
         "Cut-off of the low-pass: above the fastest mode of interest, below the gyro's noise and "
         "the structure's vibrations. 10 to 20 suits most small aircraft. Raise it for small, "
-        "agile aircraft.")
+        "agile ones.")
     max_gap: float = _setting(0.2, "s", (0.01, 1.0), text=
-        "A gap in the rates longer than this restarts the filters. Raise it for a lossy link.")
+        "Longest gap in the rates that the filters bridge; a longer one restarts them. Raise it "
+        "for a lossy link.")
 
 
 @dataclass(frozen=True)
@@ -348,11 +350,11 @@ class ModelSettings:
     """The identified model that runs beside the aircraft."""
 
     leak_time: float = _setting(5.0, "s", (0.0, 1000.0), read_only=False, text=
-        "Time constant with which the model's state is pulled towards the measured rates; 0 for "
-        "never, as in the paper. Lower it if the predicted rates drift in long flights.")
+        "Time constant of the pull of the model's state towards the measured rates; 0 for none, "
+        "as in the paper. Lower it if the predicted rates drift in long flights.")
     inertia: tuple[float, ...] = _setting((), "kg m^2", text=
-        "Known inertias Ix, Iy, Iz, Ixz, which fix the rate-product coefficients. Empty: estimate "
-        "them. Set them if they are measured: fewer coefficients to learn.")
+        "Known inertias Ix, Iy, Iz, Ixz, which fix the coefficients of the rate products. Empty: "
+        "these are estimated. Set them if they are measured: fewer coefficients to learn.")
 
 
 @dataclass(frozen=True)
@@ -363,13 +365,13 @@ class GradientSettings:
         "K: n diagonal entries, or n*n entries row-major, symmetric positive semi-definite, for n "
         "regressors. Empty: 0.15 on the diagonal. Raise them for faster, noisier coefficients.")
     normalisation: str = _setting("variance", choices=("none", "power", "variance"), text=
-        "What the gains are relative to: 'none' (SI units, as in the paper), 'power' (divided by "
-        "f^T K f) or 'variance' (each divided by its regressor's running variance, so that they "
-        "are scale-free, in 1/s). Change it to compare with the paper's gains.")
+        "Reference of the gains: 'none' (SI units, as in the paper), 'power' (divided by 1 + f^T "
+        "K f) or 'variance' (each divided by its regressor's running variance: rates in 1/s). "
+        "Change it to compare with the paper's gains.")
     step: str = _setting("guarded", choices=("guarded", "euler"), text=
-        "'guarded': the exact solution over a step, stable for any gain; 'euler': the paper's, "
-        "which blows up once dt f^T K f passes 2, and says so. Change it to reproduce the paper "
-        "alone.")
+        "Step of the law: 'guarded', the exact solution, stable for any gain; or 'euler', the "
+        "paper's, which diverges once dt f^T K f exceeds 2, and reports it. Change it to "
+        "reproduce the paper alone.")
 
 
 @dataclass(frozen=True)
@@ -381,8 +383,9 @@ class AirspeedSettings:
         "airspeed and control derivatives with its square. Set it if the flight speed varies by a "
         "fifth or more.")
     reference: float = _setting(20.0, "m/s", (1.0, 400.0), text=
-        "Airspeed at which initial and saved coefficients are valid: the usual one. Where none is "
-        "measured it serves as the airspeed, within 20 %. Set it once, before the first flight.")
+        "Airspeed at which initial and saved coefficients hold: the usual true airspeed. It also "
+        "serves as the airspeed, within 20 %, if none is measured. Set it once, before the first "
+        "flight.")
 
 
 @dataclass(frozen=True)
@@ -406,26 +409,26 @@ class ExcitationSettings:
     """Programmed test inputs, which ``~/excite`` asks the controller to add."""
 
     form: str = _setting("multisine", choices=EXCITATION_FORMS, read_only=False, text=
-        "'multisine' moves all inputs at once, each at frequencies of its own; '3211' and "
-        "'doublet' one after the other; 'probe' is one doublet of each, to confirm signs and "
-        "effect after take-off.")
+        "Test input: 'multisine' moves all inputs at once, each at frequencies of its own; '3211'"
+        " and 'doublet' move one after the other; 'probe' is one doublet of each, to confirm "
+        "signs and effect after take-off.")
     amplitude: tuple[float, ...] = _setting(
         (0.04, 0.04, 0.04, 0.0), "rad, throttle 0..1", (0.0, 1e3), read_only=False, text=
         "Peak of de, dr, da, dth, in the units of the inputs; 0 leaves one out. Set it to a tenth "
         "of the range of each surface.")
     band: tuple[float, ...] = _setting((0.2, 2.0), "Hz", (0.01, 20.0), read_only=False, text=
-        "Lowest and highest frequency. From half the slowest to twice the fastest mode of "
-        "interest; lower it for a large aircraft, raise it for a multirotor.")
+        "Lowest and highest frequency: from half the slowest to twice the fastest mode of "
+        "interest. Lower it for a large aircraft, raise it for a multirotor.")
     duration: float = _setting(60.0, "s", (1.0, 3600.0), read_only=False, text=
-        "Length of a run, if it does not end earlier.")
+        "Longest run; it ends earlier when all coefficients are known.")
     fade_time: float = _setting(1.0, "s", (0.0, 60.0), read_only=False, text=
-        "Time in which multisines come and go. An abort is at once.")
+        "Time in which multisines fade in and out. An abort does not fade.")
     lead: float = _setting(0.15, "s", (0.0, 0.9), read_only=False, text=
-        "How far ahead of the tick a value is stamped: the stamp says from when the controller "
-        "adds it, so that both know when it acted. Raise it for a slow link.")
+        "Time between a tick and the stamp of its message. The controller adds the value from the"
+        " stamp on, so that both sides know when it acts. Raise it for a slow link.")
     min_t_ratio: float = _setting(15.0, "", (0.0, 30.0), read_only=False, text=
-        "Value over sigma from which a coefficient is known; when all are, the run ends early. 15 "
-        "is 7 %. 0 goes on to the end.")
+        "Value over sigma from which a coefficient is known. When all are, the run ends early. 15"
+        " is a sigma of 7 %; 0 never ends early.")
     max_rate: float = _setting(1.5, "rad/s", (0.0, 100.0), read_only=False, text=
         "Rate about any axis at which the run is aborted. Raise it for an agile aircraft.")
     max_attitude: float = _setting(0.8, "rad", (0.0, math.pi), read_only=False, text=
@@ -443,44 +446,45 @@ class SupervisionSettings:
     """When a controller may act on the coefficients."""
 
     min_fit: float = _setting(-20.0, "%", (-100.0, 100.0), read_only=False, text=
-        "Running fit of free 1-second predictions that every axis needs; it must also beat "
+        "Lowest usable fit of free 1-second predictions, on every axis; the fit must also beat "
         "holding the rate. Lower it for gusty flight, raise it for a demanding controller.")
     min_t_ratio: float = _setting(4.0, "", (0.0, 30.0), read_only=False, text=
-        "Value over sigma that the main control derivative of every row needs. Raise it for a "
-        "controller that needs sure values.")
+        "Value over sigma that the main control derivative of a usable row needs. Raise it for a "
+        "controller that needs more certainty.")
     max_age: float = _setting(5.0, "s", (0.0, 1e6), read_only=False, text=
-        "Time after which a control derivative counts as unconfirmed unless what its input does "
+        "Time after which a control derivative is unconfirmed, unless the motion of its surface "
         "confirms it; 0 for never. Raise it for long cruises in one condition.")
     min_excitation: float = _setting(0.25, "", (0.0, 1.0), read_only=False, text=
-        "Variance of an input, relative to its mean while learning, below which it counts as "
-        "quiet; a row whose inputs are all quiet learns the less, the quieter they are. 0 never "
-        "minds. Lower it if gentle manoeuvres are not learned from.")
+        "Variance of an input, relative to its mean variance while learning, below which the "
+        "input is quiet. A row whose inputs are all quiet learns less, the quieter they are. 0 "
+        "switches this off. Lower it if gentle manoeuvres are not learned from.")
     min_motion: float = _setting(0.04, "rad/s", (0.0, 1.0), read_only=False, text=
-        "Swing of the rates over 2 s below which the aircraft may be at rest: it is where they do "
-        "not stand out from the gyro's noise either, and learning pauses. 0 for never. Raise it "
-        "if that noise hides that the aircraft stands.")
+        "Swing of the rates over 2 s below which the aircraft may be at rest: learning pauses if "
+        "they do not exceed the gyro's noise either. 0 for never. Raise it if a standing aircraft"
+        " is not detected because of that noise.")
     min_force_motion: float = _setting(0.0, "m/s^2", (0.0, 100.0), read_only=False, text=
-        "The same for the specific forces; 0 for never. Set it, to 0.3 or so, if a vehicle "
-        "standing on the ground turns its sensor.")
+        "Swing of the specific forces over 2 s below which the aircraft may be at rest; 0 for "
+        "never. Set it, to 0.3 or so, if a vehicle on the ground turns its sensor.")
     min_airspeed: float = _setting(0.0, "m/s", (0.0, 400.0), read_only=False, text=
-        "Airspeed below which learning pauses, where there is one; 0 for never. Set it to "
-        "somewhat less than the stall speed.")
+        "Airspeed below which learning pauses, if it is measured; 0 for never. Set it somewhat "
+        "below the stall speed.")
     max_rate: float = _setting(34.9, "rad/s", (0.0, 100.0), read_only=False, text=
-        "Range of the gyro, at which it is saturated and learning pauses; 0 for none. 34.9 is "
-        "2000 deg/s; see the sensor's data sheet.")
+        "Range of the gyro: learning pauses where a rate reaches it; 0 for none. 34.9 is 2000 "
+        "deg/s; see the sensor's data sheet.")
     stuck_time: float = _setting(0.25, "s", (0.0, 60.0), read_only=False, text=
-        "Time for which a signal of the Imu may repeat one value before it counts as stuck and "
-        "learning pauses; 0 for ever. One that rounds coarsely may repeat itself as long as it "
-        "did before.")
+        "Time for which a signal of the Imu may repeat one value before it is stuck and learning "
+        "pauses; 0 for ever. A coarsely rounded signal may repeat one value for as long as it did"
+        " before.")
     max_residual: float = _setting(6.0, "", (0.0, 1000.0), read_only=False, text=
-        "Residual of a row, relative to its usual size, from which usable coefficients are kept "
-        "from learning; 0 for never. Lower it where knocks and landings spoil the estimate.")
+        "Residual of a row, relative to its usual size, beyond which usable coefficients do not "
+        "learn from a sample; 0 for never. Lower it if knocks and landings spoil the estimate.")
     plausibility: bool = _setting(True, text=
-        "Look for mistakes in units, axes, trim and channels, and learn nothing while there is "
-        "one. Switch it off for a vehicle that is no aeroplane on average, like a tail-sitter.")
+        "Check units, axes, trim and channels against physics; learning stops while one is "
+        "implausible. Switch it off for a vehicle that does not fly upright on average, like a "
+        "tail-sitter.")
     expected_signs: tuple[str, ...] = _setting((), text=
-        "Signs of control derivatives that are sure, like '+pdot/da': where the flight shows "
-        "another, a surface is connected the wrong way round, and nothing is usable.")
+        "Known signs of control derivatives, like '+pdot/da'. If the flight shows the opposite, a"
+        " surface is connected the wrong way round: a fault, and nothing is usable.")
 
 
 @dataclass(frozen=True)
@@ -491,47 +495,47 @@ class Settings:
         "Rate of the updates and of the published estimates. Raise it for a controller that needs "
         "estimates sooner; 20 Hz suits most.")
     input_wait: float = _setting(0.05, "s", (0.0, 1.0), text=
-        "How far the newest Imu stamp must have passed a tick before it is computed: the latency "
-        "allowed to late messages. Raise it if samples are dropped as late; lower it for less "
+        "Time by which the newest Imu stamp must have passed a tick before the tick is computed: "
+        "late messages still count. Raise it if samples are dropped as late; lower it for less "
         "latency.")
     time_jump: float = _setting(1.0, "s", (0.1, 60.0), text=
-        "A stamp further than this from the stream is an outlier; five that agree among "
-        "themselves are a new time base. Change it only for recordings with gaps that are meant.")
+        "Distance from the stream beyond which a stamp is an outlier; five outliers that agree "
+        "are a new time base. Change it only for recordings with intended gaps.")
     structure: str = _setting("flight_dynamics", choices=tuple(STRUCTURES), text=
         "Model structure: 'baseline' (Section 3 of the paper, 18 coefficients), "
         "'throttle_coupled' (eq. 15, 20), 'augmented' (with a constant and the measured ay and "
-        "az, 26) or 'flight_dynamics' (with angle of attack and sideslip as states, 32). Leave it "
-        "for anything with wings; a multirotor is 'throttle_coupled' or 'augmented'.")
+        "az, 26) or 'flight_dynamics' (with angle of attack and sideslip as states, 35). Leave it"
+        " for anything with wings; a multirotor is 'throttle_coupled' or 'augmented'.")
     estimator: str = _setting("instrumental_variable", choices=ESTIMATORS, text=
-        "How the coefficients move: the paper's 'gradient' law, recursive 'least_squares', or the "
-        "guarded 'instrumental_variable', which gyro noise and gusts do not bias. Leave it unless "
-        "you compare methods.")
+        "Estimator: the paper's 'gradient' law, recursive 'least_squares', or the guarded "
+        "'instrumental_variable', which gyro noise and gusts do not bias. Leave it unless you "
+        "compare methods.")
     initial_coefficients: tuple[float, ...] = _setting(
         (), "", (-LARGEST_COEFFICIENT, LARGEST_COEFFICIENT), text=
-        "A_m at the start: 3n values, row-major, SI. Empty: zeros. Set them if an aircraft model "
-        "is at hand.")
+        "Initial coefficients A_m: 3n values, row-major, SI. Empty: zeros. Set them if an "
+        "aircraft model is at hand.")
     initial_coefficients_file: str = _setting("", text=
-        "File of initial coefficients, as replay writes it; wins over the values. Set it to start "
-        "the next flight from a replayed one.")
+        "File of initial coefficients, as replay writes it; it wins over the values. Set it to "
+        "start the next flight from a replayed one.")
     state_file: str = _setting("", text=
-        "File that the node keeps its coefficients in and starts from again; wins over the "
-        "initial ones. Empty: $ROS_HOME/uav_ident_ros/NODE.yaml; 'none': neither written nor "
-        "read. Replay does not use it. Name one for vehicles that share a node name.")
+        "File in which the node keeps its coefficients between runs; it wins over the initial "
+        "ones. Empty: $ROS_HOME/uav_ident_ros/NODE.yaml; 'none': neither written nor read. Replay"
+        " does not use it. Set it for vehicles that share a node name.")
     state_max_age: float = _setting(604800.0, "s", (0.0, 1e9), text=
-        "Age by the computer's clock beyond which the state file is not started from; 0 for "
-        "never. Lower it if the aircraft is often changed between flights.")
+        "Age of the state file, by the computer's clock, beyond which the node does not use it; 0 "
+        "for no limit. Lower it if the aircraft is often changed between flights.")
     save_period: float = _setting(30.0, "s", (0.0, 86400.0), read_only=False, text=
         "Interval at which usable coefficients are written to the state file, at least 1 s; 0 for "
         "only on ~/save and at the end. Raise it to spare a memory card.")
     fixed_coefficients: tuple[str, ...] = _setting((), text=
-        "Names of coefficients that keep their initial value, like 'pdot/ay'. Fix what is known, "
-        "or what this vehicle does not have.")
+        "Names of coefficients that keep their initial value, like 'pdot/ay'. Fix known "
+        "coefficients, and those that this vehicle does not have.")
     forgetting_time: float = _setting(200.0, "s", (0.0, 1e6), read_only=False, text=
         "Time constant with which old data lose weight; 0 for never. Below 60 s the estimate "
         "suffers. Lower it if the flight condition changes within minutes.")
     adapt_on_start: bool = _setting(True, text=
-        "Whether it learns at once; the service ~/adapt switches it. Set it to false to fly on "
-        "known coefficients.")
+        "Whether the identifier learns from the start; the service ~/adapt switches it. Set it to"
+        " false to fly on known coefficients.")
     imu: ImuSettings = dataclasses.field(default_factory=ImuSettings)
     actuators: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
     airspeed: AirspeedSettings = dataclasses.field(default_factory=AirspeedSettings)
