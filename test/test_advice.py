@@ -111,7 +111,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      "no surface moved: .* 'actuators.channels'"),
     ("gated", {"lost": {AT_LIMIT: LOST_SHARE * JUST_BELOW, "not armed": 0.5}},
      {"lost": {AT_LIMIT: LOST_SHARE * 1.1}, "gate_settings": {AT_LIMIT: "actuators.upper_limit"}},
-     r"33 % of the flight taught nothing: channel … is at its limit \(see 'actuators.upper_"),
+     r"nothing was learned in 33 % of the flight: channel … is at its limit \(see 'actuators.up"),
     ("weak_excitation", STILL_RUDDER, WEAK_RUDDER,
      r"not enough rudder excitation: rdot/dr is known to 4\.0 sigma only \(4 needed\)"),
     ("weak_excitation", moves(0.1, 1e-6, 0.1, 0.1), moves(0.1, 0.0, 0.1, 0.1),
@@ -127,7 +127,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("unknown_delay", {"settings": FINDING, "delay": SURE}, {"settings": FINDING, "delay": UNSURE},
      r"does not show the delay of the inputs \(30 ms, sigma 3 ms; 0\.030 s in use\).* 3-2-1-1"),
     ("unknown_delay", {"delay": NO_ESTIMATE},  # it is configured
-     {"settings": FINDING, "delay": NO_ESTIMATE}, r"\(nothing tells it; 0\.030 s in use\)"),
+     {"settings": FINDING, "delay": NO_ESTIMATE}, r"\(no estimate; 0\.030 s in use\)"),
     ("unknown_delay", {"settings": FINDING, "delay": SURE},
      {"settings": FINDING, "delay": replace(UNSURE, delay=0.219, sigma=0.019), "delay_in_use": 0.0},
      r"seem to act 219 ms \(sigma 19 ms\) after their stamps, 0 ms are in use: .* 0\.219"),
@@ -337,4 +337,4 @@ def test_channels_that_do_not_move_are_found() -> None:
     e = evidence_of("multisine", mixing, seconds=8.0)
     assert e.input_spread[INPUTS.index("dr")] == 0.0
     texts = [advice.text for advice in advise(e)]
-    assert "the rudder never moved: nothing is known of what it does" in texts
+    assert "the rudder never moved: its effect is unknown; move it" in texts

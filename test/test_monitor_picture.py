@@ -137,8 +137,8 @@ RUNNING = {
     ("status", "line"),
     [
         (RUNNING, "excite    rudder  4.1 s, at most 25.9 s left  known in 9 s: qdot/de, rdot/dr"),
-        (RUNNING | {"excite: until known [s]": "cannot be told yet"},
-         "excite    rudder  4.1 s, at most 25.9 s left  not yet told when known: qdot/de, rdot/dr"),
+        (RUNNING | {"excite: until known [s]": "unknown"},
+         "excite    rudder  4.1 s, at most 25.9 s left  still unknown: qdot/de, rdot/dr"),
         ({"excite: last run": "aborted: p too large"}, "excite    aborted: p too large"),
         ({"excite: last run": "done after 20 s"}, "excite    done after 20 s"),
         ({"excite: last run": "none yet"}, ""),

@@ -92,7 +92,7 @@ def test_a_bad_bag_does_not_stop_the_rest(replayed: tuple[Path, Any]) -> None:
     )
     rows = {line.split()[0]: line for line in done.stdout.splitlines() if line}
     assert rows["monday_flight"].endswith("  usable")
-    assert "  not usable: learned from 0 s, 30 s are needed to judge" in rows["tuesday_flight"]
+    assert "  not usable: 0 s of learning, 30 s are needed for a verdict" in rows["tuesday_flight"]
     assert "  no result: bag " in rows["broken"]
     assert "3 bags: 1 usable, 1 not usable, 1 no result" in done.stdout
     assert f"\nwritten to {output}{os.sep}; table: {output / 'flights.csv'}" in done.stdout

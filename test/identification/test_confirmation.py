@@ -54,9 +54,9 @@ class Flown:
 
 def test_nothing_is_confirmed_before_anything_has_moved() -> None:
     assert Flown().doubts() == [
-        "pdot/da is unconfirmed: da has hardly moved of late",
-        "qdot/de is unconfirmed: de has hardly moved of late",
-        "rdot/dr is unconfirmed: dr has hardly moved of late",
+        "pdot/da is unconfirmed: da has hardly moved of late; move it",
+        "qdot/de is unconfirmed: de has hardly moved of late; move it",
+        "rdot/dr is unconfirmed: dr has hardly moved of late; move it",
     ]
 
 
@@ -85,7 +85,9 @@ def test_a_surface_that_fails_speaks_against_itself(row: int, effect: float) -> 
     flight.fly(10.0, effect, row=row)
     surface, axis = ("da", "de", "dr")[row], ("pdot", "qdot", "rdot")[row]
     doubts = flight.doubts()
-    assert doubts.pop(row) == f"{axis} does not follow {surface} as {axis}/{surface} says"
+    assert doubts.pop(row) == (
+        f"{axis}/{surface} is contradicted: {axis} does not follow {surface}; check the surface"
+    )
     assert doubts == ["", ""]
 
 

@@ -260,4 +260,4 @@ def test_the_identifier_knows_attitude_and_airspeed_for_the_limits() -> None:
     flying = identifier.flying()
     assert (flying.roll, flying.pitch) == pytest.approx((0.5, 0.2), abs=0.02)
     assert flying.airspeed == 18.0
-    assert flying.grounded == "nothing was heard of being armed"
+    assert flying.grounded == "no message says that it is armed"

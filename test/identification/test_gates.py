@@ -262,7 +262,7 @@ def test_armed_decides_if_there_is_a_topic_that_tells(excited: Measurements) -> 
     stream = messages(excited)[: len(messages(excited)) // 3]
     third = len(stream) // 3
     deaf = run(given, stream[:third])
-    assert {e.reason for e in deaf[5:]} == {"nothing was heard of being armed"}
+    assert {e.reason for e in deaf[5:]} == {"no message says that it is armed"}
     given.add_armed(stream[third].t_ns, False)
     disarmed = run(given, stream[third : 2 * third])
     assert {e.reason for e in disarmed[5:]} == {"not armed"}

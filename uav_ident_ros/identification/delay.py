@@ -132,10 +132,12 @@ class DelayEstimate:
         """Return in words how a delay in use is off, s."""
         off = self.off(delay)
         word = "later" if off > 0.0 else "earlier"
-        cure = "" if self.delay >= 0.0 else ": their stamps are late, or this lag is too long"
+        cure = f"set 'actuators.delay' to {self.delay:.3f}"
+        if self.delay < 0.0:
+            cure = "correct their stamps, or lower 'actuators.time_constant'"
         return (
             f"the inputs act {1e3 * abs(off):.0f} ms {word} than 'actuators.delay' and "
-            f"'actuators.time_constant' say: a delay of {self.delay:.3f} s predicts best{cure}"
+            f"'actuators.time_constant' say: {cure}"
         )
 
 

@@ -463,7 +463,7 @@ def grounded(settings: Settings, armed: bool | None, airspeed: float | None) -> 
     """
     min_airspeed = settings.supervision.min_airspeed
     if settings.armed.type and not armed:
-        return "not armed" if armed is not None else "nothing was heard of being armed"
+        return "not armed" if armed is not None else "no message says that it is armed"
     if airspeed is not None and airspeed < min_airspeed:
         return f"not flying: the airspeed is below {min_airspeed:g} m/s"
     return ""

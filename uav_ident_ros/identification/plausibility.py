@@ -275,8 +275,8 @@ class Plausibility:
         evidence = ", ".join(f"{GRAVITY * v:+.1f}" for v in direction)
         return Finding(
             "mounting",
-            f"the specific force points along [{evidence}] m/s^2 (forward, right, down) on "
-            "average, an aircraft that flies or stands is carried along [0, 0, -9.8]: "
+            f"the axes of the Imu look wrong: its mean specific force is [{evidence}] m/s^2 "
+            "(forward, right, down), and [0, 0, -9.8] in flight and at rest: "
             + self._better_mounting(direction),
         )
 
@@ -313,9 +313,9 @@ class Plausibility:
             return None
         return Finding(
             "gyro units",
-            f"the gyro turns at {speed:.1f} rad/s on average, and turned back by it the specific "
-            f"force of the last {WINDOW:g} s is {left:.1f} g on average, in deg/s it would be one, "
-            "and as steady: convert the angular velocity to rad/s (REP-103)",
+            f"the gyro looks like deg/s: it turns at {speed:.1f} rad/s on average, and turned back "
+            f"by it the specific force of the last {WINDOW:g} s is {left:.1f} g in place of 1 g; "
+            "convert the angular velocity to rad/s (REP-103)",
         )
 
     # -- channels --------------------------------------------------------------------------
@@ -373,22 +373,22 @@ def _off_range(name: str, u: FloatArray, without_trim: FloatArray) -> Iterator[F
     if largest >= COUNTS and abs(middle) >= COUNTS:
         yield Finding(
             "channel range",
-            f"{name} is {middle:.0f} on average: its channels look like PWM in microseconds. Set "
+            f"the channels of {name} look like PWM in microseconds: {middle:.0f} on average. Set "
             "actuators.trim to about 1500 and actuators.scale to 0.001 or to radians per "
             "microsecond",
         )
     if np.abs(u).min() >= LARGEST_TRIM and np.abs(without_trim).max() <= LARGEST_TRIM:
         yield Finding(
             "trim",
-            f"{name} is {middle:+.2f} rad from its trim and never within {LARGEST_TRIM:g}, without "
-            f"actuators.trim it is {np.median(without_trim):+.2f}: the trim is in the unit of the "
-            "channels, is it in degrees?",
+            f"actuators.trim looks as if in degrees: {name} is {middle:+.2f} rad from its trim, "
+            f"never within {LARGEST_TRIM:g}, and {np.median(without_trim):+.2f} without the trim; "
+            "write the trim in the unit of the channels",
         )
     if LARGEST_DEFLECTION < largest < COUNTS and abs(middle) <= LARGEST_DEFLECTION:
         yield Finding(
             "channel range",
-            f"{name} reaches {largest:.1f} rad, which no surface does: in degrees? Set "
-            "actuators.scale to 0.01745",
+            f"{name} looks as if in degrees: it reaches {largest:.1f} rad. Set actuators.scale to "
+            "0.01745",
             fault=False,
         )
 
@@ -405,8 +405,8 @@ def _interleaved(name: str, u: FloatArray) -> Finding | None:
         return None
     return Finding(
         "publishers",
-        f"{share:.0%} of the samples of {name} are taken back by the next one: two publishers "
-        "are on the actuator topic. See 'ros2 topic info --verbose', remap one of them",
+        f"two publishers are on the actuator topic: {share:.0%} of the samples of {name} are taken "
+        "back by the next one. See 'ros2 topic info --verbose', remap one of them",
     )
 
 
@@ -437,7 +437,7 @@ def coefficient_finding(
             return Finding(
                 "signs",
                 f"{entry[1:]} is {value:.3g} +- {spread:.2g}, expected is {sign}: a surface is "
-                "connected the wrong way round, or its sign in actuators.mixing",
+                "connected the wrong way round; turn it, or its sign in actuators.mixing",
             )
     return _swapped(structure, coefficients, sigma, sure)
 
@@ -460,7 +460,7 @@ def _swapped(
         return None
     return Finding(
         "swapped",
-        "dr rolls the aircraft more than da does: rudder and aileron are swapped in "
+        "rudder and aileron are swapped: dr rolls the aircraft more than da does; exchange them in "
         "actuators.channels or actuators.mixing",
     )
 
@@ -560,8 +560,8 @@ class SetupErrors:
         """
         return SetupError(
             self._late(values, hidden),
-            f"a servo lag of {1e3 * hidden:.0f} ms would predict as well as the delay that was "
-            "found: set 'actuators.time_constant', or inject on purpose ('excitation')",
+            f"delay and servo lag are not separated: {1e3 * hidden:.0f} ms of the delay found may "
+            "be lag; set 'actuators.time_constant', or excite the aircraft (~/excite)",
         )
 
     def _late(self, values: FloatArray, time: float) -> FloatArray:
@@ -581,6 +581,6 @@ class SetupErrors:
         word = "above" if height > 0.0 else "below"
         return SetupError(
             errors,
-            f"the accelerometer measures rolling as if it were {abs(height):.2f} m {word} where "
-            "'imu.lever_arm' puts it: set that to its position from the centre of gravity",
+            f"the position of the Imu is wrong: in rolls it measures as {abs(height):.2f} m {word} "
+            "where 'imu.lever_arm' puts it; set that to its position from the centre of gravity",
         )

@@ -315,5 +315,8 @@ class Confirmation:
             return ""
         surface = MAIN_INPUTS[ROWS[row]]
         if odds <= -CONFIRMED:
-            return f"{ROWS[row]} does not follow {surface} as {ROWS[row]}/{surface} says"
-        return f"{ROWS[row]}/{surface} is unconfirmed: {surface} has hardly moved of late"
+            return (
+                f"{ROWS[row]}/{surface} is contradicted: {ROWS[row]} does not follow {surface}; "
+                "check the surface"
+            )
+        return f"{ROWS[row]}/{surface} is unconfirmed: {surface} has hardly moved of late; move it"

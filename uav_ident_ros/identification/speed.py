@@ -37,8 +37,8 @@ def unmeasured(settings: Settings) -> str:
         return ""
     return (
         f"no airspeed is measured, and 'airspeed.reference' is the default, {default:g} m/s: set "
-        "it to the speed that is flown, or 'airspeed.type'; 2.6 times too low, it costs 30 % of "
-        "qdot/de"
+        "it to the speed flown, or set 'airspeed.type' (a reference 2.6 times too low costs 30 % "
+        "of qdot/de)"
     )
 
 

@@ -219,9 +219,9 @@ class Supervisor:
             How long it has learned since a cold start, s; inf after a warm one.
         """
         self._sigma = sigma
-        young = "" if running.predictions else "no second was predicted yet to judge by"
+        young = "" if running.predictions else "no prediction of one second is complete yet"
         if learned_time < JUDGED_FROM:
-            young = f"learned from {int(learned_time)} s, {JUDGED_FROM:g} s are needed to judge"
+            young = f"{int(learned_time)} s of learning, {JUDGED_FROM:g} s are needed for a verdict"
         settings = self.settings.supervision
         relearning: dict[int, str] = {}
         for (i, j), change in list(self._relearning.items()):
@@ -290,7 +290,7 @@ def _incomplete(row: int, share: float) -> str:
         return ""
     surface = MAIN_INPUTS[ROWS[row]]
     return (
-        f"{100.0 * min(share, 1.0):.0f} % of what {surface} does to {ROWS[row]} comes late or "
-        "early, or is missing where much is asked: a servo lag, a delay or a limit of travel that "
-        "is not as told"
+        f"{ROWS[row]} follows {surface} badly: {100.0 * min(share, 1.0):.0f} % of the effect is "
+        "late, early, or missing at large deflections (a servo lag, a delay or a limit of travel); "
+        "correct 'actuators.time_constant', 'actuators.delay' or 'actuators.upper_limit'"
     )

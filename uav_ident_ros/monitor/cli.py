@@ -143,13 +143,13 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
     if node is None:
         found = listener.find(timeout)
         if not found:
-            print(f"monitor: no identifier was heard for {timeout:g} s", file=sys.stderr)
+            print(f"monitor: no identifier found within {timeout:g} s", file=sys.stderr)
             return NOTHING_RECEIVED
         node = _the_one(found)
     watched = listener.listen(node)
     listener.spin_for(timeout, lambda: watched.fresh and bool(watched.status.state))
     if watched.newest is None and not watched.status.state:
-        print(f"monitor: nothing was heard of '{node}' for {timeout:g} s", file=sys.stderr)
+        print(f"monitor: no message of '{node}' within {timeout:g} s", file=sys.stderr)
         return NOTHING_RECEIVED
     View(plain=True).show(watched)
     return USABLE if watched.usable else NOT_USABLE

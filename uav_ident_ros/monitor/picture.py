@@ -320,7 +320,7 @@ def _excitation(values: Mapping[str, str]) -> Iterator[Text]:
     ended = values.get("last run", "none yet")
     if "remaining [s]" in values:
         left = values.get("until known [s]", "?")
-        known = f"known in {left} s" if left.isdigit() else "not yet told when known"
+        known = f"known in {left} s" if left.isdigit() else "still unknown"
         yield _line(
             "excite",
             (values.get("state", "?"), "bold magenta"),

@@ -116,7 +116,7 @@ class Excite:
             yield "elapsed [s]", f"{run.elapsed:.1f}"
             yield "remaining [s]", f"{run.remaining:.1f}"
             left = taught.time_left
-            yield "until known [s]", f"{left:.0f}" if math.isfinite(left) else "cannot be told yet"
+            yield "until known [s]", f"{left:.0f}" if math.isfinite(left) else "unknown"
         yield "not known yet", ", ".join(taught.unknown) or "nothing"
         for name, (coefficient, value, sigma) in taught.effects.items():
             yield f"effect of {name}", f"{coefficient} = {value:.3g} +- {sigma:.2g}"

@@ -295,8 +295,8 @@ class Memory:
         if self._saver.shared:
             self._saver.shared = False
             self._log.warning(
-                f"'{self._saver.path}' was written by somebody else too, and is overwritten: give "
-                "each node its own 'state_file'"
+                f"'{self._saver.path}' was written by another process too, and is overwritten: "
+                "give each node its own 'state_file'"
             )
         written = self._saver.written
         if written is not None and written is not self._known:

@@ -63,7 +63,7 @@ SIGN_SIGMAS = 3.0
 SHORT_FLIGHT = 60.0
 """Duration below which cross couplings have hardly come, s."""
 
-GROUNDED = ("not armed", "nothing was heard of being armed", "not flying", "at rest")
+GROUNDED = ("not armed", "no message says that it is armed", "not flying", "at rest")
 """How the reasons begin that say that the aircraft does not fly."""
 
 GROUNDED_SHARE = 0.9
@@ -96,7 +96,7 @@ def no_excitation(e: Evidence) -> Iterator[str]:
     """Say that no surface moved at all: then nothing else matters."""
     if (e.input_spread[: INPUTS.index("dth")] < STILL).all():
         yield (
-            "no surface moved: nothing can be learned of them; look at 'actuators.channels' and "
+            "no surface moved: their effects are unknown; check 'actuators.channels' and "
             f"'actuators.mixing', or excite the aircraft: {EXCITING_MODES}"
         )
 
@@ -107,7 +107,7 @@ def gated(e: Evidence) -> Iterator[str]:
         if share > LOST_SHARE and not reason.startswith(GROUNDED):
             setting = e.gate_settings.get(reason)
             see = f" (see '{setting}')" if setting else ""
-            yield f"{100.0 * share:.0f} % of the flight taught nothing: {reason}{see}"
+            yield f"nothing was learned in {100.0 * share:.0f} % of the flight: {reason}{see}"
 
 
 def weak_excitation(e: Evidence) -> Iterator[str]:
@@ -116,7 +116,7 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
     for name, derivative in MAIN_DERIVATIVES.items():
         word, ratio = INPUT_WORDS[name], e.t_ratio(derivative)
         if e.input_spread[INPUTS.index(name)] < STILL:
-            yield f"the {word} never moved: nothing is known of what it does"
+            yield f"the {word} never moved: its effect is unknown; move it"
         elif ratio is not None and ratio < needed:
             yield (
                 f"not enough {word} excitation: {derivative} is known to {ratio:.1f} sigma only "
@@ -167,13 +167,13 @@ def unknown_delay(e: Evidence) -> Iterator[str]:
         found = (
             f"{1e3 * e.delay.delay:.0f} ms, sigma {1e3 * e.delay.sigma:.0f} ms"
             if math.isfinite(e.delay.sigma)
-            else "nothing tells it"
+            else "no estimate"
         )
         yield (
             f"the flight does not show the delay of the inputs ({found}; {e.delay_in_use:.3f} s in "
-            "use), and with a wrong one every control derivative is off: step the surfaces, as "
-            "3-2-1-1 inputs do, while nobody answers the aircraft, or measure it on the ground and "
-            "set 'actuators.delay'"
+            "use), and a wrong one falsifies every control derivative: step the surfaces without "
+            "feedback, as 3-2-1-1 inputs do, or measure the delay on the ground and set "
+            "'actuators.delay'"
         )
 
 
