@@ -102,7 +102,7 @@ def parser() -> argparse.ArgumentParser:
         description="Watch a running identifier: coefficients with sigma, t-ratio and trend, "
         "fit, state, verdict, inputs and delay. Ctrl-C ends it.",
         epilog="--once exits with 0 if the coefficients may be used, 1 if not, 3 if no "
-        "identifier was heard, 130 after Ctrl-C.",
+        "identifier was found, 130 after Ctrl-C.",
     )
     result.add_argument("--node", type=_full_name,
         help="full name of the node, like /drone1/identifier (the only one there is)")  # fmt: skip
@@ -143,13 +143,13 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
     if node is None:
         found = listener.find(timeout)
         if not found:
-            print(f"monitor: no identifier found within {timeout:g} s", file=sys.stderr)
+            print(f"monitor: no identifier was found for {timeout:g} s", file=sys.stderr)
             return NOTHING_RECEIVED
         node = _the_one(found)
     watched = listener.listen(node)
     listener.spin_for(timeout, lambda: watched.fresh and bool(watched.status.state))
     if watched.newest is None and not watched.status.state:
-        print(f"monitor: no message of '{node}' within {timeout:g} s", file=sys.stderr)
+        print(f"monitor: no message of '{node}' for {timeout:g} s", file=sys.stderr)
         return NOTHING_RECEIVED
     View(plain=True).show(watched)
     return USABLE if watched.usable else NOT_USABLE

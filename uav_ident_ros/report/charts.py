@@ -89,7 +89,7 @@ def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[C
             f"rates-{axis}",
             f"{AXIS_WORDS[axis]} rate {axis}",
             chart,
-            f"Measured {word} rate over time, and what was predicted of it one second before.",
+            f"Measured {word} rate over time, and its prediction from one second before.",
             legend=(("measured", "measured"), ("predicted 1 s before", "ahead")),
         )
         reach = max(_reach(flight, prediction, k) for prediction in (second, tick))
@@ -202,7 +202,7 @@ def state_chart(flight: Flight, line: Timeline, reasons: Iterable[str]) -> Chart
     hover(chart, drawn, ("", "@words"), ("from", "@begin{0.0} s"), ("to", "@end{0.0} s"))
     return Chart(
         "states",
-        "State, verdict, and what kept it from learning",
+        "State, verdict, and reasons not to learn",
         chart,
         "State of the identifier over time, when its model was usable, and why it paused.",
         legend=tuple((state, state) for state in reversed(GRAVEST)),

@@ -52,8 +52,8 @@ def _section(k: int, aircraft: Aircraft) -> Section:
         folded = f"{len(others)} flights without a usable model"
         tables.append(Table("Not usable", ("flight", Words("reason")), others, folded))
     text = (
-        f"{len(aircraft.flights)} usable flights. The band is what the next flight will show with "
-        "a probability of 68 %: scatter from flight to flight, and what is not known of the mean. "
+        f"{len(aircraft.flights)} usable flights. The band holds the next flight with 68 % "
+        "probability: scatter from flight to flight, and the error of the mean. "
         "Orange flights are where a coefficient changed, or stands out."
     )
     charts = [*_charts(k, aircraft)]

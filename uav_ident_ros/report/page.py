@@ -98,10 +98,10 @@ def sections(replayed: Replayed) -> Iterator[Section]:
 
 
 _FIT_TEXT = (
-    "How well the model predicts the measured rates over the last 40 % of the flight: 100 % is "
-    "perfect, 0 % no better than the mean. The prediction is free: from the start of each window "
-    "nothing measured enters but the inputs. Above, it is that over 1 s; the mark on the bar is "
-    "what simply holding the rates would reach."
+    "Fit of the predictions to the measured rates over the last 40 % of the flight: 100 % is "
+    "perfect, 0 % no better than the mean. The prediction is free: after the start of each window "
+    "only the inputs are measured. The bars above are over 1 s; the mark on a bar is the fit of "
+    "holding the rates."
 )
 
 _RATES_TEXT = (
@@ -111,15 +111,15 @@ _RATES_TEXT = (
 )
 
 _COEFFICIENTS_TEXT = (
-    "The band is one standard deviation to either side, the dashed line the true value, where the "
-    "bag is simulated. A coefficient with a t-ratio below three is printed pale."
+    "The band is one standard deviation to either side. The dashed line is the true value, for a "
+    "simulated bag. A coefficient with a t-ratio below three is pale: it is not known."
 )
 
 _INPUTS_TEXT = (
     "The band holds the middle 80 % of a signal's power; the dotted line in the spectra is the "
-    "cut-off of the estimator's filter. An input that is strongly correlated with another, or with "
-    "a rate that an autopilot feeds back, teaches little. The model is known where the clouds of "
-    "the coverage are, and nowhere else."
+    "cut-off of the estimator's filter. An input excites little if it is strongly correlated with "
+    "another, or with a rate that an autopilot feeds back. The model holds only inside the clouds "
+    "of the coverage."
 )
 
 
@@ -132,7 +132,7 @@ _MODES_TEXT = (
 def _delay_section(evidence: Evidence) -> Section:
     found, errors, in_use = evidence.delay, evidence.delay_errors, evidence.delay_in_use
     separated = diagrams.separates_delays(errors)
-    text = "Too little to tell delays apart."
+    text = "Too little excitation to separate delays."
     # What was injected may have told the lag, and since then no block was judged.
     if separated or found.lag_sure:
         text = (
@@ -141,7 +141,7 @@ def _delay_section(evidence: Evidence) -> Section:
         )
     if found.lag_sure:
         text += (
-            f" By the response to what was injected the servos follow with a lag of "
+            f" By the response to the injected signal the servos follow with a lag of "
             f"{1e3 * found.lag:.0f} ms, sigma {1e3 * found.lag_sigma:.0f} ms, after a delay of "
             f"{1e3 * max(found.total - found.lag, 0.0):.0f} ms."
         )
