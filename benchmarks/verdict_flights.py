@@ -111,6 +111,7 @@ def _fly(
     seed: int,
     *,
     excitation: Sequence[tuple[float, float]] = (),
+    inputs: str = "multisine",
     scale: float = 1.0,
     duration: float = 120.0,
     bank: float = 0.0,
@@ -125,7 +126,7 @@ def _fly(
     own = PEAKS if aircraft == "light_aircraft" else airframe(aircraft).excitation
     peaks = {name: scale * peak for name, peak in own.items()}
     segments = [
-        Segment("multisine", start, until - start, peaks, seed=seed) for start, until in excitation
+        Segment(inputs, start, until - start, peaks, seed=seed) for start, until in excitation
     ]
     if aircraft == "light_aircraft":
         plan: Plan = LightFlight(
@@ -268,6 +269,17 @@ def _clean(seed: int, length: float) -> Iterator[Trial]:
     return _excited("clean", seed, length, flights)
 
 
+def _in_turn(seed: int, length: float) -> Iterator[Trial]:
+    """Excited by 3-2-1-1 or doublets, one surface after the other."""
+    for inputs in ("3211", "doublet"):
+        flights = (
+            ("light_aircraft", 0.0, 0.3), ("c172p", 0.0, 0), ("c172p", 20.0, 3), ("T37", 0.0, 0),
+            ("OV10", 0.0, 0), ("ultra_stick_25e", 0.0, 0),
+        )  # fmt: skip
+        for trial in _excited("in_turn", seed, length, flights, inputs=inputs):
+            yield replace(trial, name=f"{trial.name}, {inputs}")
+
+
 def _unseen(seed: int, length: float) -> Iterator[Trial]:
     """Aircraft on which nothing was ever chosen: excited, and under an autopilot alone."""
     for file in sorted(AIRFRAMES.glob("*.yaml")):
@@ -381,6 +393,7 @@ CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
     "weak": _weak,
     "glitch": _glitch,
     "clean": _clean,
+    "in_turn": _in_turn,
     "unseen": _unseen,
     "closed_loop": _closed_loop,
     "mistakes": _mistakes,

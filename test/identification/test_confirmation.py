@@ -6,6 +6,7 @@ import pytest
 
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Confirmation, NoiseModel
+from uav_ident_ros.identification.scales import MEMORY
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, STRUCTURES
 
 LAYOUT = layout(STRUCTURES["augmented"])
@@ -113,13 +114,69 @@ def test_what_does_not_move_fades_in_its_time() -> None:
     assert flight.doubts() == ["", "", ""]
 
 
+TURN, REST = 3.0, 15.0
+"""Time of a test input on a surface, and of those on the others, s."""
+MOVED = 4.0
+"""Size of a test input."""
+
+
+def in_turns() -> Flown:
+    """Fly three turns of all surfaces, the last one just over; what is confirmed fades in 5 s."""
+    flight = Flown()
+    flight.max_age = 5.0
+    for _ in range(3):
+        flight.fly(REST, moved=0.0)
+        flight.fly(TURN, moved=MOVED)
+    return flight
+
+
+def test_surfaces_that_have_their_turns_stay_confirmed_until_the_next_is_due() -> None:
+    flight = in_turns()
+    flight.fly(REST + TURN, moved=0.0)
+    assert flight.doubts() == ["", "", ""]
+    flight.fly(5.0, moved=0.0)
+    assert all("unconfirmed" in doubt for doubt in flight.doubts())
+
+
+def test_a_turn_in_which_a_surface_does_nothing_counts_against_it() -> None:
+    flight = in_turns()
+    flight.fly(REST, moved=0.0)
+    flight.fly(TURN, 0.0, MOVED, row=PITCH)
+    assert [bool(doubt) for doubt in flight.doubts()] == [False, True, False]
+
+
+def test_what_takes_long_to_confirm_anything_is_no_turn() -> None:
+    """An autopilot's small answers, too, confirm at last, at intervals that mean nothing."""
+    flight = Flown()
+    flight.max_age = 5.0
+    for _ in range(3):
+        flight.fly(REST, moved=0.0)
+        flight.fly(25.0, moved=0.9)
+    assert flight.doubts()[YAW] == ""
+    flight.fly(8.0, moved=0.0)
+    assert "unconfirmed" in flight.doubts()[YAW]
+
+
+def test_a_turn_long_ago_says_nothing_of_the_next() -> None:
+    flight = in_turns()
+    flight.fly(2.0 * MEMORY, moved=0.0)
+    flight.fly(TURN, moved=MOVED)
+    assert flight.doubts() == ["", "", ""]
+    flight.fly(8.0, moved=0.0)
+    assert all("unconfirmed" in doubt for doubt in flight.doubts())
+
+
 def test_a_row_that_is_learned_anew_is_forgotten_alone() -> None:
     flight = Flown()
-    flight.fly(60.0)
+    """Its turns, too."""
+    flight = in_turns()
     flight.confirmed.forget(PITCH)
     doubts = flight.doubts()
     assert doubts[PITCH].startswith("qdot/de is unconfirmed")
     assert [doubts[ROLL], doubts[YAW]] == ["", ""]
+    flight.fly(TURN, moved=MOVED)
+    flight.fly(8.0, moved=0.0)
+    assert [bool(doubt) for doubt in flight.doubts()] == [False, True, False]
 
 
 def test_a_flight_without_noise_is_judged_too() -> None:

@@ -9,6 +9,7 @@ instruments, inputs (prewhitening; Box, Jenkins and Reinsel, Time Series Analysi
 from __future__ import annotations
 
 import math
+from collections import deque
 from functools import lru_cache
 
 import numpy as np
@@ -263,21 +264,34 @@ NO_VARIANCE = float(np.finfo(float).eps)
 """Variance, rad^2/s^4, below which a residual has none."""
 
 
+def _bounded(odds: float) -> float:
+    """Return a logarithm of odds within `LARGEST_ODDS`."""
+    return max(min(odds, LARGEST_ODDS), -LARGEST_ODDS)
+
+
 class Confirmation:
     """Evidence for and against the main control derivatives of the moment rows.
 
     A sequential probability ratio test (Wald 1945) a control derivative: does the whitened residual
     look more as if the surface did what is believed, or as if it did nothing? A surface that is
     lost or reversed speaks against it as soon as it moves, one that does not move says nothing, and
-    what was confirmed fades.
+    what was confirmed fades. Where surfaces have their turns, as with doublets on one after the
+    other, it fades no sooner than the next turn is due.
     """
 
     def __init__(self) -> None:
         self._odds = [0.0] * len(ROWS)
+        self._now = 0.0  # Time since the start, s
+        self._recent = [0.0] * len(ROWS)  # Evidence of the last `INDEPENDENT_TIME`
+        self._moved = [-math.inf] * len(ROWS)  # When that was last enough by itself, s
+        # When a turn of the surface began, and how long it had rested before, s
+        self._turns: list[deque[tuple[float, float]]] = [deque() for _ in ROWS]
 
     def forget(self, row: int) -> None:
         """Forget the evidence of a row: its derivatives are learned anew."""
         self._odds[row] = 0.0
+        self._moved[row] = -math.inf
+        self._turns[row].clear()
 
     def add(
         self, white: RowSamples, effect: FloatArray, variance: FloatArray, max_age: float
@@ -297,16 +311,31 @@ class Confirmation:
         """
         # Squared residual if the input did nothing, less the squared residual as it is.
         gain = np.add.reduce(effect * (2.0 * white.residual[: len(ROWS)] + effect), axis=1)
-        self.fade(effect.shape[1] * white.dt, max_age)
+        time = effect.shape[1] * white.dt
+        self.fade(time, max_age)
+        keep = math.exp(-time / INDEPENDENT_TIME)
         for i, (more, spread) in enumerate(zip(gain.tolist(), variance.tolist(), strict=False)):
-            odds = self._odds[i] + 0.5 * more / max(spread, NO_VARIANCE)
-            self._odds[i] = max(min(odds, LARGEST_ODDS), -LARGEST_ODDS)
+            evidence = 0.5 * more / max(spread, NO_VARIANCE)
+            self._odds[i] = _bounded(self._odds[i] + evidence)
+            self._recent[i] = _bounded(keep * self._recent[i] + evidence)
+            if self._recent[i] == LARGEST_ODDS:
+                rested, self._moved[i] = self._now - self._moved[i], self._now
+                if max_age < rested <= MEMORY:
+                    self._turns[i].append((self._now, rested))
 
     def fade(self, time: float, max_age: float) -> None:
-        """Let what was confirmed fade for some time, s; from the largest odds within `max_age`."""
-        if max_age > 0.0:
-            keep = (CONFIRMED / LARGEST_ODDS) ** (time / max_age)
-            self._odds = [keep * odds for odds in self._odds]
+        """Let what was confirmed fade for some time, s.
+
+        From the largest odds within `max_age`, s, after the next turn of the input is due.
+        """
+        self._now += time
+        if max_age <= 0.0:
+            return
+        for i, turns in enumerate(self._turns):
+            while turns and self._now - turns[0][0] > MEMORY:
+                turns.popleft()
+            age = max_age + max((rested for _, rested in turns), default=0.0)
+            self._odds[i] *= (CONFIRMED / LARGEST_ODDS) ** (time / age)
 
     def doubt(self, row: int) -> str:
         """Return why the main control derivative of a row is in doubt; empty if it is not."""

@@ -453,7 +453,8 @@ class SupervisionSettings:
         "controller that needs more certainty.")
     max_age: float = _setting(5.0, "s", (0.0, 1e6), read_only=False, text=
         "Time after which a control derivative is unconfirmed, unless the motion of its surface "
-        "confirms it; 0 for never. Raise it for long cruises in one condition.")
+        "confirms it; where surfaces are excited in turns, the time after the next turn is due. 0 "
+        "for never. Raise it for long cruises in one condition.")
     min_excitation: float = _setting(0.25, "", (0.0, 1.0), read_only=False, text=
         "Variance of an input, relative to its mean variance while learning, below which the "
         "input is quiet. A row whose inputs are all quiet learns less, the quieter they are. 0 "
