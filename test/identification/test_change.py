@@ -82,6 +82,17 @@ def test_a_change_stands_out_from_noise_and_from_learning(
     assert all(first < k < first + 100 for k, _, _ in found[:1])
 
 
+def test_a_change_does_not_hide_behind_the_sigma_that_it_makes() -> None:
+    """Its residual looks like a disturbance that is answered, and sigma grows by that."""
+    chance, detector = np.random.default_rng(2), ChangeDetector(STRUCTURE.mask, 15.0)
+    found: list[tuple[int, int]] = []
+    for k in range(1400):
+        u, since = 0.03 * np.sin(0.1 * k) + 0.01 * chance.normal(), max(k - 1200, 0)
+        data = elevator_means(chance, u, 12.0 * u if since else 0.0)
+        found += update(detector, data, np.full((3, 4), 3.0 + 0.1 * since))
+    assert found == [(1, 8)]
+
+
 def test_slow_gusts_hide_no_change() -> None:
     chance, detector = np.random.default_rng(6), ChangeDetector(STRUCTURE.mask, 15.0)
     found, gust = [], 0.0

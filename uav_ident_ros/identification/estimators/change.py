@@ -80,7 +80,8 @@ class ChangeDetector:
         # of each control derivative: integral of the square of what it seemed to do, and of its
         # input's
         self._energy = self._power = np.zeros(len(self._row))
-        self._newest: deque[tuple[FloatArray, FloatArray]] = deque()
+        # Of the looks of the last `WINDOW_TIME`: energy, power, and what was known
+        self._newest: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque()
 
     def restart(self) -> None:
         """Forget the window: what comes does not continue it."""
@@ -113,6 +114,8 @@ class ChangeDetector:
             The estimate: whitened, as the residuals are.
         sigma : (3, 4) array
             Standard deviations of its control derivatives: what is being learned has not changed.
+            The smaller of those now and before the window count: by what a change leaves in the
+            residuals, they grow themselves.
         """
         self._since_look = 0.0
         newest = self._window[-1]
@@ -122,9 +125,10 @@ class ChangeDetector:
         regressors = _whitened(window.f[:, self._column], window.dt)
         size, power, explained = _fitted(regressors, residual[:, self._row])
         known = np.abs(coefficients[self._row, self._column])
-        unsure = sigma[self._row, self._column - INPUT_COLUMNS.start]
-        unsure = np.hypot(unsure, MODEL_ERROR * known)
-        usual = self._usual(size * size * power, power)
+        sigma = sigma[self._row, self._column - INPUT_COLUMNS.start]
+        self._newest.append((size * size * power, power, sigma))
+        unsure = np.hypot(np.minimum(self._newest[0][2], sigma), MODEL_ERROR * known)
+        usual = self._usual()
         # What is not known cannot be seen to change.
         sure = (np.abs(size) > SURE * np.hypot(unsure, usual)) & (known > SURE * unsure)
         # What the residual rather owes to another input, be its effect unknown, is no change.
@@ -145,15 +149,14 @@ class ChangeDetector:
             self.restart()  # to the new coefficients, the change is in what came before it
         return changes
 
-    def _usual(self, energy: FloatArray, power: FloatArray) -> FloatArray:
+    def _usual(self) -> FloatArray:
         """Return the usual size of what seems to change, rms: model errors come and go.
 
         Each look counts by the power of its input, since the slope along one that hardly moves is
         noise. The newest window does not count yet: a change would become usual itself.
         """
-        self._newest.append((energy, power))
         if len(self._newest) > WINDOW_TIME / LOOK_TIME:
-            energy, power = self._newest.popleft()
+            energy, power, _ = self._newest.popleft()
             self._energy = KEPT * self._energy + energy
             self._power = KEPT * self._power + power
         return np.sqrt(_ratio(self._energy, self._power))
