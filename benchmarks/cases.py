@@ -337,7 +337,17 @@ class Fits:
     hold: FloatArray
     free: FloatArray  # (H, 3) Of the free prediction over each of `HORIZONS`
     measured_force: FloatArray  # (3,) Of the model with measured forces; NaN without them
-    truth: FloatArray  # (3,) Of the model against the noise-free rates; NaN where they are unknown
+    truth: FloatArray  # (3,) As `given_force` against the noise-free rates; NaN if unknown
+
+    @property
+    def given_force(self) -> FloatArray:
+        """Fit of the model with measured forces; of the free one where it takes none."""
+        return given_force(self.model, self.measured_force)
+
+
+def given_force(model: FloatArray, measured_force: FloatArray) -> FloatArray:
+    """Return the fit with measured forces where there is one, else the free one."""
+    return np.where(np.isnan(measured_force), model, measured_force)
 
 
 def score(case: Case, track: Track) -> Fits:
@@ -346,7 +356,8 @@ def score(case: Case, track: Track) -> Fits:
     found = _fit(case, track, rates, force)
     truth = np.full(3, np.nan)
     if case.true_rates is not None:
-        truth = _fit(case, track, case.true_rates, force).model
+        true = _fit(case, track, case.true_rates, force)
+        truth = given_force(true.model, true.measured_force)
     return Fits(found.model, found.hold, found.free, found.measured_force, truth)
 
 

@@ -66,3 +66,7 @@ def test_the_benchmark_scores_a_recorded_flight_as_replay_does(
     assert set(SELECTIONS) >= {cases.LAST_PART}
     np.testing.assert_allclose(fits.model, replayed.model, rtol=1e-9)
     np.testing.assert_allclose(fits.measured_force, replayed.measured_force, rtol=1e-9)
+    # An offline fit has the forces; the paper's structure takes none.
+    np.testing.assert_array_equal(fits.given_force, fits.measured_force)
+    assert not np.isnan(fits.given_force).any()
+    np.testing.assert_array_equal(cases.given_force(fits.model, np.full(3, np.nan)), fits.model)
