@@ -59,7 +59,7 @@ GIVEN = {
     "rounding": {"ROUNDING"},
     "mathematics": {
         "DOUBLET_PEAK", "EULER_LIMIT", "EXTRA", "FEWEST_BLOCKS", "LARGEST_ANGLE",
-        "LARGEST_DEFLECTION", "PASSED",
+        "LARGEST_DEFLECTION", "PASSED", "REVERSED",
     },
     "rigid bodies": {"PRODUCT_SIGMA"},
     "shapes by their names": {"AXES", "PULSES"},

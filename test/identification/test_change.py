@@ -93,6 +93,25 @@ def test_a_change_does_not_hide_behind_the_sigma_that_it_makes() -> None:
     assert found == [(1, 8)]
 
 
+@pytest.mark.parametrize(
+    ("change", "noticed"), [(0.5, True), (2.0, True), (3.0, False), (-3.0, False)]
+)
+def test_no_failure_changes_more_than_a_reversed_surface(change: float, noticed: bool) -> None:
+    """What a yaw damper answers to gusts looks like a rudder of many times its effect.
+
+    After excitation it explains a fifth of the residual, then less than half, then more.
+    """
+    chance, detector = np.random.default_rng(2), ChangeDetector(STRUCTURE.mask, 15.0)
+    found: list[tuple[int, int]] = []
+    for k in range(2400):
+        excited = k < 1200
+        u = (0.2 if excited else 0.03) * chance.normal()
+        more, noise = (0.0, 0.05) if excited else (change * 20.0 * u, 4e-4 * (2400 - k))
+        data = elevator_means(chance, u, more, noise * 3.0 * change**2 + 0.05)
+        found += update(detector, data, np.full((3, 4), 1.0))
+    assert (found[:1] == [(1, 8)]) == noticed
+
+
 def test_slow_gusts_hide_no_change() -> None:
     chance, detector = np.random.default_rng(6), ChangeDetector(STRUCTURE.mask, 15.0)
     found, gust = [], 0.0

@@ -41,6 +41,9 @@ MIN_EXPLAINED = 0.5
 """Share of a row's whitened residual that a change must explain: more than all else together. What
 an autopilot answers to a storm explains up to 0.4."""
 
+REVERSED = 2.0
+"""Change of a control derivative whose surface is reversed, relative to its value."""
+
 PASSED = 6.0
 """Time in which a step passes the regression's filter, to 2 %, times its cut-off."""
 
@@ -131,6 +134,8 @@ class ChangeDetector:
         usual = self._usual()
         # What is not known cannot be seen to change.
         sure = (np.abs(size) > SURE * np.hypot(unsure, usual)) & (known > SURE * unsure)
+        # No failure changes more than a reversed surface; what a damper answers to gusts seems to.
+        sure &= np.abs(size) <= REVERSED * known + SURE * unsure
         # What the residual rather owes to another input, be its effect unknown, is no change.
         left = np.maximum(1.0 - explained, ROUNDING)
         rivals = np.array([np.where(sure, 1.0, left)[self._row == row].min() for row in self._row])
