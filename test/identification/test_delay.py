@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flying import AMPLITUDES as PLANT_AMPLITUDES
 from flying import Message, errors, flight_of, messages, plant_flight, run, settings, worst
 from light_aircraft import LightFlight
 
@@ -262,6 +263,44 @@ def test_how_the_signals_are_cut_and_delayed_before_changes_nothing() -> None:
     assert estimated(cells, 0).delay == pytest.approx(once, abs=1e-9)
     assert once == pytest.approx(0.03, abs=2e-3)
     assert estimated(5, 4).delay == pytest.approx(once, abs=2e-3)
+
+
+def test_quiet_flight_is_left_out_unless_something_is_injected() -> None:
+    """As if the rates came before the inputs: they are answers."""
+    h, cells = 0.01, 6000
+    rng = np.random.default_rng(1)
+    t = np.arange(cells + 1) * 10_000_000
+    x = np.repeat(rng.normal(size=(cells // 20 + 1, 3)), 20, axis=0)[: cells + 1]
+    u = np.hstack((x[:-1], np.zeros((cells, 1))))
+    force = np.zeros((cells + 1, 3))
+
+    def judged(*, excited: bool, injected: float) -> int:
+        bank = DelayBank(0.3)
+        for k in range(0, cells, 50):
+            own, edges = slice(k, k + 50), slice(k, k + 51)
+            block = Block(t[edges], h, x[edges], u[own], force[edges], k == 0)
+            block.excitation = np.full((50, 4), injected)
+            bank.add(block, 0.0, excited)
+        return len(bank._errors)
+
+    assert judged(excited=True, injected=0.0) > FEWEST_BLOCKS
+    assert judged(excited=False, injected=0.1) > FEWEST_BLOCKS
+    assert judged(excited=False, injected=0.0) == 0
+
+
+def test_the_delay_rests_when_the_excitation_ends() -> None:
+    segments = (Segment("multisine", 0.0, 40.0, PLANT_AMPLITUDES, seed=1),)
+    autopilot, air = SMALL_UAV_AUTOPILOT, ColouredNoise(0.3, 0.3)
+    flight = plant_flight(75.0, segments=segments, delay=0.06, gusts=air, autopilot=autopilot)
+    m = measure(flight, NOISY)
+    identifier = OnlineIdentifier(settings(m, actuators__delay=0.0, actuators__estimate_delay=True))
+    start, looks = int(m.imu_t_ns[0]), []
+    for after, until in ((0.0, 50.0), (50.0, 75.0)):
+        part = [m for m in messages(m) if after <= (m.t_ns - start) * 1e-9 < until]
+        run(identifier, part)
+        looks.append(identifier.delays.errors)
+    np.testing.assert_array_equal(*looks)
+    assert identifier.delay == pytest.approx(0.06, abs=0.015)
 
 
 def curve(best: float, lag_cost: float = 1.0, noise: float = 0.01) -> np.ndarray:

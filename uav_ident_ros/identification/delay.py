@@ -4,9 +4,10 @@
 A bank of light models, one for each delay and servo lag, learns from the same flight by least
 squares and predicts it freely, a second at a time and out of sample. The residual of least squares
 finds the delay of whoever answers the aircraft, an autopilot; prediction finds the aircraft's, and
-where nobody moves the inputs on purpose all delays predict alike. Delay and lag do so, too: the
-delay that goes with the lag in use is told well, the split only in calm air. Where somebody excites
-on purpose, the response to that takes the bank's place as soon as it is sure.
+where nobody moves the inputs on purpose all delays predict alike, so quiet flight is left out: the
+answers of an autopilot would in time outweigh what the excitation told. Delay and lag predict
+alike, too: the delay that goes with the lag in use is told well, the split only in calm air. Where
+somebody excites on purpose, the response to that takes the bank's place as soon as it is sure.
 """
 
 from __future__ import annotations
@@ -153,7 +154,7 @@ class _Signals:
     down: FloatArray  # y and z of the unit vector that points down, (W, N + 1, 2)
     airspeed: float
     u: FloatArray  # Means of the inputs over steps, from the earliest that matters, (M, 4)
-    excited: bool  # Whether something was injected on purpose
+    injected: bool  # Whether anything was injected on purpose
 
     @cached_property
     def means(self) -> FloatArray:
@@ -213,7 +214,7 @@ class DelayBank:
 
     def restart(self) -> None:
         """Begin a new stretch of signals; what was learned stays."""
-        self._parts: list[Block] = []
+        self._parts: list[tuple[Block, bool]] = []  # and whether excitation reached it
         self._first: int | None = None
         self._response.restart()
 
@@ -231,30 +232,43 @@ class DelayBank:
         self,
         block: Block,  # Without its flow forces are left out
         delay: float,  # Delay that the block's inputs have, s
+        excited: bool = True,  # Whether the rates answer more than noise and gusts in it
     ) -> bool:
         """Take a block; say whether there is a new estimate."""
         delay_ns = round(delay / NS)
         edges = block.t_ns
-        if self._parts and (self._parts[-1].t_ns[-1] != edges[0] or delay_ns != self._delay_ns):
+        last_ns = self._parts[-1][0].t_ns[-1] if self._parts else edges[0]
+        if last_ns != edges[0] or delay_ns != self._delay_ns:
             self.restart()
         self._delay_ns = delay_ns
         before = max(self._before_ns - delay_ns, 0)
         if self._first is None:
             self._first = int(edges[0]) + before
-        self._parts.append(block)
+        self._parts.append((block, excited))
         renewed = self._work()
         while edges[-1] - max(delay_ns, 0) >= self._first + self._length_ns:
             while self._block is not None:
                 renewed = self._work() or renewed
-            self._block = self._judge_models(self._signals(self._first))
+            signals, first = self._signals(self._first), self._first
             self._first += WINDOW * WINDOWS * round(STEP / NS)
+            if signals.injected or self._excited(first, self._first):
+                self._block = self._judge_models(signals)
             keep = self._first - before
-            self._parts = [part for part in self._parts if part.t_ns[-1] >= keep]
+            self._parts = [part for part in self._parts if part[0].t_ns[-1] >= keep]
         return renewed
+
+    def _excited(self, first: int, last: int) -> bool:
+        """Whether the flight was excited for most of the time from `first` to `last`, ns."""
+        time = sum(
+            min(int(block.t_ns[-1]), last) - max(int(block.t_ns[0]), first)
+            for block, excited in self._parts
+            if excited and block.t_ns[-1] > first and block.t_ns[0] < last
+        )
+        return 2 * time > last - first
 
     def _signals(self, first: int) -> _Signals:
         """Resample what was gathered from `first`, ns, on."""
-        block = join(self._parts)
+        block = join([block for block, _ in self._parts])
         self._has_flow, airspeed = block.flow is not None, 1.0
         values = np.zeros((len(block.x), 7))
         values[:, :3] = block.x
@@ -306,7 +320,7 @@ class DelayBank:
             yield models.score(signals, u[self._pick])
             models.learn(signals, u, self._pick[..., 1:-1:SAMPLE])
             yield None
-        if signals.excited and self._response.windows > 2 * FEWEST_BLOCKS:
+        if signals.injected and self._response.windows > 2 * FEWEST_BLOCKS:
             yield from self._ask_response()
 
     def _ask_response(self) -> Generator[None]:

@@ -450,7 +450,8 @@ class OnlineIdentifier:
         self._estimate(regression.means(), int(block.t_ns[-1]) * NS, stretch.blocks)
         if self.estimator.changes:
             self.running_fit.forget()
-        if self.delays.add(block, self.sampler.delay):
+        excited = bool(self.estimator.learning.any())
+        if self.delays.add(block, self.sampler.delay, excited):
             self._adopt_delay()
 
     def _regress(self, stretch: Stretch, coefficients: FloatArray) -> Regression:
