@@ -108,6 +108,16 @@ def test_what_seemed_early_at_the_start_goes_as_soon_as_there_is_enough_without(
     assert (looked.doubt.max() < 0.01) == settled
 
 
+def test_what_was_late_stays_while_nothing_is_learned() -> None:
+    looked = ModelError(LAYOUT)
+    found = shares(rolled(0.015, seconds=30.0), looked)[-1]
+    quiet = rolled(seconds=2.0)
+    for _ in range(60):
+        looked.add(quiet, np.zeros(3), OPEN_LOOP, KNOWN, restarted=False)
+    assert looked.share == pytest.approx(found)
+    assert looked.share[0] > 0.1
+
+
 def test_what_was_late_at_the_start_stays() -> None:
     looked = ModelError(LAYOUT)
     shares(rolled(0.015, seconds=20.0), looked, settled=False)

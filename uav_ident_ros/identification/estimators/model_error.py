@@ -108,8 +108,10 @@ class ModelError:
             Whether the model that makes the instruments is known. At the start it leaks, and gusts
             are in them; as soon as there are blocks enough without, those of the start go.
         """
-        if restarted:
+        if restarted or not weight.any():
             self._gathered.clear()
+        if not weight.any():
+            return
         self._gathered.append((samples, samples.dt * weight))
         if sum(part.time for part, _ in self._gathered) >= INDEPENDENT_TIME - 0.5 * samples.dt:
             self._close_block()

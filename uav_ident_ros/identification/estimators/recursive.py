@@ -155,7 +155,9 @@ class RecursiveRegression:
         effect = self._linear[MAIN_DERIVATIVES]
         settled = self.information.time.max() >= START_TIME
         restarted = samples.restarted
-        self._error.add(rows, weight, ratio, effect, restarted=restarted, settled=settled)
+        # In quiet flight gusts and an autopilot's answers are all there is to look at.
+        looked = weight * self.learning
+        self._error.add(rows, looked, ratio, effect, restarted=restarted, settled=settled)
         self.model_error, self.height = self._error.doubt, self._error.height
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
