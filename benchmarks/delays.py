@@ -3,11 +3,18 @@
 
 Simulated flights of three aircraft, in the open and the closed loop, in gusts from none to strong,
 with every delay and lag, told neither; flights of a quadrotor, whose autopilot answers every gust;
-and flights on which nobody excites. Printed for each: the
-sum that was found, its sigma, and the largest error in sigmas of any estimate of the flight that
-was sure. With ``--told`` flights of a hovering quadrotor, the light aircraft and the c172p, all
-under autopilots, of which it is told what is injected: the lag is printed, too. With ``--sweep``
-recorded flights: the free fits over 1 s with fixed delays, and with the delay estimated.
+and flights on which nobody excites. Printed for each: the sum that was found, its sigma, and the
+largest error in sigmas of any estimate of the flight that was sure.
+
+With ``--told`` flights of a hovering quadrotor, the light aircraft and the c172p, all under
+autopilots, of which it is told what is injected: the lag is printed, too.
+
+With ``--quiet`` flights that are excited for a minute and again for the last 20 s, with five
+minutes under the autopilot alone between: the delay in use when the quiet begins, how far it moves
+from there at most, and what it is at the end.
+
+With ``--sweep`` recorded flights: the free fits over 1 s with fixed delays, and with the delay
+estimated.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,8 +30,9 @@ import numpy as np
 import verdict_flights
 from light_aircraft import LightFlight
 
-from uav_ident_ros.identification.delay import DelayBank, DelayEstimate
+from uav_ident_ros.identification.delay import SURE_SIGMA, DelayBank, DelayEstimate
 from uav_ident_ros.identification.flow import FlowObserver
+from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.prior import first_values
 from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
@@ -45,6 +53,9 @@ LATE = ((0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.15, 0.0), (0.0, 0.06), (0.08, 0.
 
 EXCITED = 60.0
 """Time of excitation on flights that say what is injected, s."""
+
+QUIET_UNTIL, LONG = 360.0, 380.0
+"""When a long quiet part, which begins at `EXCITED`, ends, and the flight, s."""
 
 PIECE = 100
 """Cells that the bank sees at a time: half a second or a second."""
@@ -72,13 +83,21 @@ class Result(NamedTuple):
 
 
 def plant(
-    seed: int, delay: float, lag: float, gusts: float, closed: bool, excited: bool = True
+    seed: int,
+    delay: float,
+    lag: float,
+    gusts: float,
+    closed: bool,
+    excitation: Sequence[tuple[float, float]] = ((0.0, DURATION),),
+    duration: float = DURATION,
 ) -> Measurements:
     """Fly the aircraft of the paper's structure."""
-    segments = (Segment("multisine", amplitudes=PEAKS, seed=seed),) if excited else ()
+    segments = [
+        Segment("multisine", start, until - start, PEAKS, seed=seed) for start, until in excitation
+    ]
     autopilot = SMALL_UAV_AUTOPILOT if closed else Autopilot()
     flight = PlantFlight(
-        segments, DURATION, vehicle=vehicle("small_uav"), rate=200.0, max_step=2.5e-3,
+        segments, duration, vehicle=vehicle("small_uav"), rate=200.0, max_step=2.5e-3,
         delay=delay, time_constant=lag, gusts=ColouredNoise(gusts, 0.3), autopilot=autopilot,
         seed=seed,
     )  # fmt: skip
@@ -87,11 +106,10 @@ def plant(
 
 def light(seed: int, delay: float, lag: float, gusts: float, **more: Any) -> Measurements:
     """Fly the light aircraft on its autopilot, which turns."""
-    excitation = more.pop("excitation", ((2.0, DURATION),))
+    flown = {"excitation": ((2.0, DURATION),), "duration": DURATION, "bank": 20.0} | more
     return verdict_flights._fly(
-        "light_aircraft", seed, excitation=excitation, duration=DURATION, bank=20.0, wind=gusts,
-        delay=delay, time_constant=lag, **more,
-    )  # fmt: skip
+        "light_aircraft", seed, wind=gusts, delay=delay, time_constant=lag, **flown
+    )
 
 
 def quadrotor(seed: int, delay: float, gusts: float) -> Measurements:
@@ -125,7 +143,7 @@ def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
                    partial(quadrotor, seed, delay, gusts))  # fmt: skip
     for gusts in (0.3, 1.0):
         yield (f"plant, feedback, gusts {gusts:g}", False,
-               partial(plant, seed, 0.06, 0.0, gusts, True, False))  # fmt: skip
+               partial(plant, seed, 0.06, 0.0, gusts, True, ()))  # fmt: skip
         yield (f"light, feedback, wind {gusts:g}", False,
                partial(light, seed, 0.05, 0.0, gusts, excitation=()))  # fmt: skip
         yield (f"light, stiff feedback, wind {gusts:g}", False,
@@ -191,6 +209,59 @@ def told_trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
         for air, delay, lag in product(airs, (0.0, 0.06, 0.1), (0.0, 0.06, 0.12)):
             name = f"{kind}, {1e3 * delay:.0f} + {1e3 * lag:.0f} ms, wind {air:g}"
             yield name, True, partial(told, kind, seed, delay, lag, air)
+
+
+def quiet_trials(seed: int) -> Iterator[tuple[str, Any]]:
+    """Yield name and what flies it, of flights with a long quiet part."""
+    spans: dict[str, Any] = {
+        "excitation": ((2.0, EXCITED), (QUIET_UNTIL, LONG)), "duration": LONG,
+    }  # fmt: skip
+    for (delay, lag), gusts in product(((0.0, 0.0), (0.06, 0.0), (0.08, 0.06)), (0.3, 1.0)):
+        name = f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms"
+        yield (f"plant, {name}, gusts {gusts:g} rad/s^2",
+               partial(plant, seed, delay, lag, gusts, True, **spans))  # fmt: skip
+        yield (f"light, {name}, wind {gusts:g} m/s",
+               partial(light, seed, delay, lag, gusts, **spans))  # fmt: skip
+    for turbulence, delay in product((2, 4), (0.0, 0.06)):
+        yield (f"c172p, {1e3 * delay:.0f} ms, turbulence {turbulence}",
+               partial(verdict_flights._fly, "c172p", seed, wind=turbulence, delay=delay,
+                       bank=20.0, **spans))  # fmt: skip
+
+
+class Held(NamedTuple):
+    """Delay in use over one flight with a long quiet part, s."""
+
+    name: str
+    true: float  # Delay and lag
+    first: float  # When the quiet begins
+    moved: float  # How far it went from there at most
+    end: float
+
+
+def held(trial: tuple[str, Any]) -> Held:
+    """Fly one as the node would, told neither delay nor lag."""
+    name, fly_it = trial
+    m = fly_it()
+    case = cases.measured(m, name, None)
+    untold = {
+        "actuators.delay": 0.0, "actuators.time_constant": 0.0, "actuators.estimate_delay": True,
+        "structure": "augmented" if name.startswith("plant") else "flight_dynamics",
+    }  # fmt: skip
+    track = cases.identify(case, untold)
+    # Half a block later all that was excited is judged.
+    begun = track.at(EXCITED + 0.5 * HORIZONS[-1])
+    after = track.delay[begun:]
+    moved = float(np.abs(after - after[0]).max())
+    true = m.flight.delay + m.flight.time_constant
+    return Held(name, true, float(after[0]), moved, float(after[-1]))
+
+
+def held_line(h: Held) -> str:
+    """One flight in a line."""
+    return (
+        f"{h.name:<36} true {1e3 * h.true:4.0f}  when the quiet begins {1e3 * h.first:4.0f}, "
+        f"moved by {1e3 * h.moved:3.0f}, at the end {1e3 * h.end:4.0f} ms"
+    )
 
 
 def judged(trial: tuple[str, bool, Any]) -> Result:
@@ -283,11 +354,18 @@ def main() -> None:
     """Print what was found."""
     parser = bench.parser(__doc__, seeds=2, workers=2)
     parser.add_argument("--told", action="store_true", help="flights that say what is injected")
+    parser.add_argument("--quiet", action="store_true", help="flights with long quiet parts")
     parser.add_argument("--sweep", action="store_true", help="recorded flights instead")
     options = parser.parse_args()
     if options.sweep:
         flights = filter(cases.is_recorded, cases.RECORDED_DELAY)
         bench.done(sweep, flights, options.workers)
+        return
+    if options.quiet:
+        quiet = [trial for seed in range(1, options.seeds + 1) for trial in quiet_trials(seed)]
+        flown = bench.done(held, quiet, options.workers, held_line)
+        moved = sum(h.moved > SURE_SIGMA for h in flown)
+        print(f"moved by more than {1e3 * SURE_SIGMA:g} ms: {moved} of {len(flown)}")
         return
     chosen = told_trials if options.told else trials
     todo = [trial for seed in range(1, options.seeds + 1) for trial in chosen(seed)]

@@ -44,13 +44,12 @@ from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live
-from uav_ident_ros.simulation.noise import Sensors
+from uav_ident_ros.simulation.preparation import SENSORS
 from uav_ident_ros.simulation.quadrotor_flight import Body, LiveQuadrotor
 from uav_ident_ros.simulation.rate_reference import Manoeuvres
 
 CONFIG = bench.ROOT / "config" / "closed_loop"
 AIRCRAFT = "c172p"
-SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
 SEVERITIES = {"calm": 0, "light": 1, "moderate": 2, "heavy": 4}
 """JSBSim's severities of turbulence."""
 
@@ -58,9 +57,6 @@ START, LONGEST, AFTER = 10.0, 60.0, 2.0
 """When the run is asked for, how long it may last, and how long it is watched afterwards, s."""
 
 LEAD = 0.15
-AIRSPEED = 53.0
-"""Of the aircraft, m/s."""
-
 FAULT, RELEARNED, TRACKED = 50.0, 5.0, 8.0
 """When the motor of the quadrotor fails, how much later it is to be relearned, and the time before
 the fault and after its first two seconds over which tracking is measured, s."""
@@ -109,7 +105,6 @@ class Flight:
         if name == AIRCRAFT:
             self.aircraft = LiveAircraft(name, SENSORS, delay, (), seed)
             self.aircraft.apply(Fault("turbulence", value=float(severity)))
-            identified |= {"airspeed.reference": AIRSPEED}
             guide = (0.5, 0.1)
         else:
             self.aircraft = LiveQuadrotor(SENSORS, delay, (), seed)
@@ -172,13 +167,14 @@ def fly(job: tuple[str, int, bool]) -> Found:
                 break
     seen = np.array(rows)
     limits = flight.settings.excitation
-    truth = cruise_derivatives(AIRCRAFT)
+    truth = cruise_derivatives(AIRCRAFT, flight.settings.airspeed.reference)
+    learned = flight.identifier.coefficient_set()
     errors, sigmas = {}, {}
     for name in DOMINANT:
         index = flight.identifier.structure.index(name)
-        error = float(flight.estimate.coefficients[index]) - truth[name]
+        error = float(learned.values[index]) - truth[name]
         errors[name] = error / abs(truth[name])
-        sigmas[name] = error / max(float(flight.estimate.sigma[index]), 1e-12)
+        sigmas[name] = error / max(float(learned.sigma[index]), 1e-12)
     return Found(
         severity, seed, excited, flight.run.why,
         (flight.aircraft.time if ended is None else ended) - START,
