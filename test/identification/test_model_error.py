@@ -10,7 +10,7 @@ from uav_ident_ros.identification.structure import STRUCTURES
 
 STRUCTURE = STRUCTURES["augmented"]
 LAYOUT = layout(STRUCTURE)
-DT, EVERYWHERE, OPEN_LOOP = 0.05, np.ones(3), np.zeros((LAYOUT.rows, LAYOUT.width))
+DT, EVERYWHERE, OPEN_LOOP = 0.05, np.ones(3), np.zeros(3)
 AILERON = 10
 DAMPING, EFFECT = -6.0, 40.0
 KNOWN = np.array([EFFECT, -30.0, -9.0])
@@ -42,7 +42,7 @@ def shares(
     found = []
     for k in range(0, samples.count, 2):
         part = RowSamples(samples.signals[:, k : k + 2], samples.dt)
-        looked.add(part, EVERYWHERE, ratio, KNOWN, restarted=k == 0, settled=settled)
+        looked.add(part, EVERYWHERE, ratio, 0.0, KNOWN, restarted=k == 0, settled=settled)
         found.append(looked.share)
     return np.array(found)
 
@@ -113,7 +113,7 @@ def test_what_was_late_stays_while_nothing_is_learned() -> None:
     found = shares(rolled(0.015, seconds=30.0), looked)[-1]
     quiet = rolled(seconds=2.0)
     for _ in range(60):
-        looked.add(quiet, np.zeros(3), OPEN_LOOP, KNOWN, restarted=False)
+        looked.add(quiet, np.zeros(3), OPEN_LOOP, 0.0, KNOWN, restarted=False)
     assert looked.share == pytest.approx(found)
     assert looked.share[0] > 0.1
 
@@ -134,13 +134,15 @@ def test_a_row_that_is_learned_anew_is_forgotten() -> None:
     looked = ModelError(LAYOUT)
     for seed in range(40):
         looked.add(
-            rolled(0.02, seconds=2.0, seed=seed), EVERYWHERE, OPEN_LOOP, KNOWN, restarted=True
+            rolled(0.02, seconds=2.0, seed=seed), EVERYWHERE, OPEN_LOOP, 0.0, KNOWN, restarted=True
         )
     assert looked.share[0] > 0.1
     looked.forget(0)
     assert looked.share[0] == 0.0
     for seed in range(20):
-        looked.add(rolled(seconds=2.0, seed=seed), EVERYWHERE, OPEN_LOOP, KNOWN, restarted=True)
+        looked.add(
+            rolled(seconds=2.0, seed=seed), EVERYWHERE, OPEN_LOOP, 0.0, KNOWN, restarted=True
+        )
     assert looked.share[0] == 0.0
 
 
@@ -159,8 +161,30 @@ def test_an_aileron_that_answers_gusts_is_not_called_late(seed: int) -> None:
     residual = np.outer(gusts, [1.0, 0.0, 0.0])
     samples = RowSamples.of(Regression.of(y, f, f, DT), residual, LAYOUT)
     assert share(samples)[0] > 0.1
-    answers = np.where(LAYOUT.index == AILERON, 0.5, 0.0)
+    answers = np.array([0.5, 0.0, 0.0])
     assert share(samples, answers).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_gusts_that_roll_and_push_make_no_height_where_they_are_answered() -> None:
+    """As if the accelerometer were half a metre up."""
+    rng, places = np.random.default_rng(1), layout(STRUCTURES["flight_dynamics"])
+    p = np.convolve(rng.normal(size=1200), np.ones(10), "same")
+    signals = np.zeros((places.rows, len(p), 2 + 2 * places.width))
+    samples = RowSamples(signals, DT)
+    samples.f[3, :, places.rolling[0]] = samples.z[3, :, places.rolling[0]] = p
+    samples.y[3] = samples.residual[3] = 0.5 * np.diff(p, prepend=0.0) / DT + 10.0 * rng.normal(
+        size=len(p)
+    )
+
+    def height(roll_ratio: float) -> float:
+        looked = ModelError(places)
+        for k in range(0, samples.count, 2):
+            part = RowSamples(signals[:, k : k + 2], DT)
+            looked.add(part, EVERYWHERE, OPEN_LOOP, roll_ratio, KNOWN, restarted=k == 0)
+        return looked.height
+
+    assert height(0.0) == pytest.approx(0.5, rel=0.2)
+    assert height(0.5) == 0.0
 
 
 @pytest.mark.parametrize("seed", range(8))

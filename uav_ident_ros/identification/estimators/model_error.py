@@ -85,6 +85,7 @@ class ModelError:
         samples: RowSamples,
         weight: FloatArray,
         ratio: FloatArray,
+        roll_ratio: float,
         effect: FloatArray,
         *,
         restarted: bool,
@@ -98,8 +99,10 @@ class ModelError:
             The samples.
         weight : (3,) array
             How much they count in each row.
-        ratio : (3, k) array
-            q of the instruments as `Feedback` has it: an input that answers looks late.
+        ratio : (3,) array
+            q of each row's main input as `Feedback` has it: one that answers looks late.
+        roll_ratio : float
+            The same of what rolls the aircraft: the gust that it answers pushes sideways, too.
         effect : (3,) array
             Control derivative of each row's main input.
         restarted : bool
@@ -116,9 +119,7 @@ class ModelError:
         if sum(part.time for part, _ in self._gathered) >= INDEPENDENT_TIME - 0.5 * samples.dt:
             self._close_block()
             self._settled += settled
-            own = np.zeros(len(self._entries))
-            own[: len(ROWS)] = ratio[range(len(ROWS)), self._entries[: len(ROWS)]]
-            self._look(own, effect)
+            self._look(np.append(ratio, roll_ratio)[: len(self._entries)], effect)
 
     def _close_block(self) -> None:
         """Add up what was gathered."""

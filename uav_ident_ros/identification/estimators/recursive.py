@@ -81,7 +81,7 @@ class RecursiveRegression:
         self._layout = layout(self._structure)
         self._error = ModelError(self._layout)
         inputs_known = start.known_before(self._structure)[: len(ROWS), INPUT_COLUMNS]
-        self._known_before = inputs_known.any(axis=1, keepdims=True)
+        self._known_before = inputs_known.any(axis=1)
         self._feedback = Feedback(self._layout)
         self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
         self._injected = False
@@ -148,16 +148,16 @@ class RecursiveRegression:
         else:
             self._feedback.add(samples, moments, weight)
             self.answers = self._feedback.share
-        # No disturbance is in what is injected. Late or answering gusts: where nothing was known
-        # before, either is a reason to deny.
-        counts = False if samples.injected else self._known_before
-        ratio = counts * self._feedback.ratio[: len(ROWS)]
+        # No disturbance is in what is injected.
+        answers = (not samples.injected) * self._feedback.ratio[range(len(ROWS)), self._layout.main]
+        # Late or answering gusts: where nothing was known before, either is a reason to deny.
+        ratio, rolls = answers * self._known_before, float(answers[0])
         effect = self._linear[MAIN_DERIVATIVES]
         settled = self.information.time.max() >= START_TIME
         restarted = samples.restarted
         # In quiet flight gusts and an autopilot's answers are all there is to look at.
         looked = weight * self.learning
-        self._error.add(rows, looked, ratio, effect, restarted=restarted, settled=settled)
+        self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
         self.model_error, self.height = self._error.doubt, self._error.height
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
