@@ -19,6 +19,7 @@ from uav_ident_ros.identification.delay import (
     FEWEST_BLOCKS,
     LAGS,
     STEP,
+    SURE_SIGMA,
     SYSTEMATIC_ERROR,
     DelayBank,
     DelayEstimate,
@@ -350,6 +351,20 @@ def test_answers_that_come_after_the_motion_are_no_early_inputs(
     estimate = judge(bowl * noise, early, opposed=opposed)
     assert estimate.sure == told
     assert bool(estimate.off(0.2)) == told
+
+
+@pytest.mark.parametrize(("total", "told"), [(0.015, True), (0.2, False)])
+def test_no_lag_is_possible_that_needs_inputs_before_they_are_given(
+    total: float, told: bool
+) -> None:
+    """All lags predict alike, each with the delay that leaves the sum as it is."""
+    delays = STEP * np.arange(-8, 13)
+    best = total - np.array(LAGS)
+    bowl = np.exp(((delays - best[:, None]) / 0.1) ** 2)[None, :, :, None] * np.ones((6, 1, 1, 3))
+    noise = np.exp(0.01 * np.random.default_rng(1).normal(size=bowl.shape))
+    estimate = judge(bowl * noise, delays)
+    assert estimate.total == pytest.approx(total, abs=SYSTEMATIC_ERROR)
+    assert (estimate.hidden < 0.5 * SURE_SIGMA) == told
 
 
 def test_lags_that_predict_alike_leave_their_sum_with_the_delay_unknown() -> None:

@@ -475,7 +475,9 @@ def judge(
     # It is the squared error, not its logarithm, that is a parabola.
     squares = np.exp(means - means.min(axis=2, keepdims=True)).mean(axis=3)
     best, _, _ = _vertices(squares, delays)
-    weight = np.where(inside, np.exp((least[:, :1] - least) / ALIKE), 0.0)
+    # A lag that is too long makes inputs act before they are given.
+    early = np.minimum(best / SURE_SIGMA, 0.0)
+    weight = np.where(inside, np.exp((least[:, :1] - least) / ALIKE - 0.5 * early**2), 0.0)
     weight[:, 0] = np.where(inside.any(axis=1), weight[:, 0], 1.0)
     weight /= weight.sum(axis=1, keepdims=True)
     sums = best + LAGS
