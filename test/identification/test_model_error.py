@@ -76,6 +76,23 @@ def test_an_aileron_that_lags_is_found(lag: float) -> None:
     assert share(rolled(lag=lag))[0] > 0.1
 
 
+@pytest.mark.parametrize(("lag", "gain"), [(0.0, 0.0), (0.1, 0.15)])
+def test_an_aileron_that_does_less_the_quicker_it_moves_is_found(lag: float, gain: float) -> None:
+    """A delay stands for its lag: on the whole the command is neither late nor early."""
+    rng, t = np.random.default_rng(1), DT * np.arange(1200)
+    frequencies = np.arange(1.0, 11.0)  # rad/s
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(frequencies))
+    u, acting = (
+        0.02 * (size * np.sin(np.outer(t, frequencies) + phases)).sum(axis=1)
+        for size in (1.0, 1.0 / np.hypot(1.0, lag * frequencies))
+    )
+    y, f = np.zeros((len(t), 3)), np.zeros((len(t), STRUCTURE.size))
+    y[:, 0] = EFFECT * acting + 0.1 * rng.normal(size=len(t))
+    f[:, AILERON] = u
+    found = share(RowSamples.of(Regression.of(y, f, f, DT), y, LAYOUT))
+    assert found[0] == pytest.approx(gain, abs=0.05)
+
+
 def early(seconds: float = 60.0, noise: float = 0.3) -> tuple[RowSamples, float]:
     """A lag of 0.1 s is told that is not there: the command is lagged, what acts is not."""
     samples = rolled(seconds=seconds, noise=noise)

@@ -291,6 +291,7 @@ def _incomplete(row: int, share: float) -> str:
     surface = MAIN_INPUTS[ROWS[row]]
     return (
         f"{ROWS[row]} follows {surface} badly: {100.0 * min(share, 1.0):.0f} % of the effect is "
-        "late, early, or missing at large deflections (a servo lag, a delay or a limit of travel); "
+        "late, early, or missing at large or quick deflections (a servo lag, a delay or a limit of "
+        "travel); "
         "correct 'actuators.time_constant', 'actuators.delay' or 'actuators.upper_limit'"
     )

@@ -4,10 +4,11 @@
 A servo lag or a limit of travel that nobody told leaves little in the residual: damping takes up
 most of it. So they are looked for beside all other regressors of a row, in a regression of its own,
 
-    y = A f + c1 u|u| + c2 du/dt,
+    y = A f + c1 u|u| + c2 du/dt - c3 d2u/dt2,
 
 with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16). Where
-c1 takes away from what the input does, it saturates; where c2 does, it acts late. Then the control
+c1 takes away from what the input does, it saturates; where c2 does, it acts late; where c3 does, it
+does less the quicker it moves, as with a servo lag for which a delay stands. Then the control
 derivative is off by about as much. Where c2 adds to it, it acts early: a lag or a delay was told
 that is not there, and all derivatives may be off by several times.
 
@@ -31,8 +32,12 @@ ACQUITTED = 0.5 * DOUBTLESS
 LOADING = 1e-4
 """Added to the information, relative to its diagonal: the input and its square are alike."""
 
-EXTRA = 2
-"""Regressors that are added."""
+SATURATION, LATENESS, ATTENUATION = range(3)
+EXTRA = 3
+"""Regressors that are added, and their number.
+
+The first and the last are looked for one at a time: all three need longer than a cold start has.
+"""
 
 
 class ModelError:
@@ -46,8 +51,8 @@ class ModelError:
     Attributes
     ----------
     share : (3,) array
-        What is taken away by lateness or saturation, whichever is more, relative to what the input
-        does, both in rms; 0 where it is no more than chance.
+        What is taken away by saturation, lateness or attenuation, whichever is most, relative to
+        what the input does, both in rms; 0 where it is no more than chance.
     height : float
         Of the accelerometer above where it is said to be, m; 0 where it is no more than chance.
     """
@@ -59,8 +64,9 @@ class ModelError:
         # of each block, the sum of z f^T, z z^T and z y side by side, and of the squared residuals
         self._blocks: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=BLOCKS)
         self._settled = 0  # of these, the newest, whose instruments a known model made
-        # Of all blocks, and of those: what was found, and is not taken back yet
-        self._sure: BoolArray = np.zeros((2, len(self._entries), EXTRA), dtype=bool)
+        # What was found and is not taken back yet: of all blocks saturation and lateness, and
+        # attenuation and lateness; of the newest saturation and lateness
+        self._sure: BoolArray = np.zeros((3, len(self._entries), 2), dtype=bool)
         self.share: FloatArray = np.zeros(len(ROWS))
         self._early = 0.0
         self.height = 0.0
@@ -137,12 +143,14 @@ class ModelError:
         self._blocks.append((products, squares))
 
     def _extended(self, regressors: FloatArray, dt: float) -> FloatArray:
-        """Regressors (rows, m, k), or instruments, with u|u| and du/dt of each row's u."""
+        """Regressors (rows, m, k), or instruments, with those added that each row's u makes."""
         u = regressors[range(len(self._entries)), :, self._entries]
         extended = np.zeros((*u.shape, regressors.shape[-1] + EXTRA))
         extended[..., :-EXTRA] = regressors
-        extended[..., -2] = u * np.abs(u)
-        extended[:, 1:, -1] = (u[:, 1:] - u[:, :-1]) / dt
+        extra = extended[..., -EXTRA:]
+        extra[..., SATURATION] = u * np.abs(u)
+        extra[:, 1:, LATENESS] = (u[:, 1:] - u[:, :-1]) / dt
+        extra[:, 1:-1, ATTENUATION] = (2.0 * u[:, 1:-1] - u[:, 2:] - u[:, :-2]) / dt**2
         return extended
 
     def _look(self, ratio: FloatArray, effect: FloatArray) -> None:
@@ -151,30 +159,37 @@ class ModelError:
         A model that leaks lets gusts into the instruments, which the inputs then seem to foretell.
         """
         blocks, squares = (np.array(part) for part in zip(*self._blocks, strict=True))
-        k = blocks.shape[2]
+        k = blocks.shape[2] - EXTRA + 2
         if len(blocks) <= k:
             return  # as many coefficients leave no scatter to judge by
-        found, self.height = self._found(blocks, squares, self._sure[0], ratio, effect)
-        self.share = np.maximum(found, 0.0).max(axis=1)
+        found, size = self._found(blocks, squares, SATURATION, self._sure[0], ratio, effect)
+        slow, _ = self._found(blocks, squares, ATTENUATION, self._sure[1], ratio, effect)
+        self.height = float(size[len(ROWS) :, 1].sum())
+        taken = np.column_stack((found, slow[:, 0]))[: len(ROWS)]
+        self.share = np.maximum(taken, 0.0).max(axis=1)
         if self._settled > k:
-            newest = slice(-min(self._settled, BLOCKS), None)
-            found, _ = self._found(blocks[newest], squares[newest], self._sure[1], ratio, effect)
-        self._early = -found[:, 1].min(initial=0.0)
+            blocks, squares = (part[-self._settled :] for part in (blocks, squares))
+            found, _ = self._found(blocks, squares, SATURATION, self._sure[2], ratio, effect)
+        self._early = -found[: len(ROWS), 1].min(initial=0.0)
 
     def _found(
         self,
         blocks: FloatArray,
         squares: FloatArray,
+        other: int,
         sure: BoolArray,
         ratio: FloatArray,
         effect: FloatArray,
-    ) -> tuple[FloatArray, float]:
-        """Return what each moment row's extra regressors take away, (3, 2), and the height, m.
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what an extra regressor and lateness take away, and their coefficients.
 
-        Solved in units of each regressor's rms; they are compared with their own sigma, and `sure`
-        (rows, 2) follows.
+        Both are (rows, 2), 0 where that may be chance. Solved in units of each regressor's rms;
+        they are compared with their own sigma, and `sure` (rows, 2) follows.
         """
-        k = blocks.shape[2]
+        width = blocks.shape[2]
+        kept = [*range(width - EXTRA), width - EXTRA + other, width - EXTRA + LATENESS]
+        k = len(kept)
+        blocks = blocks[:, :, kept][..., [*kept, *(width + column for column in kept), -1]]
         total = np.add.reduce(blocks)
         zf, zz, zy = total[..., :k], total[..., k:-1], total[..., -1]
         power = np.einsum("ijj->ij", zz)
@@ -187,22 +202,18 @@ class ModelError:
         linear = (gain @ (scale * zy)[:, :, None])[:, :, 0]
         # A block's score, sum of z e, is linear in the coefficients.
         scores = blocks[..., -1] - (blocks[..., :k] @ (linear * scale)[:, :, None])[..., 0]
-        scatter = np.einsum("bij,ilj->bil", scores * scale, gain[:, -EXTRA:])
+        gain = gain[:, -2:]
+        scatter = np.einsum("bij,ilj->bil", scores * scale, gain)
         lost = k / (len(blocks) - k)
         variance = (1.0 + lost) * np.add.reduce(scatter**2)
         # An input that answers looks late, but not as if it stopped short.
-        answers = ratio * np.add.reduce(squares)
-        variance[:, -1] += answers * np.einsum(
-            "ij,ijk,ik->i", gain[:, -1], instruments, gain[:, -1]
-        )
+        answers = (ratio * np.add.reduce(squares))[:, None] * (other != SATURATION, True)
+        variance += answers * np.einsum("ilj,ijk,ilk->il", gain, instruments, gain)
         # What the input does by itself this regression, without a prior, does not know where a loop
         # moves it as the flow goes, or about one large deflection, as another speed asks for.
-        extra, whole = linear[:, -EXTRA:], linear[range(len(linear)), self._entries, None]
+        extra, whole = linear[:, -2:], linear[range(len(linear)), self._entries, None]
         whole[: len(ROWS), 0] = effect / scale[range(len(ROWS)), self._entries[: len(ROWS)]]
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
         least = np.where(sure, ACQUITTED, DOUBTLESS)
         sure[:] = extra**2 > least**2 * variance
-        height = 0.0
-        for row in range(len(ROWS), len(extra)):
-            height = float(extra[row, 1] * scale[row, -1]) if sure[row, 1] else 0.0
-        return np.where(sure, away, 0.0)[: len(ROWS)], height
+        return np.where(sure, away, 0.0), np.where(sure, extra * scale[:, -2:], 0.0)
