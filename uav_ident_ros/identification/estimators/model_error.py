@@ -189,9 +189,8 @@ class ModelError:
         width = blocks.shape[2]
         kept = [*range(width - EXTRA), width - EXTRA + other, width - EXTRA + LATENESS]
         k = len(kept)
-        blocks = blocks[:, :, kept][..., [*kept, *(width + column for column in kept), -1]]
-        total = np.add.reduce(blocks)
-        zf, zz, zy = total[..., :k], total[..., k:-1], total[..., -1]
+        total = np.add.reduce(blocks)[:, kept]
+        zf, zz, zy = total[..., kept], total[..., width:-1][..., kept], total[..., -1]
         power = np.einsum("ijj->ij", zz)
         scale = 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0))
         both = scale[:, :, None] * scale[:, None, :]
@@ -201,8 +200,10 @@ class ModelError:
         gain = np.linalg.solve(projected @ slope + load, projected)
         linear = (gain @ (scale * zy)[:, :, None])[:, :, 0]
         # A block's score, sum of z e, is linear in the coefficients.
-        scores = blocks[..., -1] - (blocks[..., :k] @ (linear * scale)[:, :, None])[..., 0]
-        gain = gain[:, -2:]
+        solved = np.zeros((len(linear), width))
+        solved[:, kept] = linear * scale
+        scores = blocks[..., -1] - (blocks[..., :width] @ solved[:, :, None])[..., 0]
+        scores, gain = scores[..., kept], gain[:, -2:]
         scatter = np.einsum("bij,ilj->bil", scores * scale, gain)
         lost = k / (len(blocks) - k)
         variance = (1.0 + lost) * np.add.reduce(scatter**2)
