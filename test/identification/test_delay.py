@@ -289,6 +289,20 @@ def test_quiet_flight_is_left_out_unless_something_is_injected() -> None:
     assert judged(excited=False, injected=0.0) == 0
 
 
+def test_what_a_hidden_lag_takes_from_an_input_is_its_attenuation() -> None:
+    h, cells, quickness = 0.01, 4000, 6.0
+    t = np.arange(cells + 1)
+    u = np.zeros((cells, 4))
+    u[:, 1] = np.sin(quickness * h * t[1:])
+    motion = 0.01 * np.random.default_rng(1).normal(size=(cells + 1, 6))
+    bank = DelayBank(0.3)
+    bank.add(Block(t * 10_000_000, h, motion[:, :3], u, motion[:, 3:], True), 0.0)
+    for lag in LAGS:
+        bank.estimate = DelayEstimate(hidden=lag)
+        expected = 1.0 - 1.0 / math.hypot(1.0, lag * quickness)
+        assert bank.lost == pytest.approx([0.0, expected, 0.0, 0.0], abs=0.01)
+
+
 def test_the_delay_rests_when_the_excitation_ends() -> None:
     segments = (Segment("multisine", 0.0, 40.0, PLANT_AMPLITUDES, seed=1),)
     autopilot, air = SMALL_UAV_AUTOPILOT, ColouredNoise(0.3, 0.3)

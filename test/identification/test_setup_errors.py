@@ -3,12 +3,16 @@
 
 from functools import cache
 
+import numpy as np
 import pytest
 from flying import flight_of, messages, run, settings
 from light_aircraft import LightFlight
 
+from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.plausibility import SetupErrors
+from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
 
@@ -37,6 +41,19 @@ def test_the_height_of_the_imu_is_found_and_sigma_covers_what_it_does(height: fl
     assert identifier.estimator.height == pytest.approx(height, abs=0.02)
     assert sigma > 1.5 * identifier.estimator.sigma[index]
     assert 0.15 * AILERON < abs(value - AILERON) < 2.0 * sigma
+
+
+def test_sigma_covers_what_a_lag_takes_from_an_input_where_nothing_damps() -> None:
+    structure = STRUCTURES["flight_dynamics"]
+    values, rudder = np.zeros((5, structure.size)), structure.index("rdot/dr")
+    values[rudder] = -9.0
+    sure = DelayEstimate(delay=0.1, sigma=0.01, rise=9.0, hidden=0.1)
+    setup = SetupErrors(structure, 20.0)
+    setup.look(values, sure, 0.1, np.array([0.0, 0.3, 0.0, 0.0]), 0.0, lag_is_told=False)
+    assert setup.widened(np.full(values.shape, 0.1))[rudder] == pytest.approx(2.7, rel=0.01)
+    assert "servo lag are not separated" in setup.denied(values, 4.0)[2]
+    setup.look(values, sure, 0.1, np.array([0.0, 0.3, 0.0, 0.0]), 0.0, lag_is_told=True)
+    assert setup.widened(np.full(values.shape, 0.1))[rudder] == 0.1
 
 
 def test_a_height_that_is_told_is_none_that_is_off() -> None:

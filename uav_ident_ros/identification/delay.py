@@ -75,6 +75,7 @@ KEPT_WEIGHT = 0.02
 """What was learned with another delay counts for so much: it is biased, by tens of percent for
 60 ms, but holds the coefficients until there are new data."""
 
+_KEEP = math.exp(-1.0 / BLOCKS)  # of what was learned, in each block
 _RUDDER, _ELEVATOR = INPUTS.index("dr"), INPUTS.index("de")
 _SURFACES = (_RUDDER, _ELEVATOR)
 # Regressors of the moments: p q r, inputs, constant, ay az.
@@ -201,6 +202,7 @@ class DelayBank:
         first = self._back + 1 + self._early - np.arange(count)
         self._pick = first[:, None, None] + steps  # (J, W, N + 2): one more step on both sides
         self._errors: deque[FloatArray] = deque(maxlen=BLOCKS)
+        self._power: FloatArray = np.zeros((len(LAGS), len(INPUTS)))  # Of the inputs with each lag
         self._block: Iterator[FloatArray | None] | None = None
         self._found: list[FloatArray | None] = []
         self._response, self._told = InjectedResponse(), NO_ESTIMATE
@@ -227,6 +229,13 @@ class DelayBank:
         if not self._errors:
             return np.zeros((len(self.delays), 3))
         return np.asarray(np.exp(_logarithms(np.stack(self._errors))[:, 0].mean(axis=0)))
+
+    @property
+    def lost(self) -> FloatArray:
+        """Share of each input that a lag takes away for which the delay may stand, (4,)."""
+        share = 1.0 - np.sqrt(self._power / np.maximum(self._power[0], np.finfo(float).tiny))
+        share[:, self._power[0] == 0.0] = 0.0
+        return np.array([np.interp(self.estimate.hidden, LAGS, column) for column in share.T])
 
     def add(
         self,
@@ -315,8 +324,10 @@ class DelayBank:
 
     def _judge_models(self, signals: _Signals) -> Iterator[FloatArray | None]:
         """Yield the prediction errors of the models with each lag, (J, 3), and teach them."""
-        for lag, models in zip(LAGS, self._models, strict=True):
+        self._power *= _KEEP
+        for power, lag, models in zip(self._power, LAGS, self._models, strict=True):
             u = _lagged(signals.u, lag)
+            power += u.var(axis=0)
             yield models.score(signals, u[self._pick])
             models.learn(signals, u, self._pick[..., 1:-1:SAMPLE])
             yield None
@@ -362,18 +373,17 @@ class _Models:
     ) -> None:
         """Add a block to what the models are solved from."""
         self._blocks += 1
-        keep = math.exp(-1.0 / BLOCKS)
         own, slopes = signals.means, signals.slopes
         means = sliding_window_view(u, SAMPLE, axis=0).mean(axis=-1)
         f = np.empty((*first.shape, len(_PRECISION)))
         f[..., :3], f[..., _INPUTS], f[..., _CONSTANT:] = own[..., :3], means[first], own[..., 3:]
-        self._moments = keep * self._moments + _products(f, slopes[..., :3])
+        self._moments = _KEEP * self._moments + _products(f, slopes[..., :3])
         edges = 0.5 * (u[1:] + u[:-1])  # the step at an index, and the one after
         moved = (edges[first - 1 + SAMPLE] - edges[first - 1]) / (SAMPLE * STEP)
         f = np.ones((*first.shape, 3))
         for k, surface in enumerate(_SURFACES):
             f[..., 0], f[..., 1] = signals.turning[..., k], moved[..., surface]
-            self._forces[k] = keep * self._forces[k] + _products(f, slopes[..., 3 + k, None])
+            self._forces[k] = _KEEP * self._forces[k] + _products(f, slopes[..., 3 + k, None])
 
     def opposed(
         self,

@@ -587,6 +587,7 @@ class OnlineIdentifier:
             estimator.coefficients,
             delays,
             self.delay,
+            self.delays.lost,
             estimator.height,
             lag_is_told=self.lag > 0.0 or not self.settings.actuators.estimate_delay,
         )

@@ -33,6 +33,7 @@ from uav_ident_ros.identification.scales import (
 )
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import (
+    INPUT_COLUMNS,
     INPUTS,
     MAIN_DERIVATIVES,
     ROWS,
@@ -498,6 +499,7 @@ class SetupErrors:
         values: FloatArray,
         estimate: DelayEstimate,
         delay: float,
+        lost: FloatArray,
         height: float,
         *,
         lag_is_told: bool,
@@ -512,6 +514,8 @@ class SetupErrors:
             What the flight says about the delay.
         delay : float
             Delay in use, s.
+        lost : (4,) array
+            Share of each input that the lag takes away for which the delay may stand.
         height : float
             Height of the accelerometer above where it is said to be, m; 0 for none.
         lag_is_told : bool
@@ -523,7 +527,7 @@ class SetupErrors:
         if estimate.off(delay):
             self._found.append(self._delay_error(values, estimate, delay))
         elif estimate.sure and not lag_is_told:
-            self._found.append(self._lag_error(values, estimate.hidden))
+            self._found.append(self._lag_error(values, estimate.hidden, lost))
         if height:
             self._found.append(self._height_error(values, height))
 
@@ -553,13 +557,17 @@ class SetupErrors:
         off = estimate.off(delay)
         return SetupError(self._late(values, off), estimate.contradiction(delay))
 
-    def _lag_error(self, values: FloatArray, hidden: float) -> SetupError:
+    def _lag_error(self, values: FloatArray, hidden: float, lost: FloatArray) -> SetupError:
         """Return what a servo lag, s, does that a delay stands for.
 
-        The delay makes the input as late; what the lag takes from it, ``1 / (1 + a T)``, stays.
+        The delay makes the input as late. What the lag takes from it stays: ``1 / (1 + a T)`` where
+        damping makes up for it, else what is `lost` of the input.
         """
+        errors = self._late(values, hidden)
+        inputs = errors[:, INPUT_COLUMNS]
+        np.maximum(inputs, lost * np.abs(values[: len(ROWS), INPUT_COLUMNS]), out=inputs)
         return SetupError(
-            self._late(values, hidden),
+            errors,
             f"delay and servo lag are not separated: {1e3 * hidden:.0f} ms of the delay found may "
             "be lag; set 'actuators.time_constant', or excite the aircraft (~/excite)",
         )
