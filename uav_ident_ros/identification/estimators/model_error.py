@@ -32,12 +32,13 @@ ACQUITTED = 0.5 * DOUBTLESS
 LOADING = 1e-4
 """Added to the information, relative to its diagonal: the input and its square are alike."""
 
-SATURATION, LATENESS, ATTENUATION = range(3)
 EXTRA = 3
-"""Regressors that are added, and their number.
+"""Regressors that are added.
 
 The first and the last are looked for one at a time: all three need longer than a cold start has.
 """
+
+_SATURATION, _LATENESS, _ATTENUATION = range(EXTRA)
 
 
 class ModelError:
@@ -148,9 +149,9 @@ class ModelError:
         extended = np.zeros((*u.shape, regressors.shape[-1] + EXTRA))
         extended[..., :-EXTRA] = regressors
         extra = extended[..., -EXTRA:]
-        extra[..., SATURATION] = u * np.abs(u)
-        extra[:, 1:, LATENESS] = (u[:, 1:] - u[:, :-1]) / dt
-        extra[:, 1:-1, ATTENUATION] = (2.0 * u[:, 1:-1] - u[:, 2:] - u[:, :-2]) / dt**2
+        extra[..., _SATURATION] = u * np.abs(u)
+        extra[:, 1:, _LATENESS] = (u[:, 1:] - u[:, :-1]) / dt
+        extra[:, 1:-1, _ATTENUATION] = (2.0 * u[:, 1:-1] - u[:, 2:] - u[:, :-2]) / dt**2
         return extended
 
     def _look(self, ratio: FloatArray, effect: FloatArray) -> None:
@@ -162,14 +163,14 @@ class ModelError:
         k = blocks.shape[2] - EXTRA + 2
         if len(blocks) <= k:
             return  # as many coefficients leave no scatter to judge by
-        found, size = self._found(blocks, squares, SATURATION, self._sure[0], ratio, effect)
-        slow, _ = self._found(blocks, squares, ATTENUATION, self._sure[1], ratio, effect)
+        found, size = self._found(blocks, squares, _SATURATION, self._sure[0], ratio, effect)
+        slow, _ = self._found(blocks, squares, _ATTENUATION, self._sure[1], ratio, effect)
         self.height = float(size[len(ROWS) :, 1].sum())
         taken = np.column_stack((found, slow[:, 0]))[: len(ROWS)]
         self.share = np.maximum(taken, 0.0).max(axis=1)
         if self._settled > k:
             blocks, squares = (part[-self._settled :] for part in (blocks, squares))
-            found, _ = self._found(blocks, squares, SATURATION, self._sure[2], ratio, effect)
+            found, _ = self._found(blocks, squares, _SATURATION, self._sure[2], ratio, effect)
         self._early = -found[: len(ROWS), 1].min(initial=0.0)
 
     def _found(
@@ -187,7 +188,7 @@ class ModelError:
         they are compared with their own sigma, and `sure` (rows, 2) follows.
         """
         width = blocks.shape[2]
-        kept = [*range(width - EXTRA), width - EXTRA + other, width - EXTRA + LATENESS]
+        kept = [*range(width - EXTRA), width - EXTRA + other, width - EXTRA + _LATENESS]
         k = len(kept)
         total = np.add.reduce(blocks)[:, kept]
         zf, zz, zy = total[..., kept], total[..., width:-1][..., kept], total[..., -1]
@@ -208,7 +209,7 @@ class ModelError:
         lost = k / (len(blocks) - k)
         variance = (1.0 + lost) * np.add.reduce(scatter**2)
         # An input that answers looks late, but not as if it stopped short.
-        answers = (ratio * np.add.reduce(squares))[:, None] * (other != SATURATION, True)
+        answers = (ratio * np.add.reduce(squares))[:, None] * (other != _SATURATION, True)
         variance += answers * np.einsum("ilj,ijk,ilk->il", gain, instruments, gain)
         # What the input does by itself this regression, without a prior, does not know where a loop
         # moves it as the flow goes, or about one large deflection, as another speed asks for.
