@@ -22,7 +22,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
-from unittest.mock import patch
 
 import bench
 import cases
@@ -151,20 +150,6 @@ def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
                        yaw_damper=0.3))  # fmt: skip
 
 
-class LaggedAircraft(jsbsim_flight.LiveAircraft):
-    """One whose surfaces follow with a first-order lag; its throttle does not."""
-
-    lag = 0.0
-    _at: FloatArray | None = None
-
-    def _fly(self, acting: FloatArray, moved: bool) -> None:
-        if self.lag > 0.0:
-            before = acting if self._at is None else self._at
-            keep = np.exp(-1.0 / (self.rate * self.lag)) * np.array([1.0, 1.0, 1.0, 0.0])
-            acting = self._at = acting + keep * (before - acting)
-        super()._fly(acting, moved or self.lag > 0.0)
-
-
 def told(kind: str, seed: int, delay: float, lag: float, gusts: float) -> Told:
     """Fly one and say what was injected."""
     peaks, band = verdict_flights.PEAKS, (0.2, 2.0)
@@ -193,8 +178,7 @@ def told(kind: str, seed: int, delay: float, lag: float, gusts: float) -> Told:
             **common,
         )  # fmt: skip
         sensors = verdict_flights.SENSORS
-    LaggedAircraft.lag = lag
-    with patch.object(jsbsim_flight, "LiveAircraft", LaggedAircraft):
+    with verdict_flights.lagging(lag):
         flight = replace(plan.fly(), time_constant=lag)
     given = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9)
     return Told(measure(flight, sensors, seed), given)

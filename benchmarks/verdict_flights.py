@@ -2,10 +2,13 @@
 """Flights that try whether "usable" means usable, class by class, and the truth about each."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import cases
 import numpy as np
@@ -14,6 +17,7 @@ from light_aircraft import LightFlight
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import INPUTS, FloatArray, Structure
+from uav_ident_ros.simulation import jsbsim_flight
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
@@ -106,6 +110,28 @@ def warm_start(structure: Structure, true: Mapping[str, float]) -> CoefficientSe
     return CoefficientSet(structure.name, values, sigma)
 
 
+class _LaggedAircraft(jsbsim_flight.LiveAircraft):
+    """One whose surfaces follow with a first-order lag; its throttle does not."""
+
+    lag = 0.0
+    _at: FloatArray | None = None
+
+    def _fly(self, acting: FloatArray, moved: bool) -> None:
+        if self.lag > 0.0:
+            before = acting if self._at is None else self._at
+            keep = np.exp(-1.0 / (self.rate * self.lag)) * np.array([1.0, 1.0, 1.0, 0.0])
+            acting = self._at = acting + keep * (before - acting)
+        super()._fly(acting, moved or self.lag > 0.0)
+
+
+@contextmanager
+def lagging(lag: float) -> Iterator[None]:
+    """Let the surfaces of JSBSim's aircraft lag, s."""
+    _LaggedAircraft.lag = lag
+    with patch.object(jsbsim_flight, "LiveAircraft", _LaggedAircraft):
+        yield
+
+
 def _fly(
     aircraft: str,
     seed: int,
@@ -118,6 +144,7 @@ def _fly(
     wind: float = 0.0,
     changes: tuple[CoefficientChange, ...] = (),
     delay: float = DELAY,
+    time_constant: float = 0.0,
     sensors: Sensors = SENSORS,
     spoil: Callable[[Measurements], Measurements] | None = None,
     **light: Any,
@@ -131,7 +158,7 @@ def _fly(
     if aircraft == "light_aircraft":
         plan: Plan = LightFlight(
             segments, duration, bank=bank, gust=wind, changes=changes, delay=delay, seed=seed,
-            **light,
+            time_constant=time_constant, **light,
         )  # fmt: skip
     else:
         faults = [
@@ -143,7 +170,9 @@ def _fly(
             segments, duration, 200.0, 50.0, aircraft=aircraft, bank=bank, turbulence=int(wind),
             faults=faults, delay=delay, seed=seed,
         )  # fmt: skip
-    measured = measure(replace(plan.fly(), changes=changes), sensors, seed)
+    with lagging(time_constant):
+        flight = replace(plan.fly(), changes=changes, time_constant=time_constant)
+    measured = measure(flight, sensors, seed)
     return measured if spoil is None else spoil(measured)
 
 
@@ -230,6 +259,23 @@ def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
     ):  # fmt: skip
         fields, flight = {"settings": settings}, {**flight, **ALWAYS, "duration": length * 110.0}
         yield _trial("unmodelled", seed, aircraft, words, fields, **flight)
+
+
+def _untold(seed: int, length: float) -> Iterator[Trial]:
+    """Excited, told neither delay nor lag: the flight is to show them."""
+    settings = {
+        "actuators.delay": 0.0, "actuators.time_constant": 0.0, "actuators.estimate_delay": True,
+    }  # fmt: skip
+    late = ((0.0, 0.0), (0.05, 0.0), (0.0, 0.06), (0.05, 0.12))
+    for aircraft, wind in (("light_aircraft", 0.5), ("c172p", 2), ("T37", 2), ("A4", 2),
+                           ("ultra_stick_25e", 2)):  # fmt: skip
+        for (delay, lag), rough in product(late, (False, True)):
+            words = f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms, {'wind' if rough else 'calm'}"
+            flight = {"bank": 20.0, "wind": rough * wind, "delay": delay, "time_constant": lag}
+            fields, duration = {"settings": settings}, length * 110.0
+            yield _trial(
+                "untold", seed, aircraft, words, fields, duration=duration, **flight, **ALWAYS
+            )
 
 
 def _weak(seed: int, length: float) -> Iterator[Trial]:
@@ -390,6 +436,7 @@ CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
     "feedback": _feedback,
     "old_knowledge": _old_knowledge,
     "unmodelled": _unmodelled,
+    "untold": _untold,
     "weak": _weak,
     "glitch": _glitch,
     "clean": _clean,
