@@ -241,7 +241,7 @@ class DelayBank:
         self,
         block: Block,  # Without its flow forces are left out
         delay: float,  # Delay that the block's inputs have, s
-        excited: bool = True,  # Whether the rates answer more than noise and gusts in it
+        excited: bool = True,  # Whether more than an autopilot in gusts moves the inputs
     ) -> bool:
         """Take a block; say whether there is a new estimate."""
         delay_ns = round(delay / NS)
