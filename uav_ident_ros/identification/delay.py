@@ -151,7 +151,7 @@ class _Signals:
     """A block on the bank's grid: W windows of N steps."""
 
     x: FloatArray  # Rates at the edges of the steps, (W, N + 1, 3)
-    force: FloatArray  # ay and az there, (W, N + 1, 2)
+    force: FloatArray  # ay and az in the mean of the steps on both sides of them, (W, N + 1, 2)
     down: FloatArray  # y and z of the unit vector that points down, (W, N + 1, 2)
     airspeed: float
     u: FloatArray  # Means of the inputs over steps, from the earliest that matters, (M, 4)
@@ -289,7 +289,12 @@ class DelayBank:
             u = np.concatenate((u, block.excitation), axis=1)
         grid = STEP * np.arange(WINDOW * WINDOWS + 1)
         signals = _interpolate(grid, t, values)
-        added = np.vstack((np.zeros(u.shape[1]), np.cumsum(u * np.diff(t)[:, None], axis=0)))
+        # A step of a surface is one of the force: both are means over the same time.
+        force = 0.5 * (values[1:, 3:5] + values[:-1, 3:5])
+        ends = STEP * np.arange(-1, WINDOW * WINDOWS + 2)
+        sums = _interpolate(ends, t, _integral(force, t))
+        signals[:, 3:5] = (sums[2:] - sums[:-2]) / (2.0 * STEP)
+        added = _integral(u, t)
         before = self._back + _LAG_STEPS + 1
         grid = STEP * np.arange(-before, WINDOW * WINDOWS + self._early + 2)
         means = np.diff(_interpolate(grid, t - self._delay_ns * NS, added), axis=0) / STEP
@@ -419,8 +424,8 @@ class _Models:
             matrix[:, 3 + k, 3 + k] = slopes[k] / v
             drive[:, surface, :3] += own[:, None] * a[:, _FORCES.start + k]
             drive[:, surface, 3 + k] = own * slopes[k] / v
-            begun = signals.force[:, :SAMPLE, k].mean(axis=1)
-            start[..., 3 + k] = begun - own[:, None] * u[:, :, :2, surface].mean(axis=2)
+            moved = u[:, :, :2, surface].mean(axis=2)
+            start[..., 3 + k] = signals.force[:, 0, k] - own[:, None] * moved
         # Step by step, the windows of each side by side: (J, N W, 5).
         flat = u[:, :, 1:-1].swapaxes(1, 2).reshape(count, -1, u.shape[-1])
         driven = flat @ drive + constant[:, None]
@@ -556,6 +561,12 @@ def _vertices(
 def _interpolate(grid: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
     """Columns of values at `t` on a grid."""
     return np.stack([np.interp(grid, t, column) for column in values.T], axis=1)
+
+
+def _integral(cells: FloatArray, t: FloatArray) -> FloatArray:
+    """Integral from the first edge on of values of cells between edges, (M + 1, c)."""
+    added = np.cumsum(cells * np.diff(t)[:, None], axis=0)
+    return np.vstack((np.zeros(cells.shape[1]), added))
 
 
 def _lagged(u: FloatArray, lag: float) -> FloatArray:
