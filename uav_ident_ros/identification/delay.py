@@ -250,7 +250,7 @@ class DelayBank:
         if last_ns != edges[0] or delay_ns != self._delay_ns:
             self.restart()
         self._delay_ns = delay_ns
-        before = max(self._before_ns - delay_ns, 0)
+        before = max(self._before_ns - delay_ns, round(STEP / NS))  # forces reach a step back
         if self._first is None:
             self._first = int(edges[0]) + before
         self._parts.append((block, excited))
