@@ -300,7 +300,7 @@ def test_what_a_hidden_lag_takes_from_an_input_is_its_attenuation() -> None:
     for lag in LAGS:
         bank.estimate = DelayEstimate(hidden=lag)
         expected = 1.0 - 1.0 / math.hypot(1.0, lag * quickness)
-        assert bank.lost == pytest.approx([0.0, expected, 0.0, 0.0], abs=0.01)
+        assert bank.lost() == pytest.approx([0.0, expected, 0.0, 0.0], abs=0.01)
 
 
 def test_the_delay_rests_when_the_excitation_ends() -> None:

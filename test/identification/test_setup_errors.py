@@ -48,11 +48,11 @@ def test_sigma_covers_what_a_lag_takes_from_an_input_where_nothing_damps() -> No
     values, rudder = np.zeros((5, structure.size)), structure.index("rdot/dr")
     values[rudder] = -9.0
     sure = DelayEstimate(delay=0.1, sigma=0.01, rise=9.0, hidden=0.1)
-    setup = SetupErrors(structure, 20.0)
-    setup.look(values, sure, 0.1, np.array([0.0, 0.3, 0.0, 0.0]), 0.0, lag_is_told=False)
+    lost, setup = np.array([0.0, 0.3, 0.0, 0.0]), SetupErrors(structure, 20.0)
+    setup.look(values, sure, 0.1, lambda: lost, 0.0, lag_is_told=False)
     assert setup.widened(np.full(values.shape, 0.1))[rudder] == pytest.approx(2.7, rel=0.01)
     assert "servo lag are not separated" in setup.denied(values, 4.0)[2]
-    setup.look(values, sure, 0.1, np.array([0.0, 0.3, 0.0, 0.0]), 0.0, lag_is_told=True)
+    setup.look(values, sure, 0.1, lambda: lost, 0.0, lag_is_told=True)
     assert setup.widened(np.full(values.shape, 0.1))[rudder] == 0.1
 
 

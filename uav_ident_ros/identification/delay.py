@@ -230,9 +230,8 @@ class DelayBank:
             return np.zeros((len(self.delays), 3))
         return np.asarray(np.exp(_logarithms(np.stack(self._errors))[:, 0].mean(axis=0)))
 
-    @property
     def lost(self) -> FloatArray:
-        """Share of each input that a lag takes away for which the delay may stand, (4,)."""
+        """Return which share of each input a lag takes that the delay may stand for, (4,)."""
         share = 1.0 - np.sqrt(self._power / np.maximum(self._power[0], np.finfo(float).tiny))
         share[:, self._power[0] == 0.0] = 0.0
         return np.array([np.interp(self.estimate.hidden, LAGS, column) for column in share.T])

@@ -47,6 +47,10 @@ SIGNALS = ("p", "q", "r", "ax", "ay", "az")
 AXES = 3
 """Signals of each sensor of an Imu."""
 
+COUNTED_TICKS = 5
+"""Ticks whose repeats are counted at once, where nothing asks for them sooner; no result depends on
+it."""
+
 
 class Look(NamedTuple):
     """What the gates see of a tick."""
@@ -206,6 +210,7 @@ class SensorGate:
 
     def __init__(self) -> None:
         self._repeats: Repeats | None = None
+        self._last: FloatArray = np.zeros(6)
         self._constant_since: FloatArray = np.zeros(6)
         self._moved: BoolArray = np.zeros(6, dtype=bool)
         # Of the rates: the largest magnitude so far, and the range that it has shown to be
@@ -218,56 +223,58 @@ class SensorGate:
         """Return why to pause; empty if there is no reason."""
         t, samples, settings = look.t, look.samples, look.settings.supervision
         if len(samples):
-            problem = self._stuck(t, samples, settings.stuck_time)
+            if self._repeats is None:
+                self._repeats, self._last = Repeats(samples[0]), samples[0]
+            self._repeats.add(samples)
+            size = np.maximum.reduce(np.abs(samples[:, :AXES]))
+            stuck = self._stuck(t, samples, settings.stuck_time, self._repeats)
             problem = (
-                self._saturated(samples, settings.max_rate) or problem or self._clipped(samples)
+                _saturated(size, settings.max_rate)
+                or stuck
+                or self._clipped(samples[-1], size, self._repeats)
             )
             if problem:
                 self._reason, self._bad_until = problem, t + INDEPENDENT_TIME
         return self._reason if t < self._bad_until else ""
 
-    def _saturated(self, samples: FloatArray, max_rate: float) -> str:
-        if max_rate <= 0.0 or largest(samples[:, :3]) < max_rate:
-            return ""
-        signal = SIGNALS[int(np.abs(samples[:, :3]).max(axis=0).argmax())]
-        return f"the gyro is saturated: {signal} reaches {max_rate:g} rad/s"
-
-    def _clipped(self, samples: FloatArray) -> str:
+    def _clipped(self, newest: FloatArray, size: FloatArray, repeats: Repeats) -> str:
         """Find a range smaller than told: a rate stays at the largest value that it ever had."""
-        assert self._repeats is not None
-        size = np.maximum.reduce(np.abs(samples[:, :AXES]))
         self._range[size > self._range] = np.inf
         self._largest = np.maximum(self._largest, size)
-        stays = self._repeats.present[:AXES] >= IN_A_ROW - 1
+        stays = np.abs(newest[:AXES]) >= self._largest
         if stays.any():
-            stays &= self._moved[:AXES] & (np.abs(samples[-1, :AXES]) >= self._largest)
-            stays &= self._repeats.by_chance()[:AXES] < CHANCE
-            self._range[stays] = self._largest[stays]
+            stays &= self._moved[:AXES] & (repeats.present[:AXES] >= IN_A_ROW - 1)
+            if stays.any():
+                stays &= repeats.by_chance()[:AXES] < CHANCE
+                self._range[stays] = self._largest[stays]
         clipped = size >= self._range
-        if not clipped.any():
-            return ""
-        signal = int(clipped.argmax())
-        return f"the gyro is saturated: {SIGNALS[signal]} reaches {self._range[signal]:g} rad/s"
+        return _at_range(int(clipped.argmax()), self._range) if clipped.any() else ""
 
-    def _stuck(self, t: float, samples: FloatArray, stuck_time: float) -> str:
-        if self._repeats is None:
-            self._repeats = Repeats(samples[0])
-        changed = self._repeats.add(samples)
-        if changed.all():  # nearly always
-            self._constant_since.fill(t)
-            self._moved.fill(True)
-            return ""
+    def _stuck(self, t: float, samples: FloatArray, stuck_time: float, repeats: Repeats) -> str:
+        changed = np.logical_or.reduce(samples != self._last)
+        self._last = samples[-1]
         self._moved |= changed
         self._constant_since[changed] = t
         stuck = self._moved & (t - self._constant_since > stuck_time)
         if stuck_time <= 0.0 or not stuck.any():
             return ""
-        stuck &= self._repeats.by_chance() < CHANCE
+        stuck &= repeats.by_chance() < CHANCE
         if not stuck.any():
             return ""
-        self._repeats.strange |= stuck
+        repeats.strange |= stuck
         signal = int(stuck.argmax())
         return f"the Imu is stuck: {SIGNALS[signal]} has not changed for {stuck_time:g} s or more"
+
+
+def _saturated(size: FloatArray, max_rate: float) -> str:
+    """Say which rate is at the range that the settings tell; empty if none is."""
+    signal = int(size.argmax())
+    saturated = 0.0 < max_rate <= size[signal]
+    return _at_range(signal, np.full(AXES, max_rate)) if saturated else ""
+
+
+def _at_range(signal: int, limits: FloatArray) -> str:
+    return f"the gyro is saturated: {SIGNALS[signal]} reaches {limits[signal]:g} rad/s"
 
 
 class Repeats:
@@ -282,41 +289,52 @@ class Repeats:
 
     Attributes
     ----------
-    present : (6,) array
-        Repeats in the run that goes on.
     strange : (6,) bool array
         Signals whose present run of equal values is no habit of theirs: it will not count as one.
     """
 
     def __init__(self, first: FloatArray) -> None:
         self._last = first
-        self.present: FloatArray = np.zeros(len(first))
+        self._waiting: list[FloatArray] = []
+        self._present: FloatArray = np.zeros(len(first))
         # Of runs that have ended: how many there were, and the repeats in them
         self._runs: FloatArray = np.zeros(len(first))
         self._repeats: FloatArray = np.zeros(len(first))
         self._changes: FloatArray = np.ones(len(first))
         self.strange: BoolArray = np.ones(len(first), dtype=bool)  # before it first moved
 
-    def add(self, samples: FloatArray) -> BoolArray:
-        """Add new samples, (k, 6); return which signals have changed in them."""
-        same = samples == np.concatenate([self._last[None], samples[:-1]])
+    def add(self, samples: FloatArray) -> None:
+        """Add new samples, (k, 6); they are counted together with those after them."""
+        self._waiting.append(samples)
+        if len(self._waiting) >= COUNTED_TICKS:
+            self._count()
+
+    @property
+    def present(self) -> FloatArray:
+        """Repeats in the run that goes on, (6,)."""
+        self._count()
+        return self._present
+
+    def _count(self) -> None:
+        """Count what waits."""
+        if not self._waiting:
+            return
+        samples = np.concatenate((self._last[None], *self._waiting))
+        self._waiting.clear()
         self._last = samples[-1]
-        if not same.any() and not self.present.any():  # nearly always
-            self._changes += len(same)
-            return np.ones(len(self._last), dtype=bool)
+        same = samples[1:] == samples[:-1]
         changed: BoolArray = ~np.logical_and.reduce(same)
         repeats = np.add.reduce(same)
         before = np.where(changed, same.argmin(axis=0), len(same))
         after = np.where(changed, same[::-1].argmin(axis=0), len(same))
-        ended = self.present + before
+        ended = self._present + before
         counts = changed & ~self.strange
         starts = np.add.reduce(same[1:] & ~same[:-1]) - (after > 0)
         self._runs += np.where(changed, starts, 0) + (counts & (ended > 0))
         self._repeats += np.where(changed, repeats - before - after, 0) + counts * ended
         self._changes += len(same) - repeats
-        self.present = np.where(changed, after, ended)
+        self._present = np.where(changed, after, ended)
         self.strange &= ~changed
-        return changed
 
     def by_chance(self) -> FloatArray:
         """Return how many of its runs would be as long as the present one by chance, (6,).
@@ -325,11 +343,11 @@ class Repeats:
         what has not been seen, the former stands for the latter. The axes of a sensor round alike,
         and the one that moved least shows how long it can repeat itself.
         """
-        runs = self._runs + 1.0
+        present, runs = self.present, self._runs + 1.0
         first = runs / (self._changes + 1.0)
         another = (self._repeats - self._runs + first) / (self._repeats + 1.0)
         another = np.repeat(another.reshape(-1, AXES).max(axis=1), AXES)
-        return np.asarray(runs * another ** (self.present - 1.0))
+        return np.asarray(runs * another ** (present - 1.0))
 
 
 class RestGate:

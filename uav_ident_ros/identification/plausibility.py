@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -499,7 +499,7 @@ class SetupErrors:
         values: FloatArray,
         estimate: DelayEstimate,
         delay: float,
-        lost: FloatArray,
+        lost: Callable[[], FloatArray],
         height: float,
         *,
         lag_is_told: bool,
@@ -514,8 +514,9 @@ class SetupErrors:
             What the flight says about the delay.
         delay : float
             Delay in use, s.
-        lost : (4,) array
-            Share of each input that the lag takes away for which the delay may stand.
+        lost : callable
+            Returns the share of each input, (4,), that the lag takes away for which the delay may
+            stand.
         height : float
             Height of the accelerometer above where it is said to be, m; 0 for none.
         lag_is_told : bool
@@ -527,7 +528,7 @@ class SetupErrors:
         if estimate.off(delay):
             self._found.append(self._delay_error(values, estimate, delay))
         elif estimate.sure and not lag_is_told:
-            self._found.append(self._lag_error(values, estimate.hidden, lost))
+            self._found.append(self._lag_error(values, estimate.hidden, lost()))
         if height:
             self._found.append(self._height_error(values, height))
 

@@ -52,6 +52,10 @@ COLLINEAR_SHARE = 0.4
 """Component of the eigenvector from which a regressor belongs to the group."""
 
 
+_FROM_KAPPA = np.array([[1.0], [0.0]])
+"""Kappa from which what may answer by chance counts, and what answers for sure."""
+
+
 def diagonal(matrices: FloatArray) -> FloatArray:
     """Return the diagonals of contiguous square matrices (..., k, k), to be changed, (..., k)."""
     *stack, k, _ = matrices.shape
@@ -478,24 +482,22 @@ class Information:
         answer by chance counts, too.
         """
         sums = solution.sums
-        most: FloatArray = np.zeros(gain.shape[:2])
         if not sums.answers[part].any() or not np.isfinite(gain).all():
-            return most
+            return np.zeros(gain.shape[:2])
         # Of H and the mean one is times the time with answers, the other over it: neither here.
         power = solution.transform.swapaxes(-1, -2) @ sums.power[part] @ solution.transform
         level = (self.variance[part] * sums.answer_time[part])[:, None]
         moved = solution.values[part][self._i, self._j] - self._initial[..., 0]
         before = np.maximum(self._prior_variance + moved**2, POWERLESS)[..., None]
-        for kind, from_kappa in ((1, 1.0), (2, 0.0)):
-            values, vectors = np.linalg.eigh(sums.answers[part, :, kind])
-            half = gain @ (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
-            kappa, directions = np.linalg.eigh(half.swapaxes(-1, -2) @ power @ half)
-            along = (half @ directions) ** 2
-            known = 1.0 / np.maximum(np.add.reduce(along / before, axis=1), POWERLESS)
-            reach = np.minimum(level / np.maximum(1.0 - kappa, ROUNDING), known)
-            reach *= kappa >= from_kappa
-            most = np.maximum(most, (along @ reach[..., None])[..., 0])
-        return most
+        values, vectors = np.linalg.eigh(sums.answers[part, :, 1:])
+        vectors *= np.sqrt(np.maximum(values, 0.0))[..., None, :]
+        half = gain[:, None] @ vectors
+        kappa, directions = np.linalg.eigh(half.swapaxes(-1, -2) @ power[:, None] @ half)
+        along = (half @ directions) ** 2
+        known = 1.0 / np.maximum(np.add.reduce(along / before[:, None], axis=-2), POWERLESS)
+        reach = np.minimum(level[:, None] / np.maximum(1.0 - kappa, ROUNDING), known)
+        reach *= kappa >= _FROM_KAPPA
+        return np.asarray(np.maximum.reduce((along @ reach[..., None])[..., 0], axis=1))
 
     def _sigma(
         self, variance: FloatArray, linear: FloatArray, resolution: FloatArray
