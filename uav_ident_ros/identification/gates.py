@@ -210,13 +210,12 @@ class SensorGate:
 
     def __init__(self) -> None:
         self._repeats: Repeats | None = None
-        self._last: FloatArray = np.zeros(6)
-        self._constant_since: FloatArray = np.zeros(6)
-        self._moved: BoolArray = np.zeros(6, dtype=bool)
+        self._last: FloatArray = np.zeros(len(SIGNALS))
+        self._constant_since = [0.0] * len(SIGNALS)
+        self._moved = [False] * len(SIGNALS)
         # Of the rates: the largest magnitude so far, and the range that it has shown to be
-        self._largest: FloatArray = np.zeros(AXES)
-        self._range: FloatArray = np.full(AXES, np.inf)
-        self._bad_until = -np.inf
+        self._largest, self._range = [0.0] * AXES, [math.inf] * AXES
+        self._bad_until = -math.inf
         self._reason = ""
 
     def check(self, look: Look) -> str:
@@ -226,55 +225,55 @@ class SensorGate:
             if self._repeats is None:
                 self._repeats, self._last = Repeats(samples[0]), samples[0]
             self._repeats.add(samples)
-            size = np.maximum.reduce(np.abs(samples[:, :AXES]))
+            size = np.maximum.reduce(np.abs(samples[:, :AXES])).tolist()
             stuck = self._stuck(t, samples, settings.stuck_time, self._repeats)
             problem = (
-                _saturated(size, settings.max_rate)
+                _at_range(size, [settings.max_rate or math.inf] * AXES)
                 or stuck
-                or self._clipped(samples[-1], size, self._repeats)
+                or self._clipped(samples[-1].tolist(), size, self._repeats)
             )
             if problem:
                 self._reason, self._bad_until = problem, t + INDEPENDENT_TIME
         return self._reason if t < self._bad_until else ""
 
-    def _clipped(self, newest: FloatArray, size: FloatArray, repeats: Repeats) -> str:
+    def _clipped(self, newest: list[float], size: list[float], repeats: Repeats) -> str:
         """Find a range smaller than told: a rate stays at the largest value that it ever had."""
-        self._range[size > self._range] = np.inf
-        self._largest = np.maximum(self._largest, size)
-        stays = np.abs(newest[:AXES]) >= self._largest
-        if stays.any():
-            stays &= self._moved[:AXES] & (repeats.present[:AXES] >= IN_A_ROW - 1)
-            if stays.any():
-                stays &= repeats.by_chance()[:AXES] < CHANCE
-                self._range[stays] = self._largest[stays]
-        clipped = size >= self._range
-        return _at_range(int(clipped.argmax()), self._range) if clipped.any() else ""
+        for i, largest in enumerate(size):
+            if largest > self._range[i]:
+                self._range[i] = math.inf
+            self._largest[i] = max(self._largest[i], largest)
+            if self._moved[i] and abs(newest[i]) >= self._largest[i]:
+                stays = repeats.present[i] >= IN_A_ROW - 1
+                if stays and repeats.by_chance()[i] < CHANCE:
+                    self._range[i] = self._largest[i]
+        return _at_range(size, self._range)
 
     def _stuck(self, t: float, samples: FloatArray, stuck_time: float, repeats: Repeats) -> str:
-        changed = np.logical_or.reduce(samples != self._last)
+        """Find a signal that has moved and stays for longer than it is used to."""
+        changed, still = np.logical_or.reduce(samples != self._last).tolist(), []
         self._last = samples[-1]
-        self._moved |= changed
-        self._constant_since[changed] = t
-        stuck = self._moved & (t - self._constant_since > stuck_time)
-        if stuck_time <= 0.0 or not stuck.any():
+        for i, moves in enumerate(changed):
+            if moves:
+                self._moved[i], self._constant_since[i] = True, t
+            elif self._moved[i] and t - self._constant_since[i] > stuck_time > 0.0:
+                still.append(i)
+        if not still:
             return ""
-        stuck &= repeats.by_chance() < CHANCE
-        if not stuck.any():
+        chance = repeats.by_chance()
+        stuck = [i for i in still if chance[i] < CHANCE]
+        if not stuck:
             return ""
-        repeats.strange |= stuck
-        signal = int(stuck.argmax())
-        return f"the Imu is stuck: {SIGNALS[signal]} has not changed for {stuck_time:g} s or more"
+        repeats.strange[stuck] = True
+        signal = SIGNALS[stuck[0]]
+        return f"the Imu is stuck: {signal} has not changed for {stuck_time:g} s or more"
 
 
-def _saturated(size: FloatArray, max_rate: float) -> str:
-    """Say which rate is at the range that the settings tell; empty if none is."""
-    signal = int(size.argmax())
-    saturated = 0.0 < max_rate <= size[signal]
-    return _at_range(signal, np.full(AXES, max_rate)) if saturated else ""
-
-
-def _at_range(signal: int, limits: FloatArray) -> str:
-    return f"the gyro is saturated: {SIGNALS[signal]} reaches {limits[signal]:g} rad/s"
+def _at_range(size: list[float], limits: list[float]) -> str:
+    """Say which rate is at its range; empty if none is."""
+    for signal, value, limit in zip(SIGNALS, size, limits, strict=False):
+        if value >= limit:
+            return f"the gyro is saturated: {signal} reaches {limit:g} rad/s"
+    return ""
 
 
 class Repeats:

@@ -489,9 +489,10 @@ class Information:
         level = (self.variance[part] * sums.answer_time[part])[:, None]
         moved = solution.values[part][self._i, self._j] - self._initial[..., 0]
         before = np.maximum(self._prior_variance + moved**2, POWERLESS)[..., None]
-        values, vectors = np.linalg.eigh(sums.answers[part, :, 1:])
-        vectors *= np.sqrt(np.maximum(values, 0.0))[..., None, :]
-        half = gain[:, None] @ vectors
+        answers = sums.answers[part, :, 1:].copy()
+        power_of = diagonal(answers)
+        power_of += ROUNDING * power_of + POWERLESS
+        half = gain[:, None] @ np.linalg.cholesky(answers)
         kappa, directions = np.linalg.eigh(half.swapaxes(-1, -2) @ power[:, None] @ half)
         along = (half @ directions) ** 2
         known = 1.0 / np.maximum(np.add.reduce(along / before[:, None], axis=-2), POWERLESS)

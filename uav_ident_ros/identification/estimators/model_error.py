@@ -18,10 +18,12 @@ with p in the place of u, c2 is h.
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from uav_ident_ros.identification.estimators.information import diagonal
 from uav_ident_ros.identification.regression import Layout, RowSamples
 from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
@@ -39,6 +41,7 @@ The first and the last are looked for one at a time: all three need longer than 
 """
 
 _SATURATION, _LATENESS, _ATTENUATION = range(EXTRA)
+_BESIDE_LATENESS = (_SATURATION, _ATTENUATION)
 
 
 class ModelError:
@@ -62,12 +65,16 @@ class ModelError:
         self._entries = [*layout.main, *layout.rolling]
         # samples, and their weights (3,) times dt
         self._gathered: list[tuple[RowSamples, FloatArray]] = []
-        # of each block, the sum of z f^T, z z^T and z y side by side, and of the squared residuals
-        self._blocks: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=BLOCKS)
+        # of the newest blocks, in turn, z f^T, z z^T, z y and the squared residuals, summed up
+        rows, width = len(self._entries), layout.width + EXTRA
+        self._zf, self._zz = (np.zeros((rows, BLOCKS, width, width)) for _ in range(2))
+        self._zy, self._squares = np.zeros((rows, BLOCKS, width)), np.zeros((rows, BLOCKS))
+        self._blocks = 0  # closed so far
         self._settled = 0  # of these, the newest, whose instruments a known model made
         # What was found and is not taken back yet: of all blocks saturation and lateness, and
         # attenuation and lateness; of the newest saturation and lateness
-        self._sure: BoolArray = np.zeros((3, len(self._entries), 2), dtype=bool)
+        self._sure: BoolArray = np.zeros((rows, 2, 2), dtype=bool)
+        self._sure_early: BoolArray = np.zeros((rows, 1, 2), dtype=bool)
         self.share: FloatArray = np.zeros(len(ROWS))
         self._early = 0.0
         self.height = 0.0
@@ -83,9 +90,10 @@ class ModelError:
     def forget(self, row: int) -> None:
         """Forget what a row has shown: it is learned anew."""
         self._gathered.clear()
-        for products, squares in self._blocks:
-            products[row] = squares[row] = 0.0
-        self._sure[:, row], self.share[row] = False, 0.0
+        for sums in (self._zf, self._zz, self._zy, self._squares):
+            sums[row] = 0.0
+        self._sure[row] = self._sure_early[row] = False
+        self.share[row] = 0.0
 
     def add(
         self,
@@ -139,9 +147,11 @@ class ModelError:
         weight[:, 0] = 0.0  # its slope is not known
         f, z = (self._extended(part[rows], samples.dt) for part in (samples.f, samples.z))
         weighted = (z * weight[:, :, None]).transpose(0, 2, 1)
-        products = weighted @ np.concatenate((f, z, samples.y[rows, :, None]), axis=2)
-        squares = np.add.reduce(weight * samples.residual[rows] ** 2, axis=1)
-        self._blocks.append((products, squares))
+        at = self._blocks % BLOCKS
+        self._zf[:, at], self._zz[:, at] = weighted @ f, weighted @ z
+        self._zy[:, at] = (weighted @ samples.y[rows, :, None])[:, :, 0]
+        self._squares[:, at] = np.add.reduce(weight * samples.residual[rows] ** 2, axis=1)
+        self._blocks += 1
 
     def _extended(self, regressors: FloatArray, dt: float) -> FloatArray:
         """Regressors (rows, m, k), or instruments, with those added that each row's u makes."""
@@ -159,63 +169,92 @@ class ModelError:
 
         A model that leaks lets gusts into the instruments, which the inputs then seem to foretell.
         """
-        blocks, squares = (np.array(part) for part in zip(*self._blocks, strict=True))
-        k = blocks.shape[2] - EXTRA + 2
-        if len(blocks) <= k:
+        count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - 1
+        if count <= k:
             return  # as many coefficients leave no scatter to judge by
-        found, size = self._found(blocks, squares, _SATURATION, self._sure[0], ratio, effect)
-        slow, _ = self._found(blocks, squares, _ATTENUATION, self._sure[1], ratio, effect)
-        self.height = float(size[len(ROWS) :, 1].sum())
-        taken = np.column_stack((found, slow[:, 0]))[: len(ROWS)]
+        found, size = self._found(slice(count), _BESIDE_LATENESS, self._sure, ratio, effect)
+        self.height = float(size[len(ROWS) :, 0, 1].sum())
+        taken = found[: len(ROWS)].reshape(len(ROWS), -1)[:, :3]
         self.share = np.maximum(taken, 0.0).max(axis=1)
-        if self._settled > k:
-            blocks, squares = (part[-self._settled :] for part in (blocks, squares))
-            found, _ = self._found(blocks, squares, _SATURATION, self._sure[2], ratio, effect)
-        self._early = -found[: len(ROWS), 1].min(initial=0.0)
+        early = found[: len(ROWS), 0, 1]
+        if k < self._settled < count:
+            newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
+            found, _ = self._found(newest, (_SATURATION,), self._sure_early, ratio, effect)
+            early = found[: len(ROWS), 0, 1]
+        self._early = -early.min(initial=0.0)
 
     def _found(
         self,
-        blocks: FloatArray,
-        squares: FloatArray,
-        other: int,
+        blocks: NDArray[np.intp] | slice,
+        others: Sequence[int],
         sure: BoolArray,
         ratio: FloatArray,
         effect: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what an extra regressor and lateness take away, and their coefficients.
+        """Return what extra regressors and lateness take away, and their coefficients.
 
-        Both are (rows, 2), 0 where that may be chance. Solved in units of each regressor's rms;
-        they are compared with their own sigma, and `sure` (rows, 2) follows.
+        Both are (rows, others, 2), 0 where that may be chance: one of `others` and lateness.
+        Solved in units of each regressor's rms; they are compared with their own sigma, and `sure`
+        (rows, others, 2) follows.
         """
-        width = blocks.shape[2]
-        kept = [*range(width - EXTRA), width - EXTRA + other, width - EXTRA + _LATENESS]
-        k = len(kept)
-        total = np.add.reduce(blocks)[:, kept]
-        zf, zz, zy = total[..., kept], total[..., width:-1][..., kept], total[..., -1]
-        power = np.einsum("ijj->ij", zz)
-        scale = 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0))
-        both = scale[:, :, None] * scale[:, None, :]
-        load = LOADING * np.eye(k)
-        slope, instruments = zf * both, zz * both + load
-        projected = np.linalg.solve(instruments, slope).transpose(0, 2, 1)
-        gain = np.linalg.solve(projected @ slope + load, projected)
-        linear = (gain @ (scale * zy)[:, :, None])[:, :, 0]
+        zf, zz, zy = (sums[:, blocks] for sums in (self._zf, self._zz, self._zy))
+        count, width = zy.shape[1:]
+        own = width - EXTRA
+        kept = [[*range(own), own + other, own + _LATENESS] for other in others]
+        pick = np.eye(width)[kept]  # (others, k, width)
+        total_zf, total_zz, total_zy = (np.add.reduce(sums, axis=1) for sums in (zf, zz, zy))
+        scale, instruments, gain, linear = _solved(total_zf, total_zz, total_zy, pick)
+        gain, k = gain[..., -2:, :], pick.shape[1]
         # A block's score, sum of z e, is linear in the coefficients.
-        solved = np.zeros((len(linear), width))
-        solved[:, kept] = linear * scale
-        scores = blocks[..., -1] - (blocks[..., :width] @ solved[:, :, None])[..., 0]
-        scores, gain = scores[..., kept], gain[:, -2:]
-        scatter = np.einsum("bij,ilj->bil", scores * scale, gain)
-        lost = k / (len(blocks) - k)
-        variance = (1.0 + lost) * np.add.reduce(scatter**2)
+        solved = (linear * scale)[..., None, :] @ pick
+        explained = zf.reshape(len(zf), 1, -1, width) @ solved.swapaxes(-1, -2)
+        scores = zy[:, None] - explained.reshape(len(zf), -1, count, width)
+        scatter = scores @ (gain * scale[..., None, :] @ pick).swapaxes(-1, -2)
+        variance = (1.0 + k / (count - k)) * np.add.reduce(scatter**2, axis=2)
         # An input that answers looks late, but not as if it stopped short.
-        answers = (ratio * np.add.reduce(squares))[:, None] * (other != _SATURATION, True)
-        variance += answers * np.einsum("ilj,ijk,ilk->il", gain, instruments, gain)
+        answers = ratio * np.add.reduce(self._squares[:, blocks], axis=1)
+        looks = np.array([(other != _SATURATION, True) for other in others])
+        spread = np.add.reduce(gain @ instruments * gain, axis=-1)
+        variance += answers[:, None, None] * looks * spread
         # What the input does by itself this regression, without a prior, does not know where a loop
         # moves it as the flow goes, or about one large deflection, as another speed asks for.
-        extra, whole = linear[:, -2:], linear[range(len(linear)), self._entries, None]
-        whole[: len(ROWS), 0] = effect / scale[range(len(ROWS)), self._entries[: len(ROWS)]]
+        extra, whole = linear[..., -2:], linear[range(len(zf)), :, self._entries][..., None]
+        main = scale[range(len(ROWS)), :, self._entries[: len(ROWS)]]
+        whole[: len(ROWS), :, 0] = effect[:, None] / main
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
         least = np.where(sure, ACQUITTED, DOUBTLESS)
         sure[:] = extra**2 > least**2 * variance
-        return np.where(sure, away, 0.0), np.where(sure, extra * scale[:, -2:], 0.0)
+        return np.where(sure, away, 0.0), np.where(sure, extra * scale[..., -2:], 0.0)
+
+
+def _solved(
+    zf: FloatArray, zz: FloatArray, zy: FloatArray, pick: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the solution of rows with some of their regressors.
+
+    Parameters
+    ----------
+    zf, zz, zy : (rows, w, w) and (rows, w) arrays
+        Sums of all blocks.
+    pick : (others, k, w) array
+        Takes the regressors to those that are solved for.
+
+    Returns
+    -------
+    scale : (rows, others, k) array
+        Of the regressors: one over their rms, times the root of the time.
+    instruments, gain : (rows, others, k, k) array
+        Scaled ``sum z z^T``, and what takes the scaled ``sum z y`` to the coefficients.
+    linear : (rows, others, k) array
+        Scaled coefficients.
+    """
+    slope, instruments = (pick @ sums[:, None] @ pick.swapaxes(-1, -2) for sums in (zf, zz))
+    power = diagonal(instruments)
+    scale = 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0))
+    both = scale[..., :, None] * scale[..., None, :]
+    load = LOADING * np.eye(pick.shape[1])
+    slope, instruments = slope * both, instruments * both + load
+    projected = np.linalg.solve(instruments, slope).swapaxes(-1, -2)
+    gain = np.linalg.solve(projected @ slope + load, projected)
+    product = scale[..., None] * (pick @ zy[:, None, :, None])
+    return scale, instruments, gain, (gain @ product)[..., 0]
