@@ -124,7 +124,7 @@ class _LiveLight(Live):
         lag = spec.time_constant
         self._keep = math.exp(-1.0 / (spec.rate * lag)) if lag > 0.0 else 0.0
 
-    def _fly(self, acting: FloatArray, moved: bool) -> None:
+    def _fly(self, acting: FloatArray, moved: bool) -> tuple[float, ...]:
         spec, h, gust = self.spec, 1.0 / self.rate, next(self._wind)
         surface = acting + (self._surface - acting) * self._keep
         surface[:3] = np.clip(surface[:3], -spec.travel, spec.travel)
@@ -132,13 +132,13 @@ class _LiveLight(Live):
         effect = _effect_of(spec.changes, self.time) if spec.changes else 1.0
         u = (surface * effect).tolist()
         slope, acceleration, force = _slope(self.state, u, gust)
-        if self.rows is not None:
-            self.rows.append((*self.state, *acceleration, *force, *surface))
+        row = (*self.state, *acceleration, *force, *surface)
         middle = tuple(x + 0.5 * h * dx for x, dx in zip(self.state, slope, strict=True))
         slope, _, _ = _slope(middle, u, gust)  # type: ignore[arg-type]
         self.state = tuple(x + h * dx for x, dx in zip(self.state, slope, strict=True))  # type: ignore[assignment]
+        return row
 
-    def _tilt(self) -> Sequence[float]:
+    def _attitude(self) -> Sequence[float]:
         return self.state[6:8]
 
 

@@ -31,6 +31,9 @@ BANK_TIME = 20.0
 ROLL_TIME = 4.0
 """Time in which the reference of the bank angle changes, s."""
 
+SURFACE_COLUMNS = [COLUMN[name] for name in SURFACE_NAMES]
+"""Where they are among the signals."""
+
 MAX_BANK = 60.0
 """Largest bank angle that the autopilot is asked for, deg."""
 
@@ -86,27 +89,22 @@ class LiveAircraft(Live):
         commanded = self.outputs[:3] if surfaces is None else surfaces
         return self.aircraft.clip(np.append(commanded, self.trim[3] + SPEED_GAIN * slow))
 
-    def _fly(self, acting: FloatArray, moved: bool) -> None:
+    def _fly(self, acting: FloatArray, moved: bool) -> list[float]:
         if moved:
             moved_to = self.trim + self._effect * (acting - self.trim)
             self.aircraft.set_surfaces(np.where(np.isnan(self._jammed), moved_to, self._jammed))
         self.signals = self.aircraft.step()
-        if self.rows is not None:
-            self.rows.append(self.signals)
+        return self.signals
 
-    def _tilt(self) -> Sequence[float]:
-        return self.signals[COLUMN["roll"]], self.signals[COLUMN["pitch"]]
+    def _attitude(self) -> Sequence[float]:
+        return [self.signals[COLUMN[name]] for name in ("roll", "pitch", "yaw")]
 
     def _airspeed(self) -> float:
         return float(self.signals[COLUMN["airspeed"]] * FOOT)
 
-    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         signals = self.aircraft.to_si(np.array(self.signals))
-        attitude, surfaces = (
-            signals[[COLUMN[name] for name in names]]
-            for names in (("roll", "pitch", "yaw"), SURFACE_NAMES)
-        )
-        return signals[0:3], signals[6:9], attitude, surfaces
+        return signals[0:3], signals[6:9], signals[SURFACE_COLUMNS]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,6 +163,6 @@ class AircraftFlight(Plan):
             # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
             local_truth=cruise_derivatives(self.aircraft, round(float(airspeed.mean()), 1)),
             airspeed=airspeed,
-            extra={**extra, "surfaces": record[:, [COLUMN[key] for key in SURFACE_NAMES]]},
+            extra={**extra, "surfaces": record[:, SURFACE_COLUMNS]},
             **common,
         )

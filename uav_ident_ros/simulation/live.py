@@ -119,10 +119,9 @@ class Live:
         self._delay = whole_steps(delay, rate, f"delay {delay:g} s")
         self._sensors, self.rate = sensors, rate
         self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(3)]
-        self._scheduled = sorted(faults, key=lambda fault: fault.time)
+        self._ahead = deque(sorted(faults, key=lambda fault: fault.time))
         self._step = 0
         self._underway: deque[tuple[int, FloatArray]] = deque()
-        self.rows: list[Any] | None = None  # Of each step of a recorded flight
 
     def apply(self, fault: Fault) -> None:
         """Let a fault happen now.
@@ -138,21 +137,24 @@ class Live:
         """Return the outputs for elevator, rudder, aileron, rad; None: the last ones hold."""
         raise NotImplementedError
 
-    def _fly(self, acting: FloatArray, moved: bool) -> None:
-        """Fly one step of the simulation and keep its row; `moved` says what may have changed."""
+    def _fly(self, acting: FloatArray, moved: bool) -> Any:
+        """Fly one step of the simulation; return what a recorded flight keeps of it.
+
+        `moved` says whether what acts, or what it does, may have changed.
+        """
         raise NotImplementedError
 
-    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return rates, specific force, attitude and surfaces."""
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return rates, specific force and surfaces."""
+        raise NotImplementedError
+
+    def _attitude(self) -> Sequence[float]:
+        """Return roll, pitch, yaw, rad."""
         raise NotImplementedError
 
     def _airspeed(self) -> float | None:
         """Return the true airspeed, m/s; None of what carries no pitot tube."""
         return None
-
-    def _tilt(self) -> Sequence[float]:
-        """Return roll and pitch, rad."""
-        raise NotImplementedError
 
     def command(
         self,
@@ -166,20 +168,18 @@ class Live:
         self.outputs = outputs
         self._underway.append((self._step + self._delay, outputs))
 
-    def _advance_step(self, moved: bool = False) -> list[Fault]:
-        faults = []
-        while self._scheduled and self._scheduled[0].time <= self.time:
-            faults.append(self._scheduled.pop(0))
-            self.apply(faults[-1])
+    def _advance_step(self, moved: bool = False) -> Any:
+        while self._ahead and self._ahead[0].time <= self.time:
+            self.apply(self._ahead.popleft())
             moved = True
         while self._underway and self._underway[0][0] <= self._step:
             self._acting, moved = self._underway.popleft()[1], True
-        self._fly(self._acting, moved)
+        row = self._fly(self._acting, moved)
         self._step += 1
-        return faults
+        return row
 
     def _check(self) -> None:
-        for name, angle in zip(("roll", "pitch"), self._tilt(), strict=True):
+        for name, angle in zip(("roll", "pitch"), self._attitude(), strict=False):
             if not abs(angle) < LARGEST_UPSET:  # NaN fails too
                 raise SimulationError(
                     f"the vehicle is lost at {self.time:.1f} s: its {name}. Smaller commands, "
@@ -194,11 +194,12 @@ class Live:
         SimulationError
             If it is lost.
         """
-        faults = self._advance_step(moved=True)  # a fault at once may have moved them
+        ahead = list(self._ahead)
+        self._advance_step(moved=True)  # a fault at once may have moved them
         for _ in range(1, self._substeps):
-            faults += self._advance_step()
+            self._advance_step()
         self._check()
-        return faults
+        return ahead[: len(ahead) - len(self._ahead)]
 
     def record(
         self,
@@ -211,7 +212,8 @@ class Live:
         Returns
         -------
         (N, ...) array, (M, C) array, dict
-            The rows, the outputs of all intervals, and what a `Flight` has of any vehicle.
+            The rows of all samples, the outputs of all intervals, and what a `Flight` has of any
+            vehicle.
 
         Raises
         ------
@@ -222,22 +224,23 @@ class Live:
         count = (plan.samples - 1) * every + 1
         times = np.arange(0, count, self._substeps) / self.rate
         excitation = sample_inputs(plan.segments, times)
-        commands: list[FloatArray] = []
-        self.rows = []
+        rows, commands = [], []
         for step in range(count):
             if step % self._substeps == 0:
                 self._check()
                 k = len(commands)
                 commands.append(commanded(float(times[k]), excitation[k]))
                 self._send(commands[-1])
-            self._advance_step()
+            row = self._advance_step()
+            if step % every == 0:
+                rows.append(row)
         common = {
             "t_ns": stamps(np.arange(plan.samples) / plan.rate),
             "actuator_t_ns": stamps(times),
             "delay": plan.delay,
             "excitation": excited_intervals(plan.segments, (plan.samples - 1) / plan.rate),
         }
-        return np.array(self.rows[::every]), np.array(commands), common
+        return np.array(rows), np.array(commands), common
 
     @property
     def time(self) -> float:
@@ -251,16 +254,15 @@ class Live:
 
     def sample(self) -> Sample:
         """Measure it as it is; to be called once for each sample."""
-        rates, force, attitude, surfaces = self._state()
+        sensors, (rates, force, surfaces) = self._sensors, self._state()
         gyro, accelerometer = (rng.standard_normal(3) for rng in self._noise[:2])
-        sensors = self._sensors
         return Sample(
             time=self.time,
             rates=rates,
             measured_rates=rates + np.asarray(sensors.gyro_bias) + sensors.gyro_noise * gyro,
             measured_force=force + sensors.accelerometer_noise * accelerometer,
             measured_airspeed=self._measured_airspeed(),
-            attitude=attitude,
+            attitude=np.array(self._attitude()),
             surfaces=surfaces,
         )
 

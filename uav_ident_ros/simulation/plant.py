@@ -208,13 +208,13 @@ class _LivePlant(Live):
         stages = np.arange(2 * substeps * (len(gust) - 1) + 3) / (2.0 * substeps)
         known = np.arange(len(gust))
         self._gusts = np.column_stack([np.interp(stages, known, column) for column in gust.T])
-        self._ahead = sorted(change.time for change in plan.changes)
+        self._changes = sorted(change.time for change in plan.changes)
         self._change()
 
     def _change(self) -> None:
         """Take the coefficients that hold over the next step."""
         now = self.time + 0.5 / self.rate
-        self._ahead = [time for time in self._ahead if time > now]
+        self._changes = [time for time in self._changes if time > now]
         vehicle = self._plan.vehicle
         a = changed_coefficients(vehicle.structure, vehicle.coefficients, self._plan.changes, now)
         self._by_input, self._derivative = a[:, INPUT_COLUMNS], rates_derivative(a)
@@ -228,16 +228,15 @@ class _LivePlant(Live):
         self._angles = self._angles + x / self._plan.actuator_rate
         return np.asarray(np.clip(excitation + feedback, -limit, limit))
 
-    def _fly(self, acting: FloatArray, moved: bool) -> None:
-        if self._ahead and self._ahead[0] <= self.time + 0.5 / self.rate:
+    def _fly(self, acting: FloatArray, moved: bool) -> tuple[list[float], list[float]]:
+        if self._changes and self._changes[0] <= self.time + 0.5 / self.rate:
             self._change()
         away = self._surfaces - acting if self._half else np.zeros(len(INPUTS))
         surfaces = acting + np.outer((1.0, self._half, self._half**2), away)
         self._surfaces = surfaces[2]
         k = 2 * self._step
         drives = (surfaces @ self._by_input.T + self._gusts[k : k + 3]).tolist()
-        assert self.rows is not None
-        self.rows.append((self._rates, self._derivative(self._rates, drives[0])))
+        row = self._rates, self._derivative(self._rates, drives[0])
         step = (*drives, 1.0 / self.rate)
         (self._rates,) = integrate(self._derivative, self._rates, [step])
         if not all(abs(rate) < DIVERGED for rate in self._rates):  # NaN fails too
@@ -245,6 +244,7 @@ class _LivePlant(Live):
                 f"plant '{self._plan.vehicle.name}' diverges at {self.time:.2f} s: use smaller "
                 "amplitudes or gains"
             )
+        return row
 
-    def _tilt(self) -> Sequence[float]:
-        return 0.0, 0.0  # no attitude is lost
+    def _attitude(self) -> Sequence[float]:
+        return 0.0, 0.0, 0.0  # none is lost

@@ -61,6 +61,10 @@ class Body:
         }
 
 
+STILL = (0.0, 0.0, 0.0)
+"""No gust."""
+
+
 class Quadrotor:
     """The state of a quadrotor in flight: four motors that follow their commands with a lag.
 
@@ -74,17 +78,15 @@ class Quadrotor:
 
     def __init__(self, body: Body) -> None:
         self.body = body
-        self.rates = [0.0] * 3  # p, q, r, rad/s
-        self.angles = [0.0] * 3  # Roll, pitch, yaw, rad
-        self.velocity = [0.0] * 3  # u, v, w in body axes, m/s
-        self.down = 0.0  # Position below the start, m
+        # p q r, rad/s; roll pitch yaw, rad; u v w in body axes, m/s; position below the start, m
+        self.state = [0.0] * 10
         self.speeds = [body.hover] * 4  # Of the motors, 0 ... 1
         self.effect = [1.0] * 4  # What is left of each motor's thrust
 
     @property
     def sinking(self) -> float:
         """Velocity downwards, m/s."""
-        (roll, pitch, _), (u, v, w) = self.angles, self.velocity
+        roll, pitch, _, u, v, w, _ = self.state[3:]
         return (
             -math.sin(pitch) * u
             + math.cos(pitch) * (math.sin(roll) * v + math.cos(roll) * w)
@@ -92,12 +94,11 @@ class Quadrotor:
 
     def loads(
         self,
-        gust: Sequence[float] = (0.0, 0.0, 0.0),  # Its angular acceleration, rad/s^2
+        gust: Sequence[float] = STILL,  # Its angular acceleration, rad/s^2
     ) -> tuple[list[float], list[float]]:
         """Specific force, m/s^2, and angular acceleration, rad/s^2, as things are."""
         body = self.body
-        p, q, r = self.rates
-        u, v, w = self.velocity
+        p, q, r, *_, u, v, w, _ = self.state
         total = roll = pitch = yaw = 0.0
         for (ahead, right), spin, speed, effect in zip(
             SIDES, SPINS, self.speeds, self.effect, strict=True
@@ -116,74 +117,60 @@ class Quadrotor:
             (yaw + (ix - iy) * p * q) / iz + gust[2],
         ]
 
-    def step(self, commands: Sequence[float], h: float, gust: Sequence[float]) -> None:
+    def step(
+        self, commands: Sequence[float], h: float, gust: Sequence[float]
+    ) -> tuple[list[float], list[float]]:
         """Go on by `h` s: commands 0 ... 1 of the motors, a gust's angular acceleration, rad/s^2.
 
-        Speeds are exact over the step, the motion is of second order in it.
+        Speeds are exact over the step, the motion is of second order in it. Returns the `loads` at
+        its beginning.
         """
-        before = self.speeds
+        state, before = self.state, self.speeds
         decay = math.exp(-0.5 * h / self.body.time_constant)
         aims = [min(max(c, 0.0), 1.0) for c in commands]
-        state = (self.rates, self.angles, self.velocity, self.down)
-        first = self._slopes(gust)
+        loads = self.loads(gust)
+        half = self._slopes(*loads)
         self.speeds = [a + (s - a) * decay for s, a in zip(before, aims, strict=True)]
-        self._move(state, first, 0.5 * h)
-        self._move(state, self._slopes(gust), h)
+        self.state = [x + 0.5 * h * d for x, d in zip(state, half, strict=True)]
+        whole = self._slopes(*self.loads(gust))
+        self.state = [x + h * d for x, d in zip(state, whole, strict=True)]
         self.speeds = [a + (s - a) * decay**2 for s, a in zip(before, aims, strict=True)]
+        return loads
 
-    def _slopes(self, gust: Sequence[float]) -> tuple[list[float], list[float], list[float], float]:
-        """Time derivatives of rates, angles, velocity and position."""
-        force, acceleration = self.loads(gust)
-        (p, q, r), (roll, pitch, _), (u, v, w) = self.rates, self.angles, self.velocity
+    def _slopes(self, force: list[float], acceleration: list[float]) -> list[float]:
+        """Time derivative of the state."""
+        p, q, r, roll, pitch, _, u, v, w, _ = self.state
         turn = q * math.sin(roll) + r * math.cos(roll)
-        angles = [
+        return [
+            *acceleration,
             p + turn * math.tan(pitch),
             q * math.cos(roll) - r * math.sin(roll),
             turn / math.cos(pitch),
-        ]
-        velocity = [
             force[0] - GRAVITY * math.sin(pitch) - q * w + r * v,
             force[1] + GRAVITY * math.cos(pitch) * math.sin(roll) - r * u + p * w,
             force[2] + GRAVITY * math.cos(pitch) * math.cos(roll) - p * v + q * u,
+            self.sinking,
         ]
-        return acceleration, angles, velocity, self.sinking
-
-    def _move(
-        self,
-        state: tuple[list[float], list[float], list[float], float],
-        slopes: tuple[list[float], list[float], list[float], float],
-        h: float,
-    ) -> None:
-        self.rates, self.angles, self.velocity = (
-            [x + h * d for x, d in zip(part, slope, strict=True)]
-            for part, slope in zip(state[:3], slopes[:3], strict=True)
-        )
-        self.down = state[3] + h * slopes[3]
 
 
-@dataclass(frozen=True)
-class Hold:
-    """An autopilot that holds attitude and height: commands as deviations from hover."""
+ANGLE_GAIN, RATE_GAIN, YAW_GAIN = 0.3, 0.06, 0.35
+"""Of the autopilot: input per rad and per rad/s of roll and pitch, and per rad/s of yaw."""
 
-    # angle, rate: Roll and pitch: input per rad and per rad/s
-    angle: float = 0.3
-    rate: float = 0.06
-    yaw_rate: float = 0.35  # Input per rad/s
-    # height, sinking: Collective per m and per m/s
-    height: float = 0.05
-    sinking: float = 0.08
+HEIGHT_GAIN, SINKING_GAIN = 0.05, 0.08
+"""Collective per m and per m/s."""
 
-    def inputs(self, craft: Quadrotor) -> FloatArray:
-        """Return de, dr, da, dth."""
-        (p, q, r), (roll, pitch, _) = craft.rates, craft.angles
-        return np.array(
-            [
-                self.angle * pitch + self.rate * q,
-                self.yaw_rate * r,
-                -self.angle * roll - self.rate * p,
-                self.height * craft.down + self.sinking * craft.sinking,
-            ]
-        )
+
+def hold(craft: Quadrotor) -> FloatArray:
+    """Return de, dr, da, dth that hold attitude and height, as deviations from hover."""
+    p, q, r, roll, pitch, *_, down = craft.state
+    return np.array(
+        [
+            ANGLE_GAIN * pitch + RATE_GAIN * q,
+            YAW_GAIN * r,
+            -ANGLE_GAIN * roll - RATE_GAIN * p,
+            HEIGHT_GAIN * down + SINKING_GAIN * craft.sinking,
+        ]
+    )
 
 
 # --- in flight ------------------------------------------------------------------------------------
@@ -199,15 +186,13 @@ PARAMETERS = {
 AMPLITUDES = dict(zip(INPUTS, (0.02, 0.05, 0.02, 0.03), strict=True))
 """Peaks of an excitation that moves it well and keeps it near hover."""
 
-STILL = (0.0, 0.0, 0.0)
-
 
 class LiveQuadrotor(Live):
     """A quadrotor in flight, commanded as an aircraft is.
 
     Elevator, rudder and aileron stand for pitch, yaw and roll: it mixes them into its motors, and
-    holds its height itself. Parameters are those of `LiveAircraft`; a row has rates, specific
-    force, angular acceleration and angles.
+    holds its height itself. Parameters are those of `LiveAircraft`. Of a step is kept: rates,
+    specific force, angular acceleration and angles.
     """
 
     names = QUADROTOR.names
@@ -223,7 +208,7 @@ class LiveQuadrotor(Live):
         gusts: FloatArray | None = None,  # (N, 3) Angular acceleration of each step, rad/s^2
     ) -> None:
         super().__init__(sensors, delay, seed, rate, faults)
-        self.craft, self.hold = Quadrotor(body or Body()), Hold()
+        self.craft = Quadrotor(body or Body())
         self._gusts = iter(() if gusts is None else gusts.tolist())
         self.trim = np.array([0.0, 0.0, 0.0, self.craft.body.hover])
         self._commanded: FloatArray = self.trim[:3]
@@ -244,22 +229,20 @@ class LiveQuadrotor(Live):
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
         self._commanded = self._commanded if surfaces is None else surfaces
-        return self.motors(np.append(self._commanded, self.hold.inputs(self.craft)[3]))
+        return self.motors(np.append(self._commanded, hold(self.craft)[3]))
 
-    def _fly(self, acting: FloatArray, moved: bool) -> None:
-        craft, gust = self.craft, next(self._gusts, STILL)
-        if self.rows is not None:
-            self.rows.append((craft.rates, *craft.loads(gust), craft.angles))
-        craft.step(acting.tolist(), 1.0 / self.rate, gust)
+    def _fly(self, acting: FloatArray, moved: bool) -> tuple[list[float], ...]:
+        state, gust = self.craft.state, next(self._gusts, STILL)
+        loads = self.craft.step(acting.tolist(), 1.0 / self.rate, gust)
+        return state[:3], *loads, state[3:6]
 
-    def _tilt(self) -> Sequence[float]:
-        return self.craft.angles[:2]
+    def _attitude(self) -> Sequence[float]:
+        return self.craft.state[3:6]
 
-    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         craft = self.craft
-        force, _ = craft.loads()
         surfaces = QUADROTOR.inputs(np.array(craft.speeds), self.trim) + self.trim
-        return np.array(craft.rates), np.array(force), np.array(craft.angles), surfaces
+        return np.array(craft.state[:3]), np.array(craft.loads()[0]), surfaces
 
 
 def _motor(fault: Fault) -> int | None:
@@ -296,7 +279,7 @@ class QuadrotorFlight(Plan):
         )  # fmt: skip
 
         def commanded(_: float, excitation: FloatArray) -> FloatArray:
-            return live.motors(excitation + live.hold.inputs(live.craft))
+            return live.motors(excitation + hold(live.craft))
 
         rows, commands, common = live.record(self, commanded)
         rates, force, acceleration, angles = rows.transpose(1, 0, 2)
