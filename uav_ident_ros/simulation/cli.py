@@ -5,6 +5,7 @@ import argparse
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -46,26 +47,30 @@ examples:
 """
 
 
-FLIGHT_OPTIONS: dict[str, tuple[Any, str, str]] = {
-    "--duration": (90.0, "S", "length of the excited flight, s"),
-    "--quiet": (0.0, "S", "unexcited flight after it, s"),
-    "--gusts": (0.0, "RMS", "plant: coloured angular acceleration, rad/s^2 rms"),
-    "--turbulence": (0, "LEVEL", "aircraft: MIL-F-8785C severity 0 (calm) to 7"),
-    "--bank": (0.0, "DEG", "aircraft: bank angle of alternating turns, deg"),
-    "--delay": (0.0, "S", "from recorded command to surface, s"),
-    "--servo-lag": (0.0, "S", "plant: time constant of the servos, s; of motors 0.05 by default"),
-    "--actuator-rate": (100.0, "HZ", "rate of the commands, each held until the next, Hz"),
-    "--seed": (0, "N", "seed of all randomness"),
+Option = tuple[str, Any, str, str]
+"""An option of one number: the field that it sets, default, unit, meaning."""
+
+FLIGHT_OPTIONS: dict[str, Option] = {
+    "--duration": ("duration", 90.0, "S", "length of the excited flight, s"),
+    "--quiet": ("quiet", 0.0, "S", "unexcited flight after it, s"),
+    "--gusts": ("gusts", 0.0, "RMS", "plant: coloured angular acceleration, rad/s^2 rms"),
+    "--turbulence": ("turbulence", 0, "LEVEL", "aircraft: MIL-F-8785C severity 0 (calm) to 7"),
+    "--bank": ("bank", 0.0, "DEG", "aircraft: bank angle of alternating turns, deg"),
+    "--delay": ("delay", 0.0, "S", "from recorded command to surface, s"),
+    "--servo-lag": ("servo_lag", 0.0, "S",
+        "plant: time constant of the servos, s; of motors 0.05 by default"),
+    "--actuator-rate": ("actuator_rate", 100.0, "HZ",
+        "rate of the commands, each held until the next, Hz"),
+    "--seed": ("seed", 0, "N", "seed of all randomness"),
+}  # fmt: skip
+SENSOR_OPTIONS: dict[str, Option] = {
+    "--imu-rate": ("rate", 200.0, "HZ", "Imu rate, Hz"),
+    "--noise": ("gyro_noise", 0.02, "RMS", "gyro noise, rad/s"),
+    "--accelerometer-noise": ("accelerometer_noise", 0.1, "RMS", "accelerometer noise, m/s^2"),
+    "--jitter": ("stamp_jitter", 0.0, "S", "Imu stamps are off by up to this, s"),
+    "--drop": ("drop", 0.0, "FRACTION", "fraction of Imu messages lost at random"),
+    "--latency": ("latency", 0.0, "S", "mean of log time minus sampling time, s"),
 }
-SENSOR_OPTIONS: dict[str, tuple[Any, str, str]] = {
-    "--imu-rate": (200.0, "HZ", "Imu rate, Hz"),
-    "--noise": (0.02, "RMS", "gyro noise, rad/s"),
-    "--accelerometer-noise": (0.1, "RMS", "accelerometer noise, m/s^2"),
-    "--jitter": (0.0, "S", "Imu stamps are off by up to this, s"),
-    "--drop": (0.0, "FRACTION", "fraction of Imu messages lost at random"),
-    "--latency": (0.0, "S", "mean of log time minus sampling time, s"),
-}
-"""Options of one number: default, unit, meaning."""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -98,26 +103,27 @@ def make_parser() -> argparse.ArgumentParser:
 
     sensors = parser.add_argument_group("sensors and messages")
     add = sensors.add_argument
-    add("--bias", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("P", "Q", "R"),
-        help="gyro bias, FRD, rad/s (0 0 0)")  # fmt: skip
+    add("--bias", dest="gyro_bias", nargs=3, type=float, default=(0.0, 0.0, 0.0),
+        metavar=("P", "Q", "R"), help="gyro bias, FRD, rad/s (0 0 0)")  # fmt: skip
     add("--lever-arm", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"),
         help="accelerometer from the centre of gravity, FRD, m (0 0 0)")  # fmt: skip
     add("--convention", choices=tuple(FRAME_IDS), default="flu", help="axes of the Imu (flu)")
     add("--airspeed-noise", type=float, metavar="RMS",
         help="aircraft: /airspeed is recorded, with this noise, m/s")  # fmt: skip
-    add("--unstamped", action="store_true", help="actuators as Float64MultiArray, no stamp")
+    add("--unstamped", dest="stamped", action="store_false",
+        help="actuators as Float64MultiArray, no stamp")  # fmt: skip
     add("--channels", choices=tuple(CHANNEL_SETS),
         help="what the raw actuator channels are (plain; motors)")  # fmt: skip
     _add_numbers(sensors, SENSOR_OPTIONS)
     return parser
 
 
-def _add_numbers(
-    group: argparse._ArgumentGroup, options: Mapping[str, tuple[Any, str, str]]
-) -> None:
-    for name, (default, unit, meaning) in options.items():
-        kind, help_text = type(default), f"{meaning} ({default:g})"
-        group.add_argument(name, type=kind, default=default, metavar=unit, help=help_text)
+def _add_numbers(group: argparse._ArgumentGroup, options: Mapping[str, Option]) -> None:
+    for name, (field, default, unit, meaning) in options.items():
+        group.add_argument(
+            name, dest=field, type=type(default), default=default, metavar=unit,
+            help=f"{meaning} ({default:g})",
+        )  # fmt: skip
 
 
 def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:
@@ -134,27 +140,15 @@ def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:
         (Segment(options.input, START, max(0.0, options.duration - START), peaks),),
         options.duration + options.quiet,
         # the same flight for every Imu rate that divides it
-        SIMULATION_RATE if SIMULATION_RATE % options.imu_rate == 0.0 else options.imu_rate,
+        SIMULATION_RATE if SIMULATION_RATE % options.rate == 0.0 else options.rate,
         actuator_rate=options.actuator_rate,
         delay=options.delay,
         seed=options.seed,
         **own,
     )
-    sensors = Sensors(
-        rate=options.imu_rate,
-        gyro_noise=options.noise,
-        gyro_bias=tuple(options.bias),
-        accelerometer_noise=options.accelerometer_noise,
-        airspeed_noise=options.airspeed_noise,
-        lever_arm=tuple(options.lever_arm),
-        stamp_jitter=options.jitter,
-        drop=options.drop,
-        convention=options.convention,
-        latency=options.latency,
-        stamped=not options.unstamped,
-        channels=options.channels or ("quadrotor" if kind is QuadrotorFlight else "plain"),
-    )
-    return plan, sensors
+    given = {field.name: getattr(options, field.name, None) for field in fields(Sensors)}
+    given["channels"] = options.channels or ("quadrotor" if kind is QuadrotorFlight else "plain")
+    return plan, Sensors(**{name: v for name, v in given.items() if v is not None})
 
 
 def _vehicle_part(
@@ -187,8 +181,8 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
             parser.error(f"--{name.replace('_', '-')} belongs to {owner}")
     if options.plant == QUADROTOR.name and options.autopilot:
         parser.error("--autopilot: the quadrotor always has one")
-    if not options.imu_rate > 0.0:
-        parser.error(f"--imu-rate is {options.imu_rate:g}: it must be positive")
+    if not options.rate > 0.0:
+        parser.error(f"--imu-rate is {options.rate:g}: it must be positive")
     if not options.quiet >= 0.0:
         parser.error(f"--quiet is {options.quiet:g}: it must be 0 or more")
     if not all(math.isfinite(v) for v in options.amplitude or ()):

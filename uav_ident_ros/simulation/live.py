@@ -224,7 +224,8 @@ class Live:
         count = (plan.samples - 1) * every + 1
         times = np.arange(0, count, self._substeps) / self.rate
         excitation = sample_inputs(plan.segments, times)
-        rows, commands = [], []
+        rows: list[Any] = []
+        commands: list[FloatArray] = []
         for step in range(count):
             if step % self._substeps == 0:
                 self._check()
