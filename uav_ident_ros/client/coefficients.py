@@ -55,36 +55,17 @@ class NamedMessage(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Coefficients:
-    """Coefficients of ``xdot = A f(x, u)`` with their uncertainty and the verdict.
+    """Coefficients of ``xdot = A f(x, u)`` with their uncertainty and the verdict."""
 
-    Parameters
-    ----------
-    structure : Structure
-        Names the rows and columns.
-    values : (R, n) array
-        A, SI units, body axes forward-right-down.
-    sigma : (R, n) array
-        Standard deviations; 0 for what is fixed or absent.
-    usable : bool
-        The identifier's verdict on all moment rows.
-    usable_rows : tuple of 3 bool
-        Its verdict on each of pdot, qdot, rdot.
-    flow : FlowState or None
-        Flow angles, attitude and airspeed; None for a structure without flow angles.
-    fit : (3,) array
-        Fit of its 1-second predictions of p, q, r, percent.
-    t_ns : int
-        Message time at which they were valid, ns.
-    """
-
-    structure: Structure
-    values: FloatArray
-    sigma: FloatArray
-    usable: bool = True
-    usable_rows: tuple[bool, bool, bool] = (True, True, True)
+    structure: Structure  # Names the rows and columns
+    values: FloatArray  # (R, n) A, SI units, body axes forward-right-down
+    sigma: FloatArray  # (R, n) Standard deviations; 0 for what is fixed or absent
+    usable: bool = True  # The identifier's verdict on all moment rows
+    usable_rows: tuple[bool, bool, bool] = (True, True, True)  # On each of pdot, qdot, rdot
+    # Flow angles, attitude and airspeed; None for a structure without flow angles
     flow: FlowState | None = None
-    fit: FloatArray | None = None
-    t_ns: int = 0
+    fit: FloatArray | None = None  # (3,) Fit of its 1-second predictions of p, q, r, percent
+    t_ns: int = 0  # Message time at which they were valid, ns
 
     @classmethod
     def from_message(cls, message: NamedMessage) -> Coefficients:

@@ -42,56 +42,29 @@ class Refusal(Exception):  # noqa: N818  (it is an answer, not a mistake)
 
 @dataclass(frozen=True, eq=False)
 class Inversion:
-    """Inputs that produce a wanted angular acceleration.
+    """Inputs that produce a wanted angular acceleration."""
 
-    Parameters
-    ----------
-    u : (4,) array
-        de, dr, da, dth; deviations from trim, 0 for those not used.
-    acceleration : (3,) array
-        pdot, qdot, rdot that the model gives with them, rad/s^2.
-    limited : tuple of str
-        Inputs at a limit: then `acceleration` may fall short of what was wanted.
-    """
-
-    u: FloatArray
-    acceleration: FloatArray
+    u: FloatArray  # (4,) de, dr, da, dth; deviations from trim, 0 for those not used
+    acceleration: FloatArray  # (3,) pdot, qdot, rdot that the model gives with them, rad/s^2
+    # Inputs at a limit: then `acceleration` may fall short of what was wanted
     limited: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class AttitudeModel:
-    """Identified attitude dynamics.
+    """Identified attitude dynamics."""
 
-    Parameters
-    ----------
-    structure : Structure
-        Names the rows and columns.
-    values : (R, n) array
-        A, SI units; 0 where a coefficient is left out.
-    known : (R, n) bool array
-        What may be acted on.
-    flow : FlowState or None
-        Flow angles, attitude and airspeed that the coefficients came with; for a structure with
-        flow angles.
-    t_ns : int
-        Message time of the coefficients, ns; 0 for the author's own.
-    source : str
-        Where they are from: ``identified``, ``last good`` or ``nominal``.
-    replaced : tuple of str
-        Coefficients that are not the newest: unknown now, and taken from the fallback.
-    left_out : tuple of str
-        Coefficients that nobody knows: taken as 0.
-    """
-
-    structure: Structure
-    values: FloatArray
-    known: BoolArray
+    structure: Structure  # Names the rows and columns
+    values: FloatArray  # (R, n) A, SI units; 0 where a coefficient is left out
+    known: BoolArray  # (R, n) What may be acted on
+    # Flow angles, attitude and airspeed that the coefficients came with, for a structure with flow
+    # angles
     flow: FlowState | None = None
-    t_ns: int = 0
-    source: str = "identified"
+    t_ns: int = 0  # Message time of the coefficients, ns; 0 for the author's own
+    source: str = "identified"  # Where they are from: or ``last good``, or ``nominal``
+    # Coefficients that are not the newest: unknown now, and taken from the fallback
     replaced: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # Coefficients that nobody knows: taken as 0
 
     def acceleration(
         self, x: FloatArray, u: FloatArray, force: FloatArray | None = None
@@ -218,36 +191,32 @@ class AttitudeModel:
         Refusal
             If an axis cannot be moved with what is known of the control derivatives.
         """
-        columns = [INPUTS.index(name) for name in inputs if self._input_known(INPUTS.index(name))]
+        B = self.values[: len(ROWS), INPUT_COLUMNS]
+        allowed = [INPUTS.index(name) for name in inputs]
+        columns = [i for i in allowed if B[:, i].any()]  # what is not known counts as 0
         bound = np.stack([np.full(4, -np.inf), np.full(4, np.inf)])
         if limits is not None:
             bound = np.asarray(limits, dtype=np.float64)
         travel = np.where(np.isfinite(bound).all(axis=0), bound[1] - bound[0], 1.0)
-        B = self.values[: len(ROWS), INPUT_COLUMNS]
         if input_forces is not None and self.structure.has_forces:
             B = B + self.values[:, LAST_COLUMNS] @ input_forces
-        self._check_invertible(B * travel, columns, inputs)
+        unknown = [INPUTS[i] for i in allowed if i not in columns]
+        _check_invertible((B * travel)[:, columns], unknown)
         drift = self.acceleration(x, np.zeros(4), force)
         u = _least_norm(B, np.asarray(wanted) - drift, columns, bound, travel)
         at_limit = [i for i in columns if u[i] in (bound[0, i], bound[1, i])]
         return Inversion(u, drift + B @ u, tuple(INPUTS[i] for i in at_limit))
 
-    def _input_known(self, column: int) -> bool:
-        """Whether anything is known to be moved by an input; what is not known counts as 0."""
-        return bool(self.values[: len(ROWS), INPUT_COLUMNS.start + column].any())
 
-    def _check_invertible(
-        self, B: FloatArray, columns: Sequence[int], inputs: Sequence[str]
-    ) -> None:
-        """Refuse a control matrix that leaves an axis without an input."""
-        unknown = [name for name in inputs if not self._input_known(INPUTS.index(name))]
-        hint = f" ({', '.join(unknown)} not identified)" if unknown else ""
-        if len(columns) < len(ROWS):
-            raise Refusal(f"{len(columns)} known inputs cannot move three axes{hint}")
-        directions, sizes, _ = np.linalg.svd(B[:, columns])
-        if sizes[-1] < MIN_SINGULAR_RATIO * sizes[0]:
-            axis = ROWS[int(np.argmax(np.abs(directions[:, -1])))]
-            raise Refusal(f"the control matrix is singular: nothing moves {axis} by itself{hint}")
+def _check_invertible(B: FloatArray, unknown: Sequence[str]) -> None:
+    """Refuse a control matrix of the known inputs that leaves an axis without one."""
+    hint = f" ({', '.join(unknown)} not identified)" if unknown else ""
+    if B.shape[1] < len(ROWS):
+        raise Refusal(f"{B.shape[1]} known inputs cannot move three axes{hint}")
+    directions, sizes, _ = np.linalg.svd(B)
+    if sizes[-1] < MIN_SINGULAR_RATIO * sizes[0]:
+        axis = ROWS[int(np.argmax(np.abs(directions[:, -1])))]
+        raise Refusal(f"the control matrix is singular: nothing moves {axis} by itself{hint}")
 
 
 def _least_norm(

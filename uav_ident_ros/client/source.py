@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which coefficients a controller acts on: the newest, the last good or the author's own."""
 
-import dataclasses
 from collections import deque
+from dataclasses import replace
 from enum import Enum
 from typing import Generic, TypeVar
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_ident_ros.client.coefficients import Coefficients, NamedMessage
 from uav_ident_ros.client.model import AttitudeModel, Refusal
-from uav_ident_ros.identification.structure import BoolArray
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
 from uav_ident_ros.messages.types import NS_PER_S
 
 LENGTH = 128
@@ -39,8 +39,6 @@ class History(Generic[Value]):
 
 MAX_AGE = 0.5
 """Age at which coefficients count as stale, s: ten ticks missed."""
-
-_NONE_KNOWN: BoolArray = np.zeros((3, 0), dtype=bool)
 
 
 class Fallback(Enum):
@@ -99,15 +97,15 @@ class CoefficientSource:
         if fallback is Fallback.NOMINAL and nominal is None:
             raise ValueError("Fallback.NOMINAL needs the nominal coefficients")
         self.fallback = fallback
-        self._nominal = nominal
         self._use_verdict = use_verdict
         self._max_age = max_age
         self._delay_ns = round(delay * NS_PER_S)
         self._history: History[Coefficients] = History()
-        # the last good value of each coefficient, and which there are
-        self._good = nominal
-        self._good_known = _NONE_KNOWN if nominal is None else nominal.known
-        self._chosen: tuple[Coefficients | None, AttitudeModel | None] = (None, None)
+        # what stands in for the newest, and the newest that were good, as a model
+        self._spare: AttitudeModel | None = None
+        if nominal is not None and fallback is not Fallback.REFUSE:
+            self._spare = _model(nominal, nominal.values, nominal.known, "nominal")
+        self._good: tuple[Coefficients, AttitudeModel] | None = None
 
     def take(self, message: NamedMessage) -> Coefficients:
         """Take a message of ``~/coefficients_named``.
@@ -157,44 +155,25 @@ class CoefficientSource:
         Refusal
             If the newest coefficients are refused, and the fallback is empty.
         """
-        reason = self.refusal(now_ns)
-        spare, spare_known = self._spare()
-        chosen = spare if reason else self.newest(now_ns)
-        if chosen is None:
-            raise Refusal(reason)
-        before, model = self._chosen
-        if before is chosen and model is not None:
-            return model
-        if not reason:
-            model = self._merge(chosen, spare, spare_known)
-        else:
-            source = "nominal" if chosen is self._nominal else "last good"
-            model = _model(chosen, spare_known, source)
-        self._chosen = (chosen, model)
-        return model
+        newest, reason = self.newest(now_ns), self.refusal(now_ns)
+        if newest is None or reason:
+            if self._spare is None:
+                raise Refusal(reason)
+            return self._spare
+        if self._good is None or self._good[0] is not newest:
+            self._good = newest, self._merged(newest)
+            if self.fallback is Fallback.LAST_GOOD:
+                self._spare = replace(self._good[1], source="last good", replaced=())
+        return self._good[1]
 
-    def _spare(self) -> tuple[Coefficients | None, BoolArray]:
-        match self.fallback:
-            case Fallback.LAST_GOOD if self._good is not None:
-                return self._good, self._good_known
-            case Fallback.NOMINAL if self._nominal is not None:
-                return self._nominal, self._nominal.known
-        return None, _NONE_KNOWN
-
-    def _merge(
-        self, newest: Coefficients, spare: Coefficients | None, spare_known: BoolArray
-    ) -> AttitudeModel:
-        """Replace what is not known, and remember what is good now."""
-        values, known = newest.values, newest.known
-        replaced: tuple[str, ...] = ()
-        if spare is not None and spare.structure is newest.structure:
-            from_spare = ~known & spare_known
-            values = np.where(from_spare, spare.values, values)
-            known = known | from_spare
-            replaced = _names(newest, from_spare)
-        self._good = dataclasses.replace(newest, values=values)
-        self._good_known = known
-        return _model(self._good, known, "identified", replaced)
+    def _merged(self, newest: Coefficients) -> AttitudeModel:
+        """Return the model of coefficients, with those of the spare in place of the unknown."""
+        values, known, spare = newest.values, newest.known, self._spare
+        if spare is None or spare.structure is not newest.structure:
+            return _model(newest, values, known)
+        from_spare = ~known & spare.known
+        values, replaced = np.where(from_spare, spare.values, values), _names(newest, from_spare)
+        return _model(newest, values, known | from_spare, replaced=replaced)
 
 
 def _names(coefficients: Coefficients, which: BoolArray) -> tuple[str, ...]:
@@ -204,12 +183,16 @@ def _names(coefficients: Coefficients, which: BoolArray) -> tuple[str, ...]:
 
 
 def _model(
-    coefficients: Coefficients, known: BoolArray, source: str, replaced: tuple[str, ...] = ()
+    coefficients: Coefficients,
+    values: FloatArray,
+    known: BoolArray,
+    source: str = "identified",
+    replaced: tuple[str, ...] = (),
 ) -> AttitudeModel:
     return AttitudeModel(
         structure=coefficients.structure,
         flow=coefficients.flow,
-        values=np.where(known, coefficients.values, 0.0),
+        values=np.where(known, values, 0.0),
         known=known,
         t_ns=coefficients.t_ns,
         source=source,

@@ -3,19 +3,22 @@
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import INPUTS, MAIN_INPUTS, FloatArray
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, MAIN_DERIVATIVES, FloatArray
 
 REST = 1e-3
 """Weight of rest against reaching the wanted acceleration, both in shares of what full travel
 gives: it decides only between inputs that do the same."""
 
-AXES = np.arange(3)
-MAINS = np.array([INPUTS.index(name) for name in MAIN_INPUTS.values()])
-"""The input that each axis has for itself."""
+AXES, MAINS = MAIN_DERIVATIVES[0], MAIN_DERIVATIVES[1] - INPUT_COLUMNS.start
+"""The axes, and the input that each has for itself: places of the main derivatives in B."""
 
 
 def allocate(
-    effect: FloatArray, wanted: FloatArray, limits: FloatArray, scale: FloatArray
+    effect: FloatArray,  # (3, 4) Control derivatives, rad/s^2 per unit of each input
+    wanted: FloatArray,  # (3,) Angular acceleration that the inputs are to make, rad/s^2
+    # (2, 4) Least and largest of each input, 0 within; equal for one that is not to be used
+    limits: FloatArray,
+    scale: FloatArray,  # (3,) What counts as one for each axis, rad/s^2; see `authority`
 ) -> FloatArray:
     """Return the inputs within their limits that come closest to the wanted acceleration.
 
@@ -24,17 +27,6 @@ def allocate(
     effect rests, and one at its limit leaves the rest to the others. An axis asks for no more than
     its own input gives, and weighs w, what that is of what it could do in full health, its
     `scale`. So an axis that has lost its surface, or is at its limit, cannot draw on another's.
-
-    Parameters
-    ----------
-    effect : (3, 4) array
-        Control derivatives, rad/s^2 per unit of each input.
-    wanted : (3,) array
-        Angular acceleration that the inputs are to make, rad/s^2.
-    limits : (2, 4) array
-        Least and largest of each input, 0 within; equal for one that is not to be used.
-    scale : (3,) array
-        Acceleration that counts as one for each axis, rad/s^2; see `authority`.
     """
     low, high = limits
     travel = np.where(high > low, high - low, 1.0)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource
-from uav_ident_ros.control.allocation import authority
+from uav_ident_ros.control.allocation import AXES, MAINS, authority
 from uav_ident_ros.control.effectiveness import CORRELATION, Effectiveness
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, ROWS, BoolArray, FloatArray
 
@@ -38,12 +38,6 @@ SIGMAS = 2.5
 `CORRELATION`, before it takes its place. Of recorded flights of six aircraft, three leave a halved
 rudder unknown half as long again; with two, gusts of turbulence 3 to 4 are taken for another effect
 half as often again."""
-
-MAIN = {"pdot": 2, "qdot": 0, "rdot": 1}
-"""Column of the main input of each axis: da, de, dr."""
-
-MAINS = np.arange(len(ROWS)), np.array([MAIN[row] for row in ROWS])
-"""Their places in B."""
 
 IDENTIFIED, LAST_GOOD, NOMINAL, MEASURED = "identified", "last good", "nominal", "measured"
 
@@ -67,61 +61,36 @@ def control_derivatives(coefficients: Coefficients | AttitudeModel) -> tuple[Flo
 
 
 class AxisChoice:
-    """Keeps the control derivatives in use.
-
-    Parameters
-    ----------
-    source : CoefficientSource
-        Has the identified sets; its fallback does not matter here.
-    nominal : Coefficients
-        The author's own set, to start with.
-    limits : (2, 4) array
-        Of the inputs.
-    adaptive : bool
-        Whether to leave the nominal set at all.
-
-    Attributes
-    ----------
-    nominal : (3, 4) array
-        Control derivatives to measure with.
-    model : AttitudeModel
-        What the aircraft does by itself, for `Response`: every estimate of the rows in use, however
-        uncertain, as a coefficient that is left out is wrong for sure.
-    """
+    """Keeps the control derivatives in use."""
 
     def __init__(
         self,
-        source: CoefficientSource,
-        nominal: Coefficients,
-        limits: FloatArray,
-        adaptive: bool = True,
+        source: CoefficientSource,  # Has the identified sets; its fallback does not matter here
+        nominal: Coefficients,  # The author's own set, to start with
+        limits: FloatArray,  # (2, 4) Of the inputs
+        adaptive: bool = True,  # Whether to leave the nominal set at all
     ) -> None:
         self._source, self._limits, self._adaptive = source, limits, adaptive
-        self.nominal = control_derivatives(nominal)[0]
+        self.nominal = control_derivatives(nominal)[0]  # (3, 4) To measure with
         self._rows = self.nominal.copy()  # those adopted; their main derivatives as flown on:
-        self._main = self._rows[MAINS]
-        self._nominal_authority = authority(self.nominal, limits)
+        self._main = self._rows[AXES, MAINS]
+        # (3,) Worth of each axis for `allocate`: its nominal authority, rad/s^2
+        self.scale = authority(self.nominal, limits)
+        # What the aircraft does by itself, for `Response`: every estimate of the rows in use,
+        # however uncertain, as a coefficient that is left out is wrong for sure
         self.model = AttitudeModel(nominal.structure, nominal.values, nominal.structure.mask)
         self._agreed_ns = np.full(len(ROWS), np.iinfo(np.int64).max)
         self._sources = [NOMINAL] * len(ROWS)
         self._seen: Coefficients | None = None
         self._reasons = [""] * len(ROWS)
 
-    @property
-    def scale(self) -> FloatArray:
-        """Worth of each axis for `allocate`: its nominal authority, rad/s^2."""
-        return self._nominal_authority
-
-    def update(self, t_ns: int, measured: Effectiveness) -> Effect:
-        """Return what to fly on at message time `t_ns`.
-
-        Parameters
-        ----------
-        t_ns : int
-            Now, ns.
-        measured : Effectiveness
-            Measured with the nominal values; told of those that change their sign.
-        """
+    def update(
+        self,
+        t_ns: int,
+        # Measured with the nominal values; told of those that change their sign
+        measured: Effectiveness,
+    ) -> Effect:
+        """Return what to fly on at message time `t_ns`, ns."""
         if self._adaptive:
             # an aircraft that rolls on and on moves its other axes as no linear model tells
             certain = (np.arange(len(ROWS)) == 0) | ~measured.dead[0]
@@ -129,14 +98,15 @@ class AxisChoice:
             self._turn(measured, certain)
             self._scale(t_ns, measured, certain)
         values = self._rows.copy()
-        values[MAINS] = self._main
+        values[AXES, MAINS] = self._main
         rescaled = zip(self._rescaled.tolist(), self._sources, strict=True)
         sources = tuple(MEASURED if other else source for other, source in rescaled)
-        return Effect(values, _over(self._main, self.nominal[MAINS]), sources, (*self._reasons,))
+        share = _over(self._main, self.nominal[AXES, MAINS])
+        return Effect(values, share, sources, (*self._reasons,))
 
     def forget_measured(self) -> None:
         """Go back to the rows as adopted: what was measured was measured with a wrong delay."""
-        self._main = self._rows[MAINS]
+        self._main = self._rows[AXES, MAINS]
 
     def _adopt(self, t_ns: int, measured: Effectiveness) -> None:
         newest = self._source.newest(t_ns)
@@ -150,9 +120,9 @@ class AxisChoice:
                     continue
                 found, known = control_derivatives(fresh)
                 row = np.where(known[i], found[i], self._rows[i])
-                reason = self._against(i, row, bool(known[MAINS][i]), measured)
+                reason = self._against(i, row, bool(known[i, MAINS[i]]), measured)
                 if not reason:
-                    self._rows[i], self._main[i] = row, row[MAIN[ROWS[i]]]
+                    self._rows[i], self._main[i] = row, row[MAINS[i]]
                     self._sources[i] = IDENTIFIED
                     adopted.append(i)
             if reason and self._sources[i] == IDENTIFIED:
@@ -174,7 +144,7 @@ class AxisChoice:
     @property
     def _flown(self) -> FloatArray:
         """Main derivatives flown on over those adopted, (3,): 1 where nothing else was measured."""
-        return _over(self._main, self._rows[MAINS])
+        return _over(self._main, self._rows[AXES, MAINS])
 
     @property
     def _rescaled(self) -> BoolArray:
@@ -185,10 +155,10 @@ class AxisChoice:
         row = ROWS[i]
         if not known:
             return f"the main derivative of {row} is not known"
-        share = authority(found[None], self._limits)[0] / self._nominal_authority[i]
+        share = authority(found[None], self._limits)[0] / self.scale[i]
         if not FLYABLE[0] <= share <= FLYABLE[1]:
             return f"{row} would have {share:.2g} times its nominal authority"
-        share = float(_over(found[MAIN[row]], self._main[i]))
+        share = float(_over(found[MAINS[i]], self._main[i]))
         if share < 0.0 and not measured.reversed[i]:
             return f"{row} would turn its sign, which the flight does not show"
         if self._rescaled[i] and abs(share - 1.0) > 2.0 * NOTICEABLE:
@@ -199,12 +169,12 @@ class AxisChoice:
         """Turn the sign of an axis that answers the wrong way."""
         for i in np.flatnonzero(measured.reversed & certain):
             self._rows[i] = -self._rows[i]
-            self._main[i], self._sources[i] = self._rows[MAINS][i], MEASURED
+            self._main[i], self._sources[i] = self._rows[i, MAINS[i]], MEASURED
             measured.changed(int(i))
 
     def _scale(self, t_ns: int, measured: Effectiveness, certain: BoolArray) -> None:
         """Fly on what is measured where it has surely been another for long enough."""
-        nominal = self.nominal[MAINS]
+        nominal = self.nominal[AXES, MAINS]
         found = measured.factor * nominal
         # what breaks does less: more than both believed needs twice the evidence
         more = np.abs(found) > np.maximum(np.abs(self._main), np.abs(nominal))
@@ -213,7 +183,7 @@ class AxisChoice:
         self._agreed_ns = np.where(away & certain, self._agreed_ns, t_ns)
         # without flow angles in the model, what they do would be taken for the inputs'
         surely = (t_ns - self._agreed_ns > CORRELATION * 1e9) & self.model.structure.has_flow
-        ends = np.sort(np.outer(MEASURED_RANGE, self._rows[MAINS]), axis=0)
+        ends = np.sort(np.outer(MEASURED_RANGE, self._rows[AXES, MAINS]), axis=0)
         self._main = np.where(surely, np.clip(found, *ends), self._main)
 
 

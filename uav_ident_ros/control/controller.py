@@ -29,45 +29,22 @@ OWN_GAINS = {Law.INCREMENTAL: GAINS, Law.INVERSION: INVERSION_GAINS}
 
 
 class RateController:
-    """Everything between a gyro sample and the inputs that answer it.
-
-    Parameters
-    ----------
-    source : CoefficientSource
-        Takes the messages; `Fallback.LAST_GOOD` or `NOMINAL`, with the nominal set.
-    nominal : Coefficients
-        The author's own set.
-    limits : (2, 4) array
-        Least and largest de, dr, da, dth, deviations from trim; the throttle is not used.
-    delay : float
-        From a sample's stamp to the surface that its command moves, s; adaptive, the delay that
-        the flight shows takes its place.
-    law : Law
-        The law.
-    adaptive : bool
-        Whether to act on what is identified and measured, or on the nominal set for ever.
-    gains : Gains, optional
-        Of the law; for a light aircraft by default.
-
-    Attributes
-    ----------
-    effect : Effect
-        Control derivatives flown on, and where they are from.
-    effectiveness : Effectiveness
-        What the inputs really do.
-    delay : DelayMeter
-        When they do it.
-    """
+    """Everything between a gyro sample and the inputs that answer it."""
 
     def __init__(
         self,
+        # Takes the messages; `Fallback.LAST_GOOD` or `NOMINAL`, with the nominal set
         source: CoefficientSource,
-        nominal: Coefficients,
+        nominal: Coefficients,  # The author's own set
+        # (2, 4) Least and largest de, dr, da, dth, deviations from trim; the throttle is not used
         limits: FloatArray,
+        # From a sample's stamp to the surface that its command moves, s; adaptive, the delay that
+        # the flight shows takes its place
         delay: float,
         law: Law = Law.INCREMENTAL,
+        # Whether to act on what is identified and measured, or on the nominal set for ever
         adaptive: bool = True,
-        gains: Gains | None = None,
+        gains: Gains | None = None,  # Of the law; for a light aircraft by default
     ) -> None:
         self._limits = limits
         limits = np.array(limits, dtype=np.float64)
@@ -75,25 +52,23 @@ class RateController:
         self._source = source
         self._choice = AxisChoice(source, nominal, limits, adaptive)
         self._adaptive, self._yaw_for_roll = adaptive, yaw_for_roll(nominal)
-        self.delay = DelayMeter(delay)
         self._last_ns = 0
         self._rolled_over = False
-        self.effectiveness, self._response = Effectiveness(), Response()
-        scale = self._choice.scale
-        kind = IncrementalLaw if law is Law.INCREMENTAL else InversionLaw
-        self._law = kind(limits, scale, gains or OWN_GAINS[law])
+        self._response = Response()
+        # What the inputs really do, and when
+        self.effectiveness, self.delay = Effectiveness(), DelayMeter(delay)
+        # Control derivatives flown on, and where they are from
         self.effect: Effect = self._choice.update(0, self.effectiveness)
+        kind = IncrementalLaw if law is Law.INCREMENTAL else InversionLaw
+        self._law = kind(limits, self._choice.scale, gains or OWN_GAINS[law])
 
-    def update(self, t_ns: int, x: FloatArray, reference: FloatArray) -> FloatArray:
-        """Return de, dr, da, dth, deviations from trim.
-
-        Parameters
-        ----------
-        t_ns : int
-            Stamp of the sample, ns.
-        x, reference : (3,) arrays
-            Measured and wanted p, q, r, rad/s, FRD.
-        """
+    def update(
+        self,
+        t_ns: int,  # Stamp of the sample, ns
+        x: FloatArray,  # x, reference: (3,) Measured and wanted p, q, r, rad/s, FRD
+        reference: FloatArray,
+    ) -> FloatArray:
+        """Return de, dr, da, dth, deviations from trim."""
         dt, before_ns = (t_ns - self._last_ns) * 1e-9, self._last_ns
         self._last_ns = t_ns
         if not 0.0 < dt < MAX_INTERVAL:

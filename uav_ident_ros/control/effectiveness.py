@@ -63,15 +63,7 @@ UNKNOWN = 1e3
 
 
 class Effectiveness:
-    """Measured factor on the control derivatives of each axis.
-
-    Attributes
-    ----------
-    factor, sigma : (3,) arrays
-        g of roll, pitch, yaw, and its standard deviation.
-    dead : (3,) bool array
-        Axes whose inputs surely did nothing when they last moved.
-    """
+    """Measured factor on the control derivatives of each axis."""
 
     def __init__(self) -> None:
         self.restart()
@@ -86,7 +78,9 @@ class Effectiveness:
         self._weight = np.zeros(3)
         self._noise, self._doubt = np.zeros((2, 3)), np.zeros((2, 3))  # reversed, lost
         self._age = 0.0
+        # g of roll, pitch, yaw, and its standard deviation, (3,)
         self.factor, self.sigma = np.ones(3), np.full(3, UNKNOWN)
+        # Axes whose inputs surely did nothing when they last moved, (3,)
         self.dead: BoolArray = np.zeros(3, dtype=bool)
 
     @property
@@ -103,27 +97,17 @@ class Effectiveness:
 
     def update(
         self,
-        answered: FloatArray,
+        answered: FloatArray,  # answered, made: (3,) As in `Response`, rad/s^3
         made: FloatArray,
-        dt: float,
+        dt: float,  # Time since the last sample, s
+        # (3,) As in `Response`. Where nobody asked, what was made stands for it: least squares
         demanded: FloatArray | None = None,
+        # (3,) Factors that are flown on: which way the inputs should act
         believed: FloatArray | float = 1.0,
+        # Whether these may not be the inputs that act now: then nothing is known
         doubtful: bool = False,
     ) -> None:
-        """Take one sample.
-
-        Parameters
-        ----------
-        answered, made, demanded : (3,) arrays
-            As in `Response`, rad/s^3. Where nobody asked, what was made stands for it: least
-            squares.
-        dt : float
-            Time since the last sample, s.
-        believed : (3,) array, optional
-            Factors that are flown on: which way the inputs should act.
-        doubtful : bool
-            Whether these may not be the inputs that act now: then nothing is known.
-        """
+        """Take one sample."""
         demanded = made if demanded is None else demanded
         instruments = np.stack([demanded, np.ones_like(demanded)])
         sample = np.stack([answered, made])[:, None] * instruments

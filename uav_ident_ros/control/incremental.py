@@ -44,28 +44,15 @@ class IncrementalLaw:
 
     def update(
         self,
-        dt: float,
-        effect: FloatArray,
-        x: FloatArray,
+        dt: float,  # Time since the last call, s
+        effect: FloatArray,  # (3, 4) B, control derivatives, rad/s^2 per unit
+        x: FloatArray,  # x, reference: (3,) Measured and wanted p, q, r, rad/s, FRD
         reference: FloatArray,
-        acting: FloatArray,
+        acting: FloatArray,  # (4,) Inputs since the last call: those commanded one delay before it
+        # Yaw rate that makes up for missing roll acceleration, s: see `sideslip`
         yaw_for_roll: float = 0.0,
     ) -> FloatArray:
-        """Return de, dr, da, dth, deviations from trim.
-
-        Parameters
-        ----------
-        dt : float
-            Time since the last call, s.
-        effect : (3, 4) array
-            B, control derivatives, rad/s^2 per unit.
-        x, reference : (3,) arrays
-            Measured and wanted p, q, r, rad/s, FRD.
-        acting : (4,) array
-            The inputs since the last call: those commanded one delay before it.
-        yaw_for_roll : float
-            Yaw rate that makes up for missing roll acceleration, s: see `sideslip`.
-        """
+        """Return de, dr, da, dth, deviations from trim."""
         self._rates.update(x, dt)
         self._inputs.update(acting, dt)
         missing = self._reference.wanted(dt, x, reference) - self._rates.slope

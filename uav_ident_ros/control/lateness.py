@@ -41,27 +41,14 @@ NOTHING = 1e-12
 
 
 class DelayMeter:
-    """Delay from a sample to the surface that its command moves, as measured.
+    """Delay from a sample to the surface that its command moves, as measured."""
 
-    Parameters
-    ----------
-    assumed : float
-        What was told, s, to start with.
-
-    Attributes
-    ----------
-    delays : (n,) array
-        Those that are compared, s.
-    believed : int
-        Which of them it is.
-    in_doubt : bool
-        Whether another delay explains the flight better: then what looks like another effect of
-        the inputs may be the delay's.
-    """
-
-    def __init__(self, assumed: float) -> None:
-        self.delays = assumed + STEP * np.arange(round(LATEST / STEP) + 1)
-        self.believed = 0
+    def __init__(
+        self,
+        assumed: float,  # What was told, s, to start with
+    ) -> None:
+        self.delays = assumed + STEP * np.arange(round(LATEST / STEP) + 1)  # (n,) Compared, s
+        self.believed = 0  # Which of them it is
         self.restart()
 
     @property
@@ -76,20 +63,18 @@ class DelayMeter:
         self._products = np.zeros((len(self.delays), 3, 2))
         self._squares = np.zeros(3)
         self._weight = self._since = 0.0
+        # Whether another delay explains the flight better: then what looks like another effect of
+        # the inputs may be the delay's
         self.in_doubt = False
 
     def update(
-        self, answered: FloatArray, made: FloatArray, acceleration: FloatArray, dt: float
+        self,
+        answered: FloatArray,  # (3,) As in `Response`
+        made: FloatArray,  # (n, 3) The same, for the `delays`
+        acceleration: FloatArray,  # (3,) The same
+        dt: float,  # Time since the last sample, s
     ) -> bool:
-        """Take one sample; return whether another delay is believed from now on.
-
-        Parameters
-        ----------
-        answered, made, acceleration : (3,), (n, 3) and (3,) arrays
-            As in `Response`, for the `delays`.
-        dt : float
-            Time since the last sample, s.
-        """
+        """Take one sample; return whether another delay is believed from now on."""
         f = np.stack([made, np.broadcast_to(acceleration, made.shape)], axis=-1)
         keep = np.exp(-dt / MEMORY)
         self._cross = keep * self._cross + dt * f[..., :, None] * f[..., None, :]

@@ -49,23 +49,15 @@ DAMPING = 0.8
 
 
 class Smoother:
-    """Low-pass ``w^2 / (s^2 + 2 d w s + w^2)`` of a vector, exact for inputs held between samples.
+    """Low-pass ``w^2 / (s^2 + 2 d w s + w^2)`` of a vector, exact for held inputs."""
 
-    Parameters
-    ----------
-    bandwidth : float
-        w, rad/s.
-    start : (n,) array
-        Value at rest.
-
-    Attributes
-    ----------
-    value, slope : (n,) arrays
-        Filtered signal and its derivative, 1/s.
-    """
-
-    def __init__(self, bandwidth: float, start: FloatArray) -> None:
+    def __init__(
+        self,
+        bandwidth: float,  # w, rad/s
+        start: FloatArray,  # (n,) Value at rest
+    ) -> None:
         self._bandwidth = bandwidth
+        # Filtered signal and its derivative, 1/s
         self.value = np.array(start, dtype=np.float64)
         self.slope = np.zeros_like(self.value)
 

@@ -32,19 +32,12 @@ AXES = slice(0, len(ROWS))
 
 
 class Response:
-    """Filtered answer of the aircraft, and what its inputs should have made of it.
+    """Filtered answer of the aircraft, and what its inputs should have made of it."""
 
-    Attributes
-    ----------
-    answered : (3,) array
-        Jerk of roll, pitch, yaw without the aircraft's own, rad/s^3.
-    demanded : (3,) array
-        The same if the rates had been those of the reference.
-    acceleration : (3,) array
-        Measured, rad/s^2.
-    made : (n, 3) array
-        What the inputs should have made of it: a row for each delay.
-    """
+    answered: FloatArray  # (3,) Jerk of roll, pitch, yaw without the aircraft's own, rad/s^3
+    demanded: FloatArray  # (3,) The same if the rates had been those of the reference
+    acceleration: FloatArray  # (3,) Measured, rad/s^2
+    made: FloatArray  # (n, 3) What the inputs should have made of it: a row for each delay
 
     def __init__(self) -> None:
         self.restart()
@@ -57,30 +50,15 @@ class Response:
 
     def update(
         self,
-        x: FloatArray,
-        effect: FloatArray,
-        inputs: FloatArray,
-        dt: float,
-        model: AttitudeModel,
+        x: FloatArray,  # (3,) Measured p, q, r, rad/s
+        effect: FloatArray,  # (3, 4) B, rad/s^2 per unit
+        inputs: FloatArray,  # (n, 4) The inputs that act now, for each delay
+        dt: float,  # Time since the last sample, s
+        model: AttitudeModel,  # What the aircraft does by itself
+        # (3,) Rates that these inputs were to fly, rad/s: one delay ago
         reference: FloatArray | None = None,
     ) -> bool:
-        """Take one sample; return whether there is an answer: not to the first one.
-
-        Parameters
-        ----------
-        x : (3,) array
-            Measured p, q, r, rad/s.
-        effect : (3, 4) array
-            B, rad/s^2 per unit.
-        inputs : (n, 4) array
-            The inputs that act now, for each delay.
-        dt : float
-            Time since the last sample, s.
-        model : AttitudeModel
-            What the aircraft does by itself.
-        reference : (3,) array, optional
-            Rates that these inputs were to fly, rad/s: one delay ago.
-        """
+        """Take one sample; return whether there is an answer: not to the first one."""
         if model is not self._model:
             self._model, self._a = model, own_motion(model)
         self._states[:, AXES] = x, np.zeros(3) if reference is None else reference

@@ -99,20 +99,14 @@ BALLASTS = 5
 
 def _load(name: str, rate: float) -> Any:
     """Return a quiet JSBSim executive with the aircraft loaded."""
-    before = os.environ.get("JSBSIM_DEBUG")
-    os.environ["JSBSIM_DEBUG"] = "0"  # or it prints a banner on stdout
+    os.environ.setdefault("JSBSIM_DEBUG", "0")  # or it prints a banner on stdout
     try:
         jsbsim = importlib.import_module("jsbsim")
-        fdm = jsbsim.FGFDMExec(None)
     except ImportError:
         raise SimulationError(
             "JSBSim is not installed, which aircraft flights need: pip install jsbsim==1.3.3"
         ) from None
-    finally:
-        if before is None:
-            del os.environ["JSBSIM_DEBUG"]
-        else:
-            os.environ["JSBSIM_DEBUG"] = before
+    fdm = jsbsim.FGFDMExec(None)
     fdm.set_debug_level(0)
     fdm.set_dt(1.0 / rate)
     own = MODELS / name

@@ -72,21 +72,11 @@ class Airframe:
         if not 0.0 < speed < math.inf:
             raise SimulationError(f"speed is {speed}: it must be positive, m/s")
         factor = (self.speed / speed) ** 2
-        gains = self.autopilot
-        return replace(
-            self,
-            speed=float(speed),
-            autopilot=replace(
-                gains,
-                roll_gain=factor * gains.roll_gain,
-                pitch_gain=factor * gains.pitch_gain,
-                pitch_damping=factor * gains.pitch_damping,
-            ),
-            excitation={
-                name: peak if name == "dth" else factor * peak
-                for name, peak in self.excitation.items()
-            },
-        )
+        of_surfaces = ("roll_gain", "pitch_gain", "pitch_damping")
+        gains = {name: factor * getattr(self.autopilot, name) for name in of_surfaces}
+        peaks = {k: peak if k == "dth" else factor * peak for k, peak in self.excitation.items()}
+        autopilot = replace(self.autopilot, **gains)
+        return replace(self, speed=float(speed), autopilot=autopilot, excitation=peaks)
 
 
 def airframe_names() -> tuple[str, ...]:
