@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 
@@ -42,8 +43,11 @@ MODULES = {
 }
 """The processes and what they run."""
 
-WINDOWS = ((30.0, 0.0), (0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, math.inf))
-"""Stretches that are judged: the first ends with the fault, the others are s after it."""
+BEFORE = 30.0
+"""Longest stretch before the fault that is judged, s."""
+
+AFTER = (0.0, 5.0, 10.0, 20.0, math.inf)
+"""Edges of the stretches after it, s."""
 
 
 @dataclass(frozen=True)
@@ -166,18 +170,14 @@ def tracking_error(record: Mapping[str, FloatArray], start: float, end: float) -
     return np.asarray(np.degrees(np.sqrt(np.nanmean(error**2, axis=0))))
 
 
-def windows(fault_time: float, duration: float) -> list[tuple[float, float]]:
-    """Stretches of a flight that are judged: before the fault, then after it, s."""
-    first = (min(WINDOWS[0][0], 0.5 * fault_time), fault_time)
-    after = [(fault_time + a, min(fault_time + b, duration)) for a, b in WINDOWS[1:]]
-    return [first, *((a, b) for a, b in after if b > a)]
-
-
 def report(record: Mapping[str, FloatArray], fault_time: float) -> Iterator[str]:
     """Lines that say how well a flight followed its reference."""
     yield "rms of true rates minus reference, deg/s        p      q      r"
     duration = float(record["time"][-1])
-    for start, end in windows(fault_time, duration):
+    edges = [min(BEFORE, 0.5 * fault_time), *(min(fault_time + t, duration) for t in AFTER)]
+    for start, end in pairwise(edges):
+        if not end > start:
+            continue
         p, q, r = tracking_error(record, start, end)
         yield f"  {start:5.0f} s to {end:5.0f} s {'':22} {p:6.2f} {q:6.2f} {r:6.2f}"
     if np.isfinite(lost := float(record["lost"][0])):

@@ -68,6 +68,10 @@ class Fault:
     value: float | None = None  # Factor, deflection or severity
     time: float = -math.inf  # When, s after the first sample; -inf for at once
 
+    def __str__(self) -> str:
+        value = "" if self.value is None else f"{self.value:g}"
+        return " ".join(filter(None, (self.what, self.kind, value)))
+
 
 def parse_fault(text: str) -> Fault:
     """Read a command, with or without a time.

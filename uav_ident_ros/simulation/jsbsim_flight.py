@@ -63,7 +63,7 @@ class LiveAircraft(Live):
     def apply(self, fault: Fault) -> None:
         """Let a fault happen now; see `Live.apply`."""
         if fault.what in QUADROTOR.names:
-            raise SimulationError(f"fault '{fault.what} effect': this aircraft has surfaces")
+            raise SimulationError(f"fault '{fault}': this aircraft has surfaces")
         index = SURFACE_NAMES.index(fault.what) if fault.what in SURFACE_NAMES else 0
         match fault.kind:
             case "repaired":

@@ -11,9 +11,8 @@ Otherwise it flies in real time, stamped with the wall clock, and waits for nobo
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from operator import itemgetter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -89,6 +88,20 @@ PARAMETERS: dict[str, Any] = {
 LEAST = dict.fromkeys(("seed", "duration", "excite_at", "speed"), 0.0)
 """What they must not be below."""
 
+RECORDED = (
+    # A row for each Imu sample: s; true rates, those of the gyro and of the reference (NaN before
+    # the first), rad/s, FRD; roll, pitch, yaw, rad
+    "time", "rates", "measured", "reference", "attitude",
+    # elevator, rudder, aileron, rad, and throttle: as told, and where they are; de, dr, da, dth
+    # that were asked for
+    "outputs", "surfaces", "excitation",
+    # A row for each estimate that arrived: s; by name; and the verdict
+    "tick", "values", "sigma", "fit", "usable",
+    "names",  # of the coefficients
+    "lost",  # When the aircraft was, s, or NaN
+)  # fmt: skip
+"""Arrays of the record."""
+
 
 class PlantNode(Node):
     """The node: an aircraft, its messages, and the waiting for the others.
@@ -102,37 +115,32 @@ class PlantNode(Node):
     def __init__(self, ending: Ending) -> None:
         super().__init__("simulated_plant")
         self._ending = ending
-        self._value = read_parameters(self, PARAMETERS, LEAST, {})
-        rate = self._value["rate"]
+        self._value = value = read_parameters(self, PARAMETERS, LEAST, {})
+        as_they_are = ("rate", "gyro_noise", "accelerometer_noise", "airspeed_bias")
         sensors = Sensors(
-            rate=rate,
-            gyro_noise=self._value["gyro_noise"],
-            gyro_bias=tuple(self._value["gyro_bias"]),
-            accelerometer_noise=self._value["accelerometer_noise"],
-            airspeed_noise=noise if (noise := self._value["airspeed_noise"]) >= 0.0 else None,
-            airspeed_bias=self._value["airspeed_bias"],
+            gyro_bias=tuple(value["gyro_bias"]),
+            airspeed_noise=noise if (noise := value["airspeed_noise"]) >= 0.0 else None,
+            **{name: value[name] for name in as_they_are},
         )
-        faults = [parse_fault(text) for text in self._value["faults"] if text]
-        name, delay, seed = (self._value[key] for key in ("aircraft", "delay", "seed"))
+        faults = [parse_fault(text) for text in value["faults"] if text]
+        flown = sensors, value["delay"], faults, value["seed"]
         self._aircraft: Live
-        if name == QUADROTOR.name:
-            self._aircraft = LiveQuadrotor(sensors, delay, faults, seed)
+        if value["aircraft"] == QUADROTOR.name:
+            self._aircraft = LiveQuadrotor(*flown)
         else:
-            speed = self._value["speed"] or None
-            self._aircraft = LiveAircraft(name, sensors, delay, faults, seed, speed)
-        self._lock_step: bool = self._value["lock_step"]
-        self._period_ns = round(NS_PER_S / rate)
+            self._aircraft = LiveAircraft(value["aircraft"], *flown, value["speed"] or None)
+        self._lock_step: bool = value["lock_step"]
+        self._period_ns = round(NS_PER_S / value["rate"])
         self._now_ns = self._start_ns = EPOCH_NS
-        self._samples: list[dict[str, Any]] = []
-        self._estimates: list[tuple[float, Coefficients]] = []
+        self._record: dict[str, list[Any]] = {name: [] for name in RECORDED}
         # The newest command and reference: stamp, ns, and value
         self._command: tuple[int, FloatArray | None] = (0, None)
         self._reference = (0, np.full(3, np.nan))
         self._coefficients_ns = 0
-        self._identifier_silent = not self._value["wait_for_identifier"]
+        self._identifier_silent = not value["wait_for_identifier"]
         self._controller_silent = False
         self.missed = 0
-        self._excite_at: float = self._value["excite_at"] or math.inf
+        self._excite_at: float = value["excite_at"] or math.inf
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
         self._clock = StepClock(self, self._executor, self._period_ns, self._lock_step)
@@ -172,7 +180,19 @@ class PlantNode(Node):
             self.get_logger().info("the identifier is back")
             self._identifier_silent = False
         self._coefficients_ns = coefficients.t_ns
-        self._estimates.append(((coefficients.t_ns - self._start_ns) / NS_PER_S, coefficients))
+        there = coefficients.structure.mask
+        self._record["names"] = list(coefficients.names)
+        self._keep(
+            tick=(coefficients.t_ns - self._start_ns) / NS_PER_S,
+            usable=coefficients.usable,
+            fit=coefficients.fit,
+            values=coefficients.values[there],
+            sigma=coefficients.sigma[there],
+        )
+
+    def _keep(self, **row: Any) -> None:
+        for name, value in row.items():
+            self._record[name].append(value)
 
     def _on_fault(self, message: String) -> None:
         try:
@@ -180,15 +200,12 @@ class PlantNode(Node):
             if math.isfinite(fault.time):
                 raise SimulationError(f"fault '{message.data}': on the topic it happens at once")
             self._aircraft.apply(fault)
+            self._log_fault(fault)
         except SimulationError as error:
             self.get_logger().error(str(error))
-        else:
-            self._log_fault(fault)
 
     def _log_fault(self, fault: Fault) -> None:
-        value = "" if fault.value is None else f" {fault.value:g}"
-        what = f"{fault.what} {fault.kind}".strip()
-        self.get_logger().warning(f"fault at {self._aircraft.time:.2f} s: {what}{value}")
+        self.get_logger().warning(f"fault at {self._aircraft.time:.2f} s: {fault}")
 
     # -- flying ----------------------------------------------------------------------------
 
@@ -206,27 +223,28 @@ class PlantNode(Node):
             self._start_ns = time.time_ns()
         began = time.monotonic()
         duration = self._value["duration"] or math.inf
-        lost = math.nan
+        self._record["lost"] = [math.nan]
         try:
             while self._going() and self._aircraft.time < duration:
                 self._one_interval(began)
         except SimulationError:
-            lost = self._aircraft.time
+            self._record["lost"] = [self._aircraft.time]
             raise
         finally:
-            if path := self._value["record_file"]:
-                self._save_record(Path(path), lost)
+            self._save_record()
         speed = self._aircraft.time / (time.monotonic() - began)
         self.get_logger().info(
             f"flew {self._aircraft.time:.1f} s at {speed:.1f} times real time; "
             f"{self.missed} samples without an answer"
         )
 
-    def _save_record(self, path: Path, lost: float) -> None:
-        try:
-            save_record(path, self._samples, self._estimates, lost)
-        except OSError as error:
-            self.get_logger().error(f"cannot write '{path}': {error.strerror}")
+    def _save_record(self) -> None:
+        if path := self._value["record_file"]:
+            columns = {name: np.array(rows) for name, rows in self._record.items()}
+            try:
+                np.savez_compressed(path, **columns)
+            except OSError as error:
+                self.get_logger().error(f"cannot write '{path}': {error.strerror}")
 
     def _one_interval(self, began: float) -> None:
         self._now_ns = self._start_ns + round(self._aircraft.time * NS_PER_S)
@@ -260,17 +278,15 @@ class PlantNode(Node):
                 position=outputs.tolist(),
             )
         )
-        self._samples.append(
-            {
-                "time": sample.time,
-                "rates": sample.rates,
-                "measured": sample.measured_rates,
-                "attitude": sample.attitude,
-                "surfaces": sample.surfaces,
-                "outputs": outputs,
-                "reference": self._reference[1],
-                "excitation": self._requests.at(self._now_ns),
-            }
+        self._keep(
+            time=sample.time,
+            rates=sample.rates,
+            measured=sample.measured_rates,
+            attitude=sample.attitude,
+            surfaces=sample.surfaces,
+            outputs=outputs,
+            reference=self._reference[1],
+            excitation=self._requests.at(self._now_ns),
         )
 
     def _excite_if_due(self) -> None:
@@ -351,36 +367,6 @@ class PlantNode(Node):
             self.get_logger().warning(
                 f"no coefficients any more at {self._aircraft.time:.2f} s: going on without"
             )
-
-
-def save_record(
-    path: Path,
-    samples: Sequence[Mapping[str, Any]],
-    estimates: Sequence[tuple[float, Coefficients]],
-    lost: float,
-) -> None:
-    """Write what the plant saw as a NumPy archive.
-
-    It has, one row for each Imu sample, ``time`` (s), ``rates`` (true), ``measured`` (gyro),
-    ``reference`` (all p, q, r in rad/s, FRD; NaN before the first reference), ``attitude`` (roll,
-    pitch, yaw, rad), ``outputs`` and ``surfaces`` (elevator, rudder, aileron in rad, throttle),
-    ``excitation`` (de, dr, da, dth that were asked for); one row for each estimate that arrived,
-    ``tick`` (s), ``values`` and ``sigma`` (by ``names``), ``fit`` and ``usable``; and when the
-    aircraft was ``lost`` (s).
-    """
-    columns: dict[str, list[Any]] = {
-        name: [row[name] for row in samples] for name in (samples[0] if samples else ())
-    }
-    columns |= {
-        "lost": [lost],
-        "tick": [time for time, _ in estimates],
-        "usable": [c.usable for _, c in estimates],
-        "fit": [c.fit for _, c in estimates],
-        "names": list(estimates[0][1].names) if estimates else [],
-        "values": [c.values[c.structure.mask] for _, c in estimates],
-        "sigma": [c.sigma[c.structure.mask] for _, c in estimates],
-    }
-    np.savez_compressed(path, **{name: np.array(rows) for name, rows in columns.items()})
 
 
 def _imu_message(t_ns: int, sample: Sample) -> Imu:

@@ -251,7 +251,7 @@ def _motor(fault: Fault) -> int | None:
         return None
     if fault.kind != "effect" or fault.what not in QUADROTOR.names:
         raise SimulationError(
-            f"fault '{fault.what} {fault.kind}': a quadrotor knows 'MOTOR effect FACTOR', of "
+            f"fault '{fault}': a quadrotor knows 'MOTOR effect FACTOR', of "
             f"{', '.join(QUADROTOR.names)}, and 'repaired'"
         )
     return QUADROTOR.names.index(fault.what)
