@@ -166,7 +166,9 @@ class Aircraft:
     ) -> None:
         self.airframe = airframe(name, speed)  # What it is
         self.rate = rate  # Rate of the simulation, Hz
-        self.ranges = _surface_ranges(self.airframe.model, rate)
+        self._ranges = _surface_ranges(self.airframe.model, rate)
+        # (2, 4) Least and largest elevator, rudder, aileron (rad) and throttle
+        self.limits = np.column_stack([self._ranges[:, [0, -1]].T, (0.0, 1.0)])
         self.fdm = _load(self.airframe.model, rate)  # JSBSim itself, for what has no method here
         nodes = self.fdm.get_property_manager()
         self._read = [nodes.get_node(name) for name, _ in SIGNALS.values()]
@@ -230,7 +232,7 @@ class Aircraft:
         """Command elevator, rudder, aileron (rad) and throttle from now on."""
         self.surfaces = surfaces
         for i, node in enumerate(self._command):
-            node.set_double_value(float(np.interp(surfaces[i], self.ranges[i], COMMAND_POINTS)))
+            node.set_double_value(float(np.interp(surfaces[i], self._ranges[i], COMMAND_POINTS)))
         for node in self._throttle:
             node.set_double_value(float(surfaces[3]))
 
@@ -245,13 +247,7 @@ class Aircraft:
 
     def clip(self, surfaces: FloatArray) -> FloatArray:
         """Limit surfaces to what the aircraft can do."""
-        low, high = self.limits
-        return np.clip(surfaces, low, high)
-
-    @property
-    def limits(self) -> FloatArray:
-        """Least and largest elevator, rudder, aileron (rad) and throttle, shape (2, 4)."""
-        return np.array([np.append(self.ranges[:, 0], 0.0), np.append(self.ranges[:, -1], 1.0)])
+        return np.clip(surfaces, *self.limits)
 
     def step(self) -> list[float]:
         """Move on by one step; the signals in the order of `SIGNALS`, in JSBSim's units."""
@@ -270,10 +266,7 @@ class Autopilot:
 
     def __init__(self, aircraft: Aircraft, signals: Sequence[float], rate: float) -> None:
         self.airframe, self.trim, self.rate = aircraft.airframe, aircraft.surfaces, rate
-        self.pitch, self.altitude = (
-            signals[COLUMN["pitch"]],
-            signals[COLUMN["altitude"]] * FOOT,
-        )
+        self.pitch, self.altitude = signals[COLUMN["pitch"]], signals[COLUMN["altitude"]] * FOOT
 
     def surfaces(self, signals: Sequence[float], bank: float = 0.0) -> FloatArray:
         """Elevator, rudder, aileron, throttle from the signals (JSBSim's units), at `rate` Hz."""

@@ -39,10 +39,13 @@ def actuator_type(measurements: Measurements) -> str:
     return JOINT_STATE if measurements.sensors.stamped else ARRAY
 
 
-def imu_messages(measurements: Measurements) -> Iterator[tuple[int, str, Any]]:
-    """(log time, topic, message) of every Imu message."""
-    m, sensors = measurements, measurements.sensors
-    noises = (sensors.gyro_noise, sensors.accelerometer_noise)
+Messages = Iterator[tuple[int, str, Any]]
+"""(log time, topic, message) of every message of a topic."""
+
+
+def imu_messages(m: Measurements) -> Messages:
+    """Messages of the Imu."""
+    noises = (m.sensors.gyro_noise, m.sensors.accelerometer_noise)
     spread, force_spread = (np.diag([noise**2] * 3).ravel() for noise in noises)
     columns = (m.imu_log_ns, m.imu_t_ns, m.rates, m.specific_force)
     for log, t, rates, force in zip(*(column.tolist() for column in columns), strict=True):
@@ -50,18 +53,17 @@ def imu_messages(measurements: Measurements) -> Iterator[tuple[int, str, Any]]:
         yield log, IMU_TOPIC, message
 
 
-def actuator_messages(measurements: Measurements) -> Iterator[tuple[int, str, Any]]:
-    """(log time, topic, message) of every actuator message."""
-    m, names = measurements, measurements.channel_set.names
+def actuator_messages(m: Measurements) -> Messages:
+    """Messages of the actuators."""
     stamps = zip(m.actuator_log_ns.tolist(), m.actuator_t_ns.tolist(), m.actuators, strict=True)
     for log, t, values in stamps:
-        message = joint_state(t, names, values) if m.sensors.stamped else array(values)
+        stamped = m.sensors.stamped
+        message = joint_state(t, m.channel_set.names, values) if stamped else array(values)
         yield log, ACTUATOR_TOPIC, message
 
 
-def airspeed_messages(measurements: Measurements) -> Iterator[tuple[int, str, Any]]:
-    """(log time, topic, message) of every measured airspeed."""
-    m = measurements
+def airspeed_messages(m: Measurements) -> Messages:
+    """Messages of the measured airspeed."""
     columns = (m.airspeed_log_ns.tolist(), m.airspeed_t_ns.tolist(), m.airspeed.tolist())
     for log, t, speed in zip(*columns, strict=True):
         yield log, AIRSPEED_TOPIC, twist_stamped(t, (speed, 0.0, 0.0))
@@ -80,25 +82,18 @@ def write_bag(
         If the folder exists or cannot be written; nothing half-written stays behind.
     """
     with whole(Path(path)) as folder:
-        _write_bag(measurements, folder, compress)
+        with BagWriter(folder, compress) as bag:
+            bag.topic(IMU_TOPIC, IMU, qos(500, reliable=False))
+            bag.topic(ACTUATOR_TOPIC, actuator_type(measurements), qos(10))
+            if len(measurements.airspeed):
+                bag.topic(AIRSPEED_TOPIC, TWIST, qos(10))
+            streams = (actuator_messages, imu_messages, airspeed_messages)
+            bag.merge(stream(measurements) for stream in streams)
         meaning = "What the topics of this bag mean: parameters for the identifier and for replay."
         text = yaml_text({"/**": {"ros__parameters": parameters(measurements)}}, meaning)
         (folder / PARAMETER_FILE).write_text(text, encoding="utf-8")
-        truth_text = yaml_text(
-            truth(measurements), "What is true of this flight, SI, aircraft axes."
-        )
-        (folder / TRUTH_FILE).write_text(truth_text, encoding="utf-8")
-
-
-def _write_bag(measurements: Measurements, folder: Path, compress: bool) -> None:
-    with BagWriter(folder, compress) as bag:
-        bag.topic(IMU_TOPIC, IMU, qos(500, reliable=False))
-        bag.topic(ACTUATOR_TOPIC, actuator_type(measurements), qos(10))
-        streams = [actuator_messages(measurements), imu_messages(measurements)]
-        if len(measurements.airspeed):
-            bag.topic(AIRSPEED_TOPIC, TWIST, qos(10))
-            streams.append(airspeed_messages(measurements))
-        bag.merge(streams)
+        text = yaml_text(truth(measurements), "What is true of this flight, SI, aircraft axes.")
+        (folder / TRUTH_FILE).write_text(text, encoding="utf-8")
 
 
 def parameters(measurements: Measurements) -> dict[str, Any]:
