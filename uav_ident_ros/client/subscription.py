@@ -20,28 +20,14 @@ DEPTH = 10
 
 
 def subscribe(
-    node: Any,
-    source: CoefficientSource,
-    topic: str = TOPIC,
-    callback: Callable[[Coefficients], None] | None = None,
+    node: Any,  # rclpy's, the owner of the subscription
+    source: CoefficientSource,  # What takes the messages
+    topic: str = TOPIC,  # Remappings apply
+    callback: Callable[[Coefficients], None] | None = None,  # Told the coefficients of each message
 ) -> Any:
-    """Feed `source` from a topic.
+    """Feed `source` from a topic; return rclpy's subscription.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Owner of the subscription.
-    source : CoefficientSource
-        What takes the messages.
-    topic : str
-        The topic; remappings apply.
-    callback : callable, optional
-        Called with the coefficients of each message.
-
-    Returns
-    -------
-    rclpy.subscription.Subscription
-        The subscription: reliable and latched, so that the last coefficients come at once.
+    It is reliable and latched, so that the last coefficients come at once.
     """
     from sensor_msgs.msg import JointState
 
@@ -60,22 +46,7 @@ def subscribe(
 
 
 def subscribe_excitation(node: Any, excitation: Excitation, topic: str = EXCITATION_TOPIC) -> Any:
-    """Feed `excitation` from a topic.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Owner of the subscription.
-    excitation : Excitation
-        What takes the messages.
-    topic : str
-        The topic; remappings apply.
-
-    Returns
-    -------
-    rclpy.subscription.Subscription
-        The subscription.
-    """
+    """Feed `excitation` from a topic, as `subscribe` does a source of coefficients."""
     from sensor_msgs.msg import JointState
 
     def take(message: JointState) -> None:

@@ -18,7 +18,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -72,11 +71,15 @@ class Loop:
         """Parameters of one of `MODULES` that are not in its file; the plant writes `record`."""
         coefficients = self.files / f"{self.aircraft}_coefficients.yaml"
         own: dict[str, dict[str, object]] = {
-            "identifier": {"use_sim_time": self.lock_step},
+            "identifier": {
+                "use_sim_time": self.lock_step,
+                **({} if self.cold else {"initial_coefficients_file": coefficients}),
+            },
             "controller": {
                 "mode": self.mode,
                 "nominal_file": coefficients,
                 "use_verdict": self.use_verdict,
+                **({} if self.lock_step else {"coefficients_delay": 0.0, "reference_delay": 0.0}),
             },
             "rate_reference": {"seed": self.seed},
             "simulated_plant": {
@@ -88,10 +91,6 @@ class Loop:
                 "record_file": record,
             },
         }
-        if not self.cold:
-            own["identifier"]["initial_coefficients_file"] = coefficients
-        if not self.lock_step:
-            own["controller"] |= {"coefficients_delay": 0.0, "reference_delay": 0.0}
         return {**own[process], **self.parameters.get(process, {})}
 
 
@@ -112,9 +111,7 @@ class ClosedLoop:
             self.start(name)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for process in self.processes.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
