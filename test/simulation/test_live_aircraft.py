@@ -2,7 +2,6 @@
 """The aircraft in the loop: commands act when they should, faults do what they say."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -43,15 +42,6 @@ def flown(
     return aircraft, samples
 
 
-@cache
-def undisturbed() -> list[Sample]:
-    return flown(size=0.0, seconds=0.15)[1]
-
-
-def rate_gained(samples: list[Sample], axis: int) -> float:
-    return float(samples[-1].rates[axis] - samples[0].rates[axis])
-
-
 def test_its_airspeed_is_measured_ten_times_a_second() -> None:
     sensors = replace(PERFECT, airspeed_noise=0.0, airspeed_bias=0.5)
     aircraft, measured = LiveAircraft("c172p", sensors), []
@@ -68,11 +58,9 @@ def test_its_airspeed_is_measured_ten_times_a_second() -> None:
 def test_a_command_acts_after_the_delay_and_not_before() -> None:
     prompt, late = (flown(delay=delay)[1] for delay in (0.0, 0.03))
     steady = flown(size=0.0)[1]
-    difference = [
-        [abs(a.rates[0] - b.rates[0]) > 1e-9 for a, b in zip(samples, steady, strict=True)]
-        for samples in (prompt, late)
-    ]
-    assert [d.index(True) for d in difference] == [1, 4]  # samples of 10 ms; 30 ms are three
+    for samples, first in ((prompt, 1), (late, 4)):  # samples of 10 ms; 30 ms are three
+        moved = [abs(a.rates[0] - b.rates[0]) > 1e-9 for a, b in zip(samples, steady, strict=True)]
+        assert moved.index(True) == first
 
 
 def test_commands_are_limited_to_what_the_aircraft_can_do() -> None:
@@ -100,12 +88,12 @@ def test_the_same_seed_gives_the_same_samples() -> None:
 
 @pytest.mark.parametrize("surface", PULSE)
 def test_half_the_effect_is_half_the_rate(surface: str) -> None:
-    axis = PULSE[surface][1]
-    whole, half, reverse = (
-        rate_gained(flown(*faults, surface=surface, seconds=0.15)[1], axis)
-        for faults in ((), (f"0.0: {surface} effect 0.5",), (f"0.0: {surface} effect -1",))
-    )
-    drift = rate_gained(undisturbed(), axis)
+    def gained(*faults: str, size: float = 0.05) -> float:
+        _, samples = flown(*faults, surface=surface, size=size, seconds=0.15)
+        return float((samples[-1].rates - samples[0].rates)[PULSE[surface][1]])
+
+    whole, drift = gained(), gained(size=0.0)
+    half, reverse = gained(f"0.0: {surface} effect 0.5"), gained(f"0.0: {surface} effect -1")
     assert (half - drift) / (whole - drift) == pytest.approx(0.5, abs=0.03)
     assert (reverse - drift) / (whole - drift) == pytest.approx(-1.0, abs=0.06)
 

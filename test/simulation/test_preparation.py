@@ -29,17 +29,15 @@ def make(prepared: Prepared, adaptive: bool = True):  # type: ignore[no-untyped-
     return rate_controller(prepared, LAW, adaptive, OWN_GAINS[LAW])
 
 
-def test_what_is_identified_is_true(small: Prepared, tmp_path: Path) -> None:
+def test_what_is_identified_is_true_and_the_files_have_the_sections_of_the_nodes(
+    small: Prepared, tmp_path: Path
+) -> None:
     write(small, tmp_path)
     found = Coefficients.from_file(tmp_path / f"{NAME}_coefficients.yaml")
     truth = linearise_cruise(NAME).derivatives
     for name in ("pdot/da", "qdot/de"):
         value = found.values[found.structure.index(name)]
         assert value == pytest.approx(truth[name], rel=0.15), name
-
-
-def test_the_parameter_file_has_the_sections_of_the_nodes(small: Prepared, tmp_path: Path) -> None:
-    write(small, tmp_path)
     path = tmp_path / f"{NAME}.yaml"
     plant, controller = (load_parameters(path, f"/{n}") for n in ("simulated_plant", "controller"))
     assert plant["aircraft"] == NAME and plant["speed"] == 17.0
