@@ -174,9 +174,7 @@ class Aircraft:
         self._read = [nodes.get_node(name) for name, _ in SIGNALS.values()]
         self._scale = np.array([scale for _, scale in SIGNALS.values()])
         self._command = [nodes.get_node(name) for name in COMMANDS]
-        self._engines = 0
-        while nodes.hasNode(f"propulsion/engine[{self._engines}]/set-running"):
-            self._engines += 1
+        self._engines = self.fdm.get_propulsion().get_num_engines()
         suffixes = [""] + [f"[{i}]" for i in range(1, self._engines)]
         throttles = (nodes.get_node(f"fcs/throttle-cmd-norm{s}") for s in suffixes)
         self._throttle = [node for node in throttles if node is not None]  # a glider has none

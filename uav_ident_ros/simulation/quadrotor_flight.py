@@ -32,7 +32,7 @@ class Body:
     arm: float = 0.16  # Of each motor from the roll and from the pitch axis, m
     hover: float = 0.5  # Command at which it hovers, 0 ... 1
     torque: float = 0.016  # Rotor torque over thrust, m
-    inflow: float = 0.6  # c above, N per m/s, at full speed
+    inflow: float = 0.6  # c of `Quadrotor`, N per m/s, at full speed
     drag: float = 0.25  # Sideways force of all rotors, N per m/s
     time_constant: float = 0.05  # Lag of the motors, s
 
