@@ -32,7 +32,7 @@ from uav_ident_ros.simulation.preparation import CONFIG, prepare, write
 
 ROOT = CONFIG.parents[1]
 PREPARED = ROOT / "build" / "aircraft"
-"""Where aircraft that were identified for the loop are kept."""
+"""Where aircraft that were identified for the loop are kept, each speed in a folder."""
 
 MODULES = {
     "identifier": "uav_ident_ros.node",
@@ -62,14 +62,14 @@ class Loop:
     excite: float = 0.0  # When excitation is asked for, s; 0 for never
     seed: int = 0  # Seed of noise, gusts and manoeuvres
     lock_step: bool = True  # In step, or in real time
-    files: Path = CONFIG  # Folder of ``AIRCRAFT.yaml`` and ``AIRCRAFT_coefficients.yaml``
-    aircraft: str = "c172p"  # Name of the aircraft, and of its files there
+    # Parameters of all nodes; ``NAME_coefficients.yaml`` is beside it
+    file: Path = CONFIG / "c172p.yaml"
     # More parameters, by process: ``{"simulated_plant": {"rate": "200.0"}}``
     parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
     def parameters_of(self, process: str, record: Path) -> dict[str, object]:
         """Parameters of one of `MODULES` that are not in its file; the plant writes `record`."""
-        coefficients = self.files / f"{self.aircraft}_coefficients.yaml"
+        coefficients = self.file.with_name(f"{self.file.stem}_coefficients.yaml")
         own: dict[str, dict[str, object]] = {
             "identifier": {
                 "use_sim_time": self.lock_step,
@@ -124,7 +124,7 @@ class ClosedLoop:
             MODULES[name],
             self.folder / f"{name}.log",
             self.loop.parameters_of(name, self.record_file),
-            file=self.loop.files / f"{self.loop.aircraft}.yaml",
+            file=self.loop.file,
             home=self.folder,
         )
 
@@ -183,23 +183,19 @@ def report(record: Mapping[str, FloatArray], fault_time: float) -> Iterator[str]
         yield f"coefficients usable in {100.0 * np.mean(record['usable']):.0f} % of the ticks"
 
 
-def prepared_files(
+def prepared_file(
     aircraft: str,  # Its name, or the path of its file
     speed: float | None,  # True airspeed in place of its own, m/s
-    folder: Path,  # Where each aircraft and speed has a folder
-) -> tuple[Path, str]:
-    """Return the folder of an aircraft's files and their name.
-
-    What has no files yet is trimmed, excited and identified.
-    """
+) -> Path:
+    """Return an aircraft's `Loop.file`; one without is trimmed, excited and identified first."""
     if aircraft in shipped() and speed is None:
-        return CONFIG, aircraft
+        return CONFIG / f"{aircraft}.yaml"
     frame = airframe(aircraft, speed)
-    own = folder / f"{frame.name}_{frame.speed:.1f}"
-    if not (own / f"{frame.name}.yaml").exists():
+    file = PREPARED / f"{frame.name}_{frame.speed:.1f}" / f"{frame.name}.yaml"
+    if not file.exists():
         print(f"identifying {frame.name} at {frame.speed:.1f} m/s: {frame.description}", flush=True)
-        write(prepare(aircraft, speed), own)
-    return own, frame.name
+        write(prepare(aircraft, speed), file.parent)
+    return file
 
 
 def shipped() -> list[str]:
@@ -243,12 +239,10 @@ def loop_from(options: argparse.Namespace) -> Loop:
         faults.append(f"0: turbulence {options.turbulence}")
     for text in faults:
         parse_fault(text)
-    files, name = prepared_files(options.aircraft, options.speed, PREPARED)
     return Loop(
         options.duration, tuple(faults), options.mode, not options.ignore_verdict,
         options.cold, options.excite, options.seed, not options.real_time,
-        files=files, aircraft=name,
-        parameters={"controller": {"law": options.law}},
+        prepared_file(options.aircraft, options.speed), {"controller": {"law": options.law}},
     )  # fmt: skip
 
 
