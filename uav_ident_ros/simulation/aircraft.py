@@ -12,7 +12,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -63,31 +63,30 @@ COMMAND_POINTS = np.linspace(-1.0, 1.0, 81)
 """Commands between which a surface's travel is linear: about its centre it may have a corner, and
 some stop short of the full command (the A4's rudder at 0.35 of it)."""
 
-# What is read after every step, and the factor that makes it SI.
 SIGNALS = {
-    "p": ("velocities/p-rad_sec", 1.0),
-    "q": ("velocities/q-rad_sec", 1.0),
-    "r": ("velocities/r-rad_sec", 1.0),
-    "pdot": ("accelerations/pdot-rad_sec2", 1.0),
-    "qdot": ("accelerations/qdot-rad_sec2", 1.0),
-    "rdot": ("accelerations/rdot-rad_sec2", 1.0),
+    "p": "velocities/p-rad_sec",
+    "q": "velocities/q-rad_sec",
+    "r": "velocities/r-rad_sec",
+    "pdot": "accelerations/pdot-rad_sec2",
+    "qdot": "accelerations/qdot-rad_sec2",
+    "rdot": "accelerations/rdot-rad_sec2",
     # all forces but the weight: over the mass, the specific force at the centre of gravity
-    "fx": ("forces/fbx-total-lbs", 1.0),
-    "fy": ("forces/fby-total-lbs", 1.0),
-    "fz": ("forces/fbz-total-lbs", 1.0),
-    "airspeed": ("velocities/vtrue-fps", FOOT),
-    "alpha": ("aero/alpha-rad", 1.0),
-    "beta": ("aero/beta-rad", 1.0),
-    "roll": ("attitude/phi-rad", 1.0),
-    "pitch": ("attitude/theta-rad", 1.0),
-    "yaw": ("attitude/psi-rad", 1.0),
-    "altitude": ("position/h-sl-ft", FOOT),
-    "elevator": (SURFACES[0], 1.0),
-    "rudder": (SURFACES[1], 1.0),
-    "aileron": (SURFACES[2], 1.0),
-    "throttle": (SURFACES[3], 1.0),
+    "fx": "forces/fbx-total-lbs",
+    "fy": "forces/fby-total-lbs",
+    "fz": "forces/fbz-total-lbs",
+    "airspeed": "velocities/vtrue-fps",
+    "alpha": "aero/alpha-rad",
+    "beta": "aero/beta-rad",
+    "roll": "attitude/phi-rad",
+    "pitch": "attitude/theta-rad",
+    "yaw": "attitude/psi-rad",
+    "altitude": "position/h-sl-ft",
+    **dict(zip(("elevator", "rudder", "aileron", "throttle"), SURFACES, strict=True)),
 }
-COLUMN = {name: i for i, name in enumerate(SIGNALS)}
+"""What is read after every step."""
+
+Signals = Mapping[str, float]
+"""`SIGNALS` by name, SI."""
 
 BALLAST = """<pointmass name="ballast"><weight unit="LBS">0</weight><location unit="IN">
 <x>0</x><y>0</y><z>0</z></location></pointmass>"""
@@ -171,8 +170,8 @@ class Aircraft:
         self.limits = np.column_stack([self._ranges[:, [0, -1]].T, (0.0, 1.0)])
         self.fdm = _load(self.airframe.model, rate)  # JSBSim itself, for what has no method here
         nodes = self.fdm.get_property_manager()
-        self._read = [nodes.get_node(name) for name, _ in SIGNALS.values()]
-        self._scale = np.array([scale for _, scale in SIGNALS.values()])
+        self._read = {name: nodes.get_node(path) for name, path in SIGNALS.items()}
+        self._mass = nodes.get_node("inertia/mass-slugs")
         self._command = [nodes.get_node(name) for name in COMMANDS]
         self._engines = self.fdm.get_propulsion().get_num_engines()
         suffixes = [""] + [f"[{i}]" for i in range(1, self._engines)]
@@ -247,52 +246,47 @@ class Aircraft:
         """Limit surfaces to what the aircraft can do."""
         return np.clip(surfaces, *self.limits)
 
-    def step(self) -> list[float]:
-        """Move on by one step; the signals in the order of `SIGNALS`, in JSBSim's units."""
+    def step(self) -> Signals:
+        """Move on by one step; return the signals."""
         self.fdm.run()
-        return [node.get_double_value() for node in self._read]
-
-    def to_si(self, record: FloatArray) -> FloatArray:
-        """Signals in SI units; specific force in place of the forces."""
-        record = record * self._scale
-        record[..., 6:9] *= FOOT / self.fdm["inertia/mass-slugs"]
-        return record
+        signals = {name: node.get_double_value() for name, node in self._read.items()}
+        for name in ("airspeed", "altitude"):
+            signals[name] *= FOOT
+        per_mass = FOOT / self._mass.get_double_value()
+        for name in ("fx", "fy", "fz"):
+            signals[name] *= per_mass
+        return signals
 
 
 class Autopilot:
     """Attitude, altitude and speed hold; low gains, so that the excitation comes through."""
 
-    def __init__(self, aircraft: Aircraft, signals: Sequence[float], rate: float) -> None:
+    def __init__(self, aircraft: Aircraft, signals: Signals, rate: float) -> None:
         self.airframe, self.trim, self.rate = aircraft.airframe, aircraft.surfaces, rate
-        self.pitch, self.altitude = signals[COLUMN["pitch"]], signals[COLUMN["altitude"]] * FOOT
+        self.pitch, self.altitude = signals["pitch"], signals["altitude"]
 
-    def surfaces(self, signals: Sequence[float], bank: float = 0.0) -> FloatArray:
-        """Elevator, rudder, aileron, throttle from the signals (JSBSim's units), at `rate` Hz."""
+    def surfaces(self, signals: Signals, bank: float = 0.0) -> FloatArray:
+        """Elevator, rudder, aileron, throttle from the signals, at `rate` Hz."""
         a, gains = self.airframe, self.airframe.autopilot
-        before, self.altitude = self.altitude, signals[COLUMN["altitude"]] * FOOT
+        before, self.altitude = self.altitude, signals["altitude"]
         climb = (self.altitude - before) * self.rate
-        speed = signals[COLUMN["airspeed"]] * FOOT
         reference = self.pitch + gains.altitude_gain * (a.altitude - self.altitude)
-        pitch_error = signals[COLUMN["pitch"]] - (reference - gains.climb_gain * climb)
-        roll_error = signals[COLUMN["roll"]] - bank
+        pitch_error = signals["pitch"] - (reference - gains.climb_gain * climb)
         correction = np.array(
             [
-                gains.pitch_gain * pitch_error + gains.pitch_damping * signals[COLUMN["q"]],
+                gains.pitch_gain * pitch_error + gains.pitch_damping * signals["q"],
                 0.0,
-                -gains.roll_gain * roll_error,
-                gains.speed_gain * (a.speed - speed),
+                -gains.roll_gain * (signals["roll"] - bank),
+                gains.speed_gain * (a.speed - signals["airspeed"]),
             ]
         )
         return np.asarray(self.trim + correction)
 
 
-def settle(aircraft: Aircraft, rate: float = AUTOPILOT_RATE) -> tuple[Autopilot, list[float]]:
+def settle(aircraft: Aircraft, rate: float = AUTOPILOT_RATE) -> tuple[Autopilot, Signals]:
     """Fly a trimmed aircraft on the autopilot, at `rate` Hz, until nothing moves any more.
 
-    Returns
-    -------
-    Autopilot, list of float
-        What flies it and the signals at the end; the surfaces are ``aircraft.surfaces``.
+    Returns what flies it and the signals at the end; the surfaces are ``aircraft.surfaces``.
     """
     signals = aircraft.step()
     autopilot, every = Autopilot(aircraft, signals, rate), round(aircraft.rate / rate)
@@ -408,9 +402,9 @@ def linearise(aircraft: Aircraft) -> Linearisation:
             aircraft.set_surfaces(surfaces + step * moved)
             there = {changed: state[changed] + step} if changed else {}
             signals = _signals(aircraft, state | there)
-            rows = [COLUMN[name] for name in ("pdot", "qdot", "rdot", "fy", "fz")]
+            rows = [signals[name] for name in ("pdot", "qdot", "rdot", "fy", "fz")]
             flow = [fdm[f"aero/{angle}dot-rad_sec"] for angle in ("beta", "alpha")]
-            ends.append(np.append(signals[rows], flow))
+            ends.append(np.array([*rows, *flow]))
         return np.asarray((ends[0] - ends[1]) / (2.0 * STEP))
 
     still = np.zeros(len(INPUTS))
@@ -424,12 +418,12 @@ def linearise(aircraft: Aircraft) -> Linearisation:
         for name, column in columns.items()
     }
     # The model's own term p alpha counts alpha from where az vanishes; the rest is the coefficient.
-    derivatives["betadot/p"] -= float(base[COLUMN["fz"]]) / derivatives["az/alpha"]
-    return Linearisation(derivatives, float(base[COLUMN["airspeed"]]), float(base[COLUMN["alpha"]]))
+    derivatives["betadot/p"] -= base["fz"] / derivatives["az/alpha"]
+    return Linearisation(derivatives, base["airspeed"], base["alpha"])
 
 
-def _signals(aircraft: Aircraft, state: Mapping[str, float]) -> FloatArray:
-    """`SIGNALS` in a state, SI, shape (21,)."""
+def _signals(aircraft: Aircraft, state: Mapping[str, float]) -> Signals:
+    """Return the signals in a state."""
     fdm = aircraft.fdm
     for name, value in state.items():
         fdm[name] = value
@@ -437,6 +431,6 @@ def _signals(aircraft: Aircraft, state: Mapping[str, float]) -> FloatArray:
     fdm.suspend_integration()  # no time passes
     # once for the flow angles' rates, which JSBSim's moments may use, and once with them
     aircraft.step()
-    signals = aircraft.to_si(np.array(aircraft.step()))
+    signals = aircraft.step()
     fdm.resume_integration()
     return signals

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.aircraft import COLUMN, FOOT, Aircraft, cruise_derivatives, settle
+from uav_ident_ros.simulation.aircraft import SIGNALS, Aircraft, cruise_derivatives, settle
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import (
     MAX_TURBULENCE,
@@ -31,15 +31,12 @@ BANK_TIME = 20.0
 ROLL_TIME = 4.0
 """Time in which the reference of the bank angle changes, s."""
 
-SURFACE_COLUMNS = [COLUMN[name] for name in SURFACE_NAMES]
-"""Where they are among the signals."""
-
 MAX_BANK = 60.0
 """Largest bank angle that the autopilot is asked for, deg."""
 
 
 class LiveAircraft(Live):
-    """A JSBSim aircraft in flight; a row has its signals, in JSBSim's units."""
+    """A JSBSim aircraft in flight; of a step its signals are kept."""
 
     names = SURFACE_NAMES
 
@@ -89,22 +86,25 @@ class LiveAircraft(Live):
         commanded = self.outputs[:3] if surfaces is None else surfaces
         return self.aircraft.clip(np.append(commanded, self.trim[3] + SPEED_GAIN * slow))
 
-    def _fly(self, acting: FloatArray, moved: bool) -> list[float]:
+    def _fly(self, acting: FloatArray, moved: bool) -> tuple[float, ...]:
         if moved:
             moved_to = self.trim + self._effect * (acting - self.trim)
             self.aircraft.set_surfaces(np.where(np.isnan(self._jammed), moved_to, self._jammed))
         self.signals = self.aircraft.step()
-        return self.signals
+        return (*self.signals.values(),)
+
+    def _picked(self, *names: str) -> FloatArray:
+        return np.array([self.signals[name] for name in names])
 
     def _attitude(self) -> Sequence[float]:
-        return [self.signals[COLUMN[name]] for name in ("roll", "pitch", "yaw")]
+        return [self.signals[name] for name in ("roll", "pitch", "yaw")]
 
     def _airspeed(self) -> float:
-        return float(self.signals[COLUMN["airspeed"]] * FOOT)
+        return self.signals["airspeed"]
 
     def _state(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        signals = self.aircraft.to_si(np.array(self.signals))
-        return signals[0:3], signals[6:9], signals[SURFACE_COLUMNS]
+        rates, force = self._picked("p", "q", "r"), self._picked("fx", "fy", "fz")
+        return rates, force, self._picked(*self.names)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,20 +149,20 @@ class AircraftFlight(Plan):
             return live.aircraft.clip(wanted + excitation)
 
         rows, commands, common = live.record(self, commanded)
-        record = live.aircraft.to_si(rows)
-        signals = ("alpha", "beta", "roll", "pitch", "altitude")
-        extra = {key: record[:, COLUMN[key]] for key in signals}
-        airspeed = record[:, COLUMN["airspeed"]]
+        signals = dict(zip(SIGNALS, rows.T, strict=True))
+        extra = {key: signals[key] for key in ("alpha", "beta", "roll", "pitch", "altitude")}
+        extra["surfaces"] = np.column_stack([signals[key] for key in SURFACE_NAMES])
+        airspeed = signals["airspeed"]
         return Flight(
             name=name or live.aircraft.airframe.name,
-            rates=record[:, 0:3],
-            angular_acceleration=record[:, 3:6],
-            specific_force=record[:, 6:9],
+            rates=rows[:, 0:3],
+            angular_acceleration=rows[:, 3:6],
+            specific_force=rows[:, 6:9],
             inputs=commands - live.trim,
             trim=np.array(live.trim),
             # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
             local_truth=cruise_derivatives(self.aircraft, round(float(airspeed.mean()), 1)),
             airspeed=airspeed,
-            extra={**extra, "surfaces": record[:, SURFACE_COLUMNS]},
+            extra=extra,
             **common,
         )
