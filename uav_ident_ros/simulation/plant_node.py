@@ -20,7 +20,6 @@ import rclpy
 from geometry_msgs.msg import Quaternion, Twist, TwistStamped, Vector3, Vector3Stamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool
@@ -62,7 +61,8 @@ TICK_NS = TICK_DUE_NS = 50_000_000
 
 UNLIMITED = [math.inf] * 4
 
-RELIABLE = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
+DEPTH = 50
+"""Of the queues, all reliable: in step nothing may be lost."""
 
 PARAMETERS: dict[str, Any] = {
     "aircraft": "c172p",  # "quadrotor", or as in uav_ident_ros/simulation/airframe.py
@@ -144,12 +144,12 @@ class PlantNode(Node):
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
         self._clock = StepClock(self, self._executor, self._period_ns, self._lock_step)
-        self._imu = self.create_publisher(Imu, "imu/data", RELIABLE)
-        self._actuators = self.create_publisher(JointState, "actuators", RELIABLE)
-        self._airspeed = self.create_publisher(TwistStamped, "airspeed", RELIABLE)
-        self.create_subscription(JointState, "command", self._on_command, RELIABLE)
-        self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, RELIABLE)
-        self.create_subscription(String, "~/fault", self._on_fault, RELIABLE)
+        self._imu = self.create_publisher(Imu, "imu/data", DEPTH)
+        self._actuators = self.create_publisher(JointState, "actuators", DEPTH)
+        self._airspeed = self.create_publisher(TwistStamped, "airspeed", DEPTH)
+        self.create_subscription(JointState, "command", self._on_command, DEPTH)
+        self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, DEPTH)
+        self.create_subscription(String, "~/fault", self._on_fault, DEPTH)
         self._excite = self.create_client(SetBool, "identifier/excite")
         refusing = CoefficientSource(Fallback.REFUSE)
         self._identified = subscribe(self, refusing, callback=self._on_coefficients)

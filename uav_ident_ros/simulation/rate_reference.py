@@ -124,9 +124,8 @@ class RateReference(Node):
         low, high = value.pop("hold")
         self._manoeuvres = Manoeuvres(hold=(low, high), **value)
         self._first_ns = self._last_ns = 0
-        reliable = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
         best_effort = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._publisher = self.create_publisher(Vector3Stamped, "rate_reference", reliable)
+        self._publisher = self.create_publisher(Vector3Stamped, "rate_reference", 50)
         self.create_subscription(Imu, "imu/data", self._on_imu, best_effort)
 
     def _on_imu(self, message: Imu) -> None:
