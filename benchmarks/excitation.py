@@ -46,7 +46,7 @@ from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live
 from uav_ident_ros.simulation.preparation import SENSORS
 from uav_ident_ros.simulation.quadrotor_flight import Body, LiveQuadrotor
-from uav_ident_ros.simulation.rate_reference import Manoeuvres
+from uav_ident_ros.simulation.rate_reference import PARAMETERS, Manoeuvres
 
 CONFIG = bench.ROOT / "config" / "closed_loop"
 AIRCRAFT = "c172p"
@@ -105,10 +105,8 @@ class Flight:
         if name == AIRCRAFT:
             self.aircraft = LiveAircraft(name, SENSORS, delay, (), seed)
             self.aircraft.apply(Fault("turbulence", value=float(severity)))
-            guide = (0.5, 0.1)
         else:
             self.aircraft = LiveQuadrotor(SENSORS, delay, (), seed)
-            guide = (guided["bank"], guided["pitch"])
         if untold:
             identified |= {
                 "actuators.delay": 0.0, "actuators.time_constant": 0.0,
@@ -133,7 +131,7 @@ class Flight:
                 self.identifier.add_excitation(injection.t_ns, injection.values.tolist())
 
         self.loop = Loop(
-            self.aircraft, trim, Manoeuvres(*guide, (2.0, 4.0), guided["airspeed"], seed),
+            self.aircraft, trim, Manoeuvres(**PARAMETERS | guided | {"seed": seed}),
             controller, self.identifier,
             lambda t_ns, u: controller.inject(t_ns, u, excitation.at(t_ns)), on_estimate,
         )  # fmt: skip

@@ -25,13 +25,10 @@ from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live, Sample
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared
-from uav_ident_ros.simulation.rate_reference import Manoeuvres
+from uav_ident_ros.simulation.rate_reference import PARAMETERS, Manoeuvres
 
 DELAY = 0.02
 """From a sample to the surface that its command moves, s."""
-
-MANOEUVRES = {"bank": 0.5, "pitch": 0.1, "hold": (2.0, 4.0)}
-"""Those of the node `rate_reference`."""
 
 
 class Controller(Protocol):
@@ -161,7 +158,7 @@ def fly_loop(
     live = LiveAircraft(
         prepared.aircraft, mission.sensors, mission.delay, faults, mission.seed, speed=frame.speed
     )
-    guide = Manoeuvres(airspeed=frame.speed, seed=mission.seed, **MANOEUVRES)  # type: ignore[arg-type]
+    guide = Manoeuvres(**PARAMETERS | {"airspeed": frame.speed, "seed": mission.seed})
     source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(prepared))
     controller = make(source)
     nothing: FloatArray = np.empty(0)
