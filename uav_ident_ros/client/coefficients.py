@@ -61,7 +61,7 @@ class Coefficients:
     values: FloatArray  # (R, n) A, SI units, body axes forward-right-down
     sigma: FloatArray  # (R, n) Standard deviations; 0 for what is fixed or absent
     usable: bool = True  # The identifier's verdict on all moment rows
-    usable_rows: tuple[bool, bool, bool] = (True, True, True)  # On each of pdot, qdot, rdot
+    usable_rows: tuple[bool, ...] = (True, True, True)  # On each of pdot, qdot, rdot
     # Flow angles, attitude and airspeed; None for a structure without flow angles
     flow: FlowState | None = None
     fit: FloatArray | None = None  # (3,) Fit of its 1-second predictions of p, q, r, percent
@@ -93,13 +93,12 @@ class Coefficients:
         values, sigmas = (_matrix(structure, entries) for entries in (value, sigma))
         if not (np.isfinite(values).all() and (sigmas >= 0.0).all()):
             raise MessageError("a coefficient is not finite, or its sigma is negative or NaN")
-        p, q, r = (value[name] for name in ROW_USABLE_NAMES)
         return cls(
             structure=structure,
             values=values,
             sigma=sigmas,
             usable=value[USABLE_NAME] == 1.0,
-            usable_rows=(p == 1.0, q == 1.0, r == 1.0),
+            usable_rows=tuple(value[name] == 1.0 for name in ROW_USABLE_NAMES),
             flow=_flow(value, sigma) if structure.has_flow else None,
             fit=np.array([value[name] for name in FIT_NAMES]),
             t_ns=header_ns(message),

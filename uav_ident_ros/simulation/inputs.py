@@ -89,12 +89,11 @@ class Segment:
         u = np.zeros((len(t), len(INPUTS)))
         # A hair of tolerance, so that 0.1 + 0.2 is not left out of a segment from 0.3.
         inside = (t >= self.start - 1e-9) & (t < self.start + self.duration - 1e-9)
-        active = [(INPUTS.index(name), a) for name, a in self.amplitudes.items() if a]
-        if active and np.any(inside):
-            active.sort()
+        peaks = np.array([self.amplitudes.get(name, 0.0) for name in INPUTS])
+        active = np.flatnonzero(peaks)
+        if len(active) and inside.any():
             shapes = self._shapes(t[inside] - self.start, len(active))
-            for (column, amplitude), shape in zip(active, shapes.T, strict=True):
-                u[inside, column] = amplitude * shape
+            u[np.ix_(inside, active)] = peaks[active] * shapes
         return u
 
     def _shapes(self, t: FloatArray, count: int) -> FloatArray:
