@@ -116,12 +116,12 @@ class _LaggedAircraft(jsbsim_flight.LiveAircraft):
     lag = 0.0
     _at: FloatArray | None = None
 
-    def _fly(self, acting: FloatArray, moved: bool) -> None:
+    def _fly(self, acting: FloatArray, moved: bool) -> tuple[float, ...]:
         if self.lag > 0.0:
             before = acting if self._at is None else self._at
             keep = np.exp(-1.0 / (self.rate * self.lag)) * np.array([1.0, 1.0, 1.0, 0.0])
             acting = self._at = acting + keep * (before - acting)
-        super()._fly(acting, moved or self.lag > 0.0)
+        return super()._fly(acting, moved or self.lag > 0.0)
 
 
 @contextmanager
