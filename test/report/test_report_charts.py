@@ -26,7 +26,7 @@ from uav_ident_ros.report.charts import (
     state_chart,
 )
 from uav_ident_ros.report.diagrams import SAMPLE_RATE, autocorrelation, spectra, welch
-from uav_ident_ros.report.flight import Flight, Predictions, collect, predict
+from uav_ident_ros.report.flight import Flight, Predictions, predict
 from uav_ident_ros.report.page import _embed
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
@@ -42,7 +42,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> OfflineRun:
 
 @pytest.fixture(scope="module")
 def flight(run: OfflineRun) -> Flight:
-    return collect("multisine", run)
+    return Flight("multisine", run)
 
 
 # --- lines -----------------------------------------------------------------------------------
@@ -196,9 +196,9 @@ def test_two_time_bases_are_shown_one_after_the_other(tmp_path: Path) -> None:
         message.header.stamp.sec += 86_400 * (log_ns > START_NS + 6 * SECOND_NS)
 
     bag = excerpt(tmp_path / "bag", 12.0, change=later)
-    two = collect("two", replayed_run(bag, parameters()))
-    assert two.clock.restarts == pytest.approx([7.0], abs=0.1)  # after a pause of a second
-    chart = state_chart(two, Timeline(two.span, two.clock.restarts), [])
+    two = Flight("two", replayed_run(bag, parameters()))
+    assert two.restarts == pytest.approx([7.0], abs=0.1)  # after a pause of a second
+    chart = state_chart(two, Timeline(two.span, two.restarts), [])
     low, high = chart.model.x_range.bounds
     assert low == 0.0 and 11.0 <= high <= 14.0
 

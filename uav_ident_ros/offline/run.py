@@ -173,6 +173,10 @@ class OfflineRun:
                 errors.append(window_errors(piece, Published.of(piece.ticks, self.structure)))
         return score_windows(WindowErrors.join(errors), min(ends), max(ends))
 
+    def eras(self) -> TimeArray:
+        """Return the restarts of the time base before each estimate, shape (K,)."""
+        return np.array([era for era, *_ in self._contexts], dtype=np.int64)
+
     def stretches(self) -> Iterator[Stretch]:
         """Yield what was measured and published on every time base, and with every delay."""
         arm = np.array(self.inputs.settings.imu.lever_arm)
@@ -181,10 +185,10 @@ class OfflineRun:
         for context in contexts:
             era, delay, lag = context
             t_ns, rates, force = measured[era]
-            which = [k for k, other in enumerate(self._contexts) if other == context]
+            which = np.flatnonzero([other == context for other in self._contexts])
             yield Stretch(
                 t_ns, rates, self.input_signal(era, delay, lag), force, arm,
-                era=era, ticks=self.estimates.chosen(np.array(which, dtype=np.int64)),
+                era=era, ticks=self.estimates.chosen(which),
             )  # fmt: skip
 
     def blocks(self, part: Stretch) -> Iterator[Block]:

@@ -25,7 +25,7 @@ from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
 from uav_ident_ros.offline.inputs import candidates
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.tables import AXES
-from uav_ident_ros.report.flight import Flight, collect
+from uav_ident_ros.report.flight import Flight
 
 MISSING_TIME = 1.0
 """Time without actuators at the beginning or the end that is worth a word, s."""
@@ -121,7 +121,7 @@ class Replayed:
     @cached_property
     def flight(self) -> Flight:
         """The flight on one clock, to be drawn."""
-        return collect(self.name, self.run)
+        return Flight(self.name, self.run)
 
     @cached_property
     def modes(self) -> list[Mode]:

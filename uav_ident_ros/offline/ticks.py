@@ -71,12 +71,6 @@ class Ticks(Sequence[Estimate]):
         result._packed = [self._packed[k] for k in which]
         return result
 
-    def joined(self, others: Iterable[Ticks]) -> Ticks:
-        """Return these and then others; they share the numbers."""
-        result = Ticks(self._structure)
-        result._packed = sum((other._packed for other in others), self._packed)
-        return result
-
     def __len__(self) -> int:
         return len(self._packed)
 

@@ -87,7 +87,7 @@ class Spectra:
 def spectra(flight: Flight) -> Spectra | None:
     """Return the spectra of the longest time base; None if it is shorter than two segments."""
     part = max(flight.time_bases, key=lambda p: len(p.t_ns))
-    t = flight.clock.seconds(part.era, part.t_ns)
+    t = flight.seconds(part.era, part.t_ns)
     even = np.arange(t[0], t[-1], 1.0 / SAMPLE_RATE)
     segment = round(SEGMENT_TIME * SAMPLE_RATE)
     if len(even) < 2 * segment:

@@ -17,52 +17,47 @@ from uav_ident_ros.identification.prediction import (
     predict_ahead,
 )
 from uav_ident_ros.identification.samples import NS, TimeArray
-from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import FloatArray, Structure
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.published import entry_names, named_entries
 from uav_ident_ros.offline.run import BLOCK, OfflineRun, Stretch
-from uav_ident_ros.offline.ticks import Ticks
 
 PAUSE_BETWEEN = 1.0
 """Shown between two time bases, s: how far apart they really were is unknown or days."""
 
 
-class Clock:
-    """Seconds since the first rates, over every time base of the flight."""
-
-    def __init__(
-        self,
-        # First and last stamp of each time base, ns, by its number
-        spans: dict[int, tuple[int, int]],
-    ) -> None:
-        self._origin: dict[int, tuple[int, float]] = {}
-        self.restarts: list[float] = []
-        """Where a new time base begins, s."""
-        end = 0.0
-        for era, (first_ns, last_ns) in sorted(spans.items()):
-            start = end + PAUSE_BETWEEN if self._origin else 0.0
-            if self._origin:
-                self.restarts.append(start)
-            self._origin[era] = (first_ns, start)
-            end = start + (last_ns - first_ns) * NS
-
-    def seconds(self, era: int, t_ns: TimeArray) -> FloatArray:
-        """Return the time of stamps of a time base, s, same shape."""
-        first_ns, start = self._origin[era]
-        return np.asarray(start + (t_ns - first_ns) * NS)
-
-
-@dataclass(frozen=True)
 class Flight:
     """What was measured and estimated, in order of time; rates in rad/s, body axes FRD."""
 
-    name: str  # Name of the bag
-    structure: Structure  # Structure of the estimates
-    settings: Settings
-    stretches: Sequence[Stretch]  # The flight as the offline run gives it
-    clock: Clock  # Time of the stamps, s
-    estimates: Ticks  # One per tick
-    tick_t: FloatArray  # (K,) Times of the ticks, s
+    def __init__(
+        self,
+        name: str,  # Name of the bag
+        run: OfflineRun,  # Finished, with one estimate at least
+    ) -> None:
+        self.name = name
+        self.structure = run.structure  # Structure of the estimates
+        self.settings = run.inputs.settings
+        self.estimates = run.estimates  # One per tick
+        self.stretches = list(run.stretches())  # The flight as the offline run gives it
+        # Of each time base the first stamp, ns, and its time here, s
+        self._origins: dict[int, tuple[int, float]] = {}
+        start = 0.0
+        for part in self.time_bases:
+            self._origins[part.era] = (int(part.t_ns[0]), start)
+            start += int(part.t_ns[-1] - part.t_ns[0]) * NS + PAUSE_BETWEEN
+        # Times of the ticks, s, shape (K,)
+        stamps, eras = self.estimates.stamps(), run.eras()
+        parts = [self.seconds(era, stamps[eras == era]) for era in self._origins]
+        self.tick_t = np.concatenate(parts)
+
+    def seconds(self, era: int, t_ns: TimeArray) -> FloatArray:
+        """Return the time of stamps of a time base since the first rates, s, same shape."""
+        first_ns, start = self._origins[era]
+        return np.asarray(start + (t_ns - first_ns) * NS)
+
+    @property
+    def restarts(self) -> list[float]:
+        """Where a new time base begins, s."""
+        return [start for _, start in self._origins.values()][1:]
 
     @cached_property
     def time_bases(self) -> list[Stretch]:
@@ -72,7 +67,7 @@ class Flight:
     @cached_property
     def t(self) -> FloatArray:
         """Times of the gyro samples, s, shape (N,)."""
-        return np.concatenate([self.clock.seconds(p.era, p.t_ns) for p in self.time_bases])
+        return np.concatenate([self.seconds(p.era, p.t_ns) for p in self.time_bases])
 
     @cached_property
     def rates(self) -> FloatArray:
@@ -132,25 +127,6 @@ def _inputs_at(inputs: InputSignal, t_ns: TimeArray) -> FloatArray:
     return np.concatenate([inputs.at(t_ns[k : k + BLOCK]) for k in range(0, len(t_ns), BLOCK)])
 
 
-def collect(name: str, run: OfflineRun) -> Flight:
-    """Bring a finished run, with one estimate at least, onto one clock."""
-    parts = list(run.stretches())
-    clock = Clock({part.era: (int(part.t_ns[0]), int(part.t_ns[-1])) for part in parts})
-    tick_t = np.concatenate([clock.seconds(part.era, part.ticks.stamps()) for part in parts])
-    first, *others = (part.ticks for part in parts)
-    # A delay that moves and comes back makes stretches that overlap.
-    order = np.argsort(tick_t, kind="stable")
-    return Flight(
-        name=name,
-        structure=run.structure,
-        settings=run.inputs.settings,
-        stretches=parts,
-        clock=clock,
-        estimates=first.joined(others).chosen(order),
-        tick_t=tick_t[order],
-    )
-
-
 SHORTEST_FIT = 2
 """Predictions from which a spread, and so a fit, is defined."""
 
@@ -198,7 +174,7 @@ def predict(flight: Flight, horizon: float) -> Predictions:
         for piece in part.pieces(horizon):
             published = Published.of(piece.ticks, flight.structure)
             t_ns, predicted = predict_ahead(piece, published, horizon)
-            t = flight.clock.seconds(part.era, t_ns)
+            t = flight.seconds(part.era, t_ns)
             parts.append((t, predicted))
     t, predicted = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(t, kind="stable")

@@ -57,7 +57,7 @@ class Section:
 def sections(replayed: Replayed) -> Iterator[Section]:
     """Yield the sections of a replay."""
     summary, evidence, flight = replayed.summary, replayed.evidence, replayed.flight
-    line = Timeline(flight.span, flight.clock.restarts)
+    line = Timeline(flight.span, flight.restarts)
     tick = predict(flight, 1.0 / flight.settings.update_rate)
     ahead = f"one tick ({tick.horizon:g} s) ahead", "holding the rates for one tick"
     fits = zip(ahead, tick.fit(flight.span[1]), strict=True)

@@ -157,32 +157,17 @@ def thin(
         ``t`` and the columns, of one length; NaN between two pieces.
     """
     values = np.stack([np.asarray(column, dtype=float) for column in columns.values()], axis=1)
-    parts: list[tuple[FloatArray, FloatArray]] = []
-    if len(t):
-        cuts = np.flatnonzero(np.diff(t) > gap) + 1
-        span = max(float(t[-1] - t[0]), 1e-9)
-        for piece_t, piece in zip(np.split(t, cuts), np.split(values, cuts), strict=True):
-            share = (piece_t[-1] - piece_t[0]) / span
-            if parts:
-                parts.append((piece_t[:1], np.full((1, values.shape[1]), np.nan)))
-            parts.append(_thin(piece_t, piece, max(1, round(bins * share))))
-    t, values = (
-        (np.concatenate([part[k] for part in parts]) for k in (0, 1)) if parts else (t, values)
-    )
+    gaps = np.flatnonzero(np.diff(t) > gap) + 1  # the first samples after them
+    if len(t) > 2 * bins:
+        place = ((t - t[0]) * (bins / (t[-1] - t[0]))).astype(int).clip(max=bins - 1)
+        starts = np.union1d(np.flatnonzero(np.diff(place, prepend=-1)), gaps)
+        ends = np.append(starts[1:], len(t)) - 1
+        low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
+        # In the order in which the line runs, so that a slope stays a slope.
+        rises = values[ends] >= values[starts]
+        pairs = np.stack([np.where(rises, low, high), np.where(rises, high, low)], axis=1)
+        gaps = 2 * np.searchsorted(starts, gaps)
+        t = np.stack([t[starts], t[ends]], axis=1).ravel()
+        values = pairs.reshape(len(t), -1)
+    t, values = np.insert(t, gaps, t[gaps]), np.insert(values, gaps, np.nan, axis=0)
     return {"t": t, **dict(zip(columns, values.T, strict=True))}
-
-
-def _thin(t: FloatArray, y: FloatArray, bins: int) -> tuple[FloatArray, FloatArray]:
-    """Thin a piece without gaps: times (m,) and values (m, c) from (k,) and (k, c)."""
-    if len(t) <= 2 * bins:
-        return t, y
-    position = (t - t[0]) * (bins / (t[-1] - t[0]))
-    starts = np.searchsorted(position, np.arange(bins))
-    starts = starts[np.diff(starts, append=len(t)) > 0]
-    ends = np.append(starts[1:], len(t)) - 1
-    low, high = np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
-    # In the order in which the line runs, so that a slope stays a slope.
-    rises = y[ends] >= y[starts]
-    first, second = np.where(rises, low, high), np.where(rises, high, low)
-    times = np.stack([t[starts], t[ends]], axis=1).ravel()
-    return times, np.stack([first, second], axis=1).reshape(len(times), -1)
