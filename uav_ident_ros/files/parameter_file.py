@@ -7,9 +7,10 @@ number and ``null`` for nothing. rcl (rcl_yaml_param_parser of ROS 2 Jazzy) does
 
 from __future__ import annotations
 
+import ctypes
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,15 +31,8 @@ IGNORED_PREFIXES = ("qos_overrides.",)
 _TRUE = frozenset(("Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"))
 _FALSE = frozenset(("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"))
 
-# C's strtol with base 0, which is how rcl reads integers.
-_INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)")
-_NUMBER = re.compile(r"[+-]?(0[xX][0-9a-fA-F.]+([pP][+-]?\d+)?|[\d.]+([eE][+-]?\d+)?)", re.ASCII)
-_WORD = re.compile(r"[+-]?(inf|infinity|nan)", re.IGNORECASE)
-_DOTTED = re.compile(r"\.nan|\.NaN|\.NAN|[+-]?\.(inf|Inf|INF)")
-
-_INT64_LOW, _INT64_HIGH = -(2**63), 2**63 - 1
-_SMALLEST_NORMAL = 2.2250738585072014e-308
-"""C's strtod reports a range error below it (and rcl then takes the word as it stands)."""
+_DOTTED = re.compile(r"\.(nan|NaN|NAN)|[+-]?\.(inf|Inf|INF)")
+"""YAML's words for what C writes without a dot."""
 
 _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -146,46 +140,31 @@ def _matches(section: str, node: str) -> bool:
     return re.fullmatch(pattern, _absolute(node)) is not None
 
 
+_C = ctypes.CDLL(None, use_errno=True)
+_END = ctypes.POINTER(ctypes.c_char_p)
+_C.strtoll.argtypes, _C.strtoll.restype = (ctypes.c_char_p, _END, ctypes.c_int), ctypes.c_longlong
+_C.strtod.argtypes, _C.strtod.restype = (ctypes.c_char_p, _END), ctypes.c_double
+
+
 def scalar(text: str, *, quoted: bool = False) -> bool | int | float | str:
     """Give a YAML scalar the type and value that rcl gives it."""
-    if quoted:
+    if quoted or not text:
         return text
-    if text in _TRUE:
-        return True
-    if text in _FALSE:
-        return False
-    if _INTEGER.fullmatch(text):
-        number = _integer(text)
-        if _INT64_LOW <= number <= _INT64_HIGH:
-            return number
-    real = _real(text)
+    if text in _TRUE or text in _FALSE:
+        return text in _TRUE
+    integer = _read(_C.strtoll, text, 0)  # hexadecimal, octal after a leading 0, or decimal
+    if integer is not None:
+        return int(integer)
+    real = _read(_C.strtod, text.replace(".", "", 1) if _DOTTED.fullmatch(text) else text)
     return text if real is None else real
 
 
-def _integer(text: str) -> int:
-    """Read an integer as C's strtol does: hexadecimal, octal after a leading 0, or decimal."""
-    digits = text.lstrip("+-")
-    octal = digits[0] == "0" and digits[1:].isdigit()
-    number = int(digits, 8 if octal else 0)
-    return -number if text[0] == "-" else number
-
-
-def _real(text: str) -> float | None:
-    """Read a number as C's strtod does; None if it is none or out of range."""
-    if _DOTTED.fullmatch(text):
-        text = text.replace(".", "", 1)
-    if _WORD.fullmatch(text):
-        return float(text)
-    if not _NUMBER.fullmatch(text):
-        return None
-    try:
-        number = float.fromhex(text) if "x" in text.lower() else float(text)
-    except (ValueError, OverflowError):
-        return None
-    digits = re.split(r"[eEpP]" if "x" not in text.lower() else "[pP]", text)[0]
-    zero = not re.search(r"[1-9a-fA-F]", digits.lower().replace("0x", ""))
-    in_range = abs(number) != float("inf") and (zero or abs(number) >= _SMALLEST_NORMAL)
-    return number if in_range else None
+def _read(function: Callable[..., float], text: str, *base: int) -> float | None:
+    """Read a number by a function of C, as rcl does; None if it is none or out of range."""
+    content, rest = text.encode(), ctypes.c_char_p()
+    ctypes.set_errno(0)
+    number = function(content, ctypes.byref(rest), *base)
+    return None if rest.value or ctypes.get_errno() else number
 
 
 class _Loader(yaml.BaseLoader):
