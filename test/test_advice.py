@@ -35,7 +35,7 @@ from uav_ident_ros.offline.advice import (
     advise,
 )
 from uav_ident_ros.offline.evidence import Evidence, gyro_noise, lost_to, measure
-from uav_ident_ros.offline.inputs import Refusals
+from uav_ident_ros.offline.run import Refusals
 
 AUGMENTED = STRUCTURES["augmented"]
 JUST_ABOVE, JUST_BELOW = 1.01, 0.99

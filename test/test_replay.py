@@ -38,7 +38,8 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import entry_names
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline import NOT_USABLE, main
-from uav_ident_ros.offline.inputs import Refusals, choose_inputs
+from uav_ident_ros.offline.inputs import choose_inputs
+from uav_ident_ros.offline.run import Refusals
 from uav_ident_ros.offline.ticks import write_estimates
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
@@ -263,7 +264,7 @@ def test_jump_of_the_time_base_is_not_scored_across(tmp_path: Path) -> None:
 
     path = excerpt(tmp_path / "bag", 28.0, "multisine", jumping)
     run = replayed_run(path, parameters())
-    assert run.intake.era == 1
+    assert run.era == 1
     fit = run.score()["after_30_s"]
     # everything after the jump is late enough: 14 s of ticks less the last window
     assert 12 * 20 <= fit.windows <= 13 * 20
@@ -536,9 +537,10 @@ def test_the_topic_of_the_excitation_is_found_by_its_name(
     run = replayed_run(bag, {})
     assert run.inputs.streams["actuators"] == ACTUATORS
     assert run.inputs.streams.get("excitation", "") == chosen
-    _, values = run.intake.injected.of_era(0)
-    assert len(values) == (len(run.intake.actuators) if chosen else 0)
-    assert all(row == [0.2, 0.0, 0.1, 0.0] for row in values.tolist())
+    received = {name: run.refusals(name).received for name in ("actuators", "excitation")}
+    assert received["excitation"] == (received["actuators"] if chosen else 0)
+    values = run.identifier.sampler.injected.v.tolist()
+    assert values == [[0.2, 0.0, 0.1, 0.0]] * len(values) and bool(values) == bool(chosen)
 
 
 def test_a_message_of_unknown_names_is_no_excitation(tmp_path: Path) -> None:

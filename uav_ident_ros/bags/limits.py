@@ -5,13 +5,12 @@ The libraries decompress whatever a file holds: 192 kB of zstd become gigabytes.
 for it are replaced, in one place, by ones that stop.
 """
 
-from __future__ import annotations
-
+import os
 from bz2 import BZ2Decompressor
 from collections.abc import Callable
 from functools import partial
 from types import SimpleNamespace
-from typing import IO, Any
+from typing import Any
 
 from rosbags.rosbag1 import reader as rosbag1
 from rosbags.rosbag2 import reader, storage_mcap
@@ -61,39 +60,24 @@ def decompressed(
     return result
 
 
-class _Bounded:
+class _BoundedFile(reader.zstd.ZstdFile):
     """A file compressed as a whole, for reading."""
 
-    def __init__(self, file: IO[bytes], mode: str) -> None:
-        self._content = _zstd.open(file, mode)
-        size = file.seek(0, 2)
-        file.seek(0)
-        self._limit = self._left = max(LARGEST_PART, LARGEST_RATIO * size)
-
-    def read(self, size: int) -> bytes:
+    def read(self, size: int | None = -1) -> bytes:
         """Read some bytes."""
-        data: bytes = self._content.read(size)
-        self._left -= len(data)
-        if self._left < 0:
-            raise TooLargeError("the compressed file", self._limit)
+        data: bytes = super().read(size)
+        limit = max(LARGEST_PART, LARGEST_RATIO * os.fstat(self.fileno()).st_size)
+        if self.tell() > limit:
+            raise TooLargeError("the compressed file", limit)
         return data
-
-    def __enter__(self) -> _Bounded:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._content.close()
-
-
-_zstd = reader.zstd
 
 
 def guard_rosbags() -> None:
     """Let rosbags decompress what fits, and nothing else."""
-    storage_mcap.DECOMPRESSORS |= {
-        "lz4": lambda data, _: decompressed(data, "lz4"),
-        "zstd": lambda data, _: decompressed(data, "zstd"),
-    }
+    for name in ("lz4", "zstd"):
+        storage_mcap.DECOMPRESSORS[name] = lambda data, _, name=name: decompressed(data, name)
     for name in ("bz2", "lz4"):
         rosbag1.decompressors[name] = partial(decompressed, compression=name)
-    reader.zstd = SimpleNamespace(open=_Bounded, decompress=lambda data: decompressed(data, "zstd"))
+    reader.zstd = SimpleNamespace(
+        open=_BoundedFile, decompress=partial(decompressed, compression="zstd")
+    )

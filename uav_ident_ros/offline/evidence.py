@@ -15,8 +15,7 @@ from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, ROWS, STRUCTURES, FloatArray, Structure
-from uav_ident_ros.offline.inputs import Refusals
-from uav_ident_ros.offline.run import OfflineRun, Stretch
+from uav_ident_ros.offline.run import OfflineRun, Refusals, Stretch
 
 FULL = STRUCTURES["augmented"]
 FIT_WINDOWS = "last_40_percent"

@@ -212,7 +212,7 @@ def write_results(
     summary = json.dumps(replayed.summary, indent=2, allow_nan=False)
     write_file(folder / "summary.json", f"{summary}\n")
     write_file(folder / "table.txt", f"{table}\n")
-    frame_id = run.intake.frame_id or ""
+    frame_id = run.frame_id or ""
     write_estimates(folder / "estimates", run.estimates, run.structure, node, frame_id)
     save_coefficients(run.result(), folder / "coefficients.yaml")
     return table

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline over a bag: what the node would have published in flight, and how good it was.
 
-There is no estimation logic here: messages go in by log time, due ticks are asked for.
+There is no estimation logic here: messages go in by log time, as the node takes them in flight, and
+due ticks are asked for.
 """
 
 from __future__ import annotations
 
+from array import array
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
@@ -13,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.bags.reading import Bag, Message
+from uav_ident_ros.bags.reading import Bag, BagError, Message
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -27,12 +30,15 @@ from uav_ident_ros.identification.prediction import (
     score_windows,
     window_errors,
 )
-from uav_ident_ros.identification.samples import TimeArray
+from uav_ident_ros.identification.samples import ACTUATORS, RATES, TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.scales import LOOK_TIME
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.identification.supervision import State
-from uav_ident_ros.offline.inputs import Inputs, Intake, Refusals, choose_inputs
+from uav_ident_ros.messages.feed import Feed
+from uav_ident_ros.messages.streams import STREAMS
+from uav_ident_ros.messages.types import ChannelError
+from uav_ident_ros.offline.inputs import Inputs, choose_inputs
 from uav_ident_ros.offline.ticks import Ticks
 
 BLOCK = 8192
@@ -71,6 +77,54 @@ Wrap = Callable[[Iterable[Message], int], Iterable[Message]]
 """Wraps the messages and their number, for a progress bar."""
 
 
+UNREADABLE = "unreadable"
+"""Why a message is refused whose bytes are none of its type."""
+
+_NO_FORCE = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Refusals:
+    """Messages of one stream and what became of them."""
+
+    received: int  # Messages read
+    dropped: dict[str, int]  # How many of them were not used, for each reason
+
+    @property
+    def words(self) -> str:
+        """What was dropped, and why."""
+        return ", ".join(f"{count} {reason}" for reason, count in self.dropped.items())
+
+
+class Record:
+    """Samples of one stream as the identifier took them, by their time base."""
+
+    def __init__(
+        self,
+        width: int,  # Values per sample
+    ) -> None:
+        self._width = width
+        self._t: dict[int, array[int]] = defaultdict(lambda: array("q"))
+        self._values: dict[int, array[float]] = defaultdict(lambda: array("d"))
+
+    def append(self, t_ns: int, values: Iterable[float], era: int) -> None:
+        """Keep a sample; `era` counts the restarts of the time base before it."""
+        self._t[era].append(t_ns)
+        self._values[era].extend(values)
+
+    def of_era(self, era: int) -> tuple[TimeArray, FloatArray]:
+        """Return stamps (k,), strictly rising, and values (k, width) of one time base.
+
+        They may be those of the record itself: while they are in use, nothing can be added.
+        """
+        t_ns = np.frombuffer(self._t[era], np.int64)
+        values = np.frombuffer(self._values[era]).reshape(-1, self._width)
+        if (t_ns[1:] > t_ns[:-1]).all():
+            return t_ns, values
+        t_ns, first = np.unique(t_ns, return_index=True)
+        return t_ns, values[first]
+
+
 class OfflineRun:
     """One pass of the identifier over the messages of a bag."""
 
@@ -82,25 +136,17 @@ class OfflineRun:
     ) -> None:
         self.inputs = inputs
         self.identifier = OnlineIdentifier(inputs.settings, initial, **parts)
-        self.intake = Intake(inputs, self.identifier)  # What became of the messages
-        self.estimates = Ticks(self.identifier.structure)  # One per tick, in order
+        self.structure: Structure = self.identifier.structure  # Structure of the estimates
+        self.estimates = Ticks(self.structure)  # One per tick, in order
+        self.era = 0  # Restarts of the time base so far
+        self.frame_ids: set[str] = set()  # Every frame the rates have come in
+        # What was taken: in the sensor's axes, and as raw channels
+        self._rates, self._actuators = Record(6), Record(len(inputs.settings.actuators.channels))
+        self._feeds: dict[str, Feed] = {}
+        self._newest_ns: int | None = None
         self._learned = -1  # Place of the last one that learned; the last of all if none did
         # time base, delay and lag of each estimate
         self._contexts: list[tuple[int, float, float]] = []
-
-    @property
-    def structure(self) -> Structure:
-        """Structure of the estimates."""
-        return self.identifier.structure
-
-    @property
-    def fault(self) -> str:
-        """How the messages contradict the settings; empty if they do not."""
-        return self.intake.fault or self.identifier.intake.fault
-
-    def refusals(self, stream: str) -> Refusals:
-        """Count what became of the messages of a stream, ``rates`` or ``actuators`` for two."""
-        return self.intake.refusals(stream)
 
     def run(self, bag: Bag, wrap: Wrap) -> None:
         """Feed every message of the topics, in log-time order.
@@ -108,13 +154,37 @@ class OfflineRun:
         Raises
         ------
         BagError
-            If nothing can be read.
+            If a topic is missing, its type is unknown, or nothing can be read.
         """
-        self.intake.read_with(bag)
         topics = self.inputs.topics
+        for stream in STREAMS:
+            if topic := self.inputs.streams.get(stream.name):
+                self._feeds[stream.name] = Feed(stream, self.identifier, _decoder(bag, topic))
+        feeds = {topic: self._feeds[name] for name, topic in self.inputs.streams.items()}
         for message in wrap(bag.messages(topics), sum(bag.counts[topic] for topic in topics)):
-            self.intake.take(message)
+            self._take(feeds[message.topic], message)
             self._tick()
+
+    def _take(self, feed: Feed, message: Message) -> None:
+        taken = feed.take(message.data, message.log_ns)
+        if feed.stream.name == RATES:
+            if self.frame_id is not None:
+                self.frame_ids.add(self.frame_id)
+            if taken is not None:
+                self._keep_rates(*taken)
+        elif feed.stream.name == ACTUATORS and taken is not None:
+            self._actuators.append(*taken, self.era)
+
+    def _keep_rates(self, t_ns: int, values: Any) -> None:
+        jump_ns = round(self.inputs.settings.time_jump * 1e9)
+        if self._newest_ns is not None and abs(t_ns - self._newest_ns) > jump_ns:
+            self.era += 1
+            self._newest_ns = t_ns
+        self._newest_ns = max(t_ns, self._newest_ns or t_ns)
+        rates, force = values
+        self._rates.append(t_ns, (*rates, *(force or _NO_FORCE)), self.era)
+        for feed in self._feeds.values():
+            feed.settle()
 
     def _tick(self) -> None:
         identifier = self.identifier
@@ -122,11 +192,30 @@ class OfflineRun:
             if identifier.idle == 0.0:
                 self._learned = len(self.estimates)
             self.estimates.append(estimate)
-            context = (self.intake.era, identifier.delay, identifier.lag)
+            context = (self.era, identifier.delay, identifier.lag)
             last = self._contexts[-1] if self._contexts else None
             self._contexts.append(last if last == context else context)
 
     # -- results ---------------------------------------------------------------------------
+
+    @property
+    def frame_id(self) -> str | None:
+        """Newest frame of the rates."""
+        frame_id: str | None = self._feeds[RATES].reader.frame_id
+        return frame_id
+
+    @property
+    def fault(self) -> str:
+        """How the messages contradict the settings; empty if they do not."""
+        rates = self._feeds[RATES]
+        return (str(rates.reader.fault) if rates.received else "") or self.identifier.intake.fault
+
+    def refusals(self, stream: str) -> Refusals:
+        """Count what became of the messages of a stream, ``rates`` or ``actuators`` for two."""
+        if stream not in self._feeds:
+            return Refusals(0, {})
+        feed = self._feeds[stream]
+        return Refusals(feed.received, dict(sorted(feed.drops().items())))
 
     @property
     def judged(self) -> Estimate:
@@ -146,24 +235,6 @@ class OfflineRun:
         """Return the coefficients at the last tick; with an airspeed, at its reference."""
         return self.identifier.coefficient_set(self.estimates[-1].t_ns)
 
-    def measured(self, era: int = 0) -> tuple[TimeArray, FloatArray, FloatArray]:
-        """Return the rates of one time base: stamps (k,), p q r (k, 3), ay az (k, 2), FRD."""
-        t_ns, values = self.intake.rates.of_era(era)
-        frame = BodyFrame(self.inputs.settings.imu)
-        return t_ns, frame.to_body(values[:, :3]), frame.to_body(values[:, 3:])[:, 1:].copy()
-
-    def input_signal(
-        self, era: int = 0, delay: float | None = None, lag: float | None = None
-    ) -> InputSignal:
-        """Return the inputs on one time base, with delay and lag (s; None: the settings)."""
-        t_ns, raw = self.intake.actuators.of_era(era)
-        actuators = self.inputs.settings.actuators
-        delay = actuators.delay if delay is None else delay
-        lag = actuators.time_constant if lag is None else lag
-        # The identifier's own map: it may have learned the trim in flight.
-        u = self.identifier.sampler.input_map.apply(raw)
-        return InputSignal(t_ns, u, delay, lag)
-
     def score(self) -> dict[str, PredictionFit]:
         """Return the score of record of the estimates."""
         errors, ends = [], []
@@ -179,15 +250,22 @@ class OfflineRun:
 
     def stretches(self) -> Iterator[Stretch]:
         """Yield what was measured and published on every time base, and with every delay."""
-        arm = np.array(self.inputs.settings.imu.lever_arm)
-        contexts = sorted(set(self._contexts))
-        measured = {era: self.measured(era) for era in {era for era, *_ in contexts}}
+        imu, contexts = self.inputs.settings.imu, sorted(set(self._contexts))
+        arm, frame = np.array(imu.lever_arm), BodyFrame(imu)
+        measured = {}
+        for era in {era for era, *_ in contexts}:
+            t_ns, values = self._rates.of_era(era)
+            force = frame.to_body(values[:, 3:])[:, 1:].copy()
+            measured[era] = t_ns, frame.to_body(values[:, :3]), force
         for context in contexts:
             era, delay, lag = context
             t_ns, rates, force = measured[era]
+            raw_t_ns, raw = self._actuators.of_era(era)
+            # The identifier's own map: it may have learned the trim in flight.
+            u = self.identifier.sampler.input_map.apply(raw)
             which = np.flatnonzero([other == context for other in self._contexts])
             yield Stretch(
-                t_ns, rates, self.input_signal(era, delay, lag), force, arm,
+                t_ns, rates, InputSignal(raw_t_ns, u, delay, lag), force, arm,
                 era=era, ticks=self.estimates.chosen(which),
             )  # fmt: skip
 
@@ -201,13 +279,26 @@ class OfflineRun:
         sampler = Sampler(replace(settings, actuators=actuators))
         sampler.delay, sampler.time_constant = part.inputs.delay, part.inputs.time_constant
         sampler.input_map = self.identifier.sampler.input_map
-        sampler.raw_inputs.t, sampler.raw_inputs.v = self.intake.actuators.of_era(part.era)
-        t_ns, values = self.intake.rates.of_era(part.era)
+        sampler.raw_inputs.t, sampler.raw_inputs.v = self._actuators.of_era(part.era)
+        t_ns, values = self._rates.of_era(part.era)
         for first in range(0, len(t_ns), BLOCK):
             new = slice(first, first + BLOCK)
             sampler.rates.t = np.concatenate([sampler.rates.t, t_ns[new]])
             sampler.rates.v = np.concatenate([sampler.rates.v, values[new]])
             yield from sampler.blocks()
+
+
+def _decoder(bag: Bag, topic: str) -> Callable[[bytes], object]:
+    """Return what reads the messages of a topic by the definitions in the bag."""
+    decode = bag.decoder(topic)
+
+    def decoded(data: bytes) -> object:
+        try:
+            return decode(data)
+        except BagError as error:
+            raise ChannelError(str(error), UNREADABLE) from None
+
+    return decoded
 
 
 def run_over(

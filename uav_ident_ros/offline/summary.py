@@ -59,8 +59,8 @@ def _other_sensors(bag: Bag, run: OfflineRun) -> Iterator[str]:
 
 def _mixed_frames(run: OfflineRun) -> Iterator[str]:
     """Yield that two sensors share a topic."""
-    if len(run.intake.frame_ids) > 1:
-        frames = ", ".join(f"'{frame}'" for frame in sorted(run.intake.frame_ids))
+    if len(run.frame_ids) > 1:
+        frames = ", ".join(f"'{frame}'" for frame in sorted(run.frame_ids))
         yield (
             f"{run.inputs.streams['rates']} has messages of several frames, {frames}: if these are "
             "two sensors, record them on two topics"
@@ -142,7 +142,7 @@ class Replayed:
                 "ticks": len(run.estimates),
                 "first_tick_ns": run.estimates[0].t_ns,
                 "last_tick_ns": last.t_ns,
-                "frame_id": run.intake.frame_id,
+                "frame_id": run.frame_id,
                 "inputs": {
                     stream.name: {
                         "topic": run.inputs.streams[stream.name],
