@@ -26,11 +26,10 @@ from uav_ident_ros.offline import fleet_command, main
 from uav_ident_ros.offline.fleet import (
     BASELINE,
     CSV_FILE,
-    FALSE_NAMES,
+    LIMIT,
     FlightRow,
     changes,
     fleet_of,
-    limit_of,
     pool,
     read_flights,
     standard,
@@ -122,11 +121,9 @@ def test_one_flight_that_stands_out_is_no_change_and_a_jump_is_one(
     assert found.now == pytest.approx(values[which].mean(), abs=0.3)
 
 
-def test_the_limit_is_that_of_the_rate_of_false_alarms() -> None:
-    b = limit_of()
-    between = math.sqrt(2.0 * math.pi) * math.exp(b**2 / 2.0) / (0.735 * b)
-    assert between == pytest.approx(1.0 / FALSE_NAMES)
-    assert limit_of(1e-2) < limit_of(1e-4)
+def test_the_limit_is_that_of_a_false_alarm_in_100_000_looks() -> None:
+    between = math.sqrt(2.0 * math.pi) * math.exp(LIMIT**2 / 2.0) / (0.735 * LIMIT)
+    assert between == pytest.approx(100_000.0, rel=1e-3)
     # no flight is judged by fewer than the baseline
     jump = np.array([10.0, *[100.0] * (BASELINE - 1)])
     assert changes("x", ["f"] * BASELINE, jump, np.ones(BASELINE)) == []

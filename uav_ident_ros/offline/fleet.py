@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -156,9 +156,11 @@ def read_flights(path: Path) -> list[FlightRow]:
 # --- what the flights say together ----------------------------------------------------------------
 
 
-FALSE_NAMES = 1e-5
-"""False alarms allowed for each flight and coefficient: one in ten fleets of 60 flights in which
-150 coefficients in all are looked at."""
+LIMIT = 4.8723
+"""Deviation from which a coefficient has changed, in its standard deviations: one false alarm in
+100,000 looks, or in ten fleets of 60 flights in which 150 coefficients in all are looked at. The
+looks between false alarms are ``sqrt(2 pi) exp(b^2 / 2) / (b I)`` for a limit ``b`` with ``I``, the
+integral of ``x nu(x)^2``, 0.735 (Siegmund and Venkatraman 1995)."""
 
 BASELINE = 12
 """Flights from which the scatter is known well enough to judge another by it: its own standard
@@ -169,20 +171,6 @@ RECENT = 40
 
 CLEAR = 3.0
 """t-ratio that a coefficient has in half of the flights before it is judged at all."""
-
-
-def limit_of(rate: float = FALSE_NAMES) -> float:
-    """Return the deviation, in its standard deviations, for a rate of false alarms per look.
-
-    Siegmund and Venkatraman (1995): the time between false alarms is
-    ``sqrt(2 pi) exp(b^2 / 2) / (b I)`` with ``I``, the integral of ``x nu(x)^2``, 0.735.
-    """
-    low, high = 1.0, 20.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        between = math.sqrt(2.0 * math.pi) * math.exp(0.5 * middle**2) / (0.735 * middle)
-        low, high = (middle, high) if between * rate < 1.0 else (low, middle)
-    return high
 
 
 class Pooled(NamedTuple):
@@ -253,45 +241,35 @@ def changes(
     coefficient: str, flights: Sequence[str], values: FloatArray, sigmas: FloatArray
 ) -> list[Finding]:
     """Find where a coefficient left what it was; (k,) each, in the order of the flights."""
-    limit = limit_of()
     kept: list[int] = []
     found: list[Finding] = []
     for k in range(len(values)):
         kept.append(k)
-        size, begin, usual = max(
-            (
-                _deviation(values, sigmas, kept, j)
-                for j in range(max(BASELINE, len(kept) - RECENT), len(kept))
-            ),
-            key=lambda candidate: candidate[0],
-            default=(0.0, 0, None),
-        )
-        if usual is None or size <= limit:
+        begins = range(max(BASELINE, len(kept) - RECENT), len(kept))
+        off = {begin: _deviation(values, sigmas, kept[:begin], kept[begin:]) for begin in begins}
+        begin = max(off, key=off.__getitem__, default=0)
+        if not off or off[begin] <= LIMIT:
             continue
-        recent = kept[begin:]
+        recent, before = kept[begin:], kept[:begin]
         alone = found[-1] if found and not found[-1].lasting else None
         if len(recent) == 1 and alone is not None and alone.since == flights[k - 1]:
             found.pop()  # the second in a row: it was the beginning of a change
             recent = [k - 1, k]
-        now = pool(values[recent], sigmas[recent]).value
-        lasting = len(recent) > 1
-        since = flights[recent[0]]
-        found.append(Finding(coefficient, since, flights[k], usual.value, now, lasting))
+        then, now = (pool(values[which], sigmas[which]).value for which in (before, recent))
+        lasting, since = len(recent) > 1, flights[recent[0]]
+        found.append(Finding(coefficient, since, flights[k], then, now, lasting))
         # one flight alone says nothing of the next; after a change that is what is usual
         kept = recent if lasting else kept[:-1]
     return found
 
 
-def _deviation(
-    values: FloatArray, sigmas: FloatArray, kept: Sequence[int], begin: int
-) -> tuple[float, int, Pooled]:
-    """Return how far the flights from `begin` on are off, `begin`, and what was usual before."""
-    before, now = kept[:begin], kept[begin:]
+def _deviation(values: FloatArray, sigmas: FloatArray, before: list[int], now: list[int]) -> float:
+    """Return how far some flights are off what was usual in those before them."""
     usual = pool(values[before], sigmas[before])
     weight = 1.0 / (sigmas[now] ** 2 + usual.scatter**2)
     mean = float((weight * values[now]).sum() / weight.sum())
     spread = math.hypot(usual.sigma, float(weight.sum()) ** -0.5)
-    return abs(standard((mean - usual.value) / spread, len(before) - 1)), begin, usual
+    return abs(standard((mean - usual.value) / spread, len(before) - 1))
 
 
 @dataclass(frozen=True)
@@ -301,15 +279,14 @@ class Aircraft:
     # name, structure: The aircraft, and the structure of its models
     name: str
     structure: str
-    flights: tuple[str, ...] = ()  # Flights with a usable model, in the order of their time
+    flights: tuple[str, ...]  # Flights with a usable model, in the order of their time
     # values, sigmas: For each coefficient its values and standard deviations in these flights,
     # (k,); NaN where a flight does not know it
-    values: Mapping[str, FloatArray] = field(default_factory=dict)
-    sigmas: Mapping[str, FloatArray] = field(default_factory=dict)
-    # Coefficients pooled since they last changed
-    pooled: Mapping[str, Pooled] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()  # What changed or stands out
-    unusable: tuple[tuple[str, str], ...] = ()  # Flights without a usable model, and why
+    values: Mapping[str, FloatArray]
+    sigmas: Mapping[str, FloatArray]
+    pooled: Mapping[str, Pooled]  # Coefficients pooled since they last changed
+    findings: tuple[Finding, ...]  # What changed or stands out
+    unusable: tuple[tuple[str, str], ...]  # Flights without a usable model, and why
 
     @property
     def main(self) -> list[str]:
@@ -354,23 +331,28 @@ def fleet_of(rows: Iterable[FlightRow]) -> list[Aircraft]:
     for name in sorted({aircraft for aircraft, _ in flights}):
         unusable: list[tuple[str, str]] = []
         usable: dict[str, list[list[FlightRow]]] = {}
-        for own in ordered:
+        for own in (own for own in ordered if own[0].aircraft == name):
             first = own[0]
-            if first.aircraft == name and first.verdict == VERDICTS[USABLE]:
+            if first.verdict == VERDICTS[USABLE]:
                 usable.setdefault(first.structure, []).append(own)
-            elif first.aircraft == name:
+            else:
                 why = f"{first.verdict}: {first.reason}".rstrip(": ")
                 unusable.append((first.flight, why))
         fleet += [
-            _judged(Aircraft(name, structure, unusable=tuple(unusable)), usable.get(structure, []))
+            _judged(name, structure, usable.get(structure, []), tuple(unusable))
             for structure in sorted(usable) or [""]
         ]
     return fleet
 
 
-def _judged(aircraft: Aircraft, flights: Sequence[Sequence[FlightRow]]) -> Aircraft:
-    """Return the aircraft with its usable flights, pooled, and what has changed in them."""
-    names = [rows[0].flight for rows in flights]
+def _judged(
+    name: str,
+    structure: str,
+    flights: Sequence[Sequence[FlightRow]],  # The usable ones, in the order of their time
+    unusable: tuple[tuple[str, str], ...],
+) -> Aircraft:
+    """Pool the flights of an aircraft, and find what has changed in them."""
+    names = tuple(rows[0].flight for rows in flights)
     values: dict[str, FloatArray] = {}
     sigmas: dict[str, FloatArray] = {}
     for k, row in ((k, row) for k, rows in enumerate(flights) for row in rows):
@@ -382,15 +364,11 @@ def _judged(aircraft: Aircraft, flights: Sequence[Sequence[FlightRow]]) -> Aircr
     for coefficient in values:
         known = np.flatnonzero(np.isfinite(values[coefficient]))
         value, sigma = values[coefficient][known], sigmas[coefficient][known]
-        given, new = [names[k] for k in known], []
-        if is_clear(value, sigma):
-            new = changes(coefficient, given, value, sigma)
+        given = [names[k] for k in known]
+        new = changes(coefficient, given, value, sigma) if is_clear(value, sigma) else []
         findings += new
         begin = max((given.index(f.since) for f in new if f.lasting), default=0)
         single = {f.since for f in new if not f.lasting}
         chosen = [k for k in range(begin, len(given)) if given[k] not in single]
         pooled[coefficient] = pool(value[chosen], sigma[chosen])
-    return replace(
-        aircraft, flights=tuple(names), values=values, sigmas=sigmas, pooled=pooled,
-        findings=tuple(findings),
-    )  # fmt: skip
+    return Aircraft(name, structure, names, values, sigmas, pooled, tuple(findings), unusable)
