@@ -127,7 +127,12 @@ class Bag:
             self.types: dict[str, str] = {}  # Message type of each topic, by name
             self.counts: Counter[str] = Counter()  # Number of messages of each topic
             for connection in sorted(self._connections, key=lambda connection: connection.topic):
-                self._add(connection)
+                topic, msgtype = connection.topic, connection.msgtype
+                if (known := self.types.setdefault(topic, msgtype)) != msgtype:
+                    raise BagError(
+                        f"bag '{path}': topic '{topic}' has two types, {known} and {msgtype}"
+                    )
+                self.counts[topic] += connection.msgcount
         except BaseException:
             self._stack.close()
             raise
@@ -139,15 +144,6 @@ class Bag:
     def __exit__(self, *_: object) -> None:
         """Close the files."""
         self._stack.close()
-
-    def _add(self, connection: Connection) -> None:
-        topic, msgtype = connection.topic, connection.msgtype
-        if self.types.setdefault(topic, msgtype) != msgtype:
-            raise BagError(
-                f"bag '{self.path}': topic '{topic}' has two types, {self.types[topic]} and "
-                f"{msgtype}"
-            )
-        self.counts[topic] += connection.msgcount
 
     @property
     def start_ns(self) -> int:
@@ -279,23 +275,43 @@ def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
         raise BagError(f"bag '{path}' does not exist")
     if path.name == METADATA_FILE:
         path = path.parent
-    if path.is_file():
-        if path.suffix not in STORAGE_SUFFIXES:
-            raise BagError(
-                f"bag '{path}' is no bag: an .mcap file, a rosbag2 folder or a .bag of ROS 1 is "
-                "needed"
-            )
-        return [_open_file(path, path, damage)]
-    if not path.is_dir():
+    files, reason = [path], ""
+    if path.is_dir():
+        reason = f"there is no {METADATA_FILE}"
+        files = sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
+        if (path / METADATA_FILE).exists():
+            try:
+                return [_open(path)]
+            except Exception as error:  # what a parser raises on damaged bytes cannot be foreseen
+                reason = _reason(error).replace(f"{path}{os.sep}", "")
+                reason = f"{METADATA_FILE} cannot be used ({reason})"
+            if not files:
+                raise BagError(f"bag '{path}' cannot be read: {reason}")
+        elif not files:
+            suffixes = " or ".join(STORAGE_SUFFIXES)
+            raise BagError(f"bag '{path}' has neither {METADATA_FILE} nor an {suffixes} file")
+    elif not path.is_file():
         raise BagError(f"bag '{path}' is neither a file on a disk nor a folder")
-    reason = f"there is no {METADATA_FILE}"
-    if (path / METADATA_FILE).exists():
+    elif path.suffix not in STORAGE_SUFFIXES:
+        raise BagError(
+            f"bag '{path}' is no bag: an .mcap file, a rosbag2 folder or a .bag of ROS 1 is needed"
+        )
+    readers: list[AnyReader] = []
+    found: list[str] = []
+    for file in files:
         try:
-            return [_open(path)]
-        except Exception as error:  # what a parser raises on damaged bytes is not to be foreseen
-            reason = _reason(error).replace(f"{path}{os.sep}", "")
-            reason = f"{METADATA_FILE} cannot be used ({reason})"
-    return _open_files(path, reason, damage)
+            readers.append(_open_file(file, path, found))
+        except BagError as error:
+            if len(files) == 1:
+                raise
+            found.append(str(error))
+    if not readers:
+        raise BagError(f"bag '{path}' cannot be read: none of its {len(files)} files can")
+    if reason and not found:
+        found = [f"{reason}: the files were read without it"]
+    damage += found
+    # Without metadata only the recordings themselves know their order.
+    return sorted(readers, key=lambda reader: reader.start_time)
 
 
 def _open(storage: Path) -> Reader | Ros1Reader:
@@ -305,32 +321,6 @@ def _open(storage: Path) -> Reader | Ros1Reader:
     reader = Reader(storage)
     reader.open()
     return reader
-
-
-def _open_files(folder: Path, reason: str, damage: list[str]) -> list[AnyReader]:
-    """Open the files of a folder whose metadata are missing or wrong."""
-    files = sorted(file for file in folder.iterdir() if file.suffix in STORAGE_SUFFIXES)
-    if not files:
-        if not (folder / METADATA_FILE).exists():
-            suffixes = " or ".join(STORAGE_SUFFIXES)
-            raise BagError(f"bag '{folder}' has neither {METADATA_FILE} nor an {suffixes} file")
-        raise BagError(f"bag '{folder}' cannot be read: {reason}")
-    readers: list[AnyReader] = []
-    found: list[str] = []
-    for file in files:
-        try:
-            readers.append(_open_file(file, folder, found))
-        except BagError as error:
-            if len(files) == 1:
-                raise
-            found.append(str(error))
-    if not readers:
-        raise BagError(f"bag '{folder}' cannot be read: none of its {len(files)} files can")
-    if not found:
-        damage.append(f"{reason}: the files were read without it")
-    damage += found
-    # Without metadata only the recordings themselves know their order.
-    return sorted(readers, key=lambda reader: reader.start_time)
 
 
 def _open_file(file: Path, bag: Path, damage: list[str]) -> AnyReader:
