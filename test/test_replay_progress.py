@@ -30,7 +30,7 @@ def test_one_bag_shows_every_phase_and_the_time_left(tmp_path: Path) -> None:
     status, shown = on_a_terminal([str(bag), "--output", str(tmp_path / "out")])
     assert status in (USABLE, NOT_USABLE), shown
     given = re.findall(r"(\w+) +(\d+)%\|.*?\| [\d:]+<[\d:?]+", shown)
-    assert list(dict.fromkeys(phase for phase, _ in given)) == list(job.SHARES)
+    assert list(dict.fromkeys(phase for phase, _ in given)) == list(job.BEGINS)
     shares = [int(share) for _, share in given]
     assert shares == sorted(shares)
     assert shares[-1] == 95

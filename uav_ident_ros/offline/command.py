@@ -126,17 +126,23 @@ def _one(options: argparse.Namespace) -> int:
     return outcome.status
 
 
+def _all(jobs: Sequence[Job], options: argparse.Namespace) -> list[Outcome]:
+    """Do the jobs, and pass their warnings on."""
+    outcomes = replay_all(jobs, options.jobs, options.scheduler)
+    _warn(*(f"{o.job.name}: {warning}" for o in outcomes for warning in o.warnings))
+    return outcomes
+
+
 def _many(options: argparse.Namespace) -> int:
     arrow()  # without it there would be no table of what is about to take hours
     bags = [bag for path in options.bags for bag in _bags_of(path, len(options.bags) > 1)]
     where, folder = options.output or Path(), "{}" if options.output else "replay_{}"
     named = zip(bags, names_of(bags), strict=True)
     jobs = [_job(options, bag, name, where / folder.format(name)) for bag, name in named]
-    outcomes = replay_all(jobs, options.jobs, options.scheduler)
+    outcomes = _all(jobs, options)
     rows = [row for outcome in outcomes for row in rows_of(outcome)]
     tables = ", ".join(map(str, write_flights(where, rows)))
     written = options.output or folder.format("NAME")
-    _warn(*(warning for outcome in outcomes for warning in outcome.named_warnings))
     _print(f"{overview(outcomes)}\n\nwritten to {written}{os.sep}; table: {tables}")
     return max(outcome.status for outcome in outcomes)
 
@@ -159,8 +165,7 @@ def _compare(options: argparse.Namespace) -> int:
     folder = options.output or Path(f"replay_{name}")
     named = zip(options.compare, names_of(options.compare), strict=True)
     jobs = [_job(options, bag, label, folder / label, file) for file, label in named]
-    outcomes = replay_all(jobs, options.jobs, options.scheduler)
-    _warn(*(warning for outcome in outcomes for warning in outcome.named_warnings))
+    outcomes = _all(jobs, options)
     _print(f"{ranking(name, outcomes)}\n\nwritten to {folder}{os.sep}")
     best, failed = ranked(outcomes)[0], any(o.status == NO_RESULT for o in outcomes)
     return NO_RESULT if failed else best.status

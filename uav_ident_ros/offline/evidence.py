@@ -15,7 +15,7 @@ from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, ROWS, STRUCTURES, FloatArray, Structure
-from uav_ident_ros.offline.run import OfflineRun, Refusals, Stretch
+from uav_ident_ros.offline.run import OfflineRun, Refusals, Stretch, time_bases
 
 FULL = STRUCTURES["augmented"]
 FIT_WINDOWS = "last_40_percent"
@@ -83,7 +83,7 @@ class Evidence:
 
 def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Measure a replay that has at least one estimate."""
-    parts = _time_bases(run)
+    parts = time_bases(run.stretches())  # a gap of the recording begins another one
     rates = np.concatenate([part.rates for part in parts])
     inputs = np.concatenate([part.inputs.u for part in parts])
     result = run.result()
@@ -115,14 +115,6 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         },
         streams={name: run.refusals(name) for name in run.identifier.intake.drops},
     )
-
-
-def _time_bases(run: OfflineRun) -> list[Stretch]:
-    """Return one stretch of every time base: a gap of the recording begins another one."""
-    parts: dict[int, Stretch] = {}
-    for part in sorted(run.stretches(), key=lambda stretch: len(stretch.ticks)):
-        parts[part.era] = part
-    return [parts[era] for era in sorted(parts)]
 
 
 def lost_to(estimates: Sequence[Estimate]) -> dict[str, float]:

@@ -29,8 +29,8 @@ from uav_ident_ros.offline.tables import AXES, write_table
 from uav_ident_ros.offline.ticks import write_estimates
 from uav_ident_ros.report import PictureError, drawing
 
-SHARES = {"reading": 0.75, "scoring": 0.1, "measuring": 0.05, "writing": 0.05, "drawing": 0.05}
-"""Phases of a replay, and their shares of its time as measured on flights of ten minutes."""
+BEGINS = {"reading": 0.0, "scoring": 0.75, "measuring": 0.85, "writing": 0.9, "drawing": 0.95}
+"""Phases of a replay, and the share of its time before them, on flights of ten minutes."""
 
 STEPS = 400
 """So many times the reading says how far it is."""
@@ -69,17 +69,16 @@ class Progress:
         self._bar.close()
 
     def enter(self, phase: str) -> None:
-        """Begin a phase, one of `SHARES`; all before it are done."""
-        phases = list(SHARES)
+        """Begin a phase, one of `BEGINS`; all before it are done."""
         self._bar.set_description_str(phase, refresh=False)
-        self._reach(sum(SHARES[name] for name in phases[: phases.index(phase)]))
+        self._reach(BEGINS[phase])
 
     def messages(self, messages: Iterable[Message], total: int) -> Iterator[Message]:
         """Pass messages on and show how many of the total have been read."""
         every = max(1, total // STEPS)
         for count, message in enumerate(messages):
             if count % every == 0:
-                self._reach(SHARES["reading"] * min(count / total, 1.0))
+                self._reach(BEGINS["scoring"] * min(count / total, 1.0))
             yield message
 
     def _reach(self, share: float) -> None:
@@ -141,11 +140,6 @@ class Outcome:
     summary: Mapping[str, Any] = field(default_factory=dict)
     identity: str = ""  # What the result is of (`parallel.identity_of`); empty if that is unknown
     kept: bool = False  # Whether nothing was done, since the result is there already
-
-    @property
-    def named_warnings(self) -> list[str]:
-        """The warnings, each with the name of the job."""
-        return [f"{self.job.name}: {warning}" for warning in self.warnings]
 
     @property
     def reason(self) -> str:

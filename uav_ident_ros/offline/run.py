@@ -73,6 +73,12 @@ class Stretch(Flown):
             yield replace(self, **parts, ticks=ticks)
 
 
+def time_bases(stretches: Iterable[Stretch]) -> list[Stretch]:
+    """Return a stretch of every time base: that with the delay of most of its ticks."""
+    most = {part.era: part for part in sorted(stretches, key=lambda part: len(part.ticks))}
+    return [most[era] for era in sorted(most)]
+
+
 Wrap = Callable[[Iterable[Message], int], Iterable[Message]]
 """Wraps the messages and their number, for a progress bar."""
 

@@ -23,7 +23,7 @@ from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.offline.advice import advise
 from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
 from uav_ident_ros.offline.inputs import candidates
-from uav_ident_ros.offline.run import OfflineRun
+from uav_ident_ros.offline.run import OfflineRun, time_bases
 from uav_ident_ros.offline.tables import AXES
 from uav_ident_ros.report.flight import Flight
 
@@ -69,7 +69,7 @@ def _mixed_frames(run: OfflineRun) -> Iterator[str]:
 
 def _missing_actuators(run: OfflineRun) -> Iterator[str]:
     """Yield that actuators start late or stop early."""
-    parts = list(run.stretches())
+    parts = time_bases(run.stretches())
     if not any(len(part.inputs.t_ns) for part in parts):
         topic = run.inputs.streams["actuators"]
         yield f"{topic} has no messages that could be used: nothing is learned"

@@ -6,7 +6,7 @@ from typing import Any
 
 
 class PictureError(Exception):
-    """A picture cannot be made; the message says why."""
+    """A package that draws is missing; the message names it."""
 
 
 def drawing(name: str) -> Any:

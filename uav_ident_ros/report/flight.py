@@ -19,7 +19,7 @@ from uav_ident_ros.identification.prediction import (
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.published import entry_names, named_entries
-from uav_ident_ros.offline.run import BLOCK, OfflineRun, Stretch
+from uav_ident_ros.offline.run import BLOCK, OfflineRun, time_bases
 
 PAUSE_BETWEEN = 1.0
 """Shown between two time bases, s: how far apart they really were is unknown or days."""
@@ -38,6 +38,7 @@ class Flight:
         self.settings = run.inputs.settings
         self.estimates = run.estimates  # One per tick
         self.stretches = list(run.stretches())  # The flight as the offline run gives it
+        self.time_bases = time_bases(self.stretches)  # Each rate is in one of them
         # Of each time base the first stamp, ns, and its time here, s
         self._origins: dict[int, tuple[int, float]] = {}
         start = 0.0
@@ -58,11 +59,6 @@ class Flight:
     def restarts(self) -> list[float]:
         """Where a new time base begins, s."""
         return [start for _, start in self._origins.values()][1:]
-
-    @cached_property
-    def time_bases(self) -> list[Stretch]:
-        """The last stretch of every time base: each rate is in one of them."""
-        return list({part.era: part for part in self.stretches}.values())
 
     @cached_property
     def t(self) -> FloatArray:

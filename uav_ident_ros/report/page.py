@@ -155,13 +155,8 @@ PACKAGES = ("numpy", "rosbags", "bokeh")
 
 def versions() -> dict[str, str]:
     """Return the versions of this package, of Python and of what it computes and draws with."""
-    found = {"uav_ident_ros": uav_ident_ros.__version__, "Python": platform.python_version()}
-    for package in PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "unknown"
-    return found
+    own = {"uav_ident_ros": uav_ident_ros.__version__, "Python": platform.python_version()}
+    return own | {package: metadata.version(package) for package in PACKAGES}
 
 
 # --- the page -------------------------------------------------------------------------------------

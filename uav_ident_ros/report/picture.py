@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from uav_ident_ros.bags.writing import whole
 from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import AXES
-from uav_ident_ros.report import PictureError
 from uav_ident_ros.report.flight import Flight, Predictions
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 
@@ -40,7 +40,7 @@ def write_picture(
 
     Raises
     ------
-    PictureError
+    BagWriteError
         If the file cannot be written.
     """
     flight, fit = replayed.flight, replayed.fits[FIT_WINDOWS]
@@ -66,11 +66,9 @@ def write_picture(
     )
     panels[0][0].legend(loc="upper left", ncols=2, fontsize="small")
     figure.suptitle(f"{flight.name}: {flight.settings.estimator}, {flight.structure.name}")
-    try:
+    with whole(path) as part:
         # Without the software's name and version the same data give the same bytes.
-        figure.savefig(path, dpi=DPI, metadata={"Software": None})
-    except OSError as error:
-        raise PictureError(f"cannot write '{path}': {error.strerror}") from None
+        figure.savefig(part, dpi=DPI, metadata={"Software": None})
 
 
 def _draw_rate(panel: Any, axis: int, ahead: Predictions) -> None:
