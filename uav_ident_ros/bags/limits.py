@@ -38,13 +38,7 @@ def decompressed(
     data: bytes,  # The chunk's data
     compression: str,  # ``bz2``, ``lz4``, ``zstd`` or nothing
 ) -> bytes:
-    """Return what a chunk holds.
-
-    Raises
-    ------
-    TooLargeError
-        If that is more than `LARGEST_PART`.
-    """
+    """Return what a chunk holds; raises `TooLargeError` if that is more than `LARGEST_PART`."""
     from lz4.frame import LZ4FrameDecompressor
 
     if not compression:

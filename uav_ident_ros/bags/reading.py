@@ -156,13 +156,7 @@ class Bag:
         return max(reader.end_time for reader in self._readers) - 1
 
     def type_of(self, topic: str) -> str:
-        """Return the message type of a topic.
-
-        Raises
-        ------
-        BagError
-            If the bag has no such topic.
-        """
+        """Return the message type of a topic; raises `BagError` if the bag has no such topic."""
         try:
             return self.types[topic]
         except KeyError:

@@ -52,13 +52,7 @@ class ParameterFile:
 
     @classmethod
     def read(cls, path: Path | str) -> ParameterFile:
-        """Read a file.
-
-        Raises
-        ------
-        ParameterFileError
-            If it cannot be read or rcl would refuse it.
-        """
+        """Read a file; raises `ParameterFileError` if it cannot be read or rcl would refuse it."""
         path, sections = Path(path), dict[str, dict[str, ParameterValue]]()
         try:
             root = yaml.compose(path.read_text(encoding="utf-8"), _Loader)

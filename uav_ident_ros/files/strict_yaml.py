@@ -105,13 +105,7 @@ def meant(name: str, known: Collection[str]) -> str:
 
 
 def finite(value: Any, what: str) -> float:
-    """Return a number that is finite.
-
-    Raises
-    ------
-    EntryError
-        If it is none.
-    """
+    """Return a number that is finite; raises `EntryError` if it is none."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise EntryError(f"{what} is {value!r}: a finite number is needed")
     return float(value)

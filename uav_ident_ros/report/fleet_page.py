@@ -19,13 +19,7 @@ MOST_CHARTS = 24
 
 
 def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
-    """Write the page.
-
-    Raises
-    ------
-    BagWriteError
-        If the file cannot be written.
-    """
+    """Write the page; raises `BagWriteError` if the file cannot be written."""
     sections = [_section(k, aircraft) for k, aircraft in enumerate(fleet)]
     findings = [f"{a.name}: {finding.text}" for a in fleet for finding in a.findings]
     flights = sum(len(a.flights) for a in fleet)

@@ -36,13 +36,7 @@ def write_picture(
     path: Path,  # The PNG
     replayed: Replayed,  # The replay; the truth lies beside its bag if the flight was simulated
 ) -> None:
-    """Draw a replay as a PNG.
-
-    Raises
-    ------
-    BagWriteError
-        If the file cannot be written.
-    """
+    """Draw a replay as a PNG; raises `BagWriteError` if the file cannot be written."""
     flight, fit = replayed.flight, replayed.fits[FIT_WINDOWS]
     truth = read_truth(replayed.bag, flight.structure).values
     figure = Figure(figsize=SIZE, layout="constrained")
