@@ -11,7 +11,6 @@ import yaml
 from uav_ident_ros.files import coefficients_file
 from uav_ident_ros.files.coefficients_file import (
     CoefficientsFileError,
-    format_coefficients,
     load_coefficients,
     save_coefficients,
 )
@@ -37,7 +36,8 @@ def saved(folder: Path) -> tuple[Path, str]:
 def test_any_yaml_reader_sees_numbers(tmp_path: Path) -> None:
     original = example()
     original.values[0, 0] = 1e-5  # Python writes 1e-05, which YAML 1.1 takes for a word
-    content = yaml.safe_load(format_coefficients(original))
+    save_coefficients(original, tmp_path / "coefficients.yaml")
+    content = yaml.safe_load((tmp_path / "coefficients.yaml").read_text(encoding="utf-8"))
     assert content["coefficients"]["pdot/pq"]["value"] == 1e-5
     assert list(content["coefficients"]) == list(STRUCTURES["baseline"].names)
 

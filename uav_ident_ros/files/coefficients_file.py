@@ -92,12 +92,11 @@ def save_coefficients(
     CoefficientsFileError
         If a value is not finite or the file cannot be written.
     """
-    path = Path(path)
-    text = format_coefficients(coefficients, path, notes or Notes())
     # A link is followed: the file that it points to is replaced, not the link.
     target = Path(os.path.realpath(path))
     temporary = target.with_name(_temporary_name(target.name, os.getpid()))
     try:
+        text = "".join(f"{line}\n" for line in _lines(coefficients, notes or Notes()))
         try:
             with temporary.open("w", encoding="utf-8") as file:
                 file.write(text)
@@ -107,7 +106,7 @@ def save_coefficients(
         finally:
             temporary.unlink(missing_ok=True)
         _sync_folder(target.parent)
-    except OSError as error:
+    except (OSError, EntryError) as error:
         raise CoefficientsFileError(f"cannot write '{path}': {problem(error)}") from None
 
 
@@ -144,44 +143,15 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def format_coefficients(
-    coefficients: CoefficientSet, path: Path | str = "coefficients", notes: Notes | None = None
-) -> str:
-    """Return the text of the file; `path` only names it in errors.
-
-    Raises
-    ------
-    CoefficientsFileError
-        If a value is not finite or the shapes do not fit the structure.
-    """
+def _lines(coefficients: CoefficientSet, notes: Notes) -> Iterator[str]:
+    """Yield the lines of the file."""
     structure = STRUCTURES[coefficients.structure]
-    shape = structure.mask.shape
-    if coefficients.values.shape != shape or coefficients.sigma.shape != shape:
-        raise CoefficientsFileError(
-            f"cannot write '{path}': structure '{structure.name}' needs values and sigma of "
-            f"shape {shape}"
-        )
     seconds, nanoseconds = divmod(coefficients.t_ns, NS_PER_S)
-    lines = [
-        "# Identified coefficients: SI units, aircraft body axes forward-right-down.",
-        f"format: {FORMAT}",
-        f"version: {VERSION}",
-        f"structure: {structure.name}",
-        f"stamp: {seconds}.{nanoseconds:09d}",
-        *_note_lines(notes or Notes()),
-        "coefficients:",
-    ]
-    for name, index in zip(structure.names, structure.free, strict=True):
-        value, sigma = float(coefficients.values[index]), float(coefficients.sigma[index])
-        if not math.isfinite(value):
-            raise CoefficientsFileError(f"cannot write '{path}': coefficient {name} is {value}")
-        unknown = not 0.0 <= sigma < math.inf  # NaN too
-        shown = ".inf" if unknown else _digits(sigma)
-        lines.append(f"  {name}: {{value: {_digits(value)}, sigma: {shown}}}")
-    return "\n".join(lines) + "\n"
-
-
-def _note_lines(notes: Notes) -> Iterator[str]:
+    yield "# Identified coefficients: SI units, aircraft body axes forward-right-down."
+    yield f"format: {FORMAT}"
+    yield f"version: {VERSION}"
+    yield f"structure: {structure.name}"
+    yield f"stamp: {seconds}.{nanoseconds:09d}"
     if notes.saved is not None:
         utc = notes.saved.astimezone(UTC).replace(tzinfo=None)
         yield f"saved: {utc.isoformat()}Z"
@@ -195,6 +165,14 @@ def _note_lines(notes: Notes) -> Iterator[str]:
         yield "learned_with:"
         # JSON strings are YAML strings too.
         yield from (f"  {name}: {json.dumps(text)}" for name, text in notes.learned_with.items())
+    yield "coefficients:"
+    for name, index in zip(structure.names, structure.free, strict=True):
+        value, sigma = float(coefficients.values[index]), float(coefficients.sigma[index])
+        if not math.isfinite(value):
+            raise EntryError(f"coefficient {name} is {value}")
+        unknown = not 0.0 <= sigma < math.inf  # NaN too
+        shown = ".inf" if unknown else _digits(sigma)
+        yield f"  {name}: {{value: {_digits(value)}, sigma: {shown}}}"
 
 
 def _digits(value: float) -> str:
