@@ -54,17 +54,12 @@ class Evidence:
     imu_rate: float
     actuator_rate: float
     delay: DelayEstimate = NO_ESTIMATE  # What the flight says about the delay
-    # Delays tried, (J,), s, and the squared prediction errors of p, q, r with each, (J, 3)
-    delays: FloatArray = field(default_factory=lambda: np.zeros(0))
-    delay_errors: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     delay_in_use: float = 0.0  # Delay that the identifier ended with, s
     lag_in_use: float = 0.0  # Servo lag that it ended with, s
     # For rows without their specific force: the share of what the row leaves unexplained that it
     # would explain
     force_share: Mapping[str, float] = field(default_factory=dict)
     collinear: tuple[tuple[str, ...], ...] = ()  # Coefficients that the flight has not told apart
-    # Of each row: names of its coefficients, (m,), and the correlations of their estimates, (m, m)
-    correlations: Mapping[str, tuple[tuple[str, ...], FloatArray]] = field(default_factory=dict)
     # Share of the ticks at which a gate was closed, for each reason, the largest first
     lost: Mapping[str, float] = field(default_factory=dict)
     # Settings that go with those reasons
@@ -83,11 +78,11 @@ class Evidence:
 
 def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Measure a replay that has at least one estimate."""
+    identifier = run.identifier
     parts = time_bases(run.stretches())  # a gap of the recording begins another one
     rates = np.concatenate([part.rates for part in parts])
     inputs = np.concatenate([part.inputs.u for part in parts])
     result = run.result()
-    delays, delay_errors = run.identifier.delays.delays, run.identifier.delays.errors
     return Evidence(
         settings=run.inputs.settings,
         structure=run.structure,
@@ -100,20 +95,17 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         input_spread=inputs.std(axis=0) if len(inputs) else np.zeros(len(INPUTS)),
         imu_rate=_rate([part.t_ns for part in parts]),
         actuator_rate=_rate([part.inputs.t_ns for part in parts]),
-        delay=run.identifier.delays.estimate,
-        delays=delays,
-        delay_errors=delay_errors,
-        delay_in_use=run.identifier.delay,
-        lag_in_use=run.identifier.lag,
+        delay=identifier.delays.estimate,
+        delay_in_use=identifier.delay,
+        lag_in_use=identifier.lag,
         force_share=_force_share(run, parts),
-        collinear=tuple(run.identifier.estimator.information.collinear()),
-        correlations=run.identifier.estimator.information.correlations(),
+        collinear=tuple(identifier.estimator.information.collinear()),
         lost=lost_to(run.estimates),
         gate_settings={
             _NUMBER.sub("…", cost.reason): cost.setting
-            for cost in run.identifier.supervisor.gates.costs().values()
+            for cost in identifier.supervisor.gates.costs().values()
         },
-        streams={name: run.refusals(name) for name in run.identifier.intake.drops},
+        streams={name: run.refusals(name) for name in identifier.intake.drops},
     )
 
 

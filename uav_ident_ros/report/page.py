@@ -21,8 +21,9 @@ from jinja2 import Environment, PackageLoader
 import uav_ident_ros
 from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.files.truth_file import read_truth
+from uav_ident_ros.identification.delay import DelayBank
 from uav_ident_ros.identification.samples import NS
-from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
+from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.find import bag_files
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import (
@@ -56,7 +57,8 @@ class Section:
 
 def sections(replayed: Replayed) -> Iterator[Section]:
     """Yield the sections of a replay."""
-    summary, evidence, flight = replayed.summary, replayed.evidence, replayed.flight
+    summary, flight = replayed.summary, replayed.flight
+    lost, identifier = replayed.evidence.lost, replayed.run.identifier
     line = Timeline(flight.span, flight.restarts)
     tick = predict(flight, 1.0 / flight.settings.update_rate)
     ahead = f"one tick ({tick.horizon:g} s) ahead", "holding the rates for one tick"
@@ -65,8 +67,8 @@ def sections(replayed: Replayed) -> Iterator[Section]:
     fit = summary["prediction_fit"][FIT_WINDOWS]
     cards = [tables.card(fit, axis) for axis in AXES]
     yield Section("fit", "Fit", [_FIT_TEXT], [*fit_tables(summary, more)], cards=cards)
-    states = state_chart(flight, line, evidence.lost)
-    yield Section("learning", "Learning", [], [tables.gates_table(evidence.lost)], [states])
+    states = state_chart(flight, line, lost)
+    yield Section("learning", "Learning", [], [tables.gates_table(lost)], [states])
     whiteness = diagrams.whiteness_chart(flight, tick)
     charts = [*rate_charts(flight, line, tick), *([whiteness] if whiteness else [])]
     yield Section("rates", "Rates, measured and predicted", [_RATES_TEXT], [], charts)
@@ -79,7 +81,7 @@ def sections(replayed: Replayed) -> Iterator[Section]:
             f"{flight.settings.airspeed.reference:g} m/s."
         )
     table = coefficients_table(summary, truth if truth.values else None)
-    known = [table, *tables.coefficient_correlations(evidence)]
+    known = [table, *tables.coefficient_correlations(identifier.estimator.information)]
     yield Section("coefficients", "Coefficients", [text], known, coefficients)
     if replayed.modes:
         charts = [diagrams.mode_chart(replayed.modes)]
@@ -90,7 +92,7 @@ def sections(replayed: Replayed) -> Iterator[Section]:
     charts += [*diagrams.coverage_charts(flight)]
     numbers = [tables.signals_table(flight, found), tables.correlations_table(flight)]
     yield Section("inputs", "Inputs, forces and states", [_INPUTS_TEXT], numbers, charts)
-    yield _delay_section(evidence)
+    yield _delay_section(identifier.delays, identifier.delay)
     yield Section("messages", "Messages", [], [tables.messages_table(summary)])
     yield Section("settings", "Settings", [], [*tables.settings_tables(summary)])
     files = bag_files(replayed.bag)
@@ -129,8 +131,8 @@ _MODES_TEXT = (
 )
 
 
-def _delay_section(evidence: Evidence) -> Section:
-    found, errors, in_use = evidence.delay, evidence.delay_errors, evidence.delay_in_use
+def _delay_section(bank: DelayBank, in_use: float) -> Section:
+    found, errors = bank.estimate, bank.errors
     separated = diagrams.separates_delays(errors)
     text = "Too little excitation to separate delays."
     # What was injected may have told the lag, and since then no block was judged.
@@ -145,7 +147,7 @@ def _delay_section(evidence: Evidence) -> Section:
             f"{1e3 * found.lag:.0f} ms, sigma {1e3 * found.lag_sigma:.0f} ms, after a delay of "
             f"{1e3 * max(found.total - found.lag, 0.0):.0f} ms."
         )
-    charts = [diagrams.delay_chart(evidence.delays, errors, in_use, text)] if separated else []
+    charts = [diagrams.delay_chart(bank.delays, errors, in_use, text)] if separated else []
     return Section("delay", "Delay", [text], charts=charts)
 
 

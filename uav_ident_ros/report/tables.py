@@ -9,9 +9,9 @@ import numpy as np
 from markupsafe import escape
 
 from uav_ident_ros.files.parameter_file import written
+from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.offline.evidence import Evidence
 from uav_ident_ros.offline.tables import Cell, Number, Row, Table, Words
 from uav_ident_ros.report.charts import AXIS_WORDS, UNITS
 from uav_ident_ros.report.diagrams import SIGNALS, Spectra, signals
@@ -57,9 +57,9 @@ def correlations_table(flight: Flight) -> Table:
     return Table("Correlation with the inputs", ("signal", *INPUTS), rows)
 
 
-def coefficient_correlations(evidence: Evidence) -> Iterator[Table]:
+def coefficient_correlations(information: Information) -> Iterator[Table]:
     """Yield how the estimates of a row's coefficients depend on one another."""
-    for row, (names, matrix) in evidence.correlations.items():
+    for row, (names, matrix) in information.correlations().items():
         rows = [
             Row(
                 name, [Number(v, ".2f", shaded=True) for v in line[:i]] + [""] * (len(line) - 1 - i)
