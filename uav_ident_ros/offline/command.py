@@ -17,7 +17,17 @@ from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.fleet import arrow, rows_of, write_flights
 from uav_ident_ros.offline.job import VERDICTS, Job, Outcome, Progress, replay
 from uav_ident_ros.offline.parallel import replay_all
-from uav_ident_ros.offline.tables import AXES, NONE, Cell, Number, Row, Table, Words, columns
+from uav_ident_ros.offline.tables import (
+    AXES,
+    NONE,
+    Cell,
+    Number,
+    Row,
+    Table,
+    Words,
+    columns,
+    write_table,
+)
 
 WORST_FIT = -100.0
 """Fit below which an axis counts no worse, percent: one that diverges must not hide the others."""
@@ -121,8 +131,8 @@ def _one(options: argparse.Namespace) -> int:
     with Progress() as progress:
         outcome = replay(_job(options, bag, name, folder), progress)
     _warn(*outcome.warnings)
-    if outcome.table:
-        _print(f"{outcome.table}\n\nwritten to {folder}{os.sep}")
+    if outcome.summary:
+        _print(f"{write_table(outcome.summary)}\n\nwritten to {folder}{os.sep}")
     return outcome.status
 
 

@@ -135,7 +135,6 @@ class Outcome:
     job: Job
     status: int  # `USABLE`, `NOT_USABLE` or `NO_RESULT`
     warnings: tuple[str, ...] = ()  # What is wrong with the input; if there is no result, why
-    table: str = ""  # Results in words and columns; empty if there are none
     # Content of summary.json; empty if there is none
     summary: Mapping[str, Any] = field(default_factory=dict)
     identity: str = ""  # What the result is of (`parallel.identity_of`); empty if that is unknown
@@ -178,7 +177,7 @@ def replay(job: Job, progress: Progress = SILENT) -> Outcome:
         progress.enter("measuring")
         replayed = Replayed(job.name, job.bag, run, fits, measure(run, fits), notes)
         progress.enter("writing")
-        table = write_results(job.folder, replayed, NODE_NAME)
+        write_results(job.folder, replayed, NODE_NAME)
         progress.enter("drawing")
         if job.plot:
             drawing("picture").write_picture(job.folder / "replay.png", replayed)
@@ -187,29 +186,27 @@ def replay(job: Job, progress: Progress = SILENT) -> Outcome:
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (*warnings, str(error)))
     status = NOT_USABLE if replayed.doubt else USABLE
-    return Outcome(job, status, tuple(warnings), table, replayed.summary)
+    return Outcome(job, status, tuple(warnings), replayed.summary)
 
 
 def write_results(
     folder: Path,  # Where to; made if it is not there
     replayed: Replayed,  # The replay
     node: str,  # Node whose topics the bag of estimates has
-) -> str:
-    """Write summary, table, bag of estimates and coefficients; return the table.
+) -> None:
+    """Write summary, table, bag of estimates and coefficients.
 
     Raises
     ------
     BagWriteError, CoefficientsFileError
         If something cannot be written.
     """
-    run, table = replayed.run, write_table(replayed.summary)
-    summary = json.dumps(replayed.summary, indent=2, allow_nan=False)
+    run, summary = replayed.run, json.dumps(replayed.summary, indent=2, allow_nan=False)
     write_file(folder / "summary.json", f"{summary}\n")
-    write_file(folder / "table.txt", f"{table}\n")
+    write_file(folder / "table.txt", f"{write_table(replayed.summary)}\n")
     frame_id = run.frame_id or ""
     write_estimates(folder / "estimates", run.estimates, run.structure, node, frame_id)
     save_coefficients(run.result(), folder / "coefficients.yaml")
-    return table
 
 
 def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:

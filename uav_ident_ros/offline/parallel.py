@@ -31,8 +31,8 @@ ATTEMPTS = 3
 """How often a flight is begun whose worker of the cluster has gone: a bag that ends every worker
 must not end all of them."""
 
-Outcomes = Iterator[tuple[int, Outcome | None]]
-"""Numbers of jobs and what came of them, as they come; None for a job whose process has gone."""
+Outcomes = Iterator[tuple[Job, Outcome | None]]
+"""Jobs and what came of them, as they come; None for a job whose process has gone."""
 
 
 def replay_all(
@@ -48,13 +48,13 @@ def replay_all(
     BagError
         If the scheduler does not answer, or Dask is missing.
     """
-    outcomes: dict[int, Outcome] = {}
+    outcomes: dict[Path, Outcome] = {}
     with bar(total=len(jobs), unit=" replays") as shown:
-        for k, outcome in _there(jobs, scheduler) if scheduler else _here(jobs, workers):
-            lost = f"bag '{jobs[k].bag}': the process that read it was ended"
-            outcomes[k] = outcome or Outcome(jobs[k], NO_RESULT, (lost,))
+        for job, outcome in _there(jobs, scheduler) if scheduler else _here(jobs, workers):
+            lost = f"bag '{job.bag}': the process that read it was ended"
+            outcomes[job.folder] = outcome or Outcome(job, NO_RESULT, (lost,))
             shown.update()
-    return [outcomes[k] for k in range(len(jobs))]
+    return [outcomes[job.folder] for job in jobs]
 
 
 def _there(jobs: Sequence[Job], scheduler: str) -> Outcomes:
@@ -68,7 +68,7 @@ def _there(jobs: Sequence[Job], scheduler: str) -> Outcomes:
     except (OSError, ValueError) as error:
         raise BagError(f"no Dask scheduler answers at '{scheduler}': {error}") from None
     with client, client.get_executor(pure=False, retries=ATTEMPTS) as executor:
-        yield from _do(executor, dict(enumerate(jobs)))
+        yield from _do(executor, jobs)
 
 
 def _here(jobs: Sequence[Job], workers: int) -> Outcomes:
@@ -77,23 +77,23 @@ def _here(jobs: Sequence[Job], workers: int) -> Outcomes:
     The end of one process breaks the pool. What it leaves is done one by one, each in a pool of its
     own: then it is known which flight ends its process, and it ends no other.
     """
-    left: dict[int, Job] = {}
+    left: list[Job] = []
     with _pool(min(workers, len(jobs))) as executor:
-        for k, outcome in _do(executor, dict(enumerate(jobs))):
+        for job, outcome in _do(executor, jobs):
             if outcome is None:
-                left[k] = jobs[k]
+                left.append(job)
             else:
-                yield k, outcome
-    for k, job in left.items():
+                yield job, outcome
+    for job in left:
         with _pool(1) as executor:
-            yield from _do(executor, {k: job})
+            yield from _do(executor, [job])
 
 
-def _do(executor: Executor, jobs: dict[int, Job]) -> Outcomes:
+def _do(executor: Executor, jobs: Sequence[Job]) -> Outcomes:
     # The processes must not hear of Ctrl-C: this one ends them.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        futures = {executor.submit(work, job): k for k, job in jobs.items()}
+        futures = {executor.submit(work, job): job for job in jobs}
     finally:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     for future in as_completed(futures):

@@ -163,10 +163,9 @@ def whiteness_chart(flight: Flight, tick: Predictions) -> Chart | None:
     lags = round(LONGEST_LAG / tick.horizon)
     if len(residual) < 2 * lags:
         return None
-    found = autocorrelation(residual, lags)
-    found = np.nan_to_num(found)
-    chart = plain_figure(220, "autocorrelation", y_range=value_range(found, np.array([0.0, 0.2])))
-    chart.xaxis.axis_label = "lag [s]"
+    found = np.nan_to_num(autocorrelation(residual, lags))
+    span = value_range(found, np.array([0.0, 0.2]))
+    chart = plain_figure(220, "lag [s]", "autocorrelation", y_range=span)
     _lines(
         chart,
         tick.horizon * np.arange(1, lags + 1),
@@ -196,13 +195,13 @@ def spectrum_charts(flight: Flight, found: Spectra) -> Iterator[Chart]:
         top = float(mean.max(initial=0.0)) or 1.0
         chart = plain_figure(
             230,
+            "frequency [Hz]",
             "power density",
             x_axis_type="log",
             y_axis_type="log",
             y_range=(top * 10.0**-DECADES, 2.0 * top),
             x_range=(float(found.frequency[0]), HIGHEST_FREQUENCY),
         )
-        chart.xaxis.axis_label = "frequency [Hz]"
         chart.xaxis.ticker = FixedTicker(ticks=[0.1, 1.0, 10.0])
         shown = dict(zip(labels, mean.T, strict=True))
         shown = {k: v for k, v in shown.items() if v.max() > 0.0}
@@ -222,8 +221,7 @@ def coverage_charts(flight: Flight) -> Iterator[Chart]:
         count, _, _ = np.histogram2d(values[x], values[y], bins=CELLS, range=spans)
         depth = np.log1p(count.T) / np.log1p(max(float(count.max()), 1.0))
         depth[count.T == 0] = np.nan
-        chart = plain_figure(200, y, x_range=spans[0], y_range=spans[1])
-        chart.xaxis.axis_label = x
+        chart = plain_figure(200, x, y, x_range=spans[0], y_range=spans[1])
         chart.xaxis.ticker.desired_num_ticks = 4
         chart.image(
             [depth.astype(np.float32)],
@@ -245,11 +243,11 @@ def mode_chart(found: Sequence[Mode]) -> Chart:
     room = 2.0 * np.where(np.isfinite(sigma), sigma, 0.0)
     chart = plain_figure(
         260,
+        "real part [1/s]",
         "imaginary part [rad/s]",
         x_range=value_range(real - room[:, 0], real + room[:, 0], np.zeros(1)),
         y_range=value_range(imaginary + room[:, 1], np.zeros(1)),
     )
-    chart.xaxis.axis_label = "real part [1/s]"
     source = columns(
         {"re": real, "im": imaginary, "width": 2.0 * sigma[:, 0], "height": 2.0 * sigma[:, 1]}
     )
@@ -308,8 +306,8 @@ def delay_chart(
     """Return how well models with every delay of the inputs predict."""
     rows, together = delay_rise(errors)
     top = max(min(1.05 * float(rows.max()), LARGEST_RISE), SMALLEST_RISE)
-    chart = plain_figure(230, "prediction error above its least [%]", y_range=(0.0, top))
-    chart.xaxis.axis_label = "delay [ms]"
+    unit = "prediction error above its least [%]"
+    chart = plain_figure(230, "delay [ms]", unit, y_range=(0.0, top))
     lines = {**dict(zip(AXES, rows.T, strict=True)), "all": together}
     _lines(chart, 1e3 * delays, lines, "delay [ms]")
     chart.add_layout(

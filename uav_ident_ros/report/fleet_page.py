@@ -72,9 +72,8 @@ def _charts(k: int, aircraft: Aircraft) -> Iterator[Chart]:
                 "color": colors,
             }
         )
-        chart = plain_figure(180, "", y_range=value_range(value - sigma, value + sigma))
+        chart = plain_figure(180, "flight", "", y_range=value_range(value - sigma, value + sigma))
         chart.min_border_left = 0
-        chart.xaxis.axis_label = "flight"
         low, high = pooled.value - pooled.next_sigma, pooled.value + pooled.next_sigma
         chart.add_layout(BoxAnnotation(bottom=low, top=high, fill_alpha=0.2))
         chart.add_layout(Span(dimension="width", location=pooled.value, line_dash="dashed"))

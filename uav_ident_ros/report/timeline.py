@@ -62,8 +62,8 @@ def value_range(*values: FloatArray, least: float = 0.0) -> Range1d:
     return Range1d(low - room, high + room)
 
 
-def plain_figure(height: int, unit: str = "", **options: Any) -> Any:
-    """Return an empty figure in the style of the page."""
+def plain_figure(height: int, along: str | None, unit: str, **options: Any) -> Any:
+    """Return an empty figure in the style of the page, with the labels of its axes."""
     result = figure(
         height=height,
         sizing_mode="stretch_width",
@@ -84,7 +84,7 @@ def plain_figure(height: int, unit: str = "", **options: Any) -> Any:
     result.axis.major_label_text_color = result.axis.axis_label_text_color = COLORS["ink"]
     result.axis.axis_label_text_font_style = "normal"
     result.axis.axis_label_standoff = 2
-    result.yaxis.axis_label = unit
+    result.xaxis.axis_label, result.yaxis.axis_label = along, unit
     if isinstance(result.y_range, Range1d):
         result.yaxis.ticker.desired_num_ticks = 4
     return result
@@ -112,7 +112,7 @@ class Timeline:
 
     def figure(self, unit: str, height: int, **options: Any) -> Any:
         """Return an empty chart over time that moves with all others."""
-        result = plain_figure(height, unit, x_range=self._range, **options)
+        result = plain_figure(height, "time [s]", unit, x_range=self._range, **options)
         pan, wheel = PanTool(dimensions="width"), WheelZoomTool(dimensions="width")
         wheel.modifiers = {"ctrl": True}  # the bare wheel scrolls the page
         result.add_tools(pan, wheel, CrosshairTool(overlay=self._cross))
@@ -121,7 +121,6 @@ class Timeline:
             result.toolbar_location = None
         else:
             result.add_tools(BoxZoomTool(), ResetTool(), SaveTool())
-        result.xaxis.axis_label = "time [s]"
         result.min_border_right = 12
         for restart in self._restarts:
             result.add_layout(
