@@ -550,13 +550,14 @@ def test_a_message_of_unknown_names_is_no_excitation(tmp_path: Path) -> None:
     assert refusals.dropped == {"wrong channels": refusals.received} and refusals.received > 50
 
 
-def test_without_rosbags_the_error_names_its_package() -> None:
+@pytest.mark.parametrize("package", ["rosbags", "mcap"])
+def test_the_error_names_the_package_that_is_missing(package: str) -> None:
     """As on a machine that has the package from apt alone."""
     code = (
-        "import sys; sys.modules['rosbags'] = None\n"
+        f"import sys; sys.modules['{package}'] = None\n"
         "from uav_ident_ros.offline import main; sys.exit(main(['bag']))"
     )
     run = python("-c", code)
     assert run.returncode == 2
-    assert run.stderr.startswith("replay: the Python package 'rosbags' is missing")
+    assert run.stderr.startswith(f"replay: the Python package '{package}' is missing")
     assert run.stderr.count("\n") == 1

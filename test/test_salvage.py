@@ -3,7 +3,6 @@
 
 import math
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -209,16 +208,6 @@ def test_nothing_to_be_saved(flight: Path, copy: Path) -> None:
     copy.write_bytes(flight.read_bytes()[: chunk_places(flight)[0][0] + 20])
     with pytest.raises(BagError, match=r"cannot be read: 'flight\.mcap': .*no message to be saved"):
         Bag(copy)
-
-
-def test_without_the_mcap_library_the_error_names_it(
-    flight: Path, copy: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    copy.write_bytes(flight.read_bytes()[:-500])
-    monkeypatch.setitem(sys.modules, "mcap.stream_reader", None)
-    with pytest.raises(BagError, match=r"install the Python package 'mcap'"):
-        Bag(copy)
-    assert len(messages(flight)[0]) == MESSAGES  # a whole one needs no such library
 
 
 # --- replay ------------------------------------------------------------------------------------

@@ -18,8 +18,12 @@ from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple
+from typing import IO, NamedTuple
 
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
@@ -28,9 +32,6 @@ from rosbags.interfaces import (
 )
 
 from uav_ident_ros.bags.limits import decompressed
-
-if TYPE_CHECKING:
-    from mcap.records import Channel, McapRecord, Schema
 
 NS = 1e-9
 
@@ -65,17 +66,11 @@ class SalvageReader:
     Raises
     ------
     SalvageError
-        If there is no message to be saved, or the mcap library is not installed.
+        If there is no message to be saved.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            import mcap.stream_reader  # noqa: F401
-        except ImportError:
-            raise SalvageError(
-                "install the Python package 'mcap' to save what is there (pip install mcap)"
-            ) from None
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._counts: Counter[int] = Counter()
@@ -94,8 +89,6 @@ class SalvageReader:
 
     def _scan(self, file: IO[bytes]) -> str:
         """Read the whole file; return what is wrong with it."""
-        from mcap.records import DataEnd
-
         lost: list[tuple[int, int]] = []
         chunks, torn, cut = 0, 0, False
         for part in _parts(file):
@@ -128,8 +121,6 @@ class SalvageReader:
         return " and ".join(found)
 
     def _take(self, record: McapRecord) -> None:
-        from mcap.records import Channel, Message, Schema
-
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -171,10 +162,8 @@ class SalvageReader:
 
 def _by_time(
     file: IO[bytes], part: Part, chosen: Collection[int]
-) -> Iterator[tuple[int, int, Any]]:
+) -> Iterator[tuple[int, int, Message | None]]:
     """Yield log time, ns, place and message of a part, after a sign that it begins."""
-    from mcap.records import Message
-
     # Until the merge comes to this part the sign alone is in memory.
     yield part.times_ns[0] if part.times_ns else 0, 0, None
     found = []
@@ -203,9 +192,6 @@ def _parts(file: IO[bytes]) -> Iterator[Part]:
 
 def _records(file: IO[bytes], part: Part) -> Iterator[McapRecord]:
     """Yield the records of a part, those of chunks too; raises where one cannot be read."""
-    from mcap.records import Chunk
-    from mcap.stream_reader import StreamReader, breakup_chunk
-
     at, size = part.begin, part.end - part.begin
     file.seek(at)
     reader = StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=size)
@@ -229,10 +215,6 @@ def _records(file: IO[bytes], part: Part) -> Iterator[McapRecord]:
 
 def _before_the_cut(file: IO[bytes], begin: int) -> Iterator[McapRecord]:
     """Yield the records of a chunk that is cut off, as far as they are whole."""
-    from mcap.data_stream import ReadDataStream
-    from mcap.opcode import Opcode
-    from mcap.records import Chunk
-
     file.seek(begin)
     stream = ReadDataStream(file)
     with suppress(Exception):  # too little is left
