@@ -2,27 +2,19 @@
 """Fleets: the table of flights, and what many flights say together."""
 
 import math
-import os
 import re
-import shutil
-import signal
 import statistics
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from excerpts import PARAMETERS, SECOND_NS, excerpt
-from excerpts import summary as summary_of
+from excerpts import SECOND_NS
 from programs import Capture, refusal
-from repository import ROOT
 
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.offline import fleet_command, main
+from uav_ident_ros.offline import fleet_command
 from uav_ident_ros.offline.fleet import (
     BASELINE,
     CSV_FILE,
@@ -31,11 +23,9 @@ from uav_ident_ros.offline.fleet import (
     changes,
     fleet_of,
     pool,
-    read_flights,
     standard,
     write_flights,
 )
-from uav_ident_ros.offline.parallel import DONE_FILE
 
 NAMES = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
 
@@ -181,114 +171,3 @@ def test_what_is_no_table_is_one_line(tmp_path: Path, capsys: Capture, content: 
     line = refusal(fleet_command.main, [str(path)], capsys)
     missing = " cannot be read: there is no such file" if content is None else ""
     assert line.startswith("fleet: ") and f"flights.csv'{missing}" in line
-
-
-# --- the table of flights ----------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Short flights of two aircraft, and a file that is none."""
-    folder = tmp_path_factory.mktemp("logs")
-    for k in range(2):
-        excerpt(folder / "red" / f"flight{k}", 4.0, begin=5.0 * k)
-    excerpt(folder / "blue" / "maiden", 3.0)
-    (folder / "blue" / "broken.mcap").write_bytes(b"not a bag")
-    return folder
-
-
-def arguments(logs: Path, output: Path, *more: str) -> list[str]:
-    return [str(logs), "--params-file", str(PARAMETERS), "--output", str(output), *more]
-
-
-def contents(output: Path) -> tuple[str, ...]:
-    return tuple(sorted(line for line in (output / "flights.csv").read_text().splitlines()))
-
-
-@pytest.fixture(scope="module")
-def replayed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    output = tmp_path_factory.mktemp("table")
-    assert main(arguments(logs, output, "--jobs", "2")) == 2
-    return output
-
-
-def test_the_table_has_a_row_for_each_flight_and_coefficient(replayed: Path) -> None:
-    rows = read_flights(replayed)
-    assert read_flights(replayed / "flights.parquet") == rows
-    flights = {(row.aircraft, row.flight) for row in rows}
-    assert flights == {
-        ("red", "flight0"), ("red", "flight1"), ("blue", "maiden"), ("blue", "broken"),
-    }  # fmt: skip
-    (failed,) = [row for row in rows if row.flight == "broken"]
-    assert (failed.verdict, failed.coefficient, failed.value) == ("no result", "", None)
-    assert "is no MCAP file" in failed.reason
-    one = [row for row in rows if row.flight == "flight1"]
-    summary = summary_of(replayed / "flight1")
-    assert {row.coefficient: row.value for row in one} == {
-        name: entry["value"] for name, entry in summary["coefficients"].items()
-    }
-    assert one[0].start_ns == summary["first_tick_ns"]
-    assert one[0].fit_q == summary["prediction_fit"]["last_40_percent"]["model"]["q"]
-    assert len({row.bag_hash for row in rows}) == 4
-    assert len({row.settings_hash for row in rows}) == 1
-
-
-def test_what_is_done_is_not_done_again(
-    logs: Path, replayed: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    output = tmp_path / "out"
-    again = arguments(logs, output, "--jobs", "1")
-    shutil.copytree(replayed, output)
-    times = {file: file.stat().st_mtime_ns for file in output.rglob("estimates.mcap")}
-    # cut off in the middle of a flight, before its last file; another has no end
-    (output / "flight1" / DONE_FILE).unlink()
-    cut = output / "flight0" / DONE_FILE
-    cut.write_text(cut.read_text()[:40])
-    assert main(again) == 2
-    assert re.search(
-        r"4 bags: .*1 no result; 2 of them as replayed before", capsys.readouterr().out
-    )
-    for file, before in times.items():
-        done_again = file.stat().st_mtime_ns != before
-        assert done_again == bool({"flight0", "flight1"} & set(file.parts)), file
-    assert contents(output) == contents(replayed)
-    # other settings are another replay
-    other = tmp_path / "other.yaml"
-    other.write_text(PARAMETERS.read_text() + "    filter.cutoff: 20.0\n")
-    assert main([*again, "--params-file", str(other)]) == 2
-    assert "as replayed before" not in capsys.readouterr().out
-    # and what it has written anew is not taken for the first one
-    assert main(again) == 2
-    assert "as replayed before" not in capsys.readouterr().out
-
-
-def test_a_cluster_gives_the_same_table(logs: Path, replayed: Path, tmp_path: Path) -> None:
-    """One worker of a Dask cluster is killed at work: its flights are done elsewhere."""
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
-        command = arguments(logs, tmp_path, "--scheduler", cluster.scheduler_address)
-        process = subprocess.Popen(
-            [sys.executable, "-m", "uav_ident_ros.offline", *command], cwd=ROOT
-        )
-        with distributed.Client(cluster) as client:
-            busy: dict[str, tuple[str, ...]] = {}
-            while process.poll() is None and not any(busy.values()):
-                busy = client.processing()
-                time.sleep(0.02)
-            address = next((a for a, tasks in busy.items() if tasks), "")
-            worker = next(
-                (w for w in cluster.workers.values() if w.worker_address == address), None
-            )
-            if worker is not None and worker.process is not None:
-                os.kill(worker.process.pid, signal.SIGKILL)
-        assert process.wait(300.0) == 2
-    assert contents(tmp_path) == contents(replayed)
-
-
-def test_a_scheduler_that_is_not_there_is_one_line(
-    logs: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    line = refusal(main, arguments(logs, tmp_path, "--scheduler", "nonsense://x"), capsys)
-    assert line.startswith("replay: no Dask scheduler answers at 'nonsense://x'")

@@ -1,26 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """`replay` of many bags and of many configurations: each has its own outcome and its own folder."""
 
+import itertools
+import math
 import os
 import pickle
 import re
+import shutil
 import signal
 import subprocess
 import sys
+import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from excerpts import BAGS, PARAMETERS, excerpt, parameter_file, replay, summary
 from node_process import PATIENCE, wait_for
-from programs import Capture, python
+from programs import Capture, Terminal, python, refusal
 from repository import ROOT
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE, job, main
 from uav_ident_ros.offline.command import WORST_FIT, mean_fit, overview, percent, ranked, ranking
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
+from uav_ident_ros.offline.fleet import read_flights
 from uav_ident_ros.offline.job import Job, Outcome
+from uav_ident_ros.offline.parallel import DONE_FILE
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +36,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
     excerpt(folder / "monday" / "flight", 34.0)
     excerpt(folder / "tuesday" / "flight", 3.0)
+    excerpt(folder / "tuesday" / "later", 4.0, begin=5.0)
     (folder / "broken.mcap").write_bytes(b"not a bag")
     (folder / "notes.txt").write_text("hello")
     (folder / ".trash").mkdir()
@@ -74,15 +82,19 @@ def test_names_differ_however_the_bags_are_called() -> None:
 def replayed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """The output folder of a replay of them all, and the finished process."""
     output = tmp_path_factory.mktemp("output")
-    options = ("--jobs", "2", "--params-file", str(PARAMETERS), "--output", str(output))
-    return output, python("-m", "uav_ident_ros.offline", str(logs), *options)
+    command = arguments(logs, output, "--jobs", "2")
+    return output, python("-m", "uav_ident_ros.offline", *command)
+
+
+def arguments(logs: Path, output: Path, *more: str) -> list[str]:
+    return [str(logs), "--params-file", str(PARAMETERS), "--output", str(output), *more]
 
 
 def test_a_bad_bag_does_not_stop_the_rest(replayed: tuple[Path, Any]) -> None:
     output, done = replayed
     assert done.returncode == NO_RESULT
     folders = sorted(path.name for path in output.iterdir() if path.is_dir())
-    assert folders == ["broken", "monday_flight", "tuesday_flight"]
+    assert folders == ["broken", "later", "monday_flight", "tuesday_flight"]
     assert [file.name for file in (output / "broken").iterdir()] == ["replayed.json"]
     assert summary(output / "monday_flight")["usable"]
     assert not summary(output / "tuesday_flight")["usable"]
@@ -94,7 +106,7 @@ def test_a_bad_bag_does_not_stop_the_rest(replayed: tuple[Path, Any]) -> None:
     assert rows["monday_flight"].endswith("  usable")
     assert "  not usable: 0 s of learning, 30 s are needed for a verdict" in rows["tuesday_flight"]
     assert "  no result: bag " in rows["broken"]
-    assert "3 bags: 1 usable, 1 not usable, 1 no result" in done.stdout
+    assert "4 bags: 1 usable, 2 not usable, 1 no result" in done.stdout
     assert f"\nwritten to {output}{os.sep}; table: {output / 'flights.csv'}" in done.stdout
 
 
@@ -180,6 +192,101 @@ def test_an_empty_folder_is_refused_and_stops_no_other(
     captured = capsys.readouterr()
     assert "replay: empty: bag " in captured.err
     assert "2 bags: 1 not usable, 1 no result" in captured.out
+
+
+# --- the table of flights ----------------------------------------------------------------------
+
+
+def contents(output: Path) -> tuple[str, ...]:
+    return tuple(sorted(line for line in (output / "flights.csv").read_text().splitlines()))
+
+
+def test_the_table_has_a_row_for_each_flight_and_coefficient(
+    logs: Path, replayed: tuple[Path, Any]
+) -> None:
+    output, _ = replayed
+    rows = read_flights(output)
+    assert read_flights(output / "flights.parquet") == rows
+    flights = {(row.aircraft, row.flight) for row in rows}
+    assert flights == {
+        ("monday", "monday_flight"), ("tuesday", "tuesday_flight"), ("tuesday", "later"),
+        (logs.name, "broken"),
+    }  # fmt: skip
+    (failed,) = [row for row in rows if row.flight == "broken"]
+    assert (failed.verdict, failed.coefficient, failed.value) == ("no result", "", None)
+    assert "is no MCAP file" in failed.reason
+    one = [row for row in rows if row.flight == "later"]
+    content = summary(output / "later")
+    assert {row.coefficient: row.value for row in one} == {
+        name: entry["value"] for name, entry in content["coefficients"].items()
+    }
+    assert one[0].start_ns == content["first_tick_ns"]
+    assert one[0].fit_q == content["prediction_fit"]["last_40_percent"]["model"]["q"]
+    assert len({row.bag_hash for row in rows}) == 4
+    assert len({row.settings_hash for row in rows}) == 1
+
+
+def test_what_is_done_is_not_done_again(
+    logs: Path, replayed: tuple[Path, Any], tmp_path: Path, capsys: Capture
+) -> None:
+    output = tmp_path / "out"
+    again = arguments(logs, output, "--jobs", "1")
+    shutil.copytree(replayed[0], output)
+    times = {file: file.stat().st_mtime_ns for file in output.rglob("estimates.mcap")}
+    # cut off in the middle of a flight, before its last file; another has no end
+    (output / "later" / DONE_FILE).unlink()
+    cut = output / "tuesday_flight" / DONE_FILE
+    cut.write_text(cut.read_text()[:40])
+    assert main(again) == 2
+    assert re.search(
+        r"4 bags: .*1 no result; 2 of them as replayed before", capsys.readouterr().out
+    )
+    for file, before in times.items():
+        done_again = file.stat().st_mtime_ns != before
+        assert done_again == bool({"later", "tuesday_flight"} & set(file.parts)), file
+    assert contents(output) == contents(replayed[0])
+    # other settings are another replay
+    other = tmp_path / "other.yaml"
+    other.write_text(PARAMETERS.read_text() + "    filter.cutoff: 20.0\n")
+    assert main([*again, "--params-file", str(other)]) == 2
+    assert "as replayed before" not in capsys.readouterr().out
+    # and what it has written anew is not taken for the first one
+    assert main(again) == 2
+    assert "as replayed before" not in capsys.readouterr().out
+
+
+def test_a_cluster_gives_the_same_table(
+    logs: Path, replayed: tuple[Path, Any], tmp_path: Path
+) -> None:
+    """One worker of a Dask cluster is killed at work: its flights are done elsewhere."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        command = arguments(logs, tmp_path, "--scheduler", cluster.scheduler_address)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "uav_ident_ros.offline", *command], cwd=ROOT
+        )
+        with distributed.Client(cluster) as client:
+            busy: dict[str, tuple[str, ...]] = {}
+            while process.poll() is None and not any(busy.values()):
+                busy = client.processing()
+                time.sleep(0.02)
+            address = next((a for a, tasks in busy.items() if tasks), "")
+            worker = next(
+                (w for w in cluster.workers.values() if w.worker_address == address), None
+            )
+            if worker is not None and worker.process is not None:
+                os.kill(worker.process.pid, signal.SIGKILL)
+        assert process.wait(300.0) == 2
+    assert contents(tmp_path) == contents(replayed[0])
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(
+    logs: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    line = refusal(main, arguments(logs, tmp_path, "--scheduler", "nonsense://x"), capsys)
+    assert line.startswith("replay: no Dask scheduler answers at 'nonsense://x'")
 
 
 # --- many configurations -----------------------------------------------------------------------
@@ -278,3 +385,52 @@ def test_a_reader_that_goes_away_does_not_change_the_status(logs: Path, tmp_path
     os.close(writer)
     assert done.returncode == NOT_USABLE
     assert b"Traceback" not in done.stderr
+
+
+# --- progress ----------------------------------------------------------------------------------
+
+
+def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
+    """Run `replay` with a terminal as its error stream; return status and what was shown."""
+    command = [sys.executable, "-m", "uav_ident_ros.offline", *arguments]
+    nowhere = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+    with closing(Terminal(command, 100, **nowhere)) as terminal:
+        terminal.read_until("to the end of what is shown", math.inf)
+        return terminal.process.wait(), terminal.received
+
+
+def test_one_bag_shows_every_phase_and_the_time_left(tmp_path: Path) -> None:
+    bag = excerpt(tmp_path / "bag", 8.0)
+    status, shown = on_a_terminal([str(bag), "--output", str(tmp_path / "out")])
+    assert status in (USABLE, NOT_USABLE), shown
+    given = re.findall(r"(\w+) +(\d+)%\|.*?\| [\d:]+<[\d:?]+", shown)
+    assert list(dict.fromkeys(phase for phase, _ in given)) == list(job.BEGINS)
+    shares = [int(share) for _, share in given]
+    assert shares == sorted(shares)
+    assert shares[-1] == 95
+    assert len(set(shares)) > 20
+
+
+def test_many_bags_show_one_bar(tmp_path: Path) -> None:
+    bag, output = str(excerpt(tmp_path / "bag", 4.0)), tmp_path / "out"
+    status, shown = on_a_terminal([bag, bag, "--output", str(output), "--jobs", "2"])
+    assert status in (USABLE, NOT_USABLE), shown
+    shares = [int(share) for share in re.findall(r"(\d+)%", shown)]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0, 100)
+    assert "reading" not in shown
+    folders = sorted(path.name for path in output.iterdir() if path.is_dir())
+    assert len(folders) == 2 and folders[1] == f"{folders[0]}_2"
+
+
+def test_without_a_terminal_a_line_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    now = itertools.count(0.0, 10.0)  # every look at the clock is ten seconds later
+    monkeypatch.setattr("tqdm.std.time", lambda: next(now))
+    with job.Progress() as shown:
+        shown.enter("reading")
+        assert list(shown.messages(range(8), 8)) == list(range(8))  # type: ignore[arg-type]
+    shares = [int(share) for share in re.findall(r"reading +(\d+)%", capsys.readouterr().err)]
+    assert shares == sorted(shares)
+    assert 2 <= len(shares) < 8
