@@ -319,20 +319,21 @@ def _open(storage: Path) -> Reader | Ros1Reader:
 
 def _open_file(file: Path, bag: Path, damage: list[str]) -> AnyReader:
     """Open one file of a bag, or what is left of it."""
-    try:
-        return _open(file)
-    except Exception as error:  # as above
-        reason = _foreign(file) or _reason(error).replace(f"{file.parent}{os.sep}", "")
-    if file.suffix == ".mcap" and not _foreign(file):
+    reason = _foreign(file)
+    if not reason:
         try:
-            saved = SalvageReader(file)
+            return _open(file)
         except Exception as error:  # as above
-            reason = f"'{file.name}': {reason}; {_reason(error)}"
-        else:
-            damage.append(saved.damage or f"'{file.name}': {reason}, yet all of it was read")
-            return saved
-    if file.suffix == ".db3":
-        reason = f"{reason} (the tool sqlite3 may save what is there, by '.recover')"
+            reason = _reason(error).replace(f"{file.parent}{os.sep}", "")
+        if file.suffix == ".mcap":
+            try:
+                saved = SalvageReader(file)
+                damage.append(saved.damage or f"'{file.name}': {reason}, yet all of it was read")
+                return saved
+            except Exception as error:  # as above
+                reason = f"'{file.name}': {reason}; {_reason(error)}"
+        if file.suffix == ".db3":
+            reason = f"{reason} (the tool sqlite3 may save what is there, by '.recover')"
     raise BagError(f"bag '{bag}' cannot be read: {reason}")
 
 

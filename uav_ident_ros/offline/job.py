@@ -177,7 +177,7 @@ def replay(job: Job, progress: Progress = SILENT) -> Outcome:
         progress.enter("measuring")
         replayed = Replayed(job.name, job.bag, run, fits, measure(run, fits), notes)
         progress.enter("writing")
-        write_results(job.folder, replayed, NODE_NAME)
+        write_results(job.folder, replayed)
         progress.enter("drawing")
         if job.plot:
             drawing("picture").write_picture(job.folder / "replay.png", replayed)
@@ -189,23 +189,13 @@ def replay(job: Job, progress: Progress = SILENT) -> Outcome:
     return Outcome(job, status, tuple(warnings), replayed.summary)
 
 
-def write_results(
-    folder: Path,  # Where to; made if it is not there
-    replayed: Replayed,  # The replay
-    node: str,  # Node whose topics the bag of estimates has
-) -> None:
-    """Write summary, table, bag of estimates and coefficients.
-
-    Raises
-    ------
-    BagWriteError, CoefficientsFileError
-        If something cannot be written.
-    """
+def write_results(folder: Path, replayed: Replayed) -> None:
+    """Write summary, table, bag of estimates and coefficients; raises as these do."""
     run, summary = replayed.run, json.dumps(replayed.summary, indent=2, allow_nan=False)
     write_file(folder / "summary.json", f"{summary}\n")
     write_file(folder / "table.txt", f"{write_table(replayed.summary)}\n")
     frame_id = run.frame_id or ""
-    write_estimates(folder / "estimates", run.estimates, run.structure, node, frame_id)
+    write_estimates(folder / "estimates", run.estimates, run.structure, NODE_NAME, frame_id)
     save_coefficients(run.result(), folder / "coefficients.yaml")
 
 
