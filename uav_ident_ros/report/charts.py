@@ -14,7 +14,7 @@ from uav_ident_ros.offline.evidence import reason_of
 from uav_ident_ros.offline.tables import AXES
 from uav_ident_ros.report.flight import Flight, Predictions
 from uav_ident_ros.report.style import COLORS
-from uav_ident_ros.report.timeline import Chart, Timeline, columns, hover, thin, value_range
+from uav_ident_ros.report.timeline import Chart, Timeline, columns, hover, value_range
 
 RATE_BINS = (9.0, 15_000)
 """Bins of a line of gyro samples: for each second, and the most. A bin keeps two points."""
@@ -60,29 +60,17 @@ UNITS = {
 """Units of signals; an input's is that of its channels."""
 
 
-def _bins(flight: Flight, kind: tuple[float, int]) -> int:
-    per_second, most = kind
-    return min(most, max(1, round(per_second * flight.span[1])))
-
-
 def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[Chart]:
     """Yield rates with predictions and residuals, two charts for each axis."""
     second = flight.ahead
     for k, axis in enumerate(AXES):
         measured = flight.rates[:, k]
         limit = RATE_HEADROOM * max(float(np.abs(measured).max(initial=0.0)), SMALLEST_RANGE)
-        chart = line.figure(f"{axis} [rad/s]", 220)
-        chart.y_range.start, chart.y_range.end = -limit, limit
-        grown = thin(flight.t, {"measured": measured}, _bins(flight, RATE_BINS))
-        line.line(chart, columns(grown), "measured", "measured", line_width=1.8)
-        bins = _bins(flight, TICK_BINS)
-        ahead = columns(
-            thin(
-                second.t,
-                {"predicted": second.predicted[:, k], "residual": second.residual[:, k]},
-                bins,
-            )
-        )
+        chart = line.figure(f"{axis} [rad/s]", 220, y_range=(-limit, limit))
+        gyro = line.source(flight.t, {"measured": measured}, RATE_BINS)
+        line.line(chart, gyro, "measured", "measured", line_width=1.8)
+        both = {"predicted": second.predicted[:, k], "residual": second.residual[:, k]}
+        ahead = line.source(second.t, both, TICK_BINS)
         line.line(chart, ahead, "predicted", "ahead", name="predicted 1 s before")
         word = AXIS_WORDS[axis].lower()
         yield Chart(
@@ -94,10 +82,9 @@ def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[C
         )
         reach = max(_reach(flight, prediction, k) for prediction in (second, tick))
         reach = min(max(RATE_HEADROOM * reach, SMALLEST_RANGE), limit)
-        chart = line.figure("[rad/s]", 120)
-        chart.y_range.start, chart.y_range.end = -reach, reach
+        chart = line.figure("[rad/s]", 120, y_range=(-reach, reach))
         line.line(chart, ahead, "residual", "ahead", name="1 s ahead")
-        short = columns(thin(tick.t, {"residual": tick.residual[:, k]}, bins))
+        short = line.source(tick.t, {"residual": tick.residual[:, k]}, TICK_BINS)
         line.line(chart, short, "residual", "tick", name="one tick ahead")
         yield Chart(
             f"residual-{axis}",
@@ -126,7 +113,7 @@ def signal_charts(flight: Flight, line: Timeline) -> Iterator[Chart]:
         moved = {name: values for name, values in signals.items() if np.ptp(values) > 0.0}
         if not moved:
             continue
-        source = columns(thin(t, moved, _bins(flight, TICK_BINS)))
+        source = line.source(t, moved, TICK_BINS)
         for name, values in moved.items():
             unit = f" [{UNITS[name]}]" if name in UNITS else ""
             chart = line.figure(f"{name}{unit}", 130, y_range=value_range(values))

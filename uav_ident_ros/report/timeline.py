@@ -128,6 +128,16 @@ class Timeline:
             )
         return result
 
+    def source(
+        self,
+        t: FloatArray,  # (k,) Times, s, rising
+        signals: Mapping[str, FloatArray],  # Names and values, (k,) each
+        bins: tuple[float, int],  # Bins for each second, and the most
+    ) -> ColumnDataSource:
+        """Return signals for the lines of charts, thinned without losing a peak."""
+        per_second, most = bins
+        return columns(thin(t, signals, min(most, max(1, round(per_second * self.span[1])))))
+
     def line(
         self, chart: Any, source: ColumnDataSource, column: str, color: str, **options: Any
     ) -> None:
