@@ -27,7 +27,7 @@ class Stream:
     # Whether it is read only if its type is set, or its topic asked for; where there is but one
     # type, if it is there
     optional: bool = False
-    # Whether it may carry no time, or that of any clock (see `arrival.Arrivals`)
+    # Whether it may carry no time, or that of any clock (see `feed.Feed`)
     any_clock: bool = False
 
     def type_of(self, settings: Settings) -> str:

@@ -369,16 +369,13 @@ def import_type(
     """
     try:
         package, kind, type_name = name.split("/")
+        return getattr(importlib.import_module(f"{package}.{kind}"), type_name)
     except ValueError:
         raise MessageTypeError(f"'{name}' is not of the form package/msg/Type") from None
-    try:
-        module = importlib.import_module(f"{package}.{kind}")
     except ImportError:
         raise MessageTypeError(
             f"message type '{name}' is not installed: install the ROS package '{package}' and "
             "source it"
         ) from None
-    try:
-        return getattr(module, type_name)
     except AttributeError:
         raise MessageTypeError(f"the ROS package '{package}' has no type '{name}'") from None
