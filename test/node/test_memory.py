@@ -29,7 +29,7 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.node import memory
-from uav_ident_ros.node.memory import Memory, Saver, in_words, state_path
+from uav_ident_ros.node.memory import Memory, in_words, state_path
 
 STRUCTURE = STRUCTURES["augmented"]
 NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
@@ -226,18 +226,19 @@ def test_spans_of_time_have_a_unit_that_suits() -> None:
     assert [in_words(timedelta(seconds=s)) for s in spans] == words
 
 
-def test_a_second_writer_of_the_file_is_noticed(tmp_path: Path) -> None:
-    """Two nodes that were given the same 'state_file'."""
-    path = tmp_path / "state.yaml"
-    mine, other = Saver(path), Saver(path)
-    notes = Notes(saved=NOW, usable=True, delay=0.0, learned_with={})
-    for value in (1.0, 2.0):
-        assert mine.save(coefficients(value), notes, last=True)[0]
-        assert not mine.shared, "what it wrote itself is no surprise"
-    assert other.save(coefficients(3.0), notes, last=True)[0]
-    assert other.shared
-    assert mine.save(coefficients(4.0), notes, last=True)[0]
-    assert mine.shared
+def test_a_second_writer_of_the_file_is_noticed(path: Path, capfd: Capture) -> None:
+    """Two nodes that were given the same 'state_file'; what one wrote itself is no surprise."""
+    mine, other = Vehicle(path), Vehicle(path)
+
+    def surprised(vehicle: Vehicle, value: float) -> bool:
+        vehicle.learn(value)
+        assert vehicle.memory.save(vehicle.estimate(usable=True))[0]
+        return "was written by another process too" in capfd.readouterr().err
+
+    assert not surprised(mine, 1.0)
+    assert not surprised(mine, 2.0)
+    assert surprised(other, 3.0)
+    assert surprised(mine, 4.0)
 
 
 # --- through the node --------------------------------------------------------------------------

@@ -93,7 +93,7 @@ def level_of(state: str) -> bytes:
 def status(
     name: str,  # Full name of the node
     state: str,  # The state word
-    reason: str,  # Why it is in it; may be empty
+    line: str,  # The state, and why it is in it
     # Label of a group, or '' for none, to its labelled values
     groups: Mapping[str, Iterable[tuple[str, str]]],
 ) -> DiagnosticStatus:
@@ -103,30 +103,23 @@ def status(
         for group, entries in groups.items()
         for key, value in entries
     ]
-    return DiagnosticStatus(
-        level=level_of(state),
-        name=name,
-        message=f"{state}: {reason}" if reason else state,
-        hardware_id="",
-        values=values,
-    )
+    return DiagnosticStatus(level=level_of(state), name=name, message=line, values=values)
 
 
-def estimate_values(estimate: Estimate) -> Iterator[tuple[str, str]]:
-    """Yield what the last estimate says about itself."""
+def estimate_values(estimate: Estimate, identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
+    """Yield what the last estimate says, what the flight has shown so far, and what not."""
+    information, supervisor = identifier.estimator.information, identifier.supervisor
     yield "adapting", str(estimate.adapting).lower()
     yield "usable", str(estimate.usable).lower()
     yield "tick [s]", f"{estimate.t_ns * 1e-9:.3f}"
-    for axis, fit in zip("pqr", estimate.fit, strict=True):
-        yield f"fit {axis} [%]", f"{fit:.1f}"
-
-
-def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
-    """Yield what the flight has shown so far, and what it has not."""
-    for row, excitation in zip(ROWS, identifier.estimator.information.excitation(), strict=True):
+    for row, excitation in zip(ROWS, information.excitation(), strict=True):
         yield f"excitation {row} [0..1]", f"{excitation:.3f}"
     running = identifier.running_fit
-    for label, fits in (("hold", running.hold), ("saved fit", running.saved)):
+    for label, fits in (
+        ("fit", estimate.fit),
+        ("hold", running.hold),
+        ("saved fit", running.saved),
+    ):
         for axis, fit in zip("pqr", fits, strict=True):
             yield f"{label} {axis} [%]", f"{fit:.1f}"
     yield "delay [s]", f"{identifier.delay:.4f}"
@@ -134,10 +127,14 @@ def knowledge_values(identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
     if (found := identifier.delays.estimate).lag_sure:
         in_use = f"{identifier.lag:.3f} in use"
         yield "servo lag [s]", f"{found.lag:.3f} +- {found.lag_sigma:.3f}, {in_use}"
-    groups = identifier.estimator.information.collinear()
-    yield "collinear", "; ".join(", ".join(group) for group in groups) or "nothing"
-    costs = identifier.supervisor.gates.costs().items()
-    gates = (f"{name} {100.0 * cost.share:.0f} ({cost.setting})" for name, cost in costs)
-    yield "gates [% of the flight]", ", ".join(gates) or "nothing"
-    yield "implausible", "; ".join(f.text for f in identifier.plausibility.findings) or "nothing"
-    yield "changed in flight", ", ".join(c.name for c in identifier.supervisor.changed) or "nothing"
+    gates = (
+        f"{name} {100.0 * cost.share:.0f} ({cost.setting})"
+        for name, cost in supervisor.gates.costs().items()
+    )
+    for label, separator, found_so_far in (
+        ("collinear", "; ", map(", ".join, information.collinear())),
+        ("gates [% of the flight]", ", ", gates),
+        ("implausible", "; ", (f.text for f in identifier.plausibility.findings)),
+        ("changed in flight", ", ", (c.name for c in supervisor.changed)),
+    ):
+        yield label, separator.join(found_so_far) or "nothing"

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
-from std_srvs.srv import SetBool
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.excitation_run import ExcitationRun, Injection
@@ -54,18 +53,13 @@ class Excite:
         self._ticked = (0, 0.0)  # when, by the node's clock, ns, and by the steady one, s
         self._estimate: Estimate | None = None
 
-    def on_request(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Start a run, or abort it."""
-        if request.data:
-            problem = self._start()
-            response.success = not problem
-            response.message = f"not started: {problem}" if problem else "excitation is running"
-        else:
+    def request(self, wanted: bool) -> tuple[bool, str]:
+        """Start a run, or abort it; return whether that was done, and a line that says so."""
+        if not wanted:
             self.abort("aborted: asked for")
-            response.success = True
-            response.message = "excitation is zero"
-        self._log.info(f"excite: {response.message}")
-        return response
+            return True, "excitation is zero"
+        problem = self._start()
+        return not problem, f"not started: {problem}" if problem else "excitation is running"
 
     def _start(self) -> str:
         estimate = self._estimate

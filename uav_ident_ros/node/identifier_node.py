@@ -5,8 +5,9 @@ There is no estimation logic here: messages go in, due ticks are asked for, esti
 """
 
 import time
+from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
@@ -27,17 +28,15 @@ from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.excite import Excite
 from uav_ident_ros.node.inputs import Inputs
 from uav_ident_ros.node.memory import Memory
-from uav_ident_ros.node.notices import Guard, OnChange, Throttle
+from uav_ident_ros.node.notices import Guard, Throttle, without_numbers
 from uav_ident_ros.node.outputs import Outputs
 from uav_ident_ros.node.parameters import Changes, declare, settings_of
 from uav_ident_ros.node.program import spin
-from uav_ident_ros.node.waiting import ClockWatch, Waiting
+from uav_ident_ros.node.waiting import Jumps, Waiting
 from uav_ident_ros.ros import RELIABLE
 
 DIAGNOSTICS_PERIOD = 1.0
 """Interval of /diagnostics, s, on a steady clock."""
-
-Response = TypeVar("Response", Trigger.Response, SetBool.Response)
 
 LOOKS_PER_TICK = 5
 """How often the timer asks for due ticks in the time of one. Asked once, a tick waited for up to a
@@ -67,39 +66,47 @@ class IdentifierNode(Node):
         self._changes = Changes(self, settings, self.identifier.reconfigure)
         warnings = Throttle(partial(self._log, DiagnosticStatus.WARN))
         self._inputs = Inputs(self, self.identifier, warnings, self._guard)
-        self._clock_watch = ClockWatch(settings.time_jump, settings.update_rate)
-        monitors = self._inputs.monitors.values()
-        self._waiting = Waiting(self, self.identifier, monitors, self._clock_watch)
+        self._waiting = Waiting(self, self.identifier, self._inputs.all.values())
+        self._jumps = Jumps(settings.time_jump, settings.update_rate)
         self._outputs = Outputs(self, self.identifier.structure)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
+        self._logged, self._warnings = "", list[str]()  # The last state and warnings
         self._excite = Excite(self, self.identifier, self._injection_is_published)
         self._estimate: Estimate | None = None
         self._meter = diagnostics.TickMeter(look_period(settings.update_rate))
         self._memory = Memory(self.identifier, self.get_fully_qualified_name(), self.get_logger())
         self._memory.start()
-        self._offer_services()
+        self._offer(Trigger, "reset", self._reset)
+        self._offer(Trigger, "save", lambda _: self._memory.save(self._estimate))
+        self._offer(SetBool, "adapt", self._adapt)
+        self._offer(SetBool, "excite", lambda request: self._excite.request(request.data))
         self._watch_time(settings)
 
     # -- wiring ----------------------------------------------------------------------------
 
     def _injection_is_published(self) -> bool:
-        return bool(self.count_publishers(self._inputs.monitors[EXCITATION].topic) > 0)
+        return bool(self.count_publishers(self._inputs.all[EXCITATION].topic) > 0)
 
-    def _offer_services(self) -> None:
-        for kind, name, answer in (
-            (Trigger, "~/reset", self._on_reset),
-            (Trigger, "~/save", self._on_save),
-            (SetBool, "~/adapt", self._on_adapt),
-            (SetBool, "~/excite", self._on_excite),
-        ):
-            self.create_service(kind, name, self._guard(answer, self._failed))
+    def _offer(self, kind: type, name: str, act: Callable[[Any], tuple[bool, str]]) -> None:
+        """Offer a service that says, in its answer and in the log, whether and what it did."""
+
+        def answer(request: Any, response: Any) -> Any:
+            self._inputs.empty()
+            response.success, response.message = act(request)
+            level = DiagnosticStatus.OK if response.success else DiagnosticStatus.ERROR
+            self._log(level, f"{name}: {response.message}")
+            return response
+
+        def failed(_: Any, response: Any) -> Any:
+            response.success, response.message = False, self._guard.problem
+            return response
+
+        self.create_service(kind, f"~/{name}", self._guard(answer, failed))
 
     def _watch_time(self, settings: Settings) -> None:
         """Ticks on the node's clock; diagnostics on one that never stops; jumps of /clock."""
         tick = self._guard(self._on_timer, self._recover)
         self.create_timer(look_period(settings.update_rate), tick)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        self._logged = OnChange()
-        self._warnings: list[str] = []
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         diagnose = self._guard(self._on_diagnostics)
         self.create_timer(DIAGNOSTICS_PERIOD, diagnose, clock=self._steady)
@@ -119,7 +126,6 @@ class IdentifierNode(Node):
     def _on_timer(self) -> None:
         self._meter.called()
         self._inputs.empty()
-        self._inputs.settle()
         while (t_ns := self.identifier.intake.due) is not None:
             start = time.perf_counter()
             estimate = self.identifier.update(t_ns)
@@ -145,7 +151,7 @@ class IdentifierNode(Node):
             if now_ns == jump.delta.nanoseconds:
                 return  # the first /clock: before it, there was no time to jump from
             seconds = jump.delta.nanoseconds * 1e-9
-            self._clock_watch.jumped(seconds, self._meter.count)
+            self._jumps.add(seconds, self._meter.count)
             cold = seconds < 0.0
             what = f"/clock jumped by {seconds:+.3f} s"
         else:
@@ -160,46 +166,22 @@ class IdentifierNode(Node):
 
     # -- services --------------------------------------------------------------------------
 
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._inputs.empty()
+    def _reset(self, _: Trigger.Request) -> tuple[bool, str]:
         self._excite.abort("aborted: reset")
         self.identifier.reset()
         self._memory.forget()
         self._guard.problem = ""
         self._estimate = None
-        response.success = True
-        response.message = "started cold"
-        self.get_logger().info("reset: started cold")
-        return response
+        return True, "started cold"
 
-    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = self._memory.save(self._estimate)
-        level = DiagnosticStatus.OK if response.success else DiagnosticStatus.ERROR
-        self._log(level, response.message)
-        return response
-
-    def _on_adapt(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._inputs.empty()
+    def _adapt(self, request: SetBool.Request) -> tuple[bool, str]:
         self.identifier.supervisor.adapt = bool(request.data)
-        response.success = True
-        response.message = "adaptation is switched " + ("on" if request.data else "off")
-        self.get_logger().info(response.message)
-        return response
-
-    def _on_excite(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._inputs.empty()
-        return self._excite.on_request(request, response)
-
-    def _failed(self, _: object, response: Response) -> Response:
-        response.success = False
-        response.message = self._guard.problem
-        return response
+        return True, "adaptation is switched " + ("on" if request.data else "off")
 
     # -- diagnostics -----------------------------------------------------------------------
 
     def _on_diagnostics(self) -> None:
         self._inputs.empty()
-        self._clock_watch.look(self.get_clock().now().nanoseconds)
         self._memory.attend(self._estimate, time.monotonic())
         warnings = self._waiting.warnings()
         for line in warnings:
@@ -208,12 +190,12 @@ class IdentifierNode(Node):
         self._warnings = warnings
         state, reason = self._state()
         line = f"{state}: {reason}" if reason else state
-        if self._logged.changed(line):
+        before, self._logged = self._logged, without_numbers(line)
+        if self._logged != before:
             self._log(diagnostics.level_of(state), line)
         message = DiagnosticArray(header=Header(stamp=self.get_clock().now().to_msg()))
-        message.status.append(
-            diagnostics.status(self.get_fully_qualified_name(), state, reason, self._groups())
-        )
+        name = self.get_fully_qualified_name()
+        message.status.append(diagnostics.status(name, state, line, self._groups()))
         self._diagnostics.publish(message)
 
     def _log(self, level: bytes, line: str) -> None:
@@ -232,7 +214,7 @@ class IdentifierNode(Node):
         fault = (
             self._guard.problem
             or self._inputs.rates.fault
-            or self._clock_watch.fault(self._meter.count)
+            or self._jumps.fault(self._meter.count)
             or (self._clocks_apart() if self._waiting.imu_moves else "")
         )
         if fault:
@@ -264,11 +246,10 @@ class IdentifierNode(Node):
             "ticks": list(self._meter.values()),
         }
         if self._estimate is not None:
-            groups[""] += diagnostics.estimate_values(self._estimate)
-            groups[""] += diagnostics.knowledge_values(self.identifier)
-        for stream, monitor in self._inputs.monitors.items():
-            if stream != EXCITATION or monitor.feed.received:
-                groups[stream] = list(monitor.values())
+            groups[""] += diagnostics.estimate_values(self._estimate, self.identifier)
+        for name, own in self._inputs.all.items():
+            if name != EXCITATION or own.feed.received:
+                groups[name] = list(own.values())
         groups["excite"] = list(self._excite.values())
         return groups
 

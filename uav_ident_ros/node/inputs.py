@@ -2,7 +2,8 @@
 """Subscriptions of the node: from a topic to the identifier, and what became of the messages."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from rclpy.node import Node
@@ -31,23 +32,41 @@ _OVERRIDABLE = (
 )
 
 
-class InputMonitor:
-    """Watches the subscription to one input."""
+class Input:
+    """One input: where its messages come from, and what became of them."""
 
-    def __init__(self, feed: Feed, topic: str) -> None:
-        self.feed, self.topic = feed, topic
+    def __init__(
+        self, node: Node, stream: Stream, identifier: OnlineIdentifier, warnings: Throttle
+    ) -> None:
+        self.stream = stream
+        self.topic = node.resolve_topic_name(stream.topic)
+        self.qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         self.publishers: list[str] = []  # Nodes that publish it
-        self._last_arrival: float | None = None
+        self.arrived: float | None = None  # When the last message did, by the steady clock
+        self.kind = import_type(stream.type_of(identifier.settings))
+        self.feed = Feed(stream, identifier, self._decode, self._warn, self._log_offset)
+        self._log, self._warnings = node.get_logger(), warnings
         self._rate_from = (time.monotonic(), 0)
 
-    def take(self, data: bytes, arrival_ns: int) -> None:
-        """Take a message that arrived at a time by the node's clock, ns."""
-        self._last_arrival = time.monotonic()
-        self.feed.take(data, arrival_ns)
+    def _decode(self, data: bytes) -> Any:
+        try:
+            return deserialize_message(data, self.kind)
+        except (RuntimeError, UnicodeDecodeError) as error:
+            words = f"it cannot be decoded ({without_sources(str(error))})"
+            raise ChannelError(words, "not decodable") from None
+
+    def _warn(self, reason: str, words: str) -> None:
+        self._warnings.notice((self.topic, reason), f"'{self.topic}': message dropped: {words}")
+
+    def _log_offset(self, seconds: float) -> None:
+        self._log.info(
+            f"'{self.topic}': its messages carry no time and arrive {seconds:+.1f} s from the "
+            "Imu's stamps: each counts from the newest of them"
+        )
 
     def age(self) -> float | None:
         """Seconds since the last message arrived; None before the first."""
-        return None if self._last_arrival is None else time.monotonic() - self._last_arrival
+        return None if self.arrived is None else time.monotonic() - self.arrived
 
     def values(self) -> Iterator[tuple[str, str]]:
         """Yield what is to be shown, each with its label; the rate is that since the last time."""
@@ -82,64 +101,43 @@ class Inputs:
         warnings: Throttle,  # Takes what was refused, and why
         guard: Guard,  # Takes errors that nobody foresaw
     ) -> None:
-        self._node, self._warnings, self._guard = node, warnings, guard
-        self._waiting: list[tuple[Callable[[bytes, int], object], bytes, int]] = []
-        self.monitors: dict[str, InputMonitor] = {}  # Of each stream that is read
+        self._clock, self._guard = node.get_clock(), guard
+        self._waiting: list[tuple[Input, bytes, int]] = []
+        self.all: dict[str, Input] = {}  # Those that are read, by the stream's name
         for stream in STREAMS:
-            if stream.type_of(identifier.settings):
-                self.monitors[stream.name] = self._subscribe(stream, identifier)
+            if not stream.type_of(identifier.settings):
+                continue
+            own = self.all[stream.name] = Input(node, stream, identifier, warnings)
+            node.create_subscription(
+                own.kind,
+                stream.topic,
+                partial(self._put, own),
+                own.qos,  # rclpy puts into it what is overridden
+                qos_overriding_options=QoSOverridingOptions(_OVERRIDABLE),
+                raw=True,
+            )
 
     @property
     def rates(self) -> RatesReader:
         """What reads the rates: it knows their frame."""
-        reader: RatesReader = self.monitors[RATES].feed.reader
+        reader: RatesReader = self.all[RATES].feed.reader
         return reader
+
+    def _put(self, own: Input, data: bytes) -> None:
+        own.arrived = time.monotonic()
+        # rates carry a time of their own
+        arrival_ns = 0 if own.stream.name == RATES else self._clock.now().nanoseconds
+        self._waiting.append((own, data, arrival_ns))
+        if len(self._waiting) >= LARGEST_INBOX:
+            self.empty()
 
     def empty(self) -> None:
         """Hand out all messages that wait."""
         waiting, self._waiting = self._waiting, []
-        for take, data, arrival_ns in waiting:
-            take(data, arrival_ns)
-
-    def settle(self) -> None:
-        """Place what came before the Imu did; to be called before a tick is computed."""
-        for monitor in self.monitors.values():
-            monitor.feed.settle()
-
-    def _subscribe(self, stream: Stream, identifier: OnlineIdentifier) -> InputMonitor:
-        clock, timed = self._node.get_clock(), stream.name != RATES
-        topic = self._node.resolve_topic_name(stream.topic)
-        kind = import_type(stream.type_of(identifier.settings))
-
-        def decode(data: bytes) -> Any:
+        for own, data, arrival_ns in waiting:
             try:
-                return deserialize_message(data, kind)
-            except (RuntimeError, UnicodeDecodeError) as error:
-                words = f"it cannot be decoded ({without_sources(str(error))})"
-                raise ChannelError(words, "not decodable") from None
-
-        def warn(reason: str, words: str) -> None:
-            self._warnings.notice((topic, reason), lambda: f"'{topic}': message dropped: {words}")
-
-        def log_offset(seconds: float) -> None:
-            self._node.get_logger().info(
-                f"'{topic}': its messages carry no time and arrive {seconds:+.1f} s from the Imu's "
-                "stamps: each counts from the newest of them"
-            )
-
-        def put(data: bytes) -> None:
-            self._waiting.append((take, data, clock.now().nanoseconds if timed else 0))
-            if len(self._waiting) >= LARGEST_INBOX:
-                self.empty()
-
-        monitor = InputMonitor(Feed(stream, identifier, decode, warn, log_offset), topic)
-        take = self._guard(monitor.take)
-        self._node.create_subscription(
-            kind,
-            stream.topic,
-            put,
-            QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT),
-            qos_overriding_options=QoSOverridingOptions(_OVERRIDABLE),
-            raw=True,
-        )
-        return monitor
+                own.feed.take(data, arrival_ns)
+            except Exception as error:
+                self._guard.note("take", error)
+        for own in self.all.values():
+            own.feed.settle()

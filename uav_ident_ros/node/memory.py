@@ -2,9 +2,9 @@
 """The state file: what the node has learned, kept from one flight to the next."""
 
 import json
+import math
 import os
-import sys
-import threading
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -49,75 +49,6 @@ MEANING = (
 )
 """Settings that say what a coefficient means: with others it is a coefficient of something
 else."""
-
-
-class Saver:
-    """Writes coefficients to a file, one at a time."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.written: CoefficientSet | None = None  # What was written last
-        # Whether the file that is there is none of ours, and is kept under another name
-        self.set_aside = False
-        # Whether somebody else wrote the file since this saver looked at it or wrote it
-        self.shared = False
-        self._seen = self._state()
-        self._thread = threading.Thread()
-        self._problem = ""
-
-    def save(
-        self, coefficients: CoefficientSet, notes: Notes, *, last: bool = False
-    ) -> tuple[bool, str]:
-        """Begin to write `coefficients`; at the end of the program, the `last` ones, wait for it.
-
-        Returns
-        -------
-        (bool, str)
-            Whether they are written or being written, and a line that says which.
-        """
-        if last and self._thread.is_alive():
-            self._thread.join(FINISH_WITHIN)
-        if self._thread.is_alive():
-            hangs = f"the disk does not answer: '{self.path}' keeps what it held"
-            return False, hangs if last else f"still writing '{self.path}'"
-        self._thread = threading.Thread(target=self._write, args=(coefficients, notes))
-        self._thread.start()
-        self._thread.join(None if last else ANSWER_WITHIN)
-        if self._thread.is_alive():
-            return True, f"writing '{self.path}'"
-        problem = self.problem()
-        return (False, problem) if problem else (True, f"saved to '{self.path}'")
-
-    def problem(self) -> str:
-        """Return what went wrong with the last file, once; empty if nothing did."""
-        if self._thread.is_alive():
-            return ""
-        problem, self._problem = self._problem, ""
-        return problem
-
-    def _write(self, coefficients: CoefficientSet, notes: Notes) -> None:
-        self._problem = ""
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            if self.set_aside and self.path.is_file():
-                self.path.replace(self.path.with_name(self.path.name + ASIDE))
-            self.set_aside = False
-            self.shared = self.shared or self._state() not in (None, self._seen)
-            save_coefficients(coefficients, self.path, notes)
-            self._seen = self._state()
-            self.written = coefficients
-        except CoefficientsFileError as error:
-            self._problem = str(error)
-        except OSError as error:
-            self._problem = f"cannot write '{self.path}': {error.strerror}"
-
-    def _state(self) -> tuple[int, int] | None:
-        """Return what tells one version of the file from another; None if there is none."""
-        try:
-            status = self.path.stat()
-        except OSError:
-            return None
-        return status.st_ino, status.st_mtime_ns
 
 
 def state_path(
@@ -190,7 +121,8 @@ class Memory:
     """Keeps the state file of a node.
 
     It is written when asked for, at the end, and at intervals while the coefficients are
-    usable. Coefficients that are not usable never replace usable ones by themselves.
+    usable. Coefficients that are not usable never replace usable ones by themselves. A thread
+    writes, one file at a time: a disk may be slow.
     """
 
     def __init__(
@@ -200,16 +132,18 @@ class Memory:
         log: RcutilsLogger,  # Takes what is read, refused and written
     ) -> None:
         self._identifier, self._log = identifier, log
-        path = state_path(identifier.settings, node_name)
-        self._saver = Saver(path) if path is not None else None
-        self._last_save: float | None = None
+        self._path = state_path(identifier.settings, node_name)
+        self._refused = False  # Whether the file that is there is none of ours, and is kept aside
+        self._seen = _version(self._path)  # The file as it was read or written here
+        self._disk = ThreadPoolExecutor(1)
+        self._writing: Future[CoefficientSet] | None = None
+        self._last_save = -math.inf
         self.forget()
 
     def start(self, now: datetime | None = None) -> None:
         """Start warm if there is a good state file; if there is a bad one, say why not."""
-        if self._saver is None:
+        if (path := self._path) is None:
             return
-        path = self._saver.path
         try:
             remove_leftovers(path)
             held, notes, age = recall(path, self._identifier.settings, now or datetime.now(UTC))
@@ -221,7 +155,7 @@ class Memory:
                 self._log.warning(f"cannot write '{path}': nothing can be written in '{place}'")
             return
         except (CoefficientsFileError, SettingsError, OSError) as error:
-            self._saver.set_aside = True
+            self._refused = True
             line = error.strerror or str(error) if isinstance(error, OSError) else str(error)
             line = line if str(path) in line else f"state file '{path}': {line}"
             self._log.warning(f"starting cold: {line}")
@@ -241,17 +175,23 @@ class Memory:
         self._known = self._identifier.coefficient_set()
 
     def save(self, estimate: Estimate | None, *, last: bool = False) -> tuple[bool, str]:
-        """Write the coefficients now, whatever they are worth.
+        """Write the coefficients now, whatever they are worth; wait for the `last` ones.
 
         Returns
         -------
         (bool, str)
             Whether they are written or being written, and a line that says which.
         """
-        if self._saver is None:
+        if (path := self._path) is None:
             return False, f"there is no file to save to: 'state_file' is '{NO_FILE}'"
         if estimate is None:
             return False, "there is no estimate to save yet"
+        if self._writing is not None:
+            wait([self._writing], FINISH_WITHIN if last else 0.0)
+            if not self._writing.done():
+                hangs = f"the disk does not answer: '{path}' keeps what it held"
+                return False, hangs if last else f"still writing '{path}'"
+            self._look()
         lag, told = self._identifier.lag, self._identifier.settings.actuators.time_constant
         notes = Notes(
             saved=datetime.now(UTC),
@@ -261,12 +201,44 @@ class Memory:
             servo_lag=None if lag == told else lag,
         )
         coefficients = self._identifier.coefficient_set(estimate.t_ns)
-        done, line = self._saver.save(coefficients, notes, last=last)
-        if done:
-            self._holds_usable = estimate.usable
-        if not last:
-            self._look()
-        return done, line
+        self._writing = self._disk.submit(self._write, path, coefficients, notes)
+        wait([self._writing], None if last else ANSWER_WITHIN)
+        if problem := self._outcome():
+            return False, problem
+        self._holds_usable = estimate.usable
+        return True, f"writing '{path}'" if self._writing else f"saved to '{path}'"
+
+    def _write(self, path: Path, coefficients: CoefficientSet, notes: Notes) -> CoefficientSet:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if self._refused and path.is_file():
+            path.replace(path.with_name(path.name + ASIDE))
+        elif _version(path) not in (None, self._seen):
+            self._log.warning(
+                f"'{path}' was written by another process too, and is overwritten: give each node "
+                "its own 'state_file'"
+            )
+        self._refused = False
+        save_coefficients(coefficients, path, notes)
+        self._seen = _version(path)
+        return coefficients
+
+    def _outcome(self) -> str:
+        """Take note of what the thread has written; return what went wrong, or empty."""
+        if self._writing is None or not self._writing.done():
+            return ""
+        done, self._writing = self._writing, None
+        try:
+            self._known = done.result()
+        except CoefficientsFileError as error:
+            return str(error)
+        except OSError as error:
+            return f"cannot write '{self._path}': {error.strerror}"
+        self._identifier.note_saved(self._known)
+        return ""
+
+    def _look(self) -> None:
+        if problem := self._outcome():
+            self._log.error(problem)
 
     def attend(
         self,
@@ -278,41 +250,35 @@ class Memory:
         period = self._identifier.settings.save_period
         if period == 0.0 or estimate is None or not estimate.usable:
             return
-        if self._last_save is not None and now - self._last_save < max(period, SHORTEST_PERIOD):
+        if now - self._last_save < max(period, SHORTEST_PERIOD):
             return
         self._last_save = now
-        if self._saver is not None and self._changed(estimate):
+        if self._path is not None and self._changed(estimate):
             done, line = self.save(estimate)
             if not done:
                 self._log.error(line)
 
-    def _look(self) -> None:
-        """Take note of what the thread has written, or could not write."""
-        if self._saver is None:
-            return
-        if problem := self._saver.problem():
-            self._log.error(problem)
-        if self._saver.shared:
-            self._saver.shared = False
-            self._log.warning(
-                f"'{self._saver.path}' was written by another process too, and is overwritten: "
-                "give each node its own 'state_file'"
-            )
-        written = self._saver.written
-        if written is not None and written is not self._known:
-            self._known = written
-            self._identifier.note_saved(written)
-
     def finish(self, estimate: Estimate | None) -> None:
         """Write what was learned, at the end of the program."""
-        if self._saver is None or estimate is None or not self._changed(estimate):
+        if self._path is None or estimate is None or not self._changed(estimate):
             return
         if self._holds_usable and not estimate.usable:
             return
-        _, line = self.save(estimate, last=True)
-        # The context is gone: no /rosout any more.
-        print(f"identifier: {line}", file=sys.stderr)
+        done, line = self.save(estimate, last=True)
+        if done:
+            self._log.info(line)
+        else:
+            self._log.error(line)
 
     def _changed(self, estimate: Estimate) -> bool:
         values = self._identifier.coefficient_set(estimate.t_ns).values
         return not np.array_equal(values, self._known.values)
+
+
+def _version(path: Path | None) -> tuple[int, int] | None:
+    """Return what tells one version of a file from another; None if there is none."""
+    try:
+        status = path.stat() if path else None
+    except OSError:
+        return None
+    return status and (status.st_ino, status.st_mtime_ns)

@@ -7,7 +7,6 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import ParamSpec, TypeVar
 
 import rclpy
@@ -16,44 +15,37 @@ REPEAT_AFTER = 5.0
 """Seconds until the same notice may be given again."""
 
 
-@dataclass
 class Throttle:
     """Passes a repeated notice on at once, then at most every few seconds, with its count."""
 
-    log: Callable[[str], object]  # Takes the line, ``logger.warning`` for example
-    repeat_after: float = REPEAT_AFTER  # Seconds until the same notice may be given again
-    # Monotonic seconds; not the node's clock, which may stand still
-    clock: Callable[[], float] = time.monotonic
-    _logged: dict[tuple[str, ...], float] = field(default_factory=dict)
-    _kept: Counter[tuple[str, ...]] = field(default_factory=Counter)
+    def __init__(
+        self,
+        log: Callable[[str], object],  # Takes the line, ``logger.warning`` for example
+        # Monotonic seconds; not the node's clock, which may stand still
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._log, self._clock = log, clock
+        self._logged: dict[tuple[str, ...], float] = {}
+        self._kept: Counter[tuple[str, ...]] = Counter()
 
     def notice(
         self,
         key: tuple[str, ...],  # What counts as the same notice, such as (topic, reason)
-        line: Callable[[], str],  # Makes the line; called only if it is said
+        line: str,
     ) -> None:
         """Give the notice `key`, or count it."""
-        now = self.clock()
-        last = self._logged.get(key)
-        if last is not None and now - last < self.repeat_after:
+        now = self._clock()
+        if key in self._logged and now - self._logged[key] < REPEAT_AFTER:
             self._kept[key] += 1
             return
         self._logged[key] = now
         kept = self._kept.pop(key, 0)
-        self.log(f"{line()} ({kept} more like it before)" if kept else line())
+        self._log(f"{line} ({kept} more like it before)" if kept else line)
 
 
-class OnChange:
-    """Tells a change from more of the same; other numbers in a line are not a change."""
-
-    def __init__(self) -> None:
-        self._last = ""
-
-    def changed(self, line: str) -> bool:
-        """Whether `line` says something else than the last one."""
-        masked = re.sub(r"\d+(\.\d+)?", "#", line)
-        before, self._last = self._last, masked
-        return masked != before
+def without_numbers(line: str) -> str:
+    """Return a line by which a change is told from the same with other numbers."""
+    return re.sub(r"\d+(\.\d+)?", "#", line)
 
 
 def without_sources(message: str) -> str:
@@ -89,17 +81,17 @@ class Guard:
             try:
                 return callback(*args, **kwargs)
             except Exception as error:
-                if not rclpy.ok():
-                    raise  # the end of the program: no error
-                self._note(callback, error)
+                self.note(callback.__name__.strip("_"), error)
             return None if otherwise is None else otherwise(*args, **kwargs)
 
         return guarded
 
-    def _note(self, callback: Callable[..., object], error: Exception) -> None:
-        name = getattr(callback, "__name__", "callback").strip("_")
+    def note(self, what: str, error: Exception) -> None:
+        """Tell of an error in `what` while it is handled; at the end of the program it is none."""
+        if not rclpy.ok():
+            raise error
         self.count += 1
-        self.problem = f"internal error in '{name}': {type(error).__name__}: {error}"
+        self.problem = f"internal error in '{what}': {type(error).__name__}: {error}"
         where = traceback.format_exc()
         line = f"{self.problem}. The node goes on; please report this:\n{where}"
-        self._errors.notice((name, type(error).__name__), lambda: line)
+        self._errors.notice((what, type(error).__name__), line)

@@ -71,9 +71,6 @@ def settings_of(
     for name, value in given_values(node).items():
         if name in known:
             values[name] = value
-        elif name == "use_sim_time" and not isinstance(value, bool):
-            words = f"'use_sim_time' is {value!r}: write true or false, without quotes"
-            raise SettingsError(words)
         elif name.startswith(_QOS_PREFIX):
             _check_qos(name, value, [node.resolve_topic_name(topic) for topic in topics])
         elif name not in _OTHERS:

@@ -61,43 +61,30 @@ def explain(
     argv: Sequence[str],  # The command line: it names the parameter files
 ) -> str:
     """Say in one line what is wrong and what would be right."""
+    message = without_sources(str(error))
     if isinstance(error, rclpy_implementation.UnknownROSArgsError):
-        return f"unknown ROS arguments {error}"
-    if isinstance(error, rclpy_implementation.RCLError):
-        return _explain_rcl(str(error), argv)
-    if isinstance(error, InvalidParameterTypeException):
-        return _explain_type(str(error))
-    return " ".join(str(error).split())
-
-
-def _explain_type(message: str) -> str:
-    """Turn what rclpy says about a parameter that it declares itself into a fix."""
-    parts = re.search(r"'(.*?)' to '(.*)' of type '\w+', expecting type '(\w+)'", message)
-    if parts is None:
-        return message
-    name, value, wanted = parts.groups()
-    return f"'{name}' is {value}: {_FIXES.get(wanted, f'a {wanted} is needed')}"
-
-
-_FIXES = {"BOOL": "write true or false, without quotes", "INTEGER": "write a whole number"}
-
-
-def _explain_rcl(message: str, argv: Sequence[str]) -> str:
-    """Turn what rcl says into what the user can mend."""
+        return f"unknown ROS arguments {message}"
+    # a parameter that rclpy declares itself
+    typed = re.search(r"'(.*?)' to '(.*)' of type '\w+', expecting type '(\w+)'", message)
+    if isinstance(error, InvalidParameterTypeException) and typed:
+        name, value, wanted = typed.groups()
+        return f"'{name}' is {value}: {_FIXES.get(wanted, f'a {wanted} is needed')}"
     quoted = re.search(r"'(-p|--param|--params-file) (.*?)'\. Error: (.*)", message)
     if quoted is None:
-        return without_sources(message)
+        return message
     option, text, reason = quoted.groups()
     if option == "--params-file":
         try:
             ParameterFile.read(text)
         except ParameterFileError as found:  # says what is wrong better than rcl does
             return str(found)
-    reason = without_sources(reason)
     if "same type" in reason:
         reason += ": write every number of a list with a decimal point, like [1.0, 0.5]"
     what = "parameter file" if option == "--params-file" else "parameter"
     return f"{what} '{text}': {reason}"
+
+
+_FIXES = {"BOOL": "write true or false, without quotes", "INTEGER": "write a whole number"}
 
 
 SPIN_TIME = 0.1
@@ -183,25 +170,32 @@ def make_executor(simulated_time: bool) -> Executor:
     return SingleThreadedExecutor()
 
 
-ROS_ARGUMENTS = "[--ros-args [--params-file FILE] [-p NAME:=VALUE] [-r FROM:=TO] ...]"
+USAGE = """\
+usage: {} [--ros-args [--params-file FILE] [-p NAME:=VALUE] [-r FROM:=TO] ...]
 
-HEAD = f"""\
-usage: identifier {ROS_ARGUMENTS}
+{}
 
+parameters, with their defaults:
+{}"""
+
+IDENTIFIER = """\
 Identify the attitude dynamics of an unmanned aircraft while it flies.
 
 topics in:   imu/data, actuators, excitation; airspeed and armed if their type is set
 topics out:  ~/coefficients_named, ~/coefficients, ~/predicted_rates, ~/prediction_error,
              ~/excitation, /diagnostics
 services:    ~/reset, ~/save, ~/adapt, ~/excite
-exit status: 0, it was asked to end; 2, it was started wrongly, and one line says how
-
-parameters, with their defaults:"""
+exit status: 0, it was asked to end; 2, it was started wrongly, and one line says how"""
 
 
 def identifier_usage() -> str:
     """Return the text of the identifier: how it is started, what it speaks, every parameter."""
-    return "\n".join((HEAD, *map(_entry, declarations())))
+    entries = []
+    for setting in declarations():
+        unit = f" {setting.unit}" if setting.unit else ""
+        meaning = textwrap.indent(textwrap.fill(setting.description, 76), " " * 6)
+        entries.append(f"  {setting.name} = {written(setting.default)}{unit}\n{meaning}")
+    return USAGE.format("identifier", IDENTIFIER, "\n".join(entries))
 
 
 def node_usage(
@@ -210,8 +204,8 @@ def node_usage(
     parameters: Mapping[str, Any],  # Names and defaults
 ) -> str:
     """Return the text of another node of this package."""
-    head = f"usage: {name} {ROS_ARGUMENTS}\n\n{text.strip()}\n\nparameters, with their defaults:"
-    return "\n".join((head, *(f"  {key} = {written(value)}" for key, value in parameters.items())))
+    lines = (f"  {key} = {written(value)}" for key, value in parameters.items())
+    return USAGE.format(name, text.strip(), "\n".join(lines))
 
 
 def read_parameters(
@@ -224,29 +218,17 @@ def read_parameters(
 
     Raises
     ------
-    UsageError
+    SettingsError
         If a value is not allowed; the message says what is.
     """
     values = {name: node.declare_parameter(name, v).value for name, v in defaults.items()}
-    for name, value in values.items():
-        several = isinstance(defaults[name], list)
-        if value not in words.get(name, (value,)):
-            raise UsageError(f"'{name}' is '{value}': allowed are {', '.join(words[name])}")
-        if isinstance(defaults[name][0] if several else value, str):
-            continue
-        numbers, bound = (value or []) if several else [value], least.get(name, -math.inf)
-        if several and len(numbers) != len(defaults[name]):
-            raise UsageError(
-                f"'{name}' has {len(numbers)} values: {len(defaults[name])} are needed"
+    for name, default in defaults.items():
+        several = isinstance(default, list)
+        kind = type(default[0] if several else default).__name__ + "[]" * several
+        low, choices = least.get(name, -math.inf), tuple(words.get(name, ()))
+        Setting(name, kind, default, "", "", low, choices=choices).check(values[name])
+        if kind == "float[]" and len(values[name]) != len(default):
+            raise SettingsError(
+                f"'{name}' has {len(values[name])} values: {len(default)} are needed"
             )
-        if not all(math.isfinite(number) and number >= bound for number in numbers):
-            allowed = "finite numbers" if bound == -math.inf else f"numbers from {bound:g} on"
-            raise UsageError(f"'{name}' is {value}: allowed are {allowed}")
     return values
-
-
-def _entry(setting: Setting) -> str:
-    unit = f" {setting.unit}" if setting.unit else ""
-    lines = textwrap.wrap(setting.description, 76)
-    meaning = textwrap.indent("\n".join(lines), " " * 6)
-    return f"  {setting.name} = {written(setting.default)}{unit}\n{meaning}"
