@@ -12,9 +12,7 @@ import os
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from uav_ident_ros.bags.reading import Bag, BagError, Message
 from uav_ident_ros.commandline import (
@@ -54,52 +52,9 @@ REFUSALS = (BagError, SettingsError, MessageTypeError, ParameterFileError)
 """What bad input raises."""
 
 
-@dataclass(frozen=True)
-class Flight:
-    """A recorded flight, ready to be played."""
-
-    name: str  # Name of the bag
-    path: Path
-    parameter_file: Path | None  # Parameters that describe its topics
-    inputs: Inputs  # Its topics and the settings
-    messages: list[Message]  # Everything on the topics of the inputs, in log-time order
-    types: dict[str, str]  # Message type of each topic
-
-    @property
-    def duration(self) -> float:
-        """Time from the first message to the last, s."""
-        return (self.messages[-1].log_ns - self.messages[0].log_ns) * 1e-9
-
-
-def load_flight(path: Path, parameter_file: Path | None) -> Flight:
-    """Read a bag, and the parameters that may lie beside it.
-
-    Raises
-    ------
-    BagError, SettingsError, ParameterFileError
-        If the bag or the parameters cannot be used.
-    """
-    beside = path / "identifier.yaml"
-    if parameter_file is None and beside.is_file():
-        parameter_file = beside
-    parameters: dict[str, Any] = {}
-    if parameter_file is not None:
-        parameters.update(load_parameters(parameter_file, NODE_NAME))
-    with Bag(path) as bag:
-        inputs = choose_inputs(bag, parameters)
-        return Flight(
-            name=path.resolve().stem,
-            path=path,
-            parameter_file=parameter_file,
-            inputs=inputs,
-            messages=list(bag.messages(inputs.topics)),
-            types={topic: bag.type_of(topic) for topic in inputs.topics},
-        )
-
-
-def running_node(flight: Flight, log: Path) -> NodeProcess:
+def running_node(inputs: Inputs, parameter_file: Path | None, log: Path) -> NodeProcess:
     """Run the node for a flight."""
-    settings, streams = flight.inputs.settings, flight.inputs.streams
+    settings, streams = inputs.settings, inputs.streams
     return NodeProcess(
         "uav_ident_ros.node",
         log,
@@ -110,7 +65,7 @@ def running_node(flight: Flight, log: Path) -> NodeProcess:
             "imu.type": settings.imu.type,
             "actuators.type": settings.actuators.type,
         },
-        file=flight.parameter_file,
+        file=parameter_file,
         remappings={s.topic: streams[s.name] for s in STREAMS if s.name in streams},
     )
 
@@ -155,32 +110,39 @@ def parser() -> argparse.ArgumentParser:
 
 def run_demo(options: argparse.Namespace) -> int:
     """Play and show a flight, then report on it; return the exit status."""
-    flight = load_flight(options.bag, options.params_file)
-    stamped = ACTUATORS[flight.inputs.settings.actuators.type].stamped
+    beside = options.bag / "identifier.yaml"
+    file = options.params_file or (beside if beside.is_file() else None)
+    with Bag(options.bag) as bag:
+        inputs = choose_inputs(bag, load_parameters(file, NODE_NAME) if file else {})
+        messages = list(bag.messages(inputs.topics))
+        topics = {topic: import_type(bag.type_of(topic)) for topic in inputs.topics}
+    stamped = ACTUATORS[inputs.settings.actuators.type].stamped
     speed = options.speed or (DEFAULT_SPEED if stamped else 1.0)
-    folder = options.output / f"demo_{flight.name}"
+    name = options.bag.resolve().stem
+    folder = options.output / f"demo_{name}"
     folder.mkdir(parents=True, exist_ok=True)
     log = folder / "node.log"
     log.unlink(missing_ok=True)
     print(
-        f"{flight.name}: {flight.duration:.0f} s at {speed:g} times real time, ROS domain "
-        f"{os.environ['ROS_DOMAIN_ID']}",
+        f"{name}: {(messages[-1].log_ns - messages[0].log_ns) * 1e-9:.0f} s at {speed:g} times "
+        f"real time, ROS domain {os.environ['ROS_DOMAIN_ID']}",
         flush=True,
     )
-    if not play(flight, speed, log):
+    if not play(running_node(inputs, file, log), topics, messages, speed):
         print(f"demo: the node published nothing: {log.read_text().strip()}", file=sys.stderr)
         return FAILED
     print(f"\nthe node's log: {log}\nthe same flight by replay, with its score:\n", flush=True)
-    parameters = ["--params-file", str(flight.parameter_file)] if flight.parameter_file else []
-    status = replay([str(flight.path), *parameters, "--output", str(folder), "--plot", "--report"])
+    parameters = ["--params-file", str(file)] if file else []
+    status = replay([str(options.bag), *parameters, "--output", str(folder), "--plot", "--report"])
     print(f"picture: {folder / 'replay.png'}\nreport: {folder / 'report.html'}")
     return FAILED if status == NO_RESULT else 0
 
 
 def play(
-    flight: Flight,  # The flight
+    node: NodeProcess,  # It is ended with the flight
+    topics: dict[str, type],  # Message classes
+    messages: list[Message],  # Of these topics, in log-time order
     speed: float,  # Times real time
-    log: Path,  # Where the node's output goes
 ) -> bool:
     """Play a flight to a node and show what it publishes; return whether it published.
 
@@ -194,19 +156,15 @@ def play(
     ending = Ending()
     with contextlib.ExitStack() as open_:
         open_.callback(ending.restore)
-        node = open_.enter_context(running_node(flight, log))
-        topics = {topic: import_type(name) for topic, name in flight.types.items()}
-        player = Player(topics, ending=ending)
-        open_.callback(player.close)
+        open_.enter_context(node)
+        player = open_.enter_context(contextlib.closing(Player(topics, ending=ending)))
         player.wait_until(lambda: node.poll() is not None or player.node_is_there(), "the node")
         if node.poll() is not None:
             return False
         player.wait_for_node()
-        listener = Listener(ending)
-        open_.callback(listener.close)
+        listener = open_.enter_context(contextlib.closing(Listener(ending)))
         watched = listener.listen(NODE_NAME)
-        view = View()
-        open_.callback(view.close)
+        view = open_.enter_context(contextlib.closing(View()))
         period = view.period if sys.stdout.isatty() else BLOCK_EVERY
         shown = time.monotonic()
 
@@ -217,7 +175,7 @@ def play(
                 view.show(watched)
                 shown = time.monotonic()
 
-        player.play(flight.messages, speed=speed, on_time=show, in_step=True)
+        player.play(messages, speed=speed, on_time=show, in_step=True)
         listener.spin_for(1.0)
         view.show(watched)
         return watched.newest is not None

@@ -24,14 +24,14 @@ STUCK_AFTER = 1.0
 busy machine the timer may have fired at the furthest time, before the messages were looked at."""
 
 
-def listen(executor: Executor, seconds: float, until: Callable[[], bool] | None = None) -> bool:
+def listen(executor: Executor, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
     """Listen for a while, or until a condition holds; return whether it does."""
     end = time.monotonic() + seconds
-    while until is None or not until():
+    while not until():
         left = end - time.monotonic()
         if left <= 0.0:
             return False
-        executor.spin_once(timeout_sec=left if until is None else min(left, LOOK_EVERY))
+        executor.spin_once(timeout_sec=min(left, LOOK_EVERY))
     return True
 
 
@@ -101,7 +101,7 @@ class Guest:
         self.node.destroy_node()
         self.node.context.try_shutdown()
 
-    def spin_for(self, seconds: float, until: Callable[[], bool] | None = None) -> bool:
+    def spin_for(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Listen for a while, or until a condition holds; return whether it does.
 
         Raises
@@ -109,9 +109,7 @@ class Guest:
         KeyboardInterrupt
             If a signal asks for the end: here, and not in the middle of the middleware's work.
         """
-        if self._ending is None:
-            return listen(self._executor, seconds, until)
-        holds = listen(self._executor, seconds, lambda: self.called_off() or _holds(until))
+        holds = listen(self._executor, seconds, lambda: self.called_off() or until())
         if self.called_off():
             raise KeyboardInterrupt
         return holds
@@ -119,7 +117,3 @@ class Guest:
     def called_off(self) -> bool:
         """Whether a signal asks for the end."""
         return self._ending is not None and self._ending.requested
-
-
-def _holds(until: Callable[[], bool] | None) -> bool:
-    return until is not None and until()

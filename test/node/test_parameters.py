@@ -16,7 +16,7 @@ from repository import ROOT
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Settings, declarations
-from uav_ident_ros.node.parameters import Changes, declare, settings_of
+from uav_ident_ros.node.parameters import declare, follow_changes, settings_of
 
 RCLPY_REASON = re.compile("Wrong parameter type, expected|Static parameter cannot be undeclared")
 
@@ -36,7 +36,7 @@ def changing(context: Context) -> tuple[Node, list[Settings]]:
     settings = settings_of(node, ())
     declare(node, settings)
     applied: list[Settings] = []
-    Changes(node, settings, applied.append)
+    follow_changes(node, settings, applied.append)
     return node, applied
 
 

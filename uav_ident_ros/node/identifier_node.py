@@ -30,7 +30,7 @@ from uav_ident_ros.node.inputs import Inputs
 from uav_ident_ros.node.memory import Memory
 from uav_ident_ros.node.notices import Guard, Throttle, without_numbers
 from uav_ident_ros.node.outputs import Outputs
-from uav_ident_ros.node.parameters import Changes, declare, settings_of
+from uav_ident_ros.node.parameters import declare, follow_changes, settings_of
 from uav_ident_ros.node.program import spin
 from uav_ident_ros.node.waiting import Jumps, Waiting
 from uav_ident_ros.ros import RELIABLE
@@ -63,7 +63,7 @@ class IdentifierNode(Node):
         self.identifier = OnlineIdentifier(settings, initial_coefficients(settings))
         declare(self, settings)
         self._guard = Guard(Throttle(partial(self._log, DiagnosticStatus.ERROR)))
-        self._changes = Changes(self, settings, self.identifier.reconfigure)
+        follow_changes(self, settings, self.identifier.reconfigure)
         warnings = Throttle(partial(self._log, DiagnosticStatus.WARN))
         self._inputs = Inputs(self, self.identifier, warnings, self._guard)
         self._waiting = Waiting(self, self.identifier, self._inputs.all.values())
@@ -101,6 +101,7 @@ class IdentifierNode(Node):
             response.success, response.message = False, self._guard.problem
             return response
 
+        answer.__name__ = name  # as an internal error names it
         self.create_service(kind, f"~/{name}", self._guard(answer, failed))
 
     def _watch_time(self, settings: Settings) -> None:

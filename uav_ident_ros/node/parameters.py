@@ -23,7 +23,6 @@ from uav_ident_ros.identification.settings import (
     SettingsError,
     declarations,
     nearest,
-    unknown_setting,
 )
 
 PARAMETER_TYPES = {
@@ -66,24 +65,13 @@ def settings_of(
     SettingsError
         If a name is unknown or a value is not allowed.
     """
-    known = {setting.name for setting in declarations()}
-    values: dict[str, object] = {}
-    for name, value in given_values(node).items():
-        if name in known:
-            values[name] = value
-        elif name.startswith(_QOS_PREFIX):
-            _check_qos(name, value, [node.resolve_topic_name(topic) for topic in topics])
-        elif name not in _OTHERS:
-            raise SettingsError(unknown_setting(name))
-    return Settings.from_values(values)
-
-
-def given_values(node: Node) -> dict[str, object]:
-    """Return the parameter values that were given to `node` from outside, by name."""
     # rclpy has no public accessor (rclcpp has get_parameter_overrides), and declaring them all
     # automatically fails on an empty list.
-    overrides: dict[str, Parameter] = node._parameter_overrides
-    return {name: parameter.value for name, parameter in overrides.items()}
+    given: dict[str, Parameter] = dict(node._parameter_overrides)
+    for name in [name for name in given if name.startswith(_QOS_PREFIX)]:
+        value = given.pop(name).value
+        _check_qos(name, value, [node.resolve_topic_name(topic) for topic in topics])
+    return Settings.from_values({n: p.value for n, p in given.items() if n not in _OTHERS})
 
 
 def _check_qos(name: str, value: object, topics: Sequence[str]) -> None:
@@ -159,48 +147,38 @@ def _constraints(setting: Setting) -> str:
     return "; ".join(parts)
 
 
-class Changes:
-    """Judges changes of parameters at run time, and passes on those that are allowed.
+def follow_changes(
+    node: Node,  # Its parameters are declared
+    settings: Settings,  # The settings in use
+    apply: Callable[[Settings], object],  # Takes the settings after a change
+) -> None:
+    """Judge changes of parameters at run time by the declaration, and pass on what is allowed.
 
     The node's services run between its ticks, and so does what is done here. Parameters that
     are set atomically come together, and are judged and applied as one.
     """
 
-    def __init__(
-        self,
-        node: Node,  # Its parameters are declared
-        settings: Settings,  # The settings in use
-        apply: Callable[[Settings], object],  # Takes the settings after a change
-    ) -> None:
-        self._settings = settings
-        self._apply = apply
-        self._log = node.get_logger()
-        node.add_on_set_parameters_callback(self._judge)
-        node.add_post_set_parameters_callback(self._follow)
+    def changed(parameters: list[Parameter]) -> Settings:
+        before = settings.values()
+        return Settings.from_values(
+            before | {p.name: p.value for p in parameters if p.name in before}
+        )
 
-    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Refuse with the reason what the declaration does not allow."""
+    def judge(parameters: list[Parameter]) -> SetParametersResult:
         try:
-            self._changed(parameters)
+            changed(parameters)
         except SettingsError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _follow(self, parameters: list[Parameter]) -> None:
-        """Apply what was judged and set."""
-        settings = self._changed(parameters)
-        before, after = self._settings.values(), settings.values()
-        for name, value in after.items():
-            if value != before[name]:
-                self._log.info(f"'{name}' is now {value}")
-        if settings != self._settings:
-            self._settings = settings
-            self._apply(settings)
+    def follow(parameters: list[Parameter]) -> None:
+        nonlocal settings
+        before, settings = settings, changed(parameters)
+        for name, value in settings.values().items():
+            if value != before.values()[name]:
+                node.get_logger().info(f"'{name}' is now {value}")
+        if settings != before:
+            apply(settings)
 
-    def _changed(self, parameters: list[Parameter]) -> Settings:
-        """Return the settings with the parameters as they are to be."""
-        known = {setting.name: setting for setting in declarations()}
-        given = {p.name: p.value for p in parameters if p.name in known}
-        for name, value in given.items():
-            known[name].check(value)
-        return Settings.from_values({**self._settings.values(), **given})
+    node.add_on_set_parameters_callback(judge)
+    node.add_post_set_parameters_callback(follow)
