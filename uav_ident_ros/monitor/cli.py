@@ -50,6 +50,10 @@ NO_RICH = (
 )
 
 
+class MonitorError(Exception):
+    """There is not exactly one identifier to watch; the message says what there is."""
+
+
 class Listener(Guest):
     """A node of its own that listens until it is asked to end, and publishes nothing."""
 
@@ -68,13 +72,25 @@ class Listener(Guest):
 
     def find(
         self,
-        timeout: float,  # Seconds to look at most; the list is empty if there is none by then
-    ) -> list[str]:
-        """Look for identifiers until some have been found, and those beside them."""
+        timeout: float,  # Seconds to look at most
+    ) -> str:
+        """Return the full name of the only identifier; empty if none turns up.
+
+        Raises
+        ------
+        MonitorError
+            If there are several.
+        """
         if not self.spin_for(timeout, lambda: bool(self.identifiers())):
-            return []
+            return ""
         self.spin_for(SETTLE)
-        return self.identifiers()
+        found = self.identifiers()
+        if len(found) > 1:
+            listed = "\n  ".join(found)
+            raise MonitorError(
+                f"there are {len(found)} identifiers: choose one with --node\n  {listed}"
+            )
+        return found[0] if found else ""
 
     def listen(self, node: str) -> WatchedNode:
         """Begin to listen to an identifier, by its full name."""
@@ -91,10 +107,6 @@ class Listener(Guest):
         return watched
 
 
-class MonitorError(Exception):
-    """There is not exactly one identifier to watch; the message says what there is."""
-
-
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     result = OneLineParser(
@@ -109,14 +121,11 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--plain", action="store_true",
         help="a block of text every second, as where there is no terminal")  # fmt: skip
     result.add_argument("--once", action="store_true", help="print one block and exit")
-    result.add_argument("--timeout", type=SECONDS, default=TIMEOUT,
+    positive = ": a positive number of seconds is needed"
+    seconds = number(float, math.ulp(0.0), sys.float_info.max, positive)
+    result.add_argument("--timeout", type=seconds, default=TIMEOUT,
         help=f"seconds that --once waits for the node at most ({TIMEOUT:g})")  # fmt: skip
     return result
-
-
-SECONDS = number(
-    float, math.ulp(0.0), sys.float_info.max, ": a positive number of seconds is needed"
-)
 
 
 def _full_name(text: str) -> str:
@@ -126,29 +135,17 @@ def _full_name(text: str) -> str:
     return name if name.startswith("/") else f"/{name}"
 
 
-def _the_one(found: list[str]) -> str:
-    """Return the only identifier of a list, or raise `MonitorError`."""
-    if len(found) > 1:
-        listed = "\n  ".join(found)
-        raise MonitorError(
-            f"there are {len(found)} identifiers: choose one with --node\n  {listed}"
-        )
-    return found[0]
-
-
 def once(listener: Listener, node: str | None, timeout: float) -> int:
     """Print one block; return the exit status that tells what a controller may do."""
     from uav_ident_ros.monitor.picture import View  # before it listens: what it hears grows old
 
-    if node is None:
-        found = listener.find(timeout)
-        if not found:
-            print(f"monitor: no identifier was found for {timeout:g} s", file=sys.stderr)
-            return NOTHING_RECEIVED
-        node = _the_one(found)
+    node = node or listener.find(timeout)
+    if not node:
+        print(f"monitor: no identifier was found for {timeout:g} s", file=sys.stderr)
+        return NOTHING_RECEIVED
     watched = listener.listen(node)
-    listener.spin_for(timeout, lambda: watched.fresh and bool(watched.status.state))
-    if watched.newest is None and not watched.status.state:
+    listener.spin_for(timeout, lambda: watched.fresh and bool(watched.state))
+    if watched.newest is None and not watched.state:
         print(f"monitor: no message of '{node}' for {timeout:g} s", file=sys.stderr)
         return NOTHING_RECEIVED
     View(plain=True).show(watched)
@@ -159,11 +156,10 @@ def watch(listener: Listener, node: str | None, plain: bool) -> NoReturn:
     """Show an identifier for as long as this runs; wait for one if there is none."""
     from uav_ident_ros.monitor.picture import View
 
-    if node is None:
+    if not node:
         print("monitor: looking for an identifier (Ctrl-C ends it)", file=sys.stderr)
-        while not (found := listener.find(LOOK_AGAIN)):
-            pass
-        node = _the_one(found)
+    while not node:
+        node = listener.find(LOOK_AGAIN)
     watched = listener.listen(node)
     with closing(View(plain)) as view:
         while True:

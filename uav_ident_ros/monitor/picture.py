@@ -142,7 +142,7 @@ def _grid(widths: Sequence[int], numbers: bool = True) -> Table:
 
 def _head(watched: WatchedNode) -> Iterator[Text]:
     """Yield name, state, verdict and tick, then what is wrong or lacking."""
-    state, tick = watched.status.state, Text("no tick yet", "yellow")
+    state, tick = watched.state, Text("no tick yet", "yellow")
     if watched.newest is not None:
         tick = Text(f"tick {watched.newest.t_ns / NS_PER_S:.2f} s")
         if not watched.fresh:
@@ -160,8 +160,8 @@ def _head(watched: WatchedNode) -> Iterator[Text]:
         yield Text(
             f"{watched.publishers} nodes publish under this name: they get mixed", "bold red"
         )
-    if watched.status.reason:
-        yield Text(watched.status.reason)
+    if watched.reason:
+        yield Text(watched.reason)
 
 
 # --- coefficients -----------------------------------------------------------------------------
@@ -182,7 +182,7 @@ def _row(
             usable = watched.newest.usable_rows[k] and watched.fresh
             head.append(f" {glyphs.verdicts[usable]}", "green" if usable else "yellow")
         fit.append(_fit(*watched.fit_of(k)))
-    excitation = watched.status.number(f"excitation {row} [0..1]")
+    excitation = watched.number(f"excitation {row} [0..1]")
     if excitation is not None:
         head.append(f"   excited {excitation:.2f}", "not bold dim")
     table = _grid(CELL_WIDTHS)
@@ -262,7 +262,9 @@ def _line(label: str, *parts: str | tuple[str, str]) -> Text:
 
 def _inputs(watched: WatchedNode) -> Iterator[RenderableType]:
     """Yield what arrives on every input, and what was dropped for which reason."""
-    for stream, values in watched.status.inputs().items():
+    for stream, values in watched.groups.items():
+        if "topic" not in values:
+            continue
         age, dropped = values.get("age [s]", "?"), values.get("dropped", "0")
         yield _line(
             stream,
@@ -271,12 +273,9 @@ def _inputs(watched: WatchedNode) -> Iterator[RenderableType]:
             f"  age {age} s" if age[:1].isdigit() else f"  {age}",
             (f"  dropped {dropped}", "" if dropped == "0" else "yellow"),
         )
-        reasons = ", ".join(
-            f"{label.removeprefix('dropped: ')} {count}"
-            for label, count in values.items()
-            if label.startswith("dropped: ")
-        )
-        if reasons:
+        counts = {k.partition(": ")[2]: n for k, n in values.items() if k.startswith("dropped: ")}
+        if counts:
+            reasons = ", ".join(f"{reason} {count}" for reason, count in counts.items())
             yield Padding(Text(f"dropped: {reasons}", "yellow", no_wrap=True), (0, 0, 0, 10))
 
 
@@ -290,27 +289,26 @@ def _mode(mode: Mode, glyphs: Glyphs) -> str:
 
 def _foot(watched: WatchedNode, glyphs: Glyphs) -> Iterator[Text]:
     """Yield the state of the model, its modes, the delay, the ticks and what is collinear."""
-    status, flow = watched.status, watched.newest and watched.newest.flow
+    values, flow = watched.group(), watched.newest and watched.newest.flow
     if flow:
         angles = [f"{a} {math.degrees(getattr(flow, a)):+.1f}°" for a in STATE_FIELDS[:-1]]
         yield _line("state", ", ".join([*angles, f"airspeed {flow.airspeed:.1f} m/s"]))
     if modes := watched.modes():
         yield _line("modes", ", ".join(_mode(mode, glyphs) for mode in modes))
-    yield from _excitation(status.group("excite"))
-    delay, ticks = status.number("delay [s]"), status.group("ticks")
-    line = Text(no_wrap=True)
+    yield from _excitation(watched.group("excite"))
+    delay, ticks, line = watched.number("delay [s]"), watched.group("ticks"), Text(no_wrap=True)
     if delay is not None:
-        confidence = status.values.get("delay confidence", "")
-        words = f"  {CONFIDENCE.get(confidence, confidence)}  "
-        line += _line("delay", (f"{1e3 * delay:.0f} ms", "bold"), words)
-    if lag := status.values.get("servo lag [s]"):
+        confidence = values.get("delay confidence", "")
+        words = CONFIDENCE.get(confidence, confidence)
+        line += _line("delay", (f"{1e3 * delay:.0f} ms", "bold"), f"  {words}  ")
+    if lag := values.get("servo lag [s]"):
         line += _line("servo lag", f"{lag} s  ")
     if "count" in ticks:
         cost = ticks.get("update time p99 [ms]")
         line += _line("ticks", ticks["count"], f"  update {cost} ms (p99)" if cost else "")
     if line:
         yield line
-    collinear = status.values.get("collinear", "nothing")
+    collinear = values.get("collinear", "nothing")
     if collinear != "nothing":
         yield Text.assemble(("collinear: ", "yellow"), collinear, no_wrap=True)
 

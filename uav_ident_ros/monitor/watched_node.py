@@ -5,7 +5,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from uav_ident_ros.client import Coefficients
 from uav_ident_ros.identification.linearisation import Mode, level_modes
@@ -50,33 +50,6 @@ class Coefficient:
         return 1 if change > 0.0 else -1
 
 
-@dataclass(frozen=True)
-class Status:
-    """The newest status of the node on /diagnostics."""
-
-    # state, reason: The state word, and why it is in it
-    state: str = ""
-    reason: str = "no status on /diagnostics yet"
-    values: Mapping[str, str] = field(default_factory=dict)  # Everything beneath it, by label
-
-    def number(self, label: str) -> float | None:
-        """Value of a label as a number; None if it is missing or none."""
-        try:
-            return float(self.values[label])
-        except (KeyError, ValueError):
-            return None
-
-    def group(self, name: str) -> dict[str, str]:
-        """Values of a group, by their labels within it."""
-        head = f"{name}: "
-        return {k.removeprefix(head): v for k, v in self.values.items() if k.startswith(head)}
-
-    def inputs(self) -> dict[str, dict[str, str]]:
-        """Values of every input, by its stream: the groups that name a topic."""
-        streams = [k.removesuffix(": topic") for k in self.values if k.endswith(": topic")]
-        return {stream: self.group(stream) for stream in streams}
-
-
 class WatchedNode:
     """Gathers what one identifier publishes."""
 
@@ -86,7 +59,9 @@ class WatchedNode:
         clock: Callable[[], float] = time.monotonic,  # Monotonic seconds, for ages
     ) -> None:
         self.node = node
-        self.status = Status()  # Its newest status
+        # state, reason: Its state word by the newest status on /diagnostics, and why it is in it
+        self.state, self.reason = "", "no status on /diagnostics yet"
+        self.groups: dict[str, dict[str, str]] = {}  # Everything beneath, by group and label
         self.newest: Coefficients | None = None  # Its newest coefficients
         self.ticks = 0  # Ticks heard
         self.publishers = 1  # Nodes that publish under this name; more than one is a mistake
@@ -107,8 +82,24 @@ class WatchedNode:
 
     def diagnosed(self, message: str, values: Mapping[str, str]) -> None:
         """Take one status: its message, and its values by label."""
-        state, _, reason = message.partition(": ")
-        self.status = Status(state, reason, values)
+        self.state, _, self.reason = message.partition(": ")
+        self.groups = {}
+        for key, value in values.items():
+            group, grouped, label = key.partition(": ")
+            if not grouped:
+                group, label = "", key
+            self.groups.setdefault(group, {})[label] = value
+
+    def group(self, name: str = "") -> dict[str, str]:
+        """Return the values of a group of the status; without a name, of those in none."""
+        return self.groups.get(name, {})
+
+    def number(self, label: str) -> float | None:
+        """Return a value that is in no group as a number; None if it is missing or none."""
+        try:
+            return float(self.group()[label])
+        except (KeyError, ValueError):
+            return None
 
     @property
     def fresh(self) -> bool:
@@ -119,7 +110,7 @@ class WatchedNode:
     def usable(self) -> bool:
         """Whether a controller may act on the coefficients now."""
         verdict = self.newest is not None and self.newest.usable
-        return verdict and self.fresh and self.status.state not in STATES_WITHOUT_DATA
+        return verdict and self.fresh and self.state not in STATES_WITHOUT_DATA
 
     def modes(self) -> list[Mode]:
         """Return the modes of the model in level flight; none without flow angles."""
@@ -135,7 +126,7 @@ class WatchedNode:
         """
         fit = None if self.newest is None else self.newest.fit
         known = fit is not None and fit.any()
-        hold = self.status.number(f"hold {'pqr'[row]} [%]")
+        hold = self.number(f"hold {'pqr'[row]} [%]")
         return (float(fit[row]) if fit is not None and known else None), hold
 
     def rows(self) -> dict[str, list[Coefficient]]:
