@@ -151,7 +151,7 @@ def is_recorded(name: str) -> bool:
 @lru_cache(maxsize=2)
 def recorded(name: str) -> Case:
     """Return a recorded real flight."""
-    read = RATES[IMU_TYPE].read
+    read = RATES[IMU_TYPE]
     imu, actuators, airspeed = [], [], []
     with Bag(Path(RECORDED / name)) as bag:
         topics = [topic for topic in TOPICS if topic in bag.types]

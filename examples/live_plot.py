@@ -10,6 +10,7 @@ import argparse
 from typing import Any
 
 import matplotlib
+import numpy as np
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -45,14 +46,11 @@ class History(Node):
 
 def draw(axes: Any, history: History, name: str) -> None:
     """Draw what there is."""
+    t, value, sigma = map(np.array, (history.t, history.value, history.sigma))
     axes.clear()
-    if history.t:
-        t = [stamp - history.t[0] for stamp in history.t]
-        pairs = list(zip(history.value, history.sigma, strict=True))
-        low = [value - BAND * sigma for value, sigma in pairs]
-        high = [value + BAND * sigma for value, sigma in pairs]
-        axes.fill_between(t, low, high, alpha=0.25)
-        axes.plot(t, history.value)
+    if len(t):
+        axes.fill_between(t - t[0], value - BAND * sigma, value + BAND * sigma, alpha=0.25)
+        axes.plot(t - t[0], value)
     axes.set(xlabel="time [s]", ylabel=f"{name} [SI]")
     axes.grid(alpha=0.3)
 

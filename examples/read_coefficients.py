@@ -8,11 +8,12 @@ coefficient is fixed) run side by side. ``verdict/usable`` says whether a contro
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -21,48 +22,36 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 def table(message: JointState) -> str:
     """Return the coefficients as text, one a line, the verdict on top."""
-    entries = dict(
-        zip(message.name, zip(message.position, message.effort, strict=True), strict=True)
-    )
-    usable = entries["verdict/usable"][0] == 1.0
+    values = dict(zip(message.name, message.position, strict=True))
+    usable = values["verdict/usable"] == 1.0
     lines = [f"{message.header.stamp.sec} s: {'usable' if usable else 'not usable'}"]
-    for name, (value, sigma) in entries.items():
-        if name.startswith(("fit/", "verdict/")):
-            continue
-        lines.append(f"{name:<12}{value:>10.3f} ± {sigma:.3f}")
+    for name, value, sigma in zip(message.name, message.position, message.effort, strict=True):
+        if not name.startswith(("fit/", "verdict/")):
+            lines.append(f"{name:<12}{value:>10.3f} ± {sigma:.3f}")
     return "\n".join(lines)
 
 
-class Reader(Node):
-    """Print every message, or the first alone."""
-
-    def __init__(self, topic: str, once: bool) -> None:
-        super().__init__("read_coefficients")
-        self.done = False
-        self._once = once
-        self.create_subscription(JointState, topic, self._take, LATCHED)
-
-    def _take(self, message: JointState) -> None:
-        print(table(message), flush=True)
-        self.done = self._once
-
-
 def main() -> None:
-    """Read until interrupted."""
+    """Print every message until interrupted, or the first alone."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--topic", default="/identifier/coefficients_named")
     parser.add_argument("--once", action="store_true", help="the newest message, then end")
     options = parser.parse_args()
     rclpy.init()
-    reader = Reader(options.topic, options.once)
-    try:
-        while not reader.done:
-            rclpy.spin_once(reader, timeout_sec=1.0)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        reader.destroy_node()
-        rclpy.try_shutdown()
+    node, first = rclpy.create_node("read_coefficients"), Future()
+
+    def take(message: JointState) -> None:
+        print(table(message), flush=True)
+        first.set_result(message)
+
+    node.create_subscription(JointState, options.topic, take, LATCHED)
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        if options.once:
+            rclpy.spin_until_future_complete(node, first)
+        else:
+            rclpy.spin(node)
+    node.destroy_node()
+    rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

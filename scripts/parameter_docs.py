@@ -15,7 +15,7 @@ from typing import Any
 
 from uav_ident_ros.files.parameter_file import written
 from uav_ident_ros.identification.settings import Setting, Settings, Value, declarations
-from uav_ident_ros.messages.types import ACTUATORS, RATES
+from uav_ident_ros.messages.types import ACTUATORS, FRD_TYPES, RATES
 
 CONFIG = Path(__file__).resolve().parents[1] / "config" / "identifier.yaml"
 
@@ -111,7 +111,7 @@ def changeable() -> str:
 
 def rates_types() -> str:
     """Return the table of the message types of the rates."""
-    rows = [(f"`{name}`", adapter.convention or "as set") for name, adapter in RATES.items()]
+    rows = [(f"`{name}`", "frd" if name in FRD_TYPES else "as set") for name in RATES]
     return markdown(("`imu.type`", "`imu.convention`"), rows)
 
 

@@ -59,14 +59,6 @@ Stamp = Callable[[Any], int]
 
 
 @dataclass(frozen=True)
-class RatesAdapter:
-    """How to read one type of rates message."""
-
-    read: Callable[[Any], RatesReading]  # Message to `RatesReading`
-    convention: str = ""  # The axes that the type itself prescribes; empty if a parameter says
-
-
-@dataclass(frozen=True)
 class ActuatorAdapter:
     """How to read one type of actuator message."""
 
@@ -136,12 +128,15 @@ def _read_px4_sensor_combined(message: Any) -> RatesReading:
 
 _NORMALISED = "normalised, -1 to 1"
 
-RATES: dict[str, RatesAdapter] = {
-    "sensor_msgs/msg/Imu": RatesAdapter(_read_imu),
-    "px4_msgs/msg/VehicleAngularVelocity": RatesAdapter(_read_px4_angular_velocity, "frd"),
-    "px4_msgs/msg/SensorCombined": RatesAdapter(_read_px4_sensor_combined, "frd"),
+RATES: dict[str, Callable[[Any], RatesReading]] = {
+    "sensor_msgs/msg/Imu": _read_imu,
+    "px4_msgs/msg/VehicleAngularVelocity": _read_px4_angular_velocity,
+    "px4_msgs/msg/SensorCombined": _read_px4_sensor_combined,
 }
 """The supported types of the rates topic."""
+
+FRD_TYPES = ("px4_msgs/msg/VehicleAngularVelocity", "px4_msgs/msg/SensorCombined")
+"""Those whose axes are forward-right-down by their definition; of the others a parameter says."""
 
 ACTUATORS: dict[str, ActuatorAdapter] = {
     "std_msgs/msg/Float64MultiArray": ActuatorAdapter(None, ("data",)),
@@ -307,7 +302,7 @@ class RatesReader:
 
     def __init__(self, settings: ImuSettings) -> None:
         self._settings = settings
-        self._read = RATES[settings.type].read
+        self._read = RATES[settings.type]
         self.frame_id: str | None = None  # Frame of the newest message; None before the first
         # How their axes contradict the settings; empty if they do not
         self.fault = frame_fault(settings.convention, "", settings.type)
@@ -349,7 +344,7 @@ def frame_fault(
             f"the Imu's frame_id '{frame_id}' contradicts imu.convention 'flu': set it to 'frd', "
             "or correct the frame_id"
         )
-    if RATES[msgtype].convention == "frd":
+    if msgtype in FRD_TYPES:
         return f"{msgtype} is in forward-right-down axes: set imu.convention to 'frd'"
     return ""
 

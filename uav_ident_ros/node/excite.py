@@ -3,7 +3,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -12,6 +12,7 @@ from std_msgs.msg import Header
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.excitation_run import ExcitationRun, Injection
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.samples import EXCITATION
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import NS_PER_S
@@ -41,10 +42,8 @@ class Excite:
         node: Node,  # Owner of the publisher
         # Knows the flight. It is told what is published, unless somebody else says what is injected
         identifier: OnlineIdentifier,
-        injection_published: Callable[[], bool],  # Whether anybody publishes what is injected
     ) -> None:
-        self._identifier = identifier
-        self._injection_published = injection_published
+        self._node, self._identifier = node, identifier
         self._log = node.get_logger()
         self._clock = node.get_clock()
         self._publisher = node.create_publisher(JointState, "~/excitation", RELIABLE)
@@ -72,7 +71,7 @@ class Excite:
                 f"'update_rate' is {rate:g} Hz: signals up to {settings.band[1]:g} Hz "
                 f"('excitation.band') need {needed:g} Hz"
             )
-        self._own = not self._injection_published()
+        self._own = not self._node.count_publishers(self._node.resolve_topic_name(EXCITATION))
         return self._run.start(settings, self._identifier.flying(), estimate)
 
     def tick(self, estimate: Estimate) -> None:

@@ -71,7 +71,7 @@ class IdentifierNode(Node):
         self._outputs = Outputs(self, self.identifier.structure)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._logged, self._warnings = "", list[str]()  # The last state and warnings
-        self._excite = Excite(self, self.identifier, self._injection_is_published)
+        self._excite = Excite(self, self.identifier)
         self._estimate: Estimate | None = None
         self._meter = diagnostics.TickMeter(look_period(settings.update_rate))
         self._memory = Memory(self.identifier, self.get_fully_qualified_name(), self.get_logger())
@@ -83,9 +83,6 @@ class IdentifierNode(Node):
         self._watch_time(settings)
 
     # -- wiring ----------------------------------------------------------------------------
-
-    def _injection_is_published(self) -> bool:
-        return bool(self.count_publishers(self._inputs.all[EXCITATION].topic) > 0)
 
     def _offer(self, kind: type, name: str, act: Callable[[Any], tuple[bool, str]]) -> None:
         """Offer a service that says, in its answer and in the log, whether and what it did."""

@@ -31,9 +31,6 @@ FINISH_WITHIN = 10.0
 ASIDE = ".refused"
 """Added to the name of a file that could not be used, before another takes its place."""
 
-SHORTEST_PERIOD = 1.0
-"""Shortest interval between two files that are written by themselves, s."""
-
 MEANING = (
     "imu.convention",
     "imu.rpy",
@@ -250,7 +247,7 @@ class Memory:
         period = self._identifier.settings.save_period
         if period == 0.0 or estimate is None or not estimate.usable:
             return
-        if now - self._last_save < max(period, SHORTEST_PERIOD):
+        if now - self._last_save < period:
             return
         self._last_save = now
         if self._path is not None and self._changed(estimate):
