@@ -3,10 +3,10 @@
 
     .venv/bin/python benchmarks/sample_walk.py [--list]
 
-An identifier flies the start of a committed bag. Then everything is counted that is called from a
-rates sample on until the estimate it belongs to is there: what the samples of two ticks call, as
-two are learned from at once. Functions count by their name in the source, comprehensions and
-lambdas as a part of the function they stand in.
+An identifier flies the start of a committed bag. Then everything is counted that is called from the
+bytes of a rates message on until the estimate it belongs to is there: what the samples of two ticks
+call, as two are learned from at once. Functions count by their name in the source, comprehensions
+and lambdas as a part of the function they stand in.
 """
 
 import sys
@@ -19,12 +19,13 @@ from typing import Any
 import bench
 
 import uav_ident_ros
-from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.samples import RATES
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.messages.feed import decode_imu_cdr
-from uav_ident_ros.messages.types import ActuatorReader
+from uav_ident_ros.messages.feed import Feed
+from uav_ident_ros.messages.streams import STREAMS
 
 FLIGHT = bench.ROOT / "bags" / "c172p"
 LEARNING = 30.0
@@ -56,9 +57,9 @@ def walked(work: Callable[[], object], found: Walk) -> None:
         sys.setprofile(None)
 
 
-def follow(identifier: OnlineIdentifier, *sample: Any) -> None:
-    """Take a sample and compute what it makes due."""
-    identifier.add_rates(*sample)
+def follow(identifier: OnlineIdentifier, feed: Feed, message: Message) -> None:
+    """Take a message and compute what it makes due."""
+    feed.take(message.data, message.log_ns)
     list(identifier.advance())
 
 
@@ -66,23 +67,21 @@ def walk_of_a_sample() -> Walk:
     """Fly the start of the bag; return the walk of the samples of two ticks."""
     walk: Walk = {}
     settings = Settings.from_values(load_parameters(FLIGHT / "identifier.yaml", "identifier"))
-    identifier, read = OnlineIdentifier(settings), ActuatorReader(settings.actuators)
+    identifier = OnlineIdentifier(settings)
     with Bag(FLIGHT) as bag:
-        decode = bag.decoder("/actuators")
-        for topic, log_ns, data in bag.messages(["/imu/data", "/actuators"]):
-            reading = decode_imu_cdr(data) if topic == "/imu/data" else None
-            if reading is None or reading.rates is None:
-                t_ns, values = read(decode(data))
-                identifier.add_actuators(t_ns or log_ns, values)
-                continue
-            sample = (reading.stamp_ns, reading.rates, reading.specific_force)
-            flown = (log_ns - bag.start_ns) * 1e-9 - LEARNING
-            if flown > 2.0 / settings.update_rate:
-                return walk
-            if flown > 0.0:
-                walked(partial(follow, identifier, *sample), walk)
+        feeds = {
+            topic: Feed(stream, identifier, bag.decoder(topic))
+            for stream in STREAMS
+            if (topic := f"/{stream.topic}") in bag.types
+        }
+        for message in bag.messages(feeds):
+            feed, flown = feeds[message.topic], (message.log_ns - bag.start_ns) * 1e-9 - LEARNING
+            if flown <= 0.0 or feed.stream.name != RATES:
+                follow(identifier, feed, message)
+            elif flown <= 2.0 / settings.update_rate:
+                walked(partial(follow, identifier, feed, message), walk)
             else:
-                follow(identifier, *sample)
+                return walk
     raise SystemExit(f"'{FLIGHT}' is shorter than {LEARNING:g} s")
 
 
