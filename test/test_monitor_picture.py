@@ -192,17 +192,14 @@ def test_a_verdict_of_the_past_is_not_usable() -> None:
     assert not latched.usable
 
 
-def test_the_view_before_the_first_message() -> None:
-    shown = text(WatchedNode("/identifier"))
+def test_the_view_before_the_first_message_and_of_two_nodes_of_one_name() -> None:
+    result = WatchedNode("/identifier")
+    result.publishers = 2
+    shown = text(result)
     assert "no tick yet" in shown
     assert "no status on /diagnostics yet" in shown
     assert shown.count("no fit yet") == 3
-
-
-def test_two_nodes_of_one_name_are_named() -> None:
-    result, _ = received()
-    result.publishers = 2
-    assert "2 nodes publish under this name" in text(result)
+    assert "2 nodes publish under this name" in shown
 
 
 def test_a_trend_is_more_than_a_standard_deviation() -> None:
@@ -221,39 +218,29 @@ def fed(*ticks: tuple[float, float]) -> WatchedNode:
     return result
 
 
-def damping(result: WatchedNode) -> Coefficient:
-    """The coefficient `pdot/p`, as it is shown."""
-    (found,) = [c for c in result.rows()["pdot"] if c.name == "pdot/p"]
-    return found
+def test_a_trend_looks_back_ten_seconds_and_no_further_and_anew_when_time_goes_back() -> None:
+    def damping(*ticks: tuple[float, float]) -> Coefficient:
+        """The coefficient `pdot/p`, as it is shown."""
+        (found,) = [c for c in fed(*ticks).rows()["pdot"] if c.name == "pdot/p"]
+        return found
 
-
-def test_a_trend_looks_back_ten_seconds_and_no_further() -> None:
     rising = [(1.0 + 0.05 * k, 0.05 * k) for k in range(1000)]
-    coefficient = damping(fed(*rising))
+    coefficient = damping(*rising)
     assert coefficient.trend == 1
     assert coefficient.value - coefficient.past[0] == pytest.approx(TREND_TIME, abs=0.5)
     steady = [*rising, *((60.0 + 0.05 * k, rising[-1][1]) for k in range(300))]
-    assert damping(fed(*steady)).trend == 0
+    assert damping(*steady).trend == 0
+    assert damping((50.0, 9.0), (51.0, 9.0), (1.0, 0.0)).past == (0.0, 0.0)
 
 
-def test_a_trend_begins_anew_when_time_goes_back() -> None:
-    coefficient = damping(fed((50.0, 9.0), (51.0, 9.0), (1.0, 0.0)))
-    assert coefficient.past == (0.0, 0.0)
-
-
-def test_past_values_are_drawn_where_there_is_room() -> None:
+def test_past_values_are_drawn_where_there_is_room_in_signs_that_the_terminal_has() -> None:
     result = fed(*((1.0 + 0.5 * k, 0.1 * k) for k in range(20)))
     wide = text(result, 120)
-    assert "▁▂▃▄▅▆▇█"[0] in wide
-    assert "█" in wide
+    assert "▁" in wide and "█" in wide and "↗" in wide
     assert "█" not in text(result, 80)
-
-
-def test_terminals_without_unicode_get_other_signs() -> None:
-    result = fed((1.0, 0.0), (2.0, 1.0))
-    assert "↗" in text(result, 120)
-    assert "p      +1.000 0.010  100 /" in text(result, 120, encoding="ascii")
-    text(result, 120, encoding="ascii").encode("ascii")
+    plain = text(result, 120, encoding="ascii")
+    assert "p      +1.900 0.010  190 /" in plain
+    plain.encode("ascii")
 
 
 def test_modes_are_those_of_the_published_coefficients() -> None:

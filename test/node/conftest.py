@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 from node_process import StartNode
-from recordings import Fly, MakePlayer, Recording
+from recordings import Fly, Recording
 
 from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess, own_domain
@@ -85,16 +85,3 @@ def shared_fly(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fly]:
     """The same, for all tests of a file."""
     with flying(tmp_path_factory.mktemp("shared")) as start:
         yield start
-
-
-@pytest.fixture
-def make_player() -> Iterator[MakePlayer]:
-    """Make a player for a recording; it leaves the graph after the test."""
-    with ExitStack() as players:
-
-        def make(flight: Recording, **options: object) -> Player:
-            player = Player(flight.classes, **options)
-            players.callback(player.close)
-            return player
-
-        yield make

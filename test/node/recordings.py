@@ -22,7 +22,6 @@ RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
 TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC)
 NODE = "/identifier"
 
-MakePlayer = Callable[..., Player]
 Fly = Callable[..., tuple[NodeProcess, Player]]
 
 Spoil = Callable[[Any], None]

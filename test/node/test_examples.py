@@ -6,9 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from node_process import PATIENCE, StartNode
+from node_process import PATIENCE
 from programs import python
-from recordings import MakePlayer, recording
+from recordings import Fly, part, recording
 from repository import ROOT
 
 EXAMPLES = ROOT / "examples"
@@ -36,24 +36,18 @@ def test_what_reads_results_reads_those_of_a_replay(replayed_example: Path) -> N
     assert row.startswith("c172p           usable ")
 
 
-def test_live_plot_and_read_coefficients_follow_a_running_node(
-    start_node: StartNode, make_player: MakePlayer, tmp_path: Path
-) -> None:
+def test_live_plot_and_read_coefficients_follow_a_running_node(fly: Fly, tmp_path: Path) -> None:
     flight = recording("multisine", 60.0)
-    start_node(parameter_file=flight.parameter_file, sim_time=True)
+    _, player = fly(flight, sim_time=True)
     picture = tmp_path / "live.png"
     plot = subprocess.Popen(command("live_plot.py", "--save", str(picture), "--seconds", "3"))
     try:
-        player = make_player(flight)
-        player.wait_for_node()
         topic = "/identifier/coefficients_named"
         player.wait_until(lambda: player.node.count_subscribers(topic) == 2, "live_plot")
         # counted is not connected yet: the node flies on until the plot has received enough
-        begin = flight.messages[0].log_ns
         for second in range(60):
             if plot.poll() is None:
-                low, high = begin + second * 10**9, begin + (second + 1) * 10**9
-                player.play_in_step([m for m in flight.messages if low <= m.log_ns < high])
+                player.play_in_step(part(flight, second, second + 1))
         assert plot.wait(PATIENCE) == 0
     finally:
         plot.kill()

@@ -18,7 +18,6 @@ from repository import ROOT
 
 from uav_ident_ros.commandline import INTERRUPTED
 from uav_ident_ros.monitor.cli import parser
-from uav_ident_ros.player import Player
 
 MONITOR = [sys.executable, "-m", "uav_ident_ros.monitor.cli"]
 
@@ -174,14 +173,8 @@ def test_once_that_is_interrupted_does_not_say_usable(start_monitor: StartMonito
 def test_several_identifiers_are_listed_and_one_is_chosen(
     start_node: StartNode, start_monitor: StartMonitor
 ) -> None:
-    for name in ("one", "two"):
-        start_node(namespace=f"/{name}")
-    for name in ("one", "two"):
-        player = Player({}, f"/{name}/identifier", clock=False)
-        try:
-            player.wait_until(player.node_is_there, "the node")
-        finally:
-            player.close()
+    nodes = [start_node(namespace=f"/{name}") for name in ("one", "two")]
+    assert all(wait_for(lambda node=node: "no message on" in node.log) for node in nodes)
     monitor = start_monitor("--once", "--timeout", "60")
     shown, errors = monitor.communicate(timeout=PATIENCE)
     assert monitor.returncode == 2
@@ -197,32 +190,19 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
     assert "/two/identifier  waiting  not usable  no tick yet" in shown
 
 
-@pytest.fixture
-def on_terminal() -> Iterator[Callable[[list[str]], Terminal]]:
-    opened: list[Terminal] = []
-
-    def run(command: list[str]) -> Terminal:
-        opened.append(Terminal(command))
-        return opened[-1]
-
-    yield run
-    for terminal in opened:
-        terminal.close()
-
-
 def test_it_waits_for_a_node_draws_it_in_place_and_gives_the_terminal_back(
-    start_node: StartNode, start_monitor: StartMonitor, on_terminal: Callable[[list[str]], Terminal]
+    start_node: StartNode, start_monitor: StartMonitor
 ) -> None:
-    terminal = on_terminal(MONITOR)
-    assert terminal.read_until("looking for an identifier")
-    start_node()
-    assert terminal.read_until("no message on '/imu/data' yet")
-    assert "\x1b[?1049h" in terminal.received  # the alternate screen, without a cursor
-    assert "\x1b[?25l" in terminal.received
-    terminal.process.send_signal(signal.SIGINT)
-    assert terminal.read_until("\x1b[?1049l")
-    assert terminal.process.wait(PATIENCE) == 0
-    terminal.read_until("to the end of what was shown")
+    with contextlib.closing(Terminal(MONITOR)) as terminal:
+        assert terminal.read_until("looking for an identifier")
+        start_node()
+        assert terminal.read_until("no message on '/imu/data' yet")
+        assert "\x1b[?1049h" in terminal.received  # the alternate screen, without a cursor
+        assert "\x1b[?25l" in terminal.received
+        terminal.process.send_signal(signal.SIGINT)
+        assert terminal.read_until("\x1b[?1049l")
+        assert terminal.process.wait(PATIENCE) == 0
+        terminal.read_until("to the end of what was shown")
     assert "\x1b[?25h" in terminal.received
     assert "Traceback" not in terminal.received
     frame = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "\n", terminal.received)

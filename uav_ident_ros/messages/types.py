@@ -234,11 +234,10 @@ class ActuatorReader:
                 f"{', '.join(adapter.fields)}"
             )
         self._channels = settings.channels
-        self._indices: list[int] = []
+        self._named = isinstance(settings.channels[0], str)
+        self._indices = [] if self._named else [int(channel) for channel in settings.channels]
         self._names: list[str] | None = None  # of the newest message
-        if not isinstance(settings.channels[0], str):
-            self._indices = [int(channel) for channel in settings.channels]
-        elif not adapter.named:
+        if self._named and not adapter.named:
             raise MessageTypeError(
                 f"'actuators.channels' are names, but {settings.type} names no channels: "
                 "write their indices, from 0"
@@ -253,7 +252,7 @@ class ActuatorReader:
             If a channel is missing or not finite.
         """
         adapter, values = self._adapter, getattr(message, self.field)
-        if adapter.named and message.name != self._names:
+        if self._named and message.name != self._names:
             self._find(list(message.name))
         if adapter.count:
             values = values[: int(getattr(message, adapter.count))]
@@ -273,16 +272,14 @@ class ActuatorReader:
 
     def _find(self, names: list[str]) -> None:
         """Look the configured channels up among the `names` of a message."""
-        if isinstance(self._channels[0], str):
-            indices = []
-            for channel in self._channels:
-                if channel not in names:
-                    hint = f"; {meant}" if (meant := nearest(str(channel), names)) else ""
-                    found = f" among {listed(names)}" if names else ": the message names none"
-                    raise ChannelError(f"there is no channel '{channel}'{found}{hint}")
-                indices.append(names.index(str(channel)))
-            self._indices = indices
-        self._names = names
+        indices = []
+        for channel in map(str, self._channels):
+            if channel not in names:
+                hint = f"; {meant}" if (meant := nearest(channel, names)) else ""
+                found = f" among {listed(names)}" if names else ": the message names none"
+                raise ChannelError(f"there is no channel '{channel}'{found}{hint}")
+            indices.append(names.index(channel))
+        self._indices, self._names = indices, names
 
 
 def listed(items: Sequence[object], nothing: str = "none") -> str:
