@@ -9,7 +9,6 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -28,13 +27,7 @@ COLUMN_WIDTH = 26
 """Characters of a column: name, value, sigma, t-ratio, trend."""
 
 GAP = 1
-"""Characters between two columns, and two cells."""
-
-CELL_WIDTHS = (5, 7, 5, 4)
-"""Characters of name, value, sigma and t-ratio."""
-
-LONGEST_NAME = 10
-"""Characters of `alphadot/1`."""
+"""Characters between two columns."""
 
 AXES = 3
 """Columns that should fit side by side."""
@@ -121,20 +114,14 @@ def picture(watched: WatchedNode, console: Console) -> RenderableType:
     rows = watched.rows()
     angles = [c for row in KINEMATIC_ROWS for c in rows.pop(row, ())]
     parts = [_row(watched, row, found, glyphs, sparks) for row, found in rows.items()]
-    count = max(1, min(AXES, (console.width + GAP) // (width + GAP)))
-    table = _grid([width] * count, numbers=False)
     parts += [_kinematics(angles)] if angles else []
+    count = max(1, min(AXES, (console.width + GAP) // (width + GAP)))
+    table = Table.grid(padding=(0, GAP, 0, 0))
+    for _ in range(count):
+        table.add_column(width=width, no_wrap=True)
     for first in range(0, len(parts), count):
         table.add_row(*parts[first : first + count])
     return Group(*_head(watched), "", table, *_inputs(watched), *_foot(watched, glyphs))
-
-
-def _grid(widths: Sequence[int], numbers: bool = True) -> Table:
-    table = Table.grid(padding=(0, GAP, 0, 0))
-    for cell, width in enumerate(widths):
-        side: Literal["left", "right"] = "right" if cell and numbers else "left"
-        table.add_column(justify=side, width=width, no_wrap=True)
-    return table
 
 
 # --- who and how ------------------------------------------------------------------------------
@@ -173,31 +160,25 @@ def _row(
     coefficients: Sequence[Coefficient],
     glyphs: Glyphs,
     sparks: bool,
-) -> RenderableType:
+) -> Text:
     """Return a row of the model: its excitation, fit and coefficients."""
-    head, fit = Text(row, "bold"), []
+    lines = [Text(row, "bold")]
     if row in ROWS:
         k = ROWS.index(row)
         if watched.newest is not None:
             usable = watched.newest.usable_rows[k] and watched.fresh
-            head.append(f" {glyphs.verdicts[usable]}", "green" if usable else "yellow")
-        fit.append(_fit(*watched.fit_of(k)))
+            lines[0].append(f" {glyphs.verdicts[usable]}", "green" if usable else "yellow")
+        lines.append(_fit(*watched.fit_of(k)))
     excitation = watched.number(f"excitation {row} [0..1]")
     if excitation is not None:
-        head.append(f"   excited {excitation:.2f}", "not bold dim")
-    table = _grid(CELL_WIDTHS)
-    table.add_column(no_wrap=True)
-    for coefficient in coefficients:
-        table.add_row(*_cells(coefficient, glyphs, sparks))
-    return Group(head, *fit, table)
+        lines[0].append(f"   excited {excitation:.2f}", "not bold dim")
+    lines += (_coefficient(c, glyphs, sparks) for c in coefficients)
+    return Text("\n").join(lines)
 
 
-def _kinematics(coefficients: Sequence[Coefficient]) -> Table:
-    table = _grid((LONGEST_NAME, *CELL_WIDTHS[1:3]))
-    table.add_row(Text("kinematics", "bold"))
-    for coefficient in coefficients:
-        table.add_row(coefficient.name, _value(coefficient.value), _sigma(coefficient.sigma))
-    return table
+def _kinematics(coefficients: Sequence[Coefficient]) -> Text:
+    lines = (f"{c.name:<10} {_value(c.value):>7} {_sigma(c.sigma):>5}" for c in coefficients)
+    return Text.assemble(("kinematics", "bold"), *(f"\n{line}" for line in lines))
 
 
 def _fit(fit: float | None, hold: float | None) -> Text:
@@ -209,18 +190,18 @@ def _fit(fit: float | None, hold: float | None) -> Text:
     return Text.assemble((f"fit {fit:.0f} %", "green" if better else "yellow"), (held, "dim"))
 
 
-def _cells(coefficient: Coefficient, glyphs: Glyphs, sparks: bool) -> Iterator[Text]:
-    """Yield name, value, standard deviation, t-ratio and trend of a coefficient."""
-    ratio = coefficient.t_ratio
+def _coefficient(coefficient: Coefficient, glyphs: Glyphs, sparks: bool) -> Text:
+    """Return name, value, standard deviation, t-ratio and trend of a coefficient."""
+    ratio, trend = coefficient.t_ratio, coefficient.trend
     style = "" if ratio is None or ratio >= WELL_KNOWN else "dim"
     shown = "" if ratio is None else ">999" if ratio > SHOWN_RATIO else f"{ratio:.0f}"
     name = coefficient.name.partition("/")[2]
-    for text in (name, _value(coefficient.value), _sigma(coefficient.sigma), shown):
-        yield Text(text, style)
+    value, sigma = _value(coefficient.value), _sigma(coefficient.sigma)
+    line = Text.assemble((f"{name:<5} {value:>7} {sigma:>5} {shown:>4}", style))
     if coefficient.sigma > 0.0:
-        trend = coefficient.trend
         past = f" {_spark_line(coefficient, glyphs.sparks)}" if sparks else ""
-        yield Text(f"{glyphs.trends[trend]}{past}", "cyan" if trend else "dim")
+        line.append(f" {glyphs.trends[trend]}{past}", "cyan" if trend else "dim")
+    return line
 
 
 def _value(value: float) -> str:
