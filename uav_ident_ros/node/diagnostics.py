@@ -4,10 +4,10 @@
 import math
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -40,16 +40,16 @@ class TickMeter:
     ) -> None:
         self.count = 0
         self._period = period
-        self._ages: deque[float] = deque(maxlen=TICKS_KEPT)
-        self._durations: deque[float] = deque(maxlen=TICKS_KEPT)
-        self._intervals: deque[float] = deque(maxlen=TICKS_KEPT)
-        self._last_call: float | None = None
+        self._ages, self._durations, self._intervals = (
+            deque[float](maxlen=TICKS_KEPT) for _ in range(3)
+        )
+        self._last_call = math.inf
         self._held_up = (-math.inf, 0.0)
 
     def called(self) -> None:
         """Note that the timer fired."""
         now = time.perf_counter()
-        if self._last_call is not None:
+        if self._last_call < now:
             self._intervals.append(now - self._last_call)
             if now - self._last_call > HELD_UP:
                 self._held_up = (now, now - self._last_call)
@@ -90,20 +90,9 @@ def level_of(state: str) -> bytes:
     return bytes(_LEVELS.get(state, DiagnosticStatus.WARN))
 
 
-def status(
-    name: str,  # Full name of the node
-    state: str,  # The state word
-    line: str,  # The state, and why it is in it
-    # Label of a group, or '' for none, to its labelled values
-    groups: Mapping[str, Iterable[tuple[str, str]]],
-) -> DiagnosticStatus:
-    """Build the node's diagnostic status."""
-    values = [
-        KeyValue(key=f"{group}: {key}" if group else key, value=value)
-        for group, entries in groups.items()
-        for key, value in entries
-    ]
-    return DiagnosticStatus(level=level_of(state), name=name, message=line, values=values)
+def grouped(group: str, values: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """Yield labelled values with the name of their group before each label."""
+    return ((f"{group}: {label}", value) for label, value in values)
 
 
 def estimate_values(estimate: Estimate, identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:

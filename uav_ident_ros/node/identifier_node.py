@@ -5,11 +5,11 @@ There is no estimation logic here: messages go in, due ticks are asked for, esti
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -191,10 +191,14 @@ class IdentifierNode(Node):
         before, self._logged = self._logged, without_numbers(line)
         if self._logged != before:
             self._log(diagnostics.level_of(state), line)
-        message = DiagnosticArray(header=Header(stamp=self.get_clock().now().to_msg()))
-        name = self.get_fully_qualified_name()
-        message.status.append(diagnostics.status(name, state, line, self._groups()))
-        self._diagnostics.publish(message)
+        status = DiagnosticStatus(
+            level=diagnostics.level_of(state),
+            name=self.get_fully_qualified_name(),
+            message=line,
+            values=[KeyValue(key=label, value=value) for label, value in self._values()],
+        )
+        header = Header(stamp=self.get_clock().now().to_msg())
+        self._diagnostics.publish(DiagnosticArray(header=header, status=[status]))
 
     def _log(self, level: bytes, line: str) -> None:
         log = self.get_logger()
@@ -231,25 +235,20 @@ class IdentifierNode(Node):
             "counted as late as that: give it more of the processor, or a type with stamps"
         )
 
-    def _groups(self) -> dict[str, list[tuple[str, str]]]:
-        settings = self.identifier.settings
-        groups = {
-            "": [
-                ("structure", settings.structure),
-                ("estimator", settings.estimator),
-                ("use_sim_time", str(self.get_clock().ros_time_is_active).lower()),
-                ("internal errors", str(self._guard.count)),
-                ("warnings", "; ".join(self._warnings) or "none"),
-            ],
-            "ticks": list(self._meter.values()),
-        }
+    def _values(self) -> Iterator[tuple[str, str]]:
+        """Yield everything beneath the state, each with its label."""
+        yield "structure", self.identifier.settings.structure
+        yield "estimator", self.identifier.settings.estimator
+        yield "use_sim_time", str(self.get_clock().ros_time_is_active).lower()
+        yield "internal errors", str(self._guard.count)
+        yield "warnings", "; ".join(self._warnings) or "none"
         if self._estimate is not None:
-            groups[""] += diagnostics.estimate_values(self._estimate, self.identifier)
+            yield from diagnostics.estimate_values(self._estimate, self.identifier)
+        yield from diagnostics.grouped("ticks", self._meter.values())
         for name, own in self._inputs.all.items():
             if name != EXCITATION or own.feed.received:
-                groups[name] = list(own.values())
-        groups["excite"] = list(self._excite.values())
-        return groups
+                yield from diagnostics.grouped(name, own.values())
+        yield from diagnostics.grouped("excite", self._excite.values())
 
     def finish(self) -> None:
         """Stop exciting and keep what was learned: the program ends, and it was asked to."""
