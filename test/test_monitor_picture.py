@@ -102,6 +102,7 @@ def test_other_widths_are_kept_and_nothing_is_lost(width: int) -> None:
     result, _ = received()
     shown = text(result, width)
     assert max(map(len, shown.splitlines())) <= width
+    assert text(received("flight_dynamics")[0], width, encoding="ascii").isascii()
     if width >= 40:
         for name in STRUCTURES["augmented"].regressors:
             assert re.search(rf"(^| ){name} ", shown, re.MULTILINE)

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from programs import python
 from repository import ROOT, console_scripts, setup_arguments
 
 from uav_ident_ros.commandline import USAGE_ERROR
@@ -90,21 +91,11 @@ def third_party(path: Path, *, lazy: bool) -> set[str]:
     return tops - set(sys.stdlib_module_names) - {PACKAGE, "__future__"}
 
 
-def loaded_with(module: str) -> set[Path]:
-    """Return the package's files that importing `module` loads, by their import statements."""
-    found: set[Path] = set()
-    pending = [module]
-    while pending:
-        name = pending.pop()
-        if name.split(".")[0] != PACKAGE:
-            continue
-        base = ROOT.joinpath(*name.split("."))
-        for path in (base.with_suffix(".py"), base / "__init__.py"):
-            if path.is_file() and path not in found:
-                found.add(path)
-                pending.extend(imports(path, lazy=False))
-        pending.append(name.rpartition(".")[0])
-    return found
+def loaded_with(*modules: str) -> set[Path]:
+    """Return the package's files that are loaded with some of its modules."""
+    own = f"[m.__file__ for n, m in sys.modules.items() if n.partition('.')[0] == '{PACKAGE}']"
+    code = f"import sys, {', '.join(modules)}; print(*{own}, sep='\\n')"
+    return {Path(line) for line in python("-c", code, check=True).stdout.splitlines()}
 
 
 RUNTIME_FILES = sorted((ROOT / PACKAGE).rglob("*.py")) + sorted((ROOT / "launch").glob("*.py"))
@@ -123,15 +114,21 @@ def test_shared_files_are_found_where_it_is_installed(tmp_path: Path):
     assert find("bags/multisine") == bag
 
 
-def test_versions_agree():
-    version = setup_arguments()["version"]
-
+def test_names_licences_and_versions_agree():
+    arguments, version = setup_arguments(), setup_arguments()["version"]
     assert re.fullmatch(r"\d+\.\d+\.\d+", version)
     assert manifest().findtext("version") == version
     assert importlib.import_module(PACKAGE).__version__ == version
     assert importlib.metadata.version(PACKAGE) == version
     headings = re.findall(r"^## \[(\d.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert headings[0] == version
+    assert manifest().findtext("name") == arguments["name"] == PACKAGE
+    assert manifest().findtext("license") == arguments["license"] == "Apache-2.0"
+    assert manifest().get("format") == "3"
+    assert manifest().findtext("export/build_type") == "ament_python"
+    licence = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert "Version 2.0, January 2004" in licence
+    assert "END OF TERMS AND CONDITIONS" in licence
 
 
 def test_bloom_can_read_the_manifest_and_the_changelog():
@@ -171,18 +168,6 @@ def test_the_unit_of_the_documentation_fits_the_node():
     assert float(service["TimeoutStopSec"]) > FINISH_WITHIN
     assert service["ExecStart"].count(f"lib/{PACKAGE}/identifier") == 1
     assert "identifier" in console_scripts()
-
-
-def test_names_and_licences_agree():
-    arguments = setup_arguments()
-
-    assert manifest().findtext("name") == arguments["name"] == PACKAGE
-    assert manifest().findtext("license") == arguments["license"] == "Apache-2.0"
-    assert manifest().get("format") == "3"
-    assert manifest().findtext("export/build_type") == "ament_python"
-    licence = (ROOT / "LICENSE").read_text(encoding="utf-8")
-    assert "Version 2.0, January 2004" in licence
-    assert "END OF TERMS AND CONDITIONS" in licence
 
 
 def test_entry_points_are_callable_and_shadow_nothing():
@@ -234,11 +219,11 @@ def test_manifest_names_only_what_apt_has():
 
 def test_core_imports_numpy_alone():
     files = sorted((ROOT / PACKAGE / "identification").rglob("*.py"))
-    assert files
     foreign = {path.name: third_party(path, lazy=True) - {"numpy"} for path in files}
-    assert not {name: found for name, found in foreign.items() if found}
-    reached = loaded_with(f"{PACKAGE}.identification") - set(files)
-    assert reached <= {ROOT / PACKAGE / "__init__.py"}
+    assert files and not {name: found for name, found in foreign.items() if found}
+    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files]
+    reached = loaded_with(*(name.removesuffix(".__init__") for name in names)) - set(files)
+    assert reached == {ROOT / PACKAGE / "__init__.py"}
 
 
 def test_node_runs_without_the_offline_packages():

@@ -56,9 +56,10 @@ class Glyphs:
     sparks: str = "▁▂▃▄▅▆▇█"  # Levels of the line of past values, lowest first
     verdicts: str = "✗✓"  # On a row: not usable, usable
     damping: str = "ζ"
+    degrees: str = "°"
 
 
-ASCII = Glyphs("-/\\", "_.-~^", "x+", "z")
+ASCII = Glyphs("-/\\", "_.-~^", "x+", "z", " deg")
 """For terminals without UTF-8."""
 
 
@@ -118,7 +119,7 @@ def picture(watched: WatchedNode, console: Console) -> RenderableType:
     count = max(1, min(AXES, (console.width + GAP) // (width + GAP)))
     table = Table.grid(padding=(0, GAP, 0, 0))
     for _ in range(count):
-        table.add_column(width=width, no_wrap=True)
+        table.add_column(width=width, no_wrap=True, overflow="crop")
     for first in range(0, len(parts), count):
         table.add_row(*parts[first : first + count])
     return Group(*_head(watched), "", table, *_inputs(watched), *_foot(watched, glyphs))
@@ -272,8 +273,11 @@ def _foot(watched: WatchedNode, glyphs: Glyphs) -> Iterator[Text]:
     """Yield the state of the model, its modes, the delay, the ticks and what is collinear."""
     values, flow = watched.group(), watched.newest and watched.newest.flow
     if flow:
-        angles = [f"{a} {math.degrees(getattr(flow, a)):+.1f}°" for a in STATE_FIELDS[:-1]]
-        yield _line("state", ", ".join([*angles, f"airspeed {flow.airspeed:.1f} m/s"]))
+        angles = (
+            f"{name} {math.degrees(getattr(flow, name)):+.1f}{glyphs.degrees}, "
+            for name in STATE_FIELDS[:-1]
+        )
+        yield _line("state", *angles, f"airspeed {flow.airspeed:.1f} m/s")
     if modes := watched.modes():
         yield _line("modes", ", ".join(_mode(mode, glyphs) for mode in modes))
     yield from _excitation(watched.group("excite"))
