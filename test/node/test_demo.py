@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from excerpts import PARAMETERS, excerpt
 from programs import Capture, python, refusal
-from recordings import recording, write_bag
 from repository import ROOT
 
 from uav_ident_ros.commandline import INTERRUPTED
@@ -20,9 +20,8 @@ PNG = b"\x89PNG"
 
 
 def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_path: Path) -> None:
-    flight = recording("multisine", 10.0)
-    bag = write_bag(flight, tmp_path / "short")
-    shutil.copy(flight.parameter_file, bag)
+    bag = excerpt(tmp_path / "short", 10.0)
+    shutil.copy(PARAMETERS, bag)
     options = ("--speed", "4", "--output", str(tmp_path))
     run = python("-m", "uav_ident_ros.demo", str(bag), *options, timeout=300.0)
     assert run.returncode == 0, run.stderr

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from excerpts import excerpt
 from recordings import (
     NODE,
     Fly,
@@ -17,7 +18,6 @@ from recordings import (
     replayed,
     wait_for_status,
     wait_for_words,
-    write_bag,
 )
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -82,6 +82,16 @@ def test_a_looped_bag_starts_cold_and_a_jump_ahead_keeps_the_coefficients(
     assert "filters restart, the coefficients stay" in node.log
     assert player.outputs.coefficients[0].data == learned
     assert player.outputs.coefficients[-1].data != learned
+
+
+def test_a_clock_that_moves_in_steps_is_a_fault_that_names_the_cure(
+    flight: Recording, shared: tuple[NodeProcess, Player]
+) -> None:
+    _, player = shared
+    for k in range(4):
+        player.send_clock(flight.messages[0].log_ns + k * 1_500_000_000)
+        player.spin_for(0.1)
+    wait_for_words(player, "/clock moves in steps of 1.5 s, and each of 'time_jump' (1 s)")
 
 
 class Cdr:
@@ -161,7 +171,7 @@ def test_unstamped_actuators_at_real_time_fit_within_a_point(fly: Fly, tmp_path:
     assert len(ticks) == len(player.outputs.coefficients)
     live = dict(zip(ticks, (m.data for m in player.outputs.coefficients), strict=True))
     values = load_parameters(flight.parameter_file, "identifier")
-    run = run_over(write_bag(flight, tmp_path / "flight"), values)
+    run = run_over(excerpt(tmp_path / "flight", 8.0, "pulses"), values)
     offline = run.score()["last_40_percent"].model
     missing = [e.t_ns for e in run.estimates if e.t_ns not in live]
     assert not missing

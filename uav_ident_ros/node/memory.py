@@ -18,6 +18,7 @@ from uav_ident_ros.files.coefficients_file import (
     remove_leftovers,
     save_coefficients,
 )
+from uav_ident_ros.files.strict_yaml import problem
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import NO_FILE, Settings, SettingsError
@@ -153,7 +154,7 @@ class Memory:
             return
         except (CoefficientsFileError, SettingsError, OSError) as error:
             self._refused = True
-            line = error.strerror or str(error) if isinstance(error, OSError) else str(error)
+            line = problem(error)
             line = line if str(path) in line else f"state file '{path}': {line}"
             self._log.warning(f"starting cold: {line}")
             return
@@ -200,8 +201,8 @@ class Memory:
         coefficients = self._identifier.coefficient_set(estimate.t_ns)
         self._writing = self._disk.submit(self._write, path, coefficients, notes)
         wait([self._writing], None if last else ANSWER_WITHIN)
-        if problem := self._outcome():
-            return False, problem
+        if failed := self._outcome():
+            return False, failed
         self._holds_usable = estimate.usable
         return True, f"writing '{path}'" if self._writing else f"saved to '{path}'"
 
@@ -234,8 +235,8 @@ class Memory:
         return ""
 
     def _look(self) -> None:
-        if problem := self._outcome():
-            self._log.error(problem)
+        if failed := self._outcome():
+            self._log.error(failed)
 
     def attend(
         self,
