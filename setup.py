@@ -51,7 +51,7 @@ setup(
     install_requires=["setuptools", "numpy"],
     extras_require={
         "blackbox": ["orangebox<0.5", "pyyaml", "rosbags"],
-        "import_log": ["pyyaml", "rosbags"],
+        "import_log": ["pyulog", "pyyaml", "rosbags"],
         "jsbsim": ["jsbsim"],
         "monitor": ["rich"],
         "replay": ["bokeh", "jinja2", "pyyaml", "matplotlib", "mcap", "pyarrow", "rosbags", "tqdm"],

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blackbox logs of quadrotors, and those that cannot be used."""
 
-import sys
 from pathlib import Path
 
 import blackbox_writing
@@ -104,12 +103,3 @@ def test_blackboxes_that_cannot_be_used(importer: Importer) -> None:
         (blackbox(0), "has no frames that can be read"),
     ):
         assert words in importer.refused(written(importer, content))
-
-
-def test_without_orangebox_its_extra_is_named(
-    importer: Importer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "orangebox", None)
-    line = importer.refused(written(importer, blackbox(50)))
-    assert "orangebox is not installed" in line
-    assert "uav_ident_ros[blackbox]" in line

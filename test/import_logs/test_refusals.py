@@ -4,6 +4,7 @@
 import os
 import re
 import struct
+import sys
 from collections.abc import Callable
 from copy import deepcopy
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blackbox_writing import blackbox
 from dataflash_writing import DataflashWriter
 from imported import Importer
 from programs import python
@@ -75,6 +77,19 @@ def test_the_output_is_not_overwritten(importer: Importer) -> None:
     (importer.folder / "refused").mkdir()
     assert "exists already" in importer.refused(ulog(importer.folder))
     assert not list((importer.folder / "refused").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("library", "extra", "content"),
+    [("orangebox", "blackbox", blackbox(50)), ("pyulog", "import_log", MAGIC + bytes(9))],
+)
+def test_without_its_library_the_extra_is_named(
+    importer: Importer, monkeypatch: pytest.MonkeyPatch, library: str, extra: str, content: bytes
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    line = importer.refused(spoilt(importer.folder / "log", content))
+    assert f"{library} is not installed" in line
+    assert f"uav_ident_ros[{extra}]" in line
 
 
 # --- both kinds ---------------------------------------------------------------------------------
@@ -155,7 +170,7 @@ def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
     parts += [message("L", b"6" + bytes(8) + b"take-off")]
     parts += [keyed("P", "float GAIN", struct.pack("<f", 0.5)), *data[5:]]
     path = spoilt(tmp_path / "nested.ulg", b"".join(parts))
-    ours, theirs = read_ulog(path), ULog(str(path))
+    ours, theirs = read_ulog(path, {"nested"}), ULog(str(path))
     assert ours.findings == Findings(
         lost=["the logger lost messages 1 times, together 0.01 s, at most 0.01 s (dropouts)"]
     )

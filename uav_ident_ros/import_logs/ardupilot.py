@@ -148,9 +148,7 @@ def _by_events(log: Log, meaning: dict[int, bool]) -> tuple[str, Stretches] | No
 
 def _between(log: Log, t_ns: TimeArray, states: BoolArray) -> list[tuple[int, int]]:
     """Stretches of a state whose changes are logged: before the first it was the other."""
-    return intervals(
-        np.append(log.start_ns or 0, t_ns), np.append(not states[0], states), log.end_ns
-    )
+    return intervals(np.append(log.start_ns, t_ns), np.append(not states[0], states), log.end_ns)
 
 
 def _gyro(log: Log, name: str, unit: int) -> Messages | None:

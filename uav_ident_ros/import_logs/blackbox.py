@@ -95,10 +95,7 @@ def _read(log: Log) -> tuple[dict[str, Any], Messages]:
     try:
         from orangebox import Parser
     except ImportError:
-        raise log.refusal(
-            ": orangebox is not installed, which reads blackbox logs: "
-            "pip install 'uav_ident_ros[blackbox]' or pip install 'orangebox<0.5'"
-        ) from None
+        raise log.lacks("orangebox", "blackbox logs", "blackbox", "orangebox<0.5") from None
     logging.getLogger("orangebox").addHandler(logging.NullHandler())  # it is wordy on stderr
     parser = Parser.load(str(log.path), allow_invalid_header=True)
     starts = [*parser.reader.log_pointers, log.path.stat().st_size]

@@ -6,25 +6,17 @@ and FMT messages say how long a type is and what it holds. Where that does not h
 looks for the next place where it does, and says how much lies between.
 """
 
-import mmap
 import re
 import struct
-from collections.abc import Collection
-from functools import partial
+from array import array
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.import_logs.log import (
-    STAMPS,
-    BinaryLog,
-    Gap,
-    Log,
-    Messages,
-    Places,
-    Records,
-    read_binary,
-)
+from uav_ident_ros.import_logs.binary import CUT_OFF, BinaryLog, read_bytes
+from uav_ident_ros.import_logs.log import STAMPS, Column, Log, Messages
 
 HEADER = b"\xa3\x95"
 """First bytes of every message, before the number of its type."""
@@ -56,6 +48,24 @@ FIELD_TYPES: dict[str, tuple[str, float]] = {
 """NumPy type of each format character, and what its integers are to be divided by."""
 
 
+@dataclass
+class Kind:
+    """A type of messages as its declaration describes it."""
+
+    name: str
+    dtype: np.dtype[np.void]  # Its first field is the header
+    divisors: Sequence[float]  # What the values are to be divided by
+
+    def columns(self, data: bytes, places: Sequence[int]) -> dict[str, Column]:
+        """Return the fields of the messages at some places as arrays, in their declared units."""
+        size, names = self.dtype.itemsize, (self.dtype.names or ())[1:]
+        rows = np.frombuffer(b"".join(data[at : at + size] for at in places), self.dtype)
+        return {
+            name: rows[name] if divisor == 1.0 else rows[name] / divisor
+            for name, divisor in zip(names, self.divisors, strict=True)
+        }
+
+
 def read_dataflash(path: Path, types: Collection[str]) -> Log:
     """Read some types of the messages of a dataflash log.
 
@@ -64,87 +74,90 @@ def read_dataflash(path: Path, types: Collection[str]) -> Log:
     ImportLogError
         If the file cannot be read.
     """
-    return read_binary(path, partial(_Dataflash, types=types), 0)
+    log, data = Log(path), read_bytes(path)
+    found = _Dataflash(data)
+    places, gaps = found.walk(0)
+    by_number = {number: array("q") for number in found.kinds}
+    for at in places:
+        by_number[data[at + 2]].append(at)
+    taken = set[str]()
+    for number, kind in found.kinds.items():
+        if not by_number[number]:
+            continue
+        log.kinds.add(kind.name)
+        if kind.name in taken or kind.name not in {*types, *OLD_INSTANCES, "MSG", "PARM"}:
+            continue
+        taken.add(kind.name)
+        columns = kind.columns(data, by_number[number])
+        if kind.name == "MSG":
+            log.texts += map(_text, columns.get("Message", ()))
+        elif kind.name == "PARM":
+            _take_parameters(log, columns)
+        elif STAMPS.keys() & columns:
+            name, instance = OLD_INSTANCES.get(kind.name, (kind.name, 0))
+            log.add(name, instance, columns, INSTANCE_FIELD)
+    found.note_loss(log, gaps)
+    return log
+
+
+def _take_parameters(log: Log, columns: dict[str, Column]) -> None:
+    names, values = (columns.get(field, np.zeros(0)) for field in ("Name", "Value"))
+    stamped = STAMPS.keys() & columns
+    t = Messages("", columns).stamp_ns * 1e-9 if stamped else np.zeros(len(values))
+    for name, value, at in zip(names, values.tolist(), t.tolist(), strict=False):
+        log.set_parameter(_text(name), float(value), at)
 
 
 class _Dataflash(BinaryLog):
     begins = re.compile(rb"(?!)")
 
-    def __init__(self, data: mmap.mmap, log: Log, types: Collection[str]) -> None:
-        super().__init__(data, log)
-        self._types, self._kinds = types, dict[int, Records]()
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self.kinds: dict[int, Kind] = {}
         self._declare(FMT, _kind(b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"))
 
-    def _declare(self, number: int, kind: Records) -> None:
+    def _declare(self, number: int, kind: Kind) -> None:
         """Take a type; the first declaration counts, a later one may be damaged."""
-        if number not in self._kinds:
-            self._kinds[number] = kind
+        if number not in self.kinds:
+            self.kinds[number] = kind
             self.lengths.add(kind.dtype.itemsize)
-            known = re.escape(bytes(self._kinds))
+            known = re.escape(bytes(self.kinds))
             self.begins = re.compile(re.escape(HEADER) + b"[" + known + b"]", re.DOTALL)
 
     def length(self, at: int) -> int:
         header = self.data[at : at + 3]
-        kind = self._kinds.get(header[2]) if header[:2] == HEADER and len(header) == 3 else None
+        kind = self.kinds.get(header[2]) if header[:2] == HEADER and len(header) == 3 else None
         return kind.dtype.itemsize if kind and at + kind.dtype.itemsize <= self.size else 0
 
     def resembles(self, at: int) -> bool:
         first, second, number = self.data[at : at + 3].ljust(3, b"\0")
-        return (first == HEADER[0]) + (second == HEADER[1]) + (number in self._kinds) >= 2
+        return (first == HEADER[0]) + (second == HEADER[1]) + (number in self.kinds) >= 2
 
-    def take(self, at: int, length: int) -> Places | None:
-        number = self.data[at + 2]
-        if number == FMT:
-            declared, size, *texts = struct.unpack("<3xBB4s16s64s", self.data[at : at + length])
-            try:
-                kind = _kind(*texts)
-            except ValueError:  # it contradicts itself
-                pass
-            else:
-                if kind.dtype.itemsize == size:
-                    self._declare(declared, kind)
-        return self._kinds[number].places
+    def learn(self, at: int, length: int) -> None:
+        if self.data[at + 2] != FMT:
+            return
+        declared, size, *texts = struct.unpack("<3xBB4s16s64s", self.data[at : at + length])
+        try:
+            kind = _kind(*texts)
+        except ValueError:  # it contradicts itself
+            return
+        if kind.dtype.itemsize == size:
+            self._declare(declared, kind)
 
-    def finish(self, gaps: list[Gap]) -> bool:
-        log, taken = self.log, set[str]()
-        for kind in self._kinds.values():
-            if not kind.places:
-                continue
-            log.kinds.add(kind.name)
-            names = kind.dtype.names or ()
-            if kind.name == "MSG" and "Message" in names:
-                log.texts += map(_text, kind.columns(self.data)["Message"])
-            elif kind.name == "PARM" and {"Name", "Value"} <= set(names):
-                self._take_parameters(kind)
-            elif kind.name not in taken and set(STAMPS) & set(names):
-                taken.add(kind.name)
-                kind.name, kind.instance = OLD_INSTANCES.get(kind.name, (kind.name, 0))
-                if kind.name in self._types:
-                    self.keep(kind, INSTANCE_FIELD)
-        stamps = np.hstack(self.stamped)[1, 1:]
-        log.start_ns = int(stamps.min()) if len(stamps) else None
-        if gaps and gaps[-1][1] == self.size and self.size - gaps[-1][0] < TRAILER:
-            if self.data[gaps[-1][0] :][:2] == HEADER:
-                return True
-            gaps.pop()
-        return False
-
-    def _take_parameters(self, kind: Records) -> None:
-        columns = kind.columns(self.data)
-        timed = set(STAMPS) & set(columns)
-        t = Messages("", columns).stamp_ns * 1e-9 if timed else np.zeros(len(kind.places))
-        for values in zip(columns["Name"], columns["Value"], t.tolist(), strict=True):
-            self.log.set_parameter(_text(values[0]), float(values[1]), values[2])
+    def rest(self, at: int) -> str | None:
+        if self.size - at >= TRAILER:
+            return None
+        return CUT_OFF if self.data[at:].startswith(HEADER) else ""
 
 
-def _kind(name: bytes, characters: bytes, columns: bytes) -> Records:
+def _kind(name: bytes, characters: bytes, columns: bytes) -> Kind:
     """Return a type of messages as its declaration describes it; ValueError if it cannot be."""
     names = list(filter(None, _text(columns).split(",")))
     found = [FIELD_TYPES.get(character, ("", 0.0)) for character in _text(characters)]
     if ("", 0.0) in found or len(names) != len(found):
         raise ValueError("no such format")
     dtype = np.dtype([("", "S3"), *((n, kind) for n, (kind, _) in zip(names, found, strict=True))])
-    return Records(_text(name), dtype, [divisor for _, divisor in found])
+    return Kind(_text(name), dtype, [divisor for _, divisor in found])
 
 
 def _text(characters: bytes) -> str:

@@ -1,13 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An autopilot's log in memory: messages as arrays, parameters, what is damaged.
+"""An autopilot's log in memory: messages as arrays, parameters, what there is to say of it."""
 
-Binary logs that describe themselves are read here, too: every message, over damaged places.
-"""
-
-import mmap
-import re
-from array import array
-from collections.abc import Callable, MutableSequence, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError
 from uav_ident_ros.import_logs.stamps import plausible, rate
 from uav_ident_ros.messages.types import NS_PER_US
@@ -89,12 +82,23 @@ class Log:
     changes: list[tuple[float, str, float]] = field(default_factory=list)
     texts: list[str] = field(default_factory=list)  # What the autopilot said of itself
     findings: Findings = field(default_factory=Findings)  # What there is to say about it
-    start_ns: int | None = None  # Stamp of the start, ns; None if it is not known
     _found: dict[tuple[str, int], Messages] = field(default_factory=dict)
 
     def refusal(self, reason: str) -> ImportLogError:
         """Return the error that says why the log cannot be imported."""
         return ImportLogError(f"log '{self.path}'{reason}")
+
+    def lacks(self, library: str, kind: str, extra: str, pinned: str) -> ImportLogError:
+        """Return the error that says which library to install."""
+        return self.refusal(
+            f": {library} is not installed, which reads {kind}: "
+            f"pip install 'uav_ident_ros[{extra}]' or pip install '{pinned}'"
+        )
+
+    @property
+    def start_ns(self) -> int:
+        """Oldest stamp, ns."""
+        return min((int(m.stamp_ns.min()) for m in self._found.values()), default=0)
 
     @property
     def end_ns(self) -> int:
@@ -103,13 +107,12 @@ class Log:
 
     def add(
         self, name: str, instance: int, columns: dict[str, Column], instance_field: str = ""
-    ) -> tuple[BoolArray, TimeArray]:
-        """Add messages; return which are kept, those with a stamp that a clock gave, and theirs.
+    ) -> None:
+        """Add those messages whose stamps a clock gave.
 
         With an `instance_field` they are of several instances, as it says.
         """
-        t_ns = Messages(name, columns).stamp_ns
-        good = plausible(t_ns)
+        good = plausible(Messages(name, columns).stamp_ns)
         if not good.all():
             self.findings.damage.append(
                 f"{int((~good).sum())} of {len(good)} samples of {name} have a stamp that no clock "
@@ -122,7 +125,6 @@ class Log:
             named = f"{name}[{number}]" if number else name
             self._found[name, number] = Messages(named, chosen)
             self.kinds.add(name)
-        return good, t_ns[good]
 
     def messages(self, name: str, instance: int = 0) -> Messages | None:
         """Return the messages of a kind and instance, if there are any."""
@@ -140,146 +142,3 @@ class Log:
         """Take a parameter; a value that is not the first is a change at the time `t`, s."""
         if np.isfinite(value) and self.parameters.setdefault(name, value) != value:
             self.changes.append((t, name, value))
-
-
-# --- binary logs that describe themselves ---------------------------------------------------------
-
-
-Gap = tuple[int, int]
-"""Where bytes that are no message begin and end."""
-
-Places = MutableSequence[int]
-"""Where messages begin."""
-
-
-@dataclass
-class Records:
-    """Messages of one kind: how they look, and where they are."""
-
-    name: str
-    dtype: np.dtype[np.void]  # Its first field is the header
-    divisors: Sequence[float] = ()  # What the values are to be divided by; none if left out
-    instance: int = 0
-    sizes: range = range(0)  # Bytes that a message may have
-    places: Places = field(default_factory=lambda: array("q"))
-
-    def columns(self, data: mmap.mmap) -> dict[str, Column]:
-        """Return the fields as arrays, in the units of their declaration."""
-        size, names = self.dtype.itemsize, (self.dtype.names or ())[1:]
-        rows = np.frombuffer(b"".join(data[at : at + size] for at in self.places), self.dtype)
-        divisors = self.divisors or [1.0] * len(names)
-        return {
-            name: rows[name] if divisor == 1.0 else rows[name] / divisor
-            for name, divisor in zip(names, divisors, strict=True)
-        }
-
-
-class BinaryLog:
-    """What a format has to say of itself, for its messages to be found over damaged places."""
-
-    begins: re.Pattern[bytes]  # Matches where a message may begin that is certain to be one
-
-    def __init__(self, data: mmap.mmap, log: Log) -> None:
-        self.data, self.size, self.log = data, len(data), log
-        self.lengths: set[int] = set()  # Lengths that messages with samples can have, bytes
-        self.stamped = [np.array([[-1], [0]])]  # Places and stamps, ns, of what was kept
-
-    def length(self, at: int) -> int:
-        """Return the length of the message that begins here, bytes; 0 if none does."""
-        raise NotImplementedError
-
-    def resembles(self, at: int) -> bool:
-        """Return whether what stands here is the begin of a message but for a byte or so."""
-        raise NotImplementedError
-
-    def take(self, at: int, length: int) -> Places | None:
-        """Take the message that begins here; return the places of its kind, if they are kept."""
-        raise NotImplementedError
-
-    def finish(self, gaps: list[Gap]) -> bool:
-        """Take the samples; return whether the last of the gaps is a cut at the end."""
-        raise NotImplementedError
-
-    def keep(self, records: Records, instance_field: str = "") -> None:
-        """Add the samples of some records to the log."""
-        columns = records.columns(self.data)
-        good, t_ns = self.log.add(records.name, records.instance, columns, instance_field)
-        self.stamped.append(np.array([np.array(records.places)[good], t_ns]))
-
-    def walk(self, start: int) -> list[Gap]:
-        """Take every message, and return the gaps between them.
-
-        A message is taken if it begins where the one before it ends, or, behind a gap, where one
-        begins for certain.
-        """
-        gaps: list[Gap] = []
-        places: Places | None = None
-        at = last = start
-        while at < self.size:
-            if length := self.length(at):
-                places = self.take(at, length)
-                if places is not None:
-                    places.append(at)
-                at, last = at + length, at
-                continue
-            taken = last < at
-            following = self._next_certain(last + 1 if taken else at + 1)
-            # What has led to no message was none itself, if it reaches into the one that follows,
-            # or if with it the gap is as long as a message, and no damaged one begins behind it:
-            # then its type is what is damaged.
-            misread = following - last in self.lengths and not self.resembles(at)
-            if taken and (following < at or misread):
-                if places:
-                    places.pop()
-                at = last
-            gaps.append((at, following))
-            at = last = following
-        return gaps
-
-    def _next_certain(self, start: int) -> int:
-        """Return where the next two messages follow each other, or one ends the file."""
-        for found in self.begins.finditer(self.data, start):
-            end = found.start() + (length := self.length(found.start()))
-            if length and (end == self.size or self.length(end)):
-                return found.start()
-        return self.size
-
-    def note_loss(self, gaps: list[Gap]) -> None:
-        """Say how much of the file could not be read."""
-        if self.finish(gaps):
-            gaps.pop()
-            self.log.findings.doubt("the file is cut off at its end: what is there was read")
-        if not gaps:
-            return
-        lost = sum(end - begin for begin, end in gaps)
-        kept = np.hstack(self.stamped)
-        places, stamps = kept[:, np.argsort(kept[0])]
-        lost_ns = 0
-        for begin, end in gaps:
-            before, after = np.searchsorted(places, begin) - 1, np.searchsorted(places, end)
-            if before > 0 and after < len(places):
-                lost_ns += max(int(stamps[after] - stamps[before]), 0)
-        self.log.findings.damage.insert(
-            0,
-            f"the file is damaged: {lost} of {self.size} bytes ({100.0 * lost / self.size:.2g} %) "
-            f"in {len(gaps)} place{'s' if len(gaps) > 1 else ''}, about {lost_ns * 1e-9:.2g} s of "
-            "the log, could not be read; all the rest was",
-        )
-
-
-def read_binary(path: Path, make: Callable[[mmap.mmap, Log], BinaryLog], start: int) -> Log:
-    """Read a binary log whose first message begins at `start`.
-
-    Raises
-    ------
-    ImportLogError
-        If the file cannot be read.
-    """
-    log = Log(path)
-    try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            found = make(data, log)
-            found.note_loss(found.walk(start))
-    except OSError as error:
-        raise ImportLogError(f"log '{path}' cannot be read: {error.strerror or error}") from None
-    return log

@@ -72,11 +72,9 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     ImportLogError
         If the file cannot be read, or has no rates or no actuators.
     """
-    if path.is_dir():
-        streams = {kind for kinds in KNOWN["streams"].values() for kind in kinds}
-        log = read_folder(path, {*RATES_READERS, *COMMANDS, *streams, *KNOWN["force"], LANDED})
-    else:
-        log = read_ulog(path)
+    streams = {kind for kinds in KNOWN["streams"].values() for kind in kinds}
+    topics = {*RATES_READERS, *COMMANDS, *streams, *KNOWN["force"], LANDED}
+    log = (read_folder if path.is_dir() else read_ulog)(path, topics)
     it = Import(log, KNOWN, choice)
     for name in ("CA_AIRFRAME", "MAV_TYPE"):
         it.refuse_others(name, log.parameters.get(name), name)

@@ -1,56 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
 """A PX4 log (ULog, or its tables): topics as arrays, parameters, what is damaged.
 
-The format describes itself, by https://docs.px4.io/main/en/dev_log/ulog_file_format: behind a
-header of 16 bytes every message begins with its size and a letter for its type. F declares a
-format, A a topic of it, P a parameter, I a fact; D is a sample of a topic.
+pyulog reads what is certain to be messages: on its own it loses its way behind damaged bytes. By
+https://docs.px4.io/main/en/dev_log/ulog_file_format a header of 16 bytes stands before the
+messages, and each begins with its size and a letter for its type. F declares a format, A a topic
+of it, P a parameter, I a fact; D is a sample of a topic.
 """
 
-import mmap
+import contextlib
+import io
 import re
 import struct
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from uav_ident_ros.import_logs.binary import CUT_OFF, BinaryLog, read_bytes
 from uav_ident_ros.import_logs.flight_log import ImportLogError
-from uav_ident_ros.import_logs.log import BinaryLog, Column, Gap, Log, Places, Records, read_binary
-from uav_ident_ros.messages.types import NS_PER_US
+from uav_ident_ros.import_logs.log import Column, Log
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 """First bytes of every ULog file."""
 
-FILE_HEADER, MESSAGE_HEADER = 16, 3
-"""Bytes before the first message, and before what a message holds."""
+FILE_HEADER, MESSAGE_HEADER, FLAGS = 16, 3, 40
+"""Bytes before the first message, before what a message holds, and of the flags' message."""
 
 HEADER = struct.Struct("<Hc")
 
 SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 """Content of the messages that PX4 writes to be found behind damage."""
 
-FIELD_TYPES = {
-    **{f"{sign}int{8 * n}_t": f"<{sign or 'i'}{n}" for n in (1, 2, 4, 8) for sign in ("", "u")},
-    **{"float": "<f4", "double": "<f8", "bool": "i1", "char": "i1"},
+SIZES = {
+    **{f"{sign}int{8 * n}_t": n for n in (1, 2, 4, 8) for sign in ("", "u")},
+    **{"float": 4, "double": 8, "bool": 1, "char": 1},
 }
-"""NumPy type of each type of a field."""
+"""Bytes of each type of a field."""
 
 FORMS = {
-    b"B": re.compile(b".{40}", re.DOTALL),
-    b"F": re.compile(rb"[\w/]+:[\w/ ;\[\]]*"),
-    b"S": re.compile(re.escape(SYNC)),
-    b"L": re.compile(b".{9,}", re.DOTALL),
-    b"C": re.compile(b".{11,}", re.DOTALL),
-    b"R": re.compile(b"..", re.DOTALL),
-    b"O": re.compile(b"..", re.DOTALL),
+    "S": re.compile(re.escape(SYNC)),
+    "L": re.compile(b".{9,}", re.DOTALL),
+    "C": re.compile(b".{11,}", re.DOTALL),
+    "R": re.compile(b"..", re.DOTALL),
+    "O": re.compile(b"..", re.DOTALL),
 }
 """What the messages of a type hold, where that has a form of its own."""
 
-KEYS = {b"I": 0, b"P": 0, b"M": 1, b"Q": 1}
+KEYS = {"I": 0, "P": 0, "M": 1, "Q": 1}
 """Where the key of a value begins, by the type of the messages."""
 
-KEY = re.compile(rb"[a-z0-9_]+(\[\d+\])? [\w-]+")
+KEY = re.compile(rb"([a-z0-9_]+(?:\[\d+\])?) [\w-]+")
+FORMAT = re.compile(r"([\w/]+):((?:[\w/]+(?:\[\d{1,5}\])? \w+;)*)", re.ASCII)
+FIELD = re.compile(r"([\w/]+)(?:\[(\d+)\])? (\w+);")
 
 LARGEST = 0xFFFF
 """Bytes of the largest message: no format can be larger."""
@@ -59,163 +61,144 @@ DEEPEST = 8
 """How deep formats may contain formats."""
 
 
-def read_ulog(path: Path) -> Log:
-    """Read a ULog file.
+def read_ulog(path: Path, topics: Collection[str]) -> Log:
+    """Read some topics of a ULog file, and all it says of itself.
 
     Raises
     ------
     ImportLogError
         If the file cannot be read.
     """
-    return read_binary(path, _Ulog, FILE_HEADER)
+    log, data = Log(path), read_bytes(path)
+    try:
+        from pyulog import ULog
+    except ImportError:
+        raise log.lacks("pyulog", "PX4's logs", "import_log", "pyulog>=1.1") from None
+    if len(data) < FILE_HEADER:
+        raise log.refusal(" is no readable ULog file: it is cut off")
+    found, start = _Ulog(data), FILE_HEADER
+    if found.header(start) == (MESSAGE_HEADER + FLAGS, "B"):
+        start += MESSAGE_HEADER + FLAGS
+        incompatible = data[start - FLAGS + 8 :][:8]
+        if incompatible[0] & ~1 or any(incompatible[1:]):
+            raise log.refusal(
+                f" is no readable ULog file: its flags {incompatible.hex()} say that it is of a "
+                "later format"
+            )
+    places, gaps = found.walk(start)
+    begins, ends = [start, *(end for _, end in gaps)], [*(begin for begin, _ in gaps), len(data)]
+    pieces = [data[begin:end] for begin, end in zip(begins, ends, strict=True)]
+    whole = io.BytesIO(b"".join([data[:FILE_HEADER], *pieces]))
+    numbers = {data[at + 3 : at + 5] for at in places if data[at + 2] == ord("D")}
+    log.kinds = {found.topics[int.from_bytes(number, "little")] for number in numbers}
+    with contextlib.redirect_stdout(io.StringIO()):  # it is wordy
+        ulog = ULog(whole, sorted(found.stamped & {*topics}))
+    for topic in ulog.data_list:
+        log.add(topic.name, topic.multi_id, topic.data)
+    changes = [(t_us * 1e-6, name, value) for t_us, name, value in ulog.changed_parameters]
+    first = [(0.0, name, value) for name, value in ulog.initial_parameters.items()]
+    for t, name, value in first + changes:
+        if isinstance(value, int | float):
+            log.set_parameter(name, value, t)
+    log.title = _title(ulog.msg_info_dict)
+    if lost := [dropout.duration * 1e-3 for dropout in ulog.dropouts]:
+        log.findings.doubt(
+            f"the logger lost messages {len(lost)} times, together {sum(lost):.3g} s, at most "
+            f"{max(lost):.3g} s (dropouts)"
+        )
+    found.note_loss(log, gaps)
+    return log
 
 
 class _Ulog(BinaryLog):
     begins = re.compile(b"(?=..[FIMPQADS])", re.DOTALL)
 
-    def __init__(self, data: mmap.mmap, log: Log) -> None:
-        super().__init__(data, log)
-        if self.size < FILE_HEADER:
-            raise log.refusal(" is no readable ULog file: it is cut off")
-        log.start_ns = int.from_bytes(data[8:16], "little") * NS_PER_US
-        self._formats: dict[str, list[tuple[str, int, str]]] = {}
-        self._topics: dict[int, Records] = {}
-        self._newest: Records | None = None
-        self._facts: dict[str, Any] = {}
-        self._dropouts: list[float] = []  # s
-        self._takers: dict[bytes, Callable[[bytes], object]] = {
-            b"B": self._take_flags,
-            b"F": self._take_format,
-            b"I": self._take_fact,
-            b"P": self._take_parameter,
-            b"A": self._take_topic,
-            b"O": lambda content: self._dropouts.append(int.from_bytes(content, "little") * 1e-3),
-        }
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self.topics: dict[int, str] = {}  # Name by the number that samples have
+        self.stamped: set[str] = set()  # Names of formats that begin with a stamp
+        self._formats: dict[str, str] = {}  # What formats hold, by name
+        self._sizes: dict[int, int] = {}  # Length of the samples' messages, by number
 
-    # -- what a message is -------------------------------------------------------------------
-
-    def _header(self, at: int) -> tuple[int, bytes]:
+    def header(self, at: int) -> tuple[int, str]:
         """Return the length of a message with its header, and its type."""
         if at + MESSAGE_HEADER > self.size:
-            return self.size, b"\0"
+            return self.size, ""
         size, kind = HEADER.unpack_from(self.data, at)
-        return MESSAGE_HEADER + size, kind
+        return MESSAGE_HEADER + size, kind.decode("latin-1")
 
     def length(self, at: int) -> int:
-        length, kind = self._header(at)
+        length, kind = self.header(at)
         begin, end = at + MESSAGE_HEADER, at + length
         return length if end <= self.size and self._is_known(kind, begin, end) else 0
 
     def resembles(self, at: int) -> bool:
-        length, kind = self._header(at)
-        return kind in FORMS or kind in KEYS or kind in b"AD" or length in self.lengths
+        length, kind = self.header(at)
+        return self._is_type(kind) or length in self.lengths
 
-    def _is_known(self, kind: bytes, begin: int, end: int) -> bool:
+    def rest(self, at: int) -> str | None:
+        length, kind = self.header(at)
+        part = self._is_type(kind) and at + length > self.size
+        return CUT_OFF if part or at + MESSAGE_HEADER > self.size else None
+
+    def learn(self, at: int, length: int) -> None:
+        begin, end, kind = at + MESSAGE_HEADER, at + length, self.data[at + 2]
+        if kind == ord("F"):
+            name, _, fields = self.data[begin:end].decode().partition(":")
+            self._formats[name] = fields
+            if fields.startswith("uint64_t timestamp;"):
+                self.stamped.add(name)
+        elif kind == ord("A"):
+            number, name = self._topic(begin, end)
+            self.topics[number] = name
+            self._sizes[number] = MESSAGE_HEADER + 2 + self._size(name, outer=True)
+            self.lengths.add(self._sizes[number])
+
+    @staticmethod
+    def _is_type(kind: str) -> bool:
+        return kind in {*FORMS, *KEYS, *"FAD"}
+
+    def _is_known(self, kind: str, begin: int, end: int) -> bool:
+        """Whether a message holds what those of its type do, and contradicts none before it."""
         data = self.data
-        if kind == b"D":
-            topic = self._topics.get(int.from_bytes(data[begin : begin + 2], "little"))
-            return topic is not None and end - begin + MESSAGE_HEADER in topic.sizes
+        if kind == "D":
+            number = int.from_bytes(data[begin : begin + 2], "little")
+            return self._sizes.get(number) == end - begin + MESSAGE_HEADER
         if kind in FORMS:
             return FORMS[kind].fullmatch(data, begin, end) is not None
         if kind in KEYS:
             begin += KEYS[kind]
-            key_end = begin + 1 + data[begin] if begin < end else end
-            return key_end < end and KEY.fullmatch(data, begin + 1, key_end) is not None
-        return kind == b"A" and _text(data[begin + 3 : end]) in self._formats
+            value = begin + 1 + data[begin] if begin < end else end
+            key = KEY.fullmatch(data, begin + 1, value) if value < end else None
+            return key is not None and SIZES.get(key[1].decode(), end - value) == end - value
+        if kind == "F":
+            form = FORMAT.fullmatch(data[begin:end].decode("latin-1"))
+            return form is not None and self._formats.get(form[1], form[2]) == form[2]
+        if kind == "A" and end - begin > 3:
+            number, name = self._topic(begin, end)
+            return number not in self.topics and 0 < self._size(name, outer=True) <= LARGEST
+        return False
 
-    # -- what it says ------------------------------------------------------------------------
+    def _topic(self, begin: int, end: int) -> tuple[int, str]:
+        """Return the number and the name that a topic is declared with."""
+        number, name = self.data[begin + 1 : begin + 3], self.data[begin + 3 : end]
+        return int.from_bytes(number, "little"), name.decode("latin-1")
 
-    def take(self, at: int, length: int) -> Places | None:
-        kind, begin = self.data[at + 2 : at + 3], at + MESSAGE_HEADER
-        if kind == b"D":
-            number = int.from_bytes(self.data[begin : begin + 2], "little")
-            self._newest = self._topics[number]
-            return self._newest.places
-        if kind in self._takers:
-            self._takers[kind](self.data[begin : at + length])
-        return None
+    def _size(self, name: str, outer: bool = False, depth: int = 0) -> int:
+        """Return the bytes of a format with those in it; 0 or too many if it is none.
 
-    def finish(self, gaps: list[Gap]) -> bool:
-        for topic in self._topics.values():
-            if "timestamp" in (topic.dtype.names or ()) and topic.places:
-                self.keep(topic)
-        self.log.title = _title(self._facts)
-        if lost := self._dropouts:
-            self.log.findings.doubt(
-                f"the logger lost messages {len(lost)} times, together {sum(lost):.3g} s, at most "
-                f"{max(lost):.3g} s (dropouts)"
-            )
-        if not gaps:
-            return False
-        begin, end = gaps[-1]
-        length, kind = self._header(begin)
-        part = begin + length > self.size and (kind in FORMS or kind in KEYS or kind in b"AD")
-        return end == self.size and (part or begin + MESSAGE_HEADER > self.size)
-
-    def _take_flags(self, content: bytes) -> None:
-        incompatible = content[8:16]
-        if incompatible[0] & ~1 or any(incompatible[1:]):
-            raise ImportLogError(
-                f"log '{self.log.path}' is no readable ULog file: its flags "
-                f"{incompatible.hex()} say that it is of a later format"
-            )
-
-    def _take_format(self, content: bytes) -> None:
-        name, _, declared = content.decode().partition(":")
-        fields = []
-        for entry in filter(None, declared.split(";")):
-            found = re.fullmatch(r"(\w+)(?:\[(\d{1,5})\])? (\w+)", entry)
-            if found is None:
-                return
-            fields.append((found[1], int(found[2] or 0), found[3]))
-        self._formats.setdefault(name, fields)
-
-    def _take_topic(self, content: bytes) -> None:
-        number, name = int.from_bytes(content[1:3], "little"), _text(content[3:])
-        padding = 0
-        try:
-            fields = list(self._flat(name, "", 0, [0]))
-            while fields and fields[-1][0].startswith("_padding"):
-                padding += np.dtype(fields.pop()[1]).itemsize
-            dtype = np.dtype([("", "V5"), *fields])
-        except ValueError:  # formats that contradict each other
-            return
-        sizes = range(dtype.itemsize, dtype.itemsize + padding + 1)
-        self._topics.setdefault(number, Records(name, dtype, (), content[0], sizes))
-        self.lengths.update((sizes[0], sizes[-1]))
-
-    def _flat(
-        self, name: str, prefix: str, depth: int, total: list[int]
-    ) -> Iterator[tuple[str, str]]:
-        """Yield names and NumPy types of a format's fields, those of formats in it one by one."""
-        if depth > DEEPEST or not self._formats.get(name):
-            raise ValueError(name)
-        for kind, count, entry in self._formats[name]:
-            for i in range(max(count, 1)):
-                full = f"{prefix}{entry}[{i}]" if count else f"{prefix}{entry}"
-                if kind in FIELD_TYPES:
-                    total[0] += np.dtype(FIELD_TYPES[kind]).itemsize
-                    if total[0] > LARGEST:
-                        raise ValueError(name)
-                    yield full, FIELD_TYPES[kind]
-                else:
-                    yield from self._flat(kind, f"{full}.", depth + 1, total)
-
-    def _take_fact(self, content: bytes) -> None:
-        kind, name, value = _entry(content)
-        fact = _text(value) if kind.startswith("char[") else _number(kind, value)
-        if fact is not None:
-            self._facts[name] = fact
-
-    def _take_parameter(self, content: bytes) -> None:
-        kind, name, content = _entry(content)
-        value, t_us = _number(kind, content), 0
-        if self._newest is not None and self._newest.places:
-            place: Mapping[str, Any] = self._newest.dtype.fields or {}
-            at = self._newest.places[-1] + int(place["timestamp"][1])
-            t_us = int.from_bytes(self.data[at : at + 8], "little")
-        if value is not None:
-            self.log.set_parameter(name, value, t_us * 1e-6)
+        What pads the outer one at its end is not logged.
+        """
+        fields = FIELD.findall(self._formats.get(name, ""))
+        while outer and fields and fields[-1][2].startswith("_padding"):
+            fields.pop()
+        size = 0
+        for kind, count, _ in fields:
+            each = SIZES.get(kind) or (self._size(kind, depth=depth + 1) if depth < DEEPEST else 0)
+            size += int(count or 1) * (each or LARGEST + 1)
+            if size > LARGEST:
+                break
+        return size
 
 
 def _title(facts: Mapping[str, Any]) -> str:
@@ -229,25 +212,6 @@ def _title(facts: Mapping[str, Any]) -> str:
     if "ver_hw" in facts:
         words.append(f"on {facts['ver_hw']}")
     return " ".join(words)
-
-
-def _entry(content: bytes) -> tuple[str, str, bytes]:
-    end = 1 + content[0]
-    kind, _, name = _text(content[1:end]).partition(" ")
-    return kind, name, content[end:]
-
-
-def _number(kind: str, value: bytes) -> int | float | None:
-    """Return the number that some bytes are; None if they are none of this type."""
-    dtype = np.dtype(FIELD_TYPES.get(kind, "V"))
-    if dtype.kind == "V" or len(value) != dtype.itemsize:
-        return None
-    number: int | float = np.frombuffer(value, dtype)[0].item()
-    return number
-
-
-def _text(content: bytes) -> str:
-    return content.decode(errors="replace").rstrip("\0")
 
 
 # --- tables of ulog2csv --------------------------------------------------------------------------
