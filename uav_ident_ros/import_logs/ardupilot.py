@@ -11,9 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import BoolArray
-from uav_ident_ros.import_logs.autopilot import Actuators, ActuatorsReader, Import, table
+from uav_ident_ros.import_logs.autopilot import (
+    Actuators,
+    ActuatorsReader,
+    Import,
+    Rates,
+    Usable,
+    kinds,
+    table,
+)
 from uav_ident_ros.import_logs.channels import (
     PWM_MAX,
     PWM_MIN,
@@ -33,10 +39,8 @@ from uav_ident_ros.import_logs.flight_log import (
     FlightLog,
     ImportLogError,
     Stream,
-    rates_stream,
 )
 from uav_ident_ros.import_logs.log import Log, Messages
-from uav_ident_ros.import_logs.stamps import Stretches, intervals
 
 KNOWN = table("ardupilot")
 SURFACES, THROTTLES, MOTORS = KNOWN["surfaces"], KNOWN["throttles"], KNOWN["motors"]
@@ -51,18 +55,8 @@ OFF_CENTRE = 0.02
 
 PINS = ("RCOU", "RCO2", "RCO3")
 
-UNNAMED = "no SERVOn_FUNCTION names a surface or a motor of a known frame"
-
-RAW, FILTERED = "GYR", "IMU"
-
-ARMED, AIRBORNE = {10: True, 11: False}, {28: True, 18: False}
-"""EV.Id that begin a state (ARMED, NOT_LANDED) and end it (DISARMED, LAND_COMPLETE)."""
-
 NORMALISED = 10.0
 """Demands beyond this are in the units before Copter 3.4, thousands: none is above one since."""
-
-TYPES = {RAW, FILTERED, *PINS, "RATE", "AETR", "ACC", "CTUN", "ARM", "EV", "STAT", "DSF"}
-"""The messages that are read, beside the table's streams."""
 
 
 def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
@@ -75,28 +69,32 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     """
     if choice.actuators_instance:
         raise ImportLogError(f"log '{path}': ArduPilot logs one set of actuators, instance 0")
-    log = read_dataflash(path, TYPES | {t for types in KNOWN["streams"].values() for t in types})
+    log = read_dataflash(path, kinds(KNOWN) | {*PINS, "DSF"})
     log.title = next((text for text in log.texts if _firmware(text)), "ArduPilot")
     firmware = _firmware(log.title)
     it = Import(log, KNOWN | _of_firmware(log, firmware), choice)
-    it.refuse_others("firmware", firmware, "it calls itself")
+    it.refuse_others({"it calls itself": firmware})
     _name_as_today(log, firmware)
-    it.take_flight(_airborne(it), _armed(log))
-    readers = dict.fromkeys((RAW, FILTERED), _rates)
-    rates = it.read_rates(readers, lambda name, unit: _gyro(log, name, unit))
-    actuators = _outputs(it)
     statistics = log.messages("DSF")
     lost = statistics.columns["Dp"].max() if statistics and statistics.has("Dp") else 0
     if lost:
         log.findings.doubt(f"the logger lost {lost:.0f} messages (DSF.Dp)")
-    hovering = firmware == "Copter" or actuators[0].source == "RATE"
-    return it.flight_log(rates, actuators, hovers=hovering)
+    rates = dict.fromkeys(KNOWN["rates"], _turned)
+    return it.flight_log(
+        rates, READERS, _explained, lambda c: firmware == "Copter" or c.source == "RATE"
+    )
+
+
+def _turned(it: Import, _: Messages, found: Rates) -> Rates:
+    """Return the rates as they are: in body axes."""
+    it.note_orientation("ArduPilot has turned IMU and GYR by it")
+    return found
 
 
 def _firmware(text: str) -> str:
     """Return which vehicle a firmware's name is of, as 'Copter' of 'APM:Copter V3.4'; or ''."""
-    kinds = [*KNOWN["aircraft"], *KNOWN["not_aircraft"]["firmware"]]
-    found = re.match(rf"(?:Ardu|APM:|Antenna)?({'|'.join(kinds)})\b.*\bV?\d", text)
+    vehicles = [*KNOWN["aircraft"], *KNOWN["not_aircraft"]["it calls itself"]]
+    found = re.match(rf"(?:Ardu|APM:|Antenna)?({'|'.join(vehicles)})\b.*\bV?\d", text)
     return found[1] if found else ""
 
 
@@ -118,81 +116,20 @@ def _of_firmware(log: Log, firmware: str) -> dict[str, Any]:
     return result
 
 
-def _armed(log: Log) -> tuple[str, Stretches] | None:
-    """Say when it was armed, if the log does."""
-    armed = log.messages("ARM")
-    if armed is not None and armed.has("ArmState"):
-        states = armed.columns["ArmState"] > 0
-        return "ARM", _between(log, armed.stamp_ns, states)
-    return _by_events(log, ARMED)
-
-
-def _airborne(it: Import) -> tuple[str, Stretches] | None:
-    """Say when it was in the air, if the log does: Plane keeps a state, Copter tells of events."""
-    return it.stretches("STAT", "isFlying", lambda flying: flying > 0) or _by_events(
-        it.log, AIRBORNE
-    )
-
-
-def _by_events(log: Log, meaning: dict[int, bool]) -> tuple[str, Stretches] | None:
-    """Say when a state held that events begin and end, if there are any."""
-    events = log.messages("EV")
-    if events is None or not events.has("Id"):
-        return None
-    known = np.isin(events.columns["Id"], [*meaning])
-    if not known.any():
-        return None
-    states = np.array([meaning[int(number)] for number in events.columns["Id"][known]])
-    return "EV", _between(log, events.stamp_ns[known], states)
-
-
-def _between(log: Log, t_ns: TimeArray, states: BoolArray) -> list[tuple[int, int]]:
-    """Stretches of a state whose changes are logged: before the first it was the other."""
-    return intervals(np.append(log.start_ns, t_ns), np.append(not states[0], states), log.end_ns)
-
-
-def _gyro(log: Log, name: str, unit: int) -> Messages | None:
-    """Messages of one inertial unit that have rates."""
-    messages = log.messages(name, unit)
-    return messages if messages and messages.has(*KNOWN["gyro"]) else None
-
-
-def _rates(it: Import, messages: Messages) -> Stream:
-    """Rates in body axes, and the specific force from the same messages or others."""
-    it.note_orientation("AHRS_ORIENTATION", "ArduPilot has turned IMU and GYR by it")
-    own = it.table["force"][FILTERED]
-    force = messages.values(*own) if messages.has(*own) else None
-    if force is None:
-        force = it.force_at(messages, it.choice.rates_instance)
-    rates = messages.values(*it.table["gyro"])
-    return rates_stream(messages.name, messages.sample_ns, rates, force)
-
-
 # --- outputs ------------------------------------------------------------------------------------
 
 
-def _outputs(it: Import) -> Actuators:
-    """Read the commands from the messages asked for, or from the best there are."""
-    found = it.find("actuators", READERS, it.log.messages)
-    usable = dict(found)
-    if it.choice.actuators_topic is None and "RCOU" in found and not _explained(it.log):
-        del usable["RCOU"]
-        it.findings.lost += [f"RCOU is passed over: {UNNAMED}"] if usable else []
-    name = it.choose(usable or found)
-    commands, channels = READERS[name](it, found[name])
-    it.findings.note(f"actuators: {commands.source}, stamped when logged")
-    if not any(any(channel.effect) for channel in channels):
-        raise it.log.refusal(f": {UNNAMED}")
-    return commands, channels
-
-
-def _explained(log: Log) -> bool:
+def _explained(it: Import, usable: Usable) -> Usable:
+    """Return the messages that say what they move; all, if none do."""
     functions = {
-        v for name, v in log.parameters.items() if re.fullmatch(r"SERVO\d+_FUNCTION", name)
+        v for name, v in it.log.parameters.items() if re.fullmatch(r"SERVO\d+_FUNCTION", name)
     }
-    return bool(functions & {*SURFACES, *THROTTLES}) or (
-        bool(functions & set(MOTORS)) and _frame(log) in FRAMES
-    )
+    motors = bool(functions & set(MOTORS)) and _frame(it.log) in FRAMES
+    others = {name: m for name, m in usable.items() if name != "RCOU"}
+    if len(usable) == len(others) or motors or functions & {*SURFACES, *THROTTLES} or not others:
+        return usable
+    it.findings.doubt(f"RCOU is passed over: {it.table['unexplained']}")
+    return others
 
 
 def _frame(log: Log) -> tuple[int, int]:

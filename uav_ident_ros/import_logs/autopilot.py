@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the logs of all autopilots have in common: which messages to take, and what to say of it.
+"""How the log of any autopilot is read: which messages are taken, and what there is to say of it.
 
-Where each stream stands is in the autopilot's table (`px4.yaml`, `ardupilot.yaml`), under
-`streams`; how its rates and its commands are read is its module's.
+Where everything stands is in the autopilot's table (`px4.yaml`, `ardupilot.yaml`): rates, forces,
+estimates, what tells that it flew. Its module knows what its commands move.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -16,7 +16,14 @@ import yaml
 
 from uav_ident_ros.identification.frames import quaternions
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.flight_log import Channel, Choice, Findings, FlightLog, Stream
+from uav_ident_ros.import_logs.flight_log import (
+    Channel,
+    Choice,
+    Findings,
+    FlightLog,
+    Stream,
+    rates_stream,
+)
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.stamps import (
     Stretches,
@@ -38,13 +45,22 @@ switched on for a part of the flight tells of that part alone."""
 EULER_ANGLES = 3
 """Columns of an attitude that is given as roll, pitch, yaw, deg, in place of a quaternion."""
 
-RatesReader = Callable[["Import", Messages], Stream]
-"""Reads the rates and the specific force from messages."""
+Rates = tuple[FloatArray, FloatArray | None]
+"""Rates (k, 3), rad/s, and the specific force with them, (k, 3), m/s^2, if there is one."""
+
+RatesReader = Callable[["Import", Messages, Rates], Rates]
+"""Makes rates and force in body axes of what messages hold."""
 
 Actuators = tuple[Stream, list[Channel]]
 """Raw values of the commands, and what each column is."""
 
 ActuatorsReader = Callable[["Import", Messages], Actuators]
+
+Find = Callable[[str, int], Messages | None]
+"""Name and instance to the messages, None if the log has none."""
+
+Usable = dict[str, Messages]
+"""Messages by kind, the preferred first."""
 
 
 @cache
@@ -52,6 +68,13 @@ def table(name: str) -> dict[Any, Any]:
     """Return the table of this name, a YAML file of this folder."""
     file = resources.files(__package__).joinpath(f"{name}.yaml")
     return dict(yaml.safe_load(file.read_text(encoding="utf-8")))
+
+
+def kinds(known: Mapping[str, Any]) -> set[str]:
+    """Return the kinds of messages that an autopilot's table names."""
+    named = [known["rates"], known["force"], known["controls"]]
+    return {kind for part in (*named, *known["streams"].values(), *known["flight"].values())
+            for kind in part}  # fmt: skip
 
 
 @dataclass
@@ -68,18 +91,20 @@ class Import:
         """What there is to say about the log."""
         return self.log.findings
 
-    def refuse_others(self, key: str, found: Any, source: str) -> None:
-        """Refuse a vehicle that is no aircraft: if what was `found` is in the table under `key`.
+    def refuse_others(self, found: Mapping[str, Any]) -> None:
+        """Refuse a vehicle that is no aircraft, by what was found under each key of the table.
 
         Raises
         ------
         ImportLogError
-            If it is.
+            If it is none.
         """
-        if (vehicle := self.table["not_aircraft"][key].get(found)) is not None:
-            raise self.log.refusal(
-                f" is of {vehicle} ({source} {found}): the model is that of an aircraft's attitude"
-            )
+        for source, vehicles in self.table["not_aircraft"].items():
+            if (vehicle := vehicles.get(value := found.get(source))) is not None:
+                raise self.log.refusal(
+                    f" is of {vehicle} ({source} {value}): the model is that of an aircraft's "
+                    "attitude"
+                )
 
     # --- which messages ---------------------------------------------------------------------------
 
@@ -87,9 +112,8 @@ class Import:
         self,
         what: str,  # ``rates`` or ``actuators``
         names: Collection[str],  # The kinds that can be read
-        # Name and instance to the messages, None if the log has none
-        find: Callable[[str, int], Messages | None],
-    ) -> dict[str, Messages]:
+        find: Find,
+    ) -> Usable:
         """Find the messages asked for, or all kinds that would do, in the order of `names`.
 
         Raises
@@ -140,8 +164,7 @@ class Import:
             loss = ", from before the mixer, and knows nothing of saturation"
             tail = loss if chosen in before_mixer and name not in before_mixer else ""
             self.findings.doubt(f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}")
-        self._note_kind(chosen, usable[chosen].name)
-        self._note_missing(chosen)
+        self._note_taken(chosen, usable[chosen].name)
         if rates[chosen] < ENOUGH_RATE:
             self.findings.doubt(
                 f"{chosen} has {rates[chosen]:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed"
@@ -162,15 +185,15 @@ class Import:
             return f" ({parameter} {value}, although it has '{option['name']}')"
         return f" ({parameter} {value}: make it {value | 1 << option['bit']}, '{option['name']}')"
 
-    def _note_kind(self, kind: str, name: str) -> None:
-        """Say what the table has to say of messages that are taken."""
-        if read := self.table["notes"].get(kind, {}).get("read"):
-            self.findings.note(read.format(name=name))
+    def _note(self, kind: str, name: str) -> Mapping[str, str]:
+        """Say what the table has to say of messages that are read; return all that it has."""
+        notes: Mapping[str, str] = self.table["notes"].get(kind, {})
+        self.findings.read += [notes["read"].format(name=name)] if "read" in notes else []
+        return notes
 
-    def _note_missing(self, kind: str) -> None:
-        notes = self.table["notes"].get(kind, {})
-        if "assumed" in notes:
-            self.findings.assume(notes["assumed"])
+    def _note_taken(self, kind: str, name: str) -> None:
+        notes = self._note(kind, name)
+        self.findings.assumed += [notes["assumed"]] if "assumed" in notes else []
         if "low_pass" in notes:
             cutoff = self.log.parameter(notes["low_pass"])
             at = f" at {cutoff:g} Hz ({notes['low_pass']})" if cutoff else ""
@@ -181,61 +204,91 @@ class Import:
 
     # --- flight, rates, commands ------------------------------------------------------------------
 
-    def stretches(
-        self, name: str, field: str, holds: Callable[[Any], Any]
-    ) -> tuple[str, Stretches] | None:
-        """Return where messages stand that tell a state, and when it holds; None without them."""
-        messages = self.log.messages(name)
-        if messages is None or not messages.has(field):
-            return None
-        active = holds(messages.columns[field])
-        found = intervals(messages.stamp_ns, active, self.log.end_ns, self.log.start_ns)
-        return f"{name}.{field}", found
-
-    def take_flight(
-        self,
-        airborne: tuple[str, Stretches] | None,  # What says when it was in the air, and when
-        armed: tuple[str, Stretches] | None,  # What says when it was armed, and when
-    ) -> None:
+    def take_flight(self) -> None:
         """Take the stretches in the air; if nothing says more, those in which it was armed."""
-        if airborne is not None:
-            self.flown = self._note_stretches("in the air", *airborne)
-        if armed is not None and (self.flown is None or not armed[1]):
-            self.flown = self._note_stretches("armed", *armed)
-        elif self.flown is None:
+        for state, sources in self.table["flight"].items():
+            found = self._stretches(sources)
+            if found is None or (self.flown is not None and found[1]):
+                continue
+            source, self.flown = found
+            if self.flown:
+                seconds = sum(end - start for start, end in self.flown) * 1e-9
+                self.findings.note(
+                    f"{state} for {seconds:.1f} s in {len(self.flown)} stretch(es) ({source})"
+                )
+            else:
+                self.findings.doubt(
+                    f"the vehicle was never {state} ({source}): no model can come of this log; if "
+                    "it did fly, empty 'armed.type'"
+                )
+        if self.flown is None:
             self.findings.assume("the log does not say when it flew: all of it counts as flight")
 
-    def _note_stretches(self, state: str, source: str, stretches: Stretches) -> Stretches:
-        """Say for how long the vehicle was in a state, armed and so on, and who says so."""
-        if stretches:
-            seconds = sum(end - start for start, end in stretches) * 1e-9
-            self.findings.note(
-                f"{state} for {seconds:.1f} s in {len(stretches)} stretch(es) ({source})"
-            )
-        else:
-            self.findings.doubt(
-                f"the vehicle was never {state} ({source}): no model can come of this log; if it "
-                "did fly, empty 'armed.type'"
-            )
-        return stretches
+    def _stretches(self, sources: Mapping[str, Any]) -> tuple[str, Stretches] | None:
+        """Return what tells a state, and when it holds; None if nothing does."""
+        for name, says in sources.items():
+            messages = self.log.messages(name)
+            if messages is None or not messages.has(says["field"]):
+                continue
+            values, source = messages.columns[says["field"]], f"{name}.{says['field']}"
+            known, active = np.ones(len(values), dtype=bool), np.isin(values, says["begin"])
+            if "end" in says:
+                known, source = active | np.isin(values, says["end"]), name
+            t_ns, active = messages.stamp_ns[known], active[known]
+            if not len(t_ns):
+                continue
+            if "end" in says:  # before the first change it was the other
+                t_ns = np.append(self.log.start_ns, t_ns)
+                active = np.append(not active[0], active)
+            return source, intervals(t_ns, active, self.log.end_ns, self.log.start_ns)
+        return None
 
-    def read_rates(
-        self,
-        readers: Mapping[str, RatesReader],  # By kind, the preferred first
-        find: Callable[[str, int], Messages | None],
-        sensor: str = "",  # Kind that has the gyros' instances; that of the rates if left out
-    ) -> Stream:
+    def _rates(self, readers: Mapping[str, RatesReader]) -> Stream:
         """Read the rates asked for, or the first that are fast enough, or the fastest."""
-        usable = self.find("rates", readers, find)
-        name = self.choose(usable)
-        rates = readers[name](self, usable[name])
-        instances = self.log.instances(sensor or name)
-        if len(instances) > 1:
-            self.findings.note(f"instances {instances} of {sensor or name} (--rates-instance)")
-        return rates
+        fields, forces = self.table["rates"], self.table["force"]
 
-    def note_orientation(self, parameter: str, consequence: str, more: str = "") -> None:
+        def find(name: str, instance: int) -> Messages | None:
+            messages = self.log.messages(name, instance)
+            return messages if messages and messages.has(*fields[name]) else None
+
+        usable = self.find("rates", fields, find)
+        name = self.choose(usable)
+        messages, own = usable[name], forces.get(name)
+        has_own = own is not None and messages.has(*own)
+        force = messages.values(*own) if has_own else self._force_at(messages)
+        rates = messages.values(*fields[name])
+        if name in readers:
+            rates, force = readers[name](self, messages, (rates, force))
+        sensor = self.table["gyros"].get(name, name)
+        if len(instances := self.log.instances(sensor)) > 1:
+            self.findings.note(f"instances {instances} of {sensor} (--rates-instance)")
+        return rates_stream(messages.name, messages.sample_ns, rates, force)
+
+    def _actuators(
+        self,
+        readers: Mapping[str, ActuatorsReader],
+        explained: Callable[["Import", Usable], Usable],
+        find: Find,
+    ) -> Actuators:
+        """Read the commands asked for, or the best of those that say what they move."""
+        usable = self.find("actuators", readers, find)
+        name = self.choose(explained(self, usable))
+        commands, channels = readers[name](self, usable[name])
+        self.findings.note(f"actuators: {commands.source}{self.table['stamped']}")
+        if usable[name].has("timestamp_sample"):
+            delays = usable[name].stamp_ns - usable[name].sample_ns
+            self.findings.note(
+                "commands count from their publication (timestamp), in the median "
+                f"{np.median(delays) * 1e-6:.2f} ms after the gyro sample they answer "
+                "(timestamp_sample)"
+            )
+        if not any(any(channel.effect) for channel in channels):
+            raise self.log.refusal(f": {self.table['unexplained'].format(source=commands.source)}")
+        return commands, channels
+
+    def note_orientation(self, consequence: str) -> None:
         """Say how the board stands in the body, and who has turned the rates by it."""
+        parameter = self.table["orientation"]["parameter"]
         if parameter not in self.log.parameters:
             self.findings.assume(f"the log has no {parameter}: rotation none ({consequence})")
             return
@@ -245,12 +298,19 @@ class Import:
         if angles is not None:
             named = zip(("roll", "pitch", "yaw"), angles, strict=True)
             turns = " ".join(f"{axis} {angle:g} deg" for axis, angle in named if angle) or "none"
-        self.findings.note(f"board orientation: {parameter} {number}, {turns}{more}; {consequence}")
+        if any(fine := self.fine_angles()):
+            turns += ", fine offsets {:.2f} {:.2f} {:.2f} deg".format(*fine)
+        self.findings.note(f"board orientation: {parameter} {number}, {turns}; {consequence}")
 
-    def force_at(self, rates: Messages, instance: int = 0) -> FloatArray | None:
+    def fine_angles(self) -> list[float]:
+        """Return by how much the board is turned beyond that: roll, pitch, yaw, deg."""
+        return [self.log.parameter(name) for name in self.table["orientation"]["fine"]]
+
+    def _force_at(self, rates: Messages) -> FloatArray | None:
         """Specific force at the stamps of the rates, from other messages that are fast enough."""
         for name, fields in self.table["force"].items():
-            messages = self.log.messages(name, instance)
+            there = self.choice.rates_instance in self.log.instances(name)
+            messages = self.log.messages(name, self.choice.rates_instance if there else 0)
             if messages is not None and messages.has(*fields) and messages.rate >= ENOUGH_RATE:
                 self.findings.note(
                     f"specific force: {messages.name}, interpolated to the stamps of the rates"
@@ -261,10 +321,25 @@ class Import:
 
     # --- the rest ---------------------------------------------------------------------------------
 
-    def flight_log(self, rates: Stream, actuators: Actuators, *, hovers: bool) -> FlightLog:
-        """Put together what was read with all that the table tells to read."""
-        commands, channels = actuators
-        streams = {"rates": rates, "actuators": commands} | self._estimates()
+    def flight_log(
+        self,
+        rates: Mapping[str, RatesReader],  # By kind, where more is to be done than to read them
+        actuators: Mapping[str, ActuatorsReader],  # By kind, the preferred first
+        explained: Callable[["Import", Usable], Usable],  # Gives those that say what they move
+        hovers: Callable[[Stream], bool],  # Whether such commands are a multirotor's
+        find: Find | None = None,  # Finds commands, where not by name and instance
+    ) -> FlightLog:
+        """Read all that the table tells to read.
+
+        Raises
+        ------
+        ImportLogError
+            If there are no rates or no commands whose effect is known.
+        """
+        self.take_flight()
+        streams = {"rates": self._rates(rates)}
+        commands, channels = self._actuators(actuators, explained, find or self.log.messages)
+        streams |= {"actuators": commands} | self._estimates()
         self.findings.note("stamps are the autopilot's time since its start, not the time of day")
         known = self.table["parameters"]
         imported = tuple(known["imported"])
@@ -281,7 +356,7 @@ class Import:
             self.findings,
             lever_arm=self._lever_arm(),
             flown=self.flown,
-            hovers=hovers,
+            hovers=hovers(commands),
             ground_speed=self._ground_speed(),
             parameters={
                 name: value
@@ -297,7 +372,7 @@ class Import:
             if messages is not None and messages.has(*fields):
                 values = messages.values(*fields)
                 if np.isfinite(values).any():
-                    self._note_kind(kind, messages.name)
+                    self._note(kind, messages.name)
                     return messages, values
         return None
 

@@ -19,7 +19,9 @@ from uav_ident_ros.import_logs.autopilot import (
     Actuators,
     ActuatorsReader,
     Import,
-    RatesReader,
+    Rates,
+    Usable,
+    kinds,
     table,
 )
 from uav_ident_ros.import_logs.channels import (
@@ -38,11 +40,10 @@ from uav_ident_ros.import_logs.flight_log import (
     Choice,
     FlightLog,
     Stream,
-    rates_stream,
 )
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.px4_log import read_folder, read_ulog
-from uav_ident_ros.messages.types import PX4_ARMING_STATE_ARMED, PX4_RELATIVE_TIMESTAMP_INVALID
+from uav_ident_ros.messages.types import PX4_RELATIVE_TIMESTAMP_INVALID
 
 KNOWN = table("px4")
 MULTIROTOR, FIXED_WING = 0, 1
@@ -59,8 +60,6 @@ SETPOINTS = ("vehicle_torque_setpoint", "vehicle_thrust_setpoint")
 ALLOCATED = {"actuator_motors": "CA_ROTOR_COUNT", "actuator_servos": "CA_SV_CS_COUNT"}
 """Topics behind the control allocation, and the parameters that say how many of them there are."""
 
-LANDED = "vehicle_land_detected"
-
 MOST_GYROS = 4
 
 
@@ -72,87 +71,58 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     ImportLogError
         If the file cannot be read, or has no rates or no actuators.
     """
-    streams = {kind for kinds in KNOWN["streams"].values() for kind in kinds}
-    topics = {*RATES_READERS, *COMMANDS, *streams, *KNOWN["force"], LANDED}
-    log = (read_folder if path.is_dir() else read_ulog)(path, topics)
+    log = (read_folder if path.is_dir() else read_ulog)(path, kinds(KNOWN) | {*READERS})
     it = Import(log, KNOWN, choice)
-    for name in ("CA_AIRFRAME", "MAV_TYPE"):
-        it.refuse_others(name, log.parameters.get(name), name)
     status = log.messages("vehicle_status")
-    if status is not None and status.has("vehicle_type"):
-        kind = int(status.columns["vehicle_type"][-1])
-        it.refuse_others("vehicle_type", kind, "vehicle_status.vehicle_type")
-    it.take_flight(
-        it.stretches(LANDED, "landed", lambda landed: landed == 0),
-        it.stretches("vehicle_status", "arming_state", lambda s: s == PX4_ARMING_STATE_ARMED),
-    )
-    rates = it.read_rates(RATES_READERS, log.messages, "sensor_gyro")
+    kind = status.columns.get("vehicle_type", [None])[-1] if status else None
+    it.refuse_others(log.parameters | {"vehicle_status.vehicle_type": kind})
+    rates = {"sensor_combined": _valid_force, "sensor_gyro": _in_the_body}
     hovering = _hovers(log, choice.actuators_instance)
-    return it.flight_log(rates, _actuators(it), hovers=hovering)
+
+    def find(name: str, instance: int) -> Messages | None:
+        if not name.startswith(CONTROLS):
+            return log.messages(name, instance)
+        # The sets of a VTOL of old are topics of their own.
+        wanted = choice.actuators_topic or f"{CONTROLS}{instance}"
+        return log.messages(name) if name == wanted else None
+
+    return it.flight_log(rates, READERS, _explained, lambda _: hovering, find)
 
 
-def _from_sensor_combined(it: Import, topic: Messages) -> Stream:
-    """Calibrated mean rates over each gyro period, in the body's axes."""
-    _note_orientation(it, "PX4 has turned sensor_combined by it")
-    relative = topic.columns["accelerometer_timestamp_relative"]
+def _valid_force(it: Import, topic: Messages, found: Rates) -> Rates:
+    """Hold the last valid specific force of sensor_combined."""
+    it.note_orientation("PX4 has turned sensor_combined by it")
+    relative, (rates, force) = topic.columns["accelerometer_timestamp_relative"], found
     valid = relative != PX4_RELATIVE_TIMESTAMP_INVALID
-    force = None
-    if not valid.any():
+    if force is None or not valid.any():
         it.findings.doubt("there is no valid accelerometer sample: ay and az are zero")
-    else:
-        last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))
-        force = topic.array("accelerometer_m_s2")[last]
-        if not valid.all():
-            it.findings.doubt(f"{int((~valid).sum())} accelerometer samples are invalid: held over")
-        if offset := float(np.median(relative[valid])) * 1e-3:
-            it.findings.note(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
-    return rates_stream(topic.name, topic.stamp_ns, topic.array("gyro_rad"), force)
+        return rates, None
+    if not valid.all():
+        it.findings.doubt(f"{int((~valid).sum())} accelerometer samples are invalid: held over")
+    if offset := float(np.median(relative[valid])) * 1e-3:
+        it.findings.note(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
+    return rates, force[np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))]
 
 
-def _from_sensor_gyro(it: Import, topic: Messages) -> Stream:
-    """Uncalibrated rates of one gyro, in the board's axes: offset and rotation applied here."""
-    rates = topic.values(*"xyz")
+def _in_the_body(it: Import, topic: Messages, found: Rates) -> Rates:
+    """Apply offset and rotation to the rates of one gyro, uncalibrated and in the board's axes."""
+    rates, force = found
     if not topic.has("timestamp_sample"):
         it.findings.assume(
             "sensor_gyro without timestamp_sample (before v1.11) is calibrated, filtered and "
             "turned into body axes by its driver"
         )
-    else:
-        number = int(it.log.parameter("SENS_BOARD_ROT"))
-        listed = table("rotations").get(number)
-        if listed is None:
-            raise it.log.refusal(
-                f": SENS_BOARD_ROT is {number}, which is not known: "
-                "--rates-topic sensor_combined or vehicle_angular_velocity needs no rotation"
-            )
-        fine = rotation(*np.radians(_board_offsets(it.log)))
-        rates = (rates - _gyro_offset(it.log, topic)) @ (fine @ rotation(*np.radians(listed))).T
-        _note_orientation(it, "applied here to sensor_gyro, which is in the board's axes")
-    return rates_stream(topic.name, topic.sample_ns, rates, it.force_at(topic))
-
-
-def _from_angular_velocity(it: Import, topic: Messages) -> Stream:
-    """Take the rates that PX4 controls with."""
-    return rates_stream(topic.name, topic.sample_ns, topic.array("xyz"), it.force_at(topic))
-
-
-RATES_READERS: dict[str, RatesReader] = {
-    "sensor_combined": _from_sensor_combined,
-    "sensor_gyro": _from_sensor_gyro,
-    "vehicle_angular_velocity": _from_angular_velocity,
-}
-"""Readers by topic, the preferred first."""
-
-
-def _board_offsets(log: Log) -> list[float]:
-    """Return the fine roll, pitch, yaw of the board, deg."""
-    return [log.parameter(f"SENS_BOARD_{axis}_OFF") for axis in "XYZ"]
-
-
-def _note_orientation(it: Import, consequence: str) -> None:
-    offsets = _board_offsets(it.log)
-    fine = ", fine offsets {:.2f} {:.2f} {:.2f} deg".format(*offsets) if any(offsets) else ""
-    it.note_orientation("SENS_BOARD_ROT", consequence, fine)
+        return found
+    number = int(it.log.parameter("SENS_BOARD_ROT"))
+    listed = table("rotations").get(number)
+    if listed is None:
+        raise it.log.refusal(
+            f": SENS_BOARD_ROT is {number}, which is not known: "
+            "--rates-topic sensor_combined or vehicle_angular_velocity needs no rotation"
+        )
+    board = rotation(*np.radians(it.fine_angles())) @ rotation(*np.radians(listed))
+    it.note_orientation("applied here to sensor_gyro, which is in the board's axes")
+    return (rates - _gyro_offset(it.log, topic)) @ board.T, force
 
 
 def _gyro_offset(log: Log, topic: Messages) -> FloatArray:
@@ -169,39 +139,15 @@ def _gyro_offset(log: Log, topic: Messages) -> FloatArray:
 # --- commands -----------------------------------------------------------------------------------
 
 
-def _actuators(it: Import) -> Actuators:
-    """Read the commands from the topic asked for, or from the best there is."""
-    wanted = it.choice.actuators_topic
-
-    def find(name: str, instance: int) -> Messages | None:
-        if not name.startswith(CONTROLS):
-            return it.log.messages(name, instance)
-        # The sets of a VTOL of old are topics of their own.
-        return it.log.messages(name) if wanted or name == f"{CONTROLS}{instance}" else None
-
-    usable = it.find("actuators", READERS, find)
-    name = _choose(it, usable)
-    commands, channels = READERS[name](it, usable[name])
-    it.findings.note(f"actuators: {commands.source}")
-    if usable[name].has("timestamp_sample"):
-        delays = usable[name].stamp_ns - usable[name].sample_ns
-        it.findings.note(
-            "commands count from their publication (timestamp), in the median "
-            f"{np.median(delays) * 1e-6:.2f} ms after the gyro sample they answer "
-            "(timestamp_sample)"
-        )
-    return commands, channels
-
-
-def _choose(it: Import, usable: dict[str, Messages]) -> str:
-    """Name the best topic: nearest to the actuators, of those that say what they move."""
+def _explained(it: Import, usable: Usable) -> Usable:
+    """Return the topics that say what they move; all, if none do."""
     if sets := _sets_of_a_hybrid(it.log):
         it.findings.assume(
             f"a VTOL: {sets[0]} are the commands of hover, {sets[1]} those of forward flight "
             f"(--actuators-instance); {it.choice.actuators_instance} is taken"
         )
         if SETPOINTS[0] in sets[0] and SETPOINTS[0] in usable:
-            return SETPOINTS[0]
+            return {SETPOINTS[0]: usable[SETPOINTS[0]]}
     counts = {name: it.log.parameter(count) for name, count in ALLOCATED.items()}
     explained = {name: m for name, m in usable.items() if counts.get(name, 1.0) > 0}
     if not _pins_are_explained(it):
@@ -209,7 +155,7 @@ def _choose(it: Import, usable: dict[str, Messages]) -> str:
     streams = explained or dict(usable)
     if set(ALLOCATED) <= set(streams):  # they count as one: what is slower decides
         del streams[max(reversed(ALLOCATED), key=lambda name: streams[name].rate)]
-    return it.choose(streams)
+    return streams
 
 
 def _sets_of_a_hybrid(log: Log) -> tuple[str, str] | None:
@@ -249,11 +195,6 @@ def _allocated(it: Import, _: Messages) -> Actuators:
     if not channels:
         raise it.log.refusal(f": {commands.source} hold no value throughout: the motors were never "
                              "on")  # fmt: skip
-    if not any(any(channel.effect) for channel in channels):
-        raise it.log.refusal(
-            f": no parameter (CA_ROTOR*, CA_SV_CS*) says what {commands.source} move; try "
-            "--actuators-topic vehicle_torque_setpoint"
-        )
     return commands, channels
 
 
@@ -374,23 +315,23 @@ def _outputs(it: Import, topic: Messages) -> Actuators:
 
 
 def _by_function(log: Log, functions: list[int], prefix: str) -> list[Channel]:
-    motors = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
+    known = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
     servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
+    known |= servos
     reversed_pins = int(log.parameter(f"{prefix}_REV"))
     channels = []
-    for i, function in enumerate(functions):
-        low = log.parameter(f"{prefix}_MIN{i + 1}", PWM_MIN)
-        high = log.parameter(f"{prefix}_MAX{i + 1}", PWM_MAX)
-        plain = Channel(f"output_{i + 1}", NO_EFFECT, "")
+    for i, function in enumerate(functions, 1):
         channel = replace(
-            {**motors, **servos}.get(function, plain),
-            meaning=f"{prefix}_FUNC{i + 1} {function}",
+            known.get(function, Channel(f"output_{i}", NO_EFFECT, "")),
+            meaning=f"{prefix}_FUNC{i} {function}",
             neutral=0.0,
             unit="us",
         )
-        if channel.name != plain.name:
+        if function in known:
+            low = log.parameter(f"{prefix}_MIN{i}", PWM_MIN)
+            high = log.parameter(f"{prefix}_MAX{i}", PWM_MAX)
             centre = (low + high) / 2.0 if function in servos else None
-            turned = bool(reversed_pins >> i & 1)
+            turned = bool(reversed_pins >> (i - 1) & 1)
             channel = over_range(channel, low, high, centre=centre, turned=turned)
         channels.append(channel)
     return named_once(channels)
@@ -422,6 +363,3 @@ READERS: dict[str, ActuatorsReader] = {
 }
 """Readers by topic, nearest to the actuators first; the pulse widths, whose meaning is the least
 certain, last."""
-
-COMMANDS = (*READERS, SETPOINTS[1])
-"""Topics of commands."""
