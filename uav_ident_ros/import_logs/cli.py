@@ -96,7 +96,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:
         from uav_ident_ros.bags.writing import BagWriteError
-        from uav_ident_ros.import_logs.writing import Fitting, write_import
+        from uav_ident_ros.import_logs.writing import (
+            fitting,
+            in_words,
+            write_import,
+            write_parameters,
+        )
     except ImportError as error:
         print(f"import_log: {error.name} is not installed: pip install rosbags", file=sys.stderr)
         return USAGE_ERROR
@@ -105,13 +110,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if folder.exists():
             raise ImportLogError(f"'{folder}' exists already: choose another --output")
         log = read_log(options)
-        fitting = Fitting.of(log, options.trim, options.airspeed)
-        write_import(log, folder, lambda bag: fitting.write(bag / PARAMETER_FILE))
+        values = fitting(log, options.trim, options.airspeed)
+        write_import(log, folder, lambda bag: write_parameters(bag / PARAMETER_FILE, log, values))
     except (ImportLogError, BagWriteError) as error:
         print(f"import_log: {printable(str(error))}", file=sys.stderr)
         return USAGE_ERROR
     print(f"{log.path.name}: {log.title}")
-    for title, sentences in fitting.findings().items():
+    for title, sentences in in_words(log, values).items():
         print(f"\n{title}")
         for sentence in sentences:
             print(textwrap.fill(sentence, WIDTH, initial_indent="  - ", subsequent_indent="    "))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +153,7 @@ class FlightLog:
         """Column and channel of everything that moves the aircraft."""
         return [(i, c) for i, c in enumerate(self.channels) if any(c.effect)]
 
-    @property
+    @cached_property
     def has_force(self) -> bool:
         """Whether there is an accelerometer."""
         return bool(np.isfinite(self.streams["rates"].values[:, 3:]).any())

@@ -34,13 +34,7 @@ from uav_ident_ros.import_logs.channels import (
     over_range,
     rotor_effects,
 )
-from uav_ident_ros.import_logs.flight_log import (
-    NO_EFFECT,
-    Channel,
-    Choice,
-    FlightLog,
-    Stream,
-)
+from uav_ident_ros.import_logs.flight_log import NO_EFFECT, Channel, Choice, FlightLog, Stream
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.px4_log import read_folder, read_ulog
 from uav_ident_ros.messages.types import PX4_RELATIVE_TIMESTAMP_INVALID
@@ -54,6 +48,10 @@ QUADROTOR = 2
 
 MOTOR_FUNCTION, SERVO_FUNCTION, FUNCTIONS_OF_A_KIND = 101, 201, 16
 """Output functions of the first motor and servo (PWM_MAIN_FUNCn), and how many there are."""
+
+MOST_PINS = 16
+PINS = ("PWM_MAIN", "PWM_AUX")
+"""First letters of the parameters of each instance of actuator_outputs."""
 
 CONTROLS, OUTPUTS = "actuator_controls_", "actuator_outputs"
 SETPOINTS = ("vehicle_torque_setpoint", "vehicle_thrust_setpoint")
@@ -77,7 +75,6 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
     kind = status.columns.get("vehicle_type", [None])[-1] if status else None
     it.refuse_others(log.parameters | {"vehicle_status.vehicle_type": kind})
     rates = {"sensor_combined": _valid_force, "sensor_gyro": _in_the_body}
-    hovering = _hovers(log, choice.actuators_instance)
 
     def find(name: str, instance: int) -> Messages | None:
         if not name.startswith(CONTROLS):
@@ -86,7 +83,7 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
         wanted = choice.actuators_topic or f"{CONTROLS}{instance}"
         return log.messages(name) if name == wanted else None
 
-    return it.flight_log(rates, READERS, _explained, lambda _: hovering, find)
+    return it.flight_log(rates, READERS, _explained, lambda _: _hovers(it), find)
 
 
 def _valid_force(it: Import, topic: Messages, found: Rates) -> Rates:
@@ -141,16 +138,16 @@ def _gyro_offset(log: Log, topic: Messages) -> FloatArray:
 
 def _explained(it: Import, usable: Usable) -> Usable:
     """Return the topics that say what they move; all, if none do."""
-    if sets := _sets_of_a_hybrid(it.log):
+    if (sets := _sets_of_a_vtol(it.log)) is not None:
         it.findings.assume(
             f"a VTOL: {sets[0]} are the commands of hover, {sets[1]} those of forward flight "
             f"(--actuators-instance); {it.choice.actuators_instance} is taken"
         )
-        if SETPOINTS[0] in sets[0] and SETPOINTS[0] in usable:
+        if sets[0].startswith(SETPOINTS[0]) and SETPOINTS[0] in usable:
             return {SETPOINTS[0]: usable[SETPOINTS[0]]}
     counts = {name: it.log.parameter(count) for name, count in ALLOCATED.items()}
     explained = {name: m for name, m in usable.items() if counts.get(name, 1.0) > 0}
-    if not _pins_are_explained(it):
+    if not any(_functions(it)) and it.log.parameters.get("MAV_TYPE") != QUADROTOR:
         explained.pop(OUTPUTS, None)
     streams = explained or dict(usable)
     if set(ALLOCATED) <= set(streams):  # they count as one: what is slower decides
@@ -158,23 +155,21 @@ def _explained(it: Import, usable: Usable) -> Usable:
     return streams
 
 
-def _sets_of_a_hybrid(log: Log) -> tuple[str, str] | None:
+def _sets_of_a_vtol(log: Log) -> tuple[str, str] | None:
     """Name the commands of a VTOL's hover and of its forward flight; None for any other."""
-    if log.parameters.get("CA_AIRFRAME") in KNOWN["hybrid_airframes"]:
+    if log.parameters.get("CA_AIRFRAME") in KNOWN["vtols"]["CA_AIRFRAME"]:
         return f"{SETPOINTS[0]} of instance 0", "of instance 1"
-    if log.parameters.get("MAV_TYPE") in KNOWN["hybrid_types"]:
+    if log.parameters.get("MAV_TYPE") in KNOWN["vtols"]["MAV_TYPE"]:
         return f"{CONTROLS}0", f"{CONTROLS}1"
     return None
 
 
-def _hovers(log: Log, instance: int) -> bool:
+def _hovers(it: Import) -> bool:
     """Whether the commands are those of a multirotor: of one, or of a VTOL's hover."""
-    if _sets_of_a_hybrid(log):
-        return instance == 0
-    airframe = log.parameters.get("CA_AIRFRAME")
-    if airframe is not None:
-        return airframe == MULTIROTOR
-    return log.parameters.get("MAV_TYPE") in KNOWN["multirotor_types"]
+    if _sets_of_a_vtol(it.log) is not None:
+        return it.choice.actuators_instance == 0
+    said_by = "CA_AIRFRAME" if "CA_AIRFRAME" in it.log.parameters else "MAV_TYPE"
+    return it.log.parameters.get(said_by) in KNOWN["multirotors"][said_by]
 
 
 # --- control allocation -----------------------------------------------------------------------
@@ -281,77 +276,51 @@ def _lifts(log: Log, forces: FloatArray) -> bool:
     return up >= ahead
 
 
-def _pins(instance: int) -> str:
-    """Return what the parameters of an instance of actuator_outputs begin with."""
-    return "PWM_AUX" if instance else "PWM_MAIN"
-
-
-def _pins_are_explained(it: Import) -> bool:
-    """Whether parameters, or the one old mixer that is known, say what the pins move."""
-    begin = f"{_pins(it.choice.actuators_instance)}_FUNC"
-    return it.log.parameters.get("MAV_TYPE") == QUADROTOR or any(
-        name.startswith(begin) and value for name, value in it.log.parameters.items()
-    )
+def _functions(it: Import) -> list[int]:
+    """Return the functions of the pins that an instance of actuator_outputs may have."""
+    prefix = PINS[min(it.choice.actuators_instance, 1)]
+    return [int(it.log.parameter(f"{prefix}_FUNC{pin}")) for pin in range(1, MOST_PINS + 1)]
 
 
 def _outputs(it: Import, topic: Messages) -> Actuators:
     """Pulse widths at the pins, with functions from PWM_*_FUNCn, or a quadrotor's old mixer."""
     log, instance = it.log, it.choice.actuators_instance
+    prefix, functions = PINS[min(instance, 1)], _functions(it)
     values = topic.array("output")
-    count = int(np.max(topic.columns["noutputs"])) or values.shape[1]
-    prefix = _pins(instance)
-    functions = [int(log.parameter(f"{prefix}_FUNC{i + 1}")) for i in range(count)]
+    count = min(int(np.max(topic.columns["noutputs"])) or MOST_PINS, values.shape[1])
+    servos: dict[int, Channel] = {}
     if any(functions):
-        channels = _by_function(log, functions, prefix)
+        known = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
+        servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
+        low, high, said = PWM_MIN, PWM_MAX, f"{prefix}_FUNC{{}} {{}}"
         log.findings.assume(f"instance {instance} of actuator_outputs are the pins {prefix}")
     elif log.parameters.get("MAV_TYPE") == QUADROTOR:
-        channels = _quad_x(log, count)
+        arms = enumerate(effects_of_arms(KNOWN["quad_x"]), 1)
+        known = {i: Channel(f"motor_{i}", effect, "") for i, effect in arms}
+        functions, said = [*range(1, MOST_PINS + 1)], "output of quad x"
+        low, high = log.parameter("PWM_MIN", PWM_MIN), log.parameter("PWM_MAX", PWM_MAX)
+        log.findings.assume(
+            "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear "
+            "right) on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
+        )
+        log.findings.note(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
     else:
         raise log.refusal(
             f": no parameter {prefix}_FUNCn says what the actuator_outputs move; "
             "try --actuators-topic actuator_controls_0"
         )
-    return Stream(topic.name, topic.stamp_ns, values[:, :count]), channels
-
-
-def _by_function(log: Log, functions: list[int], prefix: str) -> list[Channel]:
-    known = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
-    servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
-    known |= servos
-    reversed_pins = int(log.parameter(f"{prefix}_REV"))
     channels = []
-    for i, function in enumerate(functions, 1):
-        channel = replace(
-            known.get(function, Channel(f"output_{i}", NO_EFFECT, "")),
-            meaning=f"{prefix}_FUNC{i} {function}",
-            neutral=0.0,
-            unit="us",
-        )
-        if function in known:
-            low = log.parameter(f"{prefix}_MIN{i}", PWM_MIN)
-            high = log.parameter(f"{prefix}_MAX{i}", PWM_MAX)
-            centre = (low + high) / 2.0 if function in servos else None
-            turned = bool(reversed_pins >> (i - 1) & 1)
-            channel = over_range(channel, low, high, centre=centre, turned=turned)
+    for pin, function in enumerate(functions[:count], 1):
+        channel = Channel(f"output_{pin}", NO_EFFECT, said.format(pin, function), unit="us")
+        if (moved := (known | servos).get(function)) is not None:
+            channel = replace(channel, name=moved.name, effect=moved.effect)
+            ends = [log.parameter(f"{prefix}_{end}{pin}", usual)
+                    for end, usual in (("MIN", low), ("MAX", high))]  # fmt: skip
+            centre = sum(ends) / 2.0 if function in servos else None
+            turned = bool(int(log.parameter(f"{prefix}_REV")) >> (pin - 1) & 1)
+            channel = over_range(channel, *ends, centre=centre, turned=turned)
         channels.append(channel)
-    return named_once(channels)
-
-
-def _quad_x(log: Log, count: int) -> list[Channel]:
-    """Take a quadrotor in X: the mixer file is not in an old log."""
-    low, high = log.parameter("PWM_MIN", PWM_MIN), log.parameter("PWM_MAX", PWM_MAX)
-    log.findings.assume(
-        "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear right) "
-        "on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
-    )
-    log.findings.note(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
-    channels = [
-        over_range(Channel(f"motor_{i}", effect, "output of quad x", unit="us"), low, high)
-        for i, effect in enumerate(effects_of_arms(KNOWN["quad_x"]), 1)
-    ]
-    for i in range(len(channels) + 1, count + 1):
-        channels.append(Channel(f"output_{i}", NO_EFFECT, "", unit="us"))
-    return channels[:count]
+    return Stream(topic.name, topic.stamp_ns, values[:, :count]), named_once(channels)
 
 
 READERS: dict[str, ActuatorsReader] = {

@@ -2,10 +2,10 @@
 """An imported log as a bag with the standard topics, and the parameters that fit it."""
 
 import textwrap
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,59 +39,38 @@ STRING, BOOL = "std_msgs/msg/String", "std_msgs/msg/Bool"
 FIRST_NS = 1
 """First stamp of a bag, ns: zero says in ROS that there is none, and the message would be lost."""
 
-IMU_STREAMS = ("rates", "attitude")
-"""What the messages of the Imu are made of."""
-
-
-Make = Callable[[int, Any], Any]
-"""Makes a message from a stamp, ns, and a sample."""
-
-
-def _imu(log: FlightLog) -> Make:
-    frame_id, rates, attitude = FRAME_IDS[log.convention], *map(log.streams.get, IMU_STREAMS)
-    assert rates is not None
-    turns = [None] * len(rates.t_ns)
-    if attitude is not None:
-        turns = turned_at(rates.t_ns, attitude.t_ns, attitude.values).tolist()
-    turned = iter(turns)
-
-    has_force = log.has_force
-
-    def make(t_ns: int, value: Any) -> Any:
-        values = value.tolist()
-        force = values[3:] if has_force else None
-        return imu(t_ns, values[:3], force, frame_id, next(turned))
-
-    return make
-
-
-def _joint_state(log: FlightLog) -> Make:
-    names = [channel.name for channel in log.channels]
-    return lambda t_ns, value: joint_state(t_ns, names, value)
-
 
 class Topic(NamedTuple):
     """A topic of an imported bag."""
 
     name: str
     msgtype: str
-    maker: Callable[[FlightLog], Make]  # Gives what makes its messages
+    make: Callable[[FlightLog, int, Any], Any]  # Makes a message from a stamp, ns, and a sample
     depth: int = 10
 
 
+def _imu(log: FlightLog, t_ns: int, sample: Any) -> Any:
+    rates, force, turned = sample[:3].tolist(), sample[3:6].tolist(), sample[6:].tolist()
+    return imu(t_ns, rates, force if log.has_force else None, FRAME_IDS[log.convention], turned)
+
+
 TOPICS = {
-    "actuators": Topic("/actuators", JOINT_STATE, _joint_state),
+    "actuators": Topic(
+        "/actuators",
+        JOINT_STATE,
+        lambda log, t_ns, raw: joint_state(t_ns, [channel.name for channel in log.channels], raw),
+    ),
     "rates": Topic("/imu/data", IMU, _imu, 500),
     "airspeed": Topic(
-        "/airspeed", TWIST, lambda _: lambda t_ns, v: twist_stamped(t_ns, (float(v), 0.0, 0.0))
+        "/airspeed", TWIST, lambda _, t_ns, v: twist_stamped(t_ns, (float(v), 0.0, 0.0))
     ),
     "setpoint": Topic(
         "/setpoint/rates",
         VECTOR,
-        lambda _: lambda t_ns, pqr: vector_stamped(t_ns, pqr.tolist(), FRAME_IDS["frd"]),
+        lambda _, t_ns, pqr: vector_stamped(t_ns, pqr.tolist(), FRAME_IDS["frd"]),
     ),
-    "mode": Topic("/mode", STRING, lambda _: lambda _, name: plain(STRING, str(name))),
-    "armed": Topic("/armed", BOOL, lambda _: lambda _, armed: plain(BOOL, bool(armed))),
+    "mode": Topic("/mode", STRING, lambda _, t_ns, name: plain(STRING, str(name))),
+    "armed": Topic("/armed", BOOL, lambda _, t_ns, armed: plain(BOOL, bool(armed))),
 }
 """Topic of each stream; at equal times they are written in this order."""
 
@@ -104,29 +83,31 @@ def write_import(log: FlightLog, folder: Path, finish: Callable[[Path], None]) -
     BagWriteError
         If it cannot be written; nothing half-written stays behind.
     """
-    streams = {name: stream for name, stream in log.streams.items() if name in TOPICS}
+    streams = dict(log.streams)
+    rates = streams["rates"]
+    if (attitude := streams.get("attitude")) is not None:
+        turned = turned_at(rates.t_ns, attitude.t_ns, attitude.values)
+        streams["rates"] = replace(rates, values=np.hstack([rates.values, turned]))
     if log.flown is not None:
-        streams["armed"] = _armed(log.flown, log.streams["rates"].t_ns)
+        streams["armed"] = _armed(log.flown, rates.t_ns)
     with whole(folder) as working:
         with BagWriter(working) as bag:
             entries = []
-            for name in sorted(streams, key=[*TOPICS].index):
-                topic = TOPICS[name]
-                bag.topic(topic.name, topic.msgtype, qos(topic.depth, reliable=name != "rates"))
-                entries.append(_entries(log, streams[name], name))
+            for name, topic in TOPICS.items():
+                if name in streams:
+                    profile = qos(topic.depth, reliable=name != "rates")
+                    bag.topic(topic.name, topic.msgtype, profile)
+                    entries.append(_messages(log, streams[name], topic))
             bag.merge(entries)
         finish(working)
 
 
-def _entries(log: FlightLog, stream: Stream, name: str) -> Iterator[tuple[int, str, Any]]:
+def _messages(log: FlightLog, stream: Stream, topic: Topic) -> Iterator[tuple[int, str, Any]]:
     """Yield log time, topic and message; log times never step back, whatever the stamps do."""
-    make, topic = TOPICS[name].maker(log), TOPICS[name].name
-    stamp_ns: TimeArray = np.maximum(stream.t_ns, FIRST_NS)
-    log_ns: TimeArray = np.maximum.accumulate(stamp_ns)
-    for recorded, t_ns, value in zip(
-        log_ns.tolist(), stamp_ns.tolist(), stream.values, strict=True
-    ):
-        yield recorded, topic, make(t_ns, value)
+    stamp_ns = np.maximum(stream.t_ns, FIRST_NS)
+    log_ns = np.maximum.accumulate(stamp_ns).tolist()
+    for recorded, t_ns, sample in zip(log_ns, stamp_ns.tolist(), stream.values, strict=True):
+        yield recorded, topic.name, topic.make(log, t_ns, sample)
 
 
 def _armed(flown: Stretches, rates_ns: TimeArray) -> Stream:
@@ -170,102 +151,89 @@ wrong sign in the log's parameters or in the column map."""
 COMMENT_WIDTH = 96
 
 
-@dataclass(frozen=True)
-class Fitting:
-    """The parameters that fit an imported log."""
+def fitting(
+    log: FlightLog,
+    trim: str,  # One of `flight_log.TRIMS`
+    airspeed: bool | None,  # Whether to scale with the airspeed; None if measured in flight
+) -> dict[str, Any]:
+    """Return the parameters of the identifier that fit a log, by dotted name.
 
-    log: FlightLog
-    values: dict[str, Any]  # Of the identifier, by dotted name
+    Raises
+    ------
+    ImportLogError
+        If there is no airspeed to scale with.
+    """
+    channels = [channel for _, channel in log.used]
+    values: dict[str, Any] = {
+        "imu.type": TOPICS["rates"].msgtype,
+        "imu.convention": log.convention,
+        "imu.lever_arm": list(log.lever_arm),
+        "actuators.type": TOPICS["actuators"].msgtype,
+        "actuators.channels": [channel.name for channel in channels],
+        "actuators.scale": [channel.scale for channel in channels],
+        "actuators.trim": _trim(log, trim),
+        "actuators.estimate_delay": True,
+    }
+    if not log.has_force:
+        values["structure"] = WITHOUT_FORCES
+    elif log.hovers:
+        values["structure"] = WITHOUT_WINGS
+    if trim == "learn":
+        values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
+    for i, name in enumerate(INPUTS):
+        values[f"actuators.mixing.{name}"] = [channel.effect[i] for channel in channels]
+    moved = [name for name in SIGNS if any(values[f"actuators.mixing.{name}"])]
+    if moved:
+        values["supervision.expected_signs"] = [SIGNS[name] for name in moved]
+    if log.flown is not None:
+        values["armed.type"] = TOPICS["armed"].msgtype
+    return values | _airspeed(log, airspeed)
 
-    @classmethod
-    def of(
-        cls,
-        log: FlightLog,
-        trim: str,  # One of `flight_log.TRIMS`
-        airspeed: bool | None,  # Whether to scale with the airspeed; None if measured in flight
-    ) -> Self:
-        """Return the parameters that fit a log.
 
-        Raises
-        ------
-        ImportLogError
-            If there is no airspeed to scale with.
-        """
-        channels = [channel for _, channel in log.used]
-        values: dict[str, Any] = {
-            "imu.type": TOPICS["rates"].msgtype,
-            "imu.convention": log.convention,
-            "imu.lever_arm": list(log.lever_arm),
-            "actuators.type": TOPICS["actuators"].msgtype,
-            "actuators.channels": [channel.name for channel in channels],
-            "actuators.scale": [channel.scale for channel in channels],
-            "actuators.trim": _trim(log, trim),
-            "actuators.estimate_delay": True,
-        }
-        if not log.has_force:
-            values["structure"] = WITHOUT_FORCES
-        elif log.hovers:
-            values["structure"] = WITHOUT_WINGS
-        if trim == "learn":
-            values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
-        for i, name in enumerate(INPUTS):
-            values[f"actuators.mixing.{name}"] = [channel.effect[i] for channel in channels]
-        moved = [name for name in SIGNS if any(values[f"actuators.mixing.{name}"])]
-        if moved:
-            values["supervision.expected_signs"] = [SIGNS[name] for name in moved]
-        if log.flown is not None:
-            values["armed.type"] = TOPICS["armed"].msgtype
-        return cls(log, values | _airspeed(log, airspeed))
+def in_words(log: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return all there is to say of a log and the fitting parameters, under headings."""
+    channels = [channel for _, channel in log.used]
+    inputs = []
+    for channel, trim in zip(channels, values["actuators.trim"], strict=True):
+        scale = f", times {channel.scale:.6g}" if channel.scale != 1.0 else ""
+        inputs.append(f"{channel.name}: {channel.meaning}; {channel.unit} less {trim:.6g}{scale}")
+    for i, (name, direction) in enumerate(zip(INPUTS, DIRECTIONS, strict=True)):
+        terms = [f"{c.effect[i]:+.4g} {c.name}" for c in channels if c.effect[i]]
+        inputs.append(f"{name} ({direction}) = {' '.join(terms) or 'nothing'}")
+    titled = {
+        "Damaged": log.findings.damage,
+        "From the log": log.findings.read,
+        "Assumed": log.findings.assumed,
+        "Missing or doubtful": log.findings.lost,
+        "Inputs": inputs,
+    }
+    return {title: sentences for title, sentences in titled.items() if sentences}
 
-    def findings(self) -> dict[str, list[str]]:
-        """Return all there is to say under headings, those that are empty left out."""
-        findings = self.log.findings
-        titled = {
-            "Damaged": findings.damage,
-            "From the log": findings.read,
-            "Assumed": findings.assumed,
-            "Missing or doubtful": findings.lost,
-            "Inputs": self._inputs_in_words(),
-        }
-        return {title: sentences for title, sentences in titled.items() if sentences}
 
-    def _inputs_in_words(self) -> list[str]:
-        channels = [channel for _, channel in self.log.used]
-        lines = []
-        for channel, trim in zip(channels, self.values["actuators.trim"], strict=True):
-            scale = f", times {channel.scale:.6g}" if channel.scale != 1.0 else ""
-            lines.append(
-                f"{channel.name}: {channel.meaning}; {channel.unit} less {trim:.6g}{scale}"
-            )
-        for i, (name, direction) in enumerate(zip(INPUTS, DIRECTIONS, strict=True)):
-            terms = [f"{c.effect[i]:+.4g} {c.name}" for c in channels if c.effect[i]]
-            lines.append(f"{name} ({direction}) = {' '.join(terms) or 'nothing'}")
-        return lines
+def write_parameters(path: Path, log: FlightLog, values: Mapping[str, Any]) -> None:
+    """Write the parameter file, with everything that was found out as comments.
 
-    def write(self, path: Path) -> None:
-        """Write the parameter file, with everything that was found out as comments.
-
-        Raises
-        ------
-        ImportLogError
-            If a value that follows from the log is none that the identifier takes.
-        """
-        log, titled = self.log, self.findings()
-        heading = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
-        if log.parameters:
-            named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())
-            titled["Parameters of the autopilot"] = [named]
-        lines = ["# SPDX-License-Identifier: Apache-2.0", *_comment(heading)]
-        for title, sentences in titled.items():
-            lines.append(f"# {title}:")
-            lines += [line for sentence in sentences for line in _comment(sentence, "- ", "  ")]
-        lines += ["/**:", "  ros__parameters:"]
-        lines += [f"    {name}: {written(value)}" for name, value in self.values.items()]
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        try:
-            Settings.from_values(load_parameters(path, "/identifier"))
-        except SettingsError as error:
-            raise ImportLogError(f"log '{log.path}' gives no usable parameters: {error}") from None
+    Raises
+    ------
+    ImportLogError
+        If a value that follows from the log is none that the identifier takes.
+    """
+    titled = in_words(log, values)
+    heading = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
+    if log.parameters:
+        named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())
+        titled["Parameters of the autopilot"] = [named]
+    lines = ["# SPDX-License-Identifier: Apache-2.0", *_comment(heading)]
+    for title, sentences in titled.items():
+        lines.append(f"# {title}:")
+        lines += [line for sentence in sentences for line in _comment(sentence, "- ", "  ")]
+    lines += ["/**:", "  ros__parameters:"]
+    lines += [f"    {name}: {written(value)}" for name, value in values.items()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    try:
+        Settings.from_values(load_parameters(path, "/identifier"))
+    except SettingsError as error:
+        raise ImportLogError(f"log '{log.path}' gives no usable parameters: {error}") from None
 
 
 def _trim(log: FlightLog, trim: str) -> list[float]:
