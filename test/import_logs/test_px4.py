@@ -3,6 +3,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from excerpts import decoded, replay, summary
 from imported import Imported, Importer, mixing
 from pyulog import ULog
 from pyulog.ulog2csv import convert_ulog2csv
-from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
+from ulog_writing import Columns, commands, padded, sensor_combined, stamps, write_ulog
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.frames import quaternions, rotation
@@ -41,22 +42,40 @@ def noise(columns: int) -> np.ndarray:
     return np.random.default_rng(2).uniform(-0.5, 0.5, (len(COMMAND_NS), columns))
 
 
-def combined() -> dict:
-    return {("sensor_combined", 0): sensor_combined(IMU_NS, RATES, FORCE)}
+def controls(values: np.ndarray, entries: int = 12, late: int = 0, every: int = 1) -> Columns:
+    """A topic of commands with an array `control`, its unused entries NaN."""
+    return commands((COMMAND_NS + late)[::every], padded(values[::every], entries), "control")
 
 
-def imported(importer: Importer, topics: dict, values: dict, *options: str) -> Imported:
-    return importer(write_ulog(importer.folder / "flight.ulg", topics, values), *options)
+def status(t_ns: np.ndarray, field: str, values: list[int]) -> Columns:
+    return {"timestamp": stamps(t_ns), field: np.array(values, np.uint8)}
+
+
+def measured(t_ns: np.ndarray, field: str, values: Any) -> Columns:
+    return {"timestamp": stamps(t_ns), field: np.broadcast_to(np.float32(values), len(t_ns))}
+
+
+COMBINED = sensor_combined(IMU_NS, RATES, FORCE)
+TORQUES = {"vehicle_torque_setpoint": commands(COMMAND_NS, noise(3), "xyz")}
+MOTORS = {"actuator_motors": controls(0.5 + 0.1 * noise(4))}
+
+
+def px4(
+    importer: Importer,
+    topics: dict[Any, Columns],  # By name, or name and instance, beside sensor_combined
+    values: dict[str, float] | None = None,
+    *options: str,
+) -> Imported:
+    topics = {"sensor_combined": COMBINED} | topics
+    keyed = {key if isinstance(key, tuple) else (key, 0): c for key, c in topics.items() if c}
+    return importer(write_ulog(importer.folder / "flight.ulg", keyed, values or {}), *options)
 
 
 # --- channels -----------------------------------------------------------------------------------
 
 
 def test_rotors_mix_as_in_the_simulation(importer: Importer) -> None:
-    topics = combined() | {
-        ("actuator_motors", 0): commands(COMMAND_NS, padded(0.5 + 0.1 * noise(4), 12), "control")
-    }
-    bag, values, printed = imported(importer, topics, QUAD_X)
+    bag, values, printed = px4(importer, MOTORS, QUAD_X)
     assert bag.names == values["actuators.channels"] == ["motor_1", "motor_2", "motor_3", "motor_4"]
     ready = load_parameters(CONFIG / "px4_quadrotor.yaml", "/identifier")
     for mixed in (mixing(values), mixing(ready)):
@@ -73,9 +92,9 @@ def test_elevons_mix_as_in_the_simulation(importer: Importer) -> None:
     It publishes motors and servos of one cycle some microseconds apart: they are one message.
     """
     motors, servos = 0.5 + noise(1), noise(2)
-    topics = combined() | {
-        ("actuator_servos", 0): commands(COMMAND_NS + 30_000, padded(servos, 8), "control"),
-        ("actuator_motors", 0): commands(COMMAND_NS, padded(motors, 12), "control"),
+    topics = {
+        "actuator_servos": controls(servos, 8, late=30_000),
+        "actuator_motors": controls(motors),
     }
     airframe = {
         "CA_AIRFRAME": 1, "CA_ROTOR_COUNT": 1, "CA_SV_CS_COUNT": 2,
@@ -83,7 +102,7 @@ def test_elevons_mix_as_in_the_simulation(importer: Importer) -> None:
         "CA_SV_CS1_TYPE": 6, "CA_SV_CS1_TRQ_R": 0.5, "CA_SV_CS1_TRQ_P": 0.5,
         "CA_SV_CS1_TRIM": 0.1,
     }  # fmt: skip
-    bag, values, _ = imported(importer, topics, airframe, "--trim", "neutral")
+    bag, values, _ = px4(importer, topics, airframe, "--trim", "neutral")
     assert bag.names == ["motor_1", "left_elevon", "right_elevon"]
     expected = ELEVON.mixing[:, [3, 0, 1]] * [1.0, -1.0, -1.0]
     np.testing.assert_allclose(mixing(values), expected * [[1], [0], [1], [1]], atol=1e-12)
@@ -94,30 +113,28 @@ def test_elevons_mix_as_in_the_simulation(importer: Importer) -> None:
 
 
 def test_flaps_are_recorded_but_not_used(importer: Importer) -> None:
-    topics = combined() | {
-        ("actuator_servos", 0): commands(COMMAND_NS, padded(noise(3), 8), "control")
-    }
     airframe = {
         "CA_AIRFRAME": 1, "CA_SV_CS_COUNT": 3,
         "CA_SV_CS0_TYPE": 1, "CA_SV_CS0_TRQ_R": -0.5,
         "CA_SV_CS1_TYPE": 2, "CA_SV_CS1_TRQ_R": 0.5,
         "CA_SV_CS2_TYPE": 9, "CA_SV_CS2_TRQ_R": 0.7,
     }  # fmt: skip
-    bag, values, _ = imported(importer, topics, airframe)
+    bag, values, _ = px4(importer, {"actuator_servos": controls(noise(3), 8)}, airframe)
     assert bag.names == ["left_aileron", "right_aileron", "left_flap"]
     assert values["actuators.channels"] == ["left_aileron", "right_aileron"]
     np.testing.assert_allclose(mixing(values)[2], [-0.5, 0.5])
 
 
+def outputs(widths: np.ndarray, count: int) -> Columns:
+    t_us = stamps(COMMAND_NS[:: len(COMMAND_NS) // len(widths)])
+    values = np.zeros((len(widths), 16), np.float32)
+    values[:, :count] = widths
+    number = np.full(len(widths), count, np.uint32)
+    return {"timestamp": t_us, "noutputs": number, "output": values}
+
+
 def test_pulse_widths_by_the_functions_of_their_pins(importer: Importer) -> None:
     widths = 1500.0 + 400.0 * noise(3)
-    count = np.full(len(COMMAND_NS), 3, np.uint32)
-    topics = combined() | {
-        ("actuator_outputs", 0): {
-            "timestamp": stamps(COMMAND_NS), "noutputs": count,
-            "output": np.hstack([widths, np.zeros((len(widths), 13))]).astype(np.float32),
-        }
-    }  # fmt: skip
     pins = {
         "PWM_MAIN_FUNC1": 201, "PWM_MAIN_MIN1": 1100, "PWM_MAIN_MAX1": 1900,
         "PWM_MAIN_FUNC2": 101, "PWM_MAIN_MIN2": 1000, "PWM_MAIN_MAX2": 1950,
@@ -125,7 +142,8 @@ def test_pulse_widths_by_the_functions_of_their_pins(importer: Importer) -> None
         "CA_AIRFRAME": 1, "CA_ROTOR_COUNT": 1,
         "CA_SV_CS_COUNT": 1, "CA_SV_CS0_TYPE": 3, "CA_SV_CS0_TRQ_P": 1.0,
     }  # fmt: skip
-    bag, values, _ = imported(importer, topics, pins, "--trim", "neutral")
+    topics = {"actuator_outputs": outputs(widths, 3)}
+    bag, values, _ = px4(importer, topics, pins, "--trim", "neutral")
     assert bag.names == ["elevator", "motor_1", "output_3"]
     np.testing.assert_array_equal(bag.actuators, widths.astype(np.float32))
     assert values["actuators.channels"] == ["elevator", "motor_1"]
@@ -136,80 +154,69 @@ def test_pulse_widths_by_the_functions_of_their_pins(importer: Importer) -> None
 
 def test_pulse_widths_that_nothing_explains_are_passed_over(importer: Importer) -> None:
     """An old log of a fixed wing has them a little faster, but its mixer file is not in it."""
-    widths_ns = COMMAND_NS[::4]
-    topics = combined() | {
-        ("actuator_controls_0", 0): commands(COMMAND_NS[::5], noise(8)[::5], "control"),
-        ("actuator_outputs", 0): {
-            "timestamp": stamps(widths_ns),
-            "noutputs": np.full(len(widths_ns), 8, np.uint32),
-            "output": np.full((len(widths_ns), 16), 1500.0, np.float32),
-        },
+    topics = {
+        "actuator_controls_0": controls(noise(8), 8, every=5),
+        "actuator_outputs": outputs(np.full((25, 8), 1500.0), 8),
     }
-    bag, values, _ = imported(importer, topics, {"MAV_TYPE": 1})
+    bag, values, _ = px4(importer, topics, {"MAV_TYPE": 1})
     np.testing.assert_array_equal(bag.actuators, noise(8)[::5].astype(np.float32))
     assert values["actuators.channels"] == ["roll", "pitch", "yaw", "thrust"]
-    assert "PWM_MAIN_FUNCn" in importer.refused(
-        importer.log, "--actuators-topic", "actuator_outputs"
-    )
+    asked = ("--actuators-topic", "actuator_outputs")
+    assert "PWM_MAIN_FUNCn" in importer.refused(importer.log, *asked)
 
 
-def test_a_vtol_has_two_sets_of_setpoints(importer: Importer) -> None:
-    topics = combined() | {
-        ("vehicle_torque_setpoint", i): commands(COMMAND_NS, noise(3) + i, "xyz") for i in (0, 1)
-    }
-    airframe = {"CA_AIRFRAME": 2}
-    bag, _, printed = imported(importer, topics, airframe)
-    assert "of instance 1 those of forward flight (--actuators-instance); 0 is taken" in printed
-    np.testing.assert_array_equal(bag.actuators, noise(3).astype(np.float32))
-    forward = importer(importer.log, "--actuators-instance", "1").bag
-    np.testing.assert_array_equal(forward.actuators, (noise(3) + 1).astype(np.float32))
+@pytest.mark.parametrize(
+    ("topics", "parameters", "options", "said"),
+    [
+        ({("vehicle_torque_setpoint", i): commands(COMMAND_NS, noise(3) + i, "xyz")
+          for i in (0, 1)}, {"CA_AIRFRAME": 2}, ["--actuators-instance 1"],
+         "of instance 1 those of forward flight (--actuators-instance); 0 is taken"),
+        ({f"actuator_controls_{i}": controls(noise(8) + i, 8) for i in (0, 1)}
+         | {("actuator_outputs", 1): commands(COMMAND_NS, noise(8), "output")}, {"MAV_TYPE": 22},
+         ["--actuators-instance 1", "--actuators-topic actuator_controls_1"],
+         "a VTOL: actuator_controls_0 are the commands of hover"),
+    ],
+    ids=["new", "old"],
+)  # fmt: skip
+def test_a_vtol_has_two_sets_of_commands(
+    importer: Importer, topics: dict, parameters: dict, options: list[str], said: str
+) -> None:
+    """Instances of a topic; before v1.13 a topic for each."""
+    bag, _, printed = px4(importer, topics, parameters)
+    values = next(iter(topics.values()))
+    first = values.get("xyz", values.get("control"))
+    np.testing.assert_array_equal(bag.actuators, first)
+    assert said in printed
+    for option in options:
+        again = importer(importer.log, *option.split()).bag
+        np.testing.assert_allclose(again.actuators, first + 1, rtol=1e-6)
     assert "no actuators" in importer.refused(importer.log, "--actuators-instance", "2")
-
-
-def test_an_old_vtol_has_a_topic_for_each_set(importer: Importer) -> None:
-    topics = combined() | {
-        (f"actuator_controls_{i}", 0): commands(COMMAND_NS, noise(8) + i, "control") for i in (0, 1)
-    }
-    topics |= {("actuator_outputs", 1): commands(COMMAND_NS, noise(8), "output")}
-    bag, _, printed = imported(importer, topics, {"MAV_TYPE": 22})
-    np.testing.assert_array_equal(bag.actuators, noise(8).astype(np.float32))
-    assert "a VTOL: actuator_controls_0 are the commands of hover" in printed
-    for option in ("--actuators-instance 1", "--actuators-topic actuator_controls_1"):
-        found = importer(importer.log, *option.split()).bag
-        np.testing.assert_array_equal(found.actuators, (noise(8) + 1).astype(np.float32))
 
 
 def test_a_topic_that_covers_a_part_of_the_flight_is_passed_over(importer: Importer) -> None:
     """Both are slow: the faster one was logged in the first fifth only."""
-    motors = commands(COMMAND_NS[:20:4], padded(0.5 + 0.1 * noise(4)[:20:4], 12), "control")
-    slow = commands(COMMAND_NS[::5], noise(8)[::5], "control")
-    topics = combined() | {("actuator_motors", 0): motors, ("actuator_controls_0", 0): slow}
-    bag, _, printed = imported(importer, topics, QUAD_X)
+    motors = {name: values[:20:4] for name, values in MOTORS["actuator_motors"].items()}
+    topics = {"actuator_motors": motors, "actuator_controls_0": controls(noise(8), 8, every=5)}
+    bag, _, printed = px4(importer, topics, QUAD_X)
     assert len(bag.actuators) == len(COMMAND_NS) // 5
-    assert (
-        "actuator_motors covers 43 % of the flight only; actuator_controls_0 is at 10 Hz" in printed
-    )
-    assert (
-        "actuator_motors at 12.5 Hz over 43 %, actuator_controls_0 at 10 Hz over 100 %" in printed
-    )
-    assert "actuator_controls_0 has 10 Hz only: 20 Hz are needed" in printed
+    for said in (
+        "actuator_motors covers 43 % of the flight only; actuator_controls_0 is at 10 Hz",
+        "actuator_motors at 12.5 Hz over 43 %, actuator_controls_0 at 10 Hz over 100 %",
+        "actuator_controls_0 has 10 Hz only: 20 Hz are needed",
+    ):
+        assert said in printed
 
 
 # --- rates --------------------------------------------------------------------------------------
 
-TORQUES = {("vehicle_torque_setpoint", 0): commands(COMMAND_NS, noise(3), "xyz")}
 
-
-def raw_gyro(instance: int, values: np.ndarray) -> dict:
-    x, y, z = values.astype(np.float32).T
+def raw_gyro(values: np.ndarray) -> Columns:
     return {
-        ("sensor_gyro", instance): {
-            "timestamp": stamps(IMU_NS) + np.uint64(700),
-            "timestamp_sample": stamps(IMU_NS),
-            "device_id": np.full(COUNT, 4711, np.uint32),
-            "x": x, "y": y, "z": z,
-        }
-    }  # fmt: skip
+        "timestamp": stamps(IMU_NS) + np.uint64(700),
+        "timestamp_sample": stamps(IMU_NS),
+        "device_id": np.full(COUNT, 4711, np.uint32),
+        **dict(zip("xyz", values.astype(np.float32).T, strict=True)),
+    }
 
 
 def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(importer: Importer) -> None:
@@ -217,86 +224,78 @@ def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(importer: Importer) -
     offset = np.array([0.01, -0.02, 0.03])
     board = rotation(*np.radians([1.5, -1.0, 0.5])) @ rotation(*np.radians([90.0, 0.0, 90.0]))
     in_the_board = RATES @ board + offset  # body to board is the transpose
-    topics = TORQUES | raw_gyro(0, RATES * 0.0) | raw_gyro(1, in_the_board)
+    gyros = {("sensor_gyro", i): raw_gyro(v) for i, v in enumerate((RATES * 0.0, in_the_board))}
     values = {
         "CA_AIRFRAME": 1, "SENS_BOARD_ROT": 18, "SENS_BOARD_X_OFF": 1.5,
         "SENS_BOARD_Y_OFF": -1.0, "SENS_BOARD_Z_OFF": 0.5, "CAL_GYRO2_ID": 4711,
         "CAL_GYRO2_XOFF": 0.01, "CAL_GYRO2_YOFF": -0.02, "CAL_GYRO2_ZOFF": 0.03,
     }  # fmt: skip
-    bag, found, printed = imported(importer, topics, values, "--rates-instance", "1")
+    topics = TORQUES | gyros | {"sensor_combined": {}}
+    bag, found, printed = px4(importer, topics, values, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, RATES, atol=1e-6)
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)  # when sampled, not when published
-    assert "SENS_BOARD_ROT 18, roll 90 deg yaw 90 deg, fine offsets 1.50 -1.00 0.50" in printed
-    assert "CAL_GYRO2_XOFF" in printed
-    assert "instances [0, 1] of sensor_gyro" in printed
-    assert "ay and az are zero" in printed
+    for said in (
+        "SENS_BOARD_ROT 18, roll 90 deg yaw 90 deg, fine offsets 1.50 -1.00 0.50",
+        "CAL_GYRO2_XOFF",
+        "instances [0, 1] of sensor_gyro",
+        "ay and az are zero",
+    ):
+        assert said in printed
     assert found["structure"] == "throttle_coupled"
 
 
 def test_filtered_rates_are_the_last_resort_and_noted(importer: Importer) -> None:
-    velocity = commands(IMU_NS + 400_000, RATES, "xyz", delay_us=400)
-    acceleration = {"timestamp": stamps(IMU_NS), "xyz": FORCE.astype(np.float32)}
     topics = TORQUES | {
-        ("vehicle_angular_velocity", 0): velocity,
-        ("vehicle_acceleration", 0): acceleration,
+        "vehicle_angular_velocity": commands(IMU_NS + 400_000, RATES, "xyz", delay_us=400),
+        "vehicle_acceleration": {"timestamp": stamps(IMU_NS), "xyz": FORCE.astype(np.float32)},
     }
-    bag, _, printed = imported(importer, topics, {"IMU_GYRO_CUTOFF": 40.0})
+    alone = topics | {"sensor_combined": {}}
+    bag, _, printed = px4(importer, alone, {"IMU_GYRO_CUTOFF": 40.0})
     assert "low-passed at 40 Hz (IMU_GYRO_CUTOFF)" in printed
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)
     np.testing.assert_array_equal(bag.rates, RATES.astype(np.float32))
     np.testing.assert_allclose(bag.specific_force, FORCE, rtol=1e-6)
-    topics |= combined()
-    printed = imported(importer, topics, {}).printed
+    printed = px4(importer, topics).printed
     assert "rates: sensor_combined" in printed
     assert "vehicle_angular_velocity at 200 Hz over 100 %" in printed
 
 
 def test_an_invalid_accelerometer_is_no_measurement(importer: Importer) -> None:
-    topics = combined() | TORQUES
-    topics["sensor_combined", 0]["accelerometer_timestamp_relative"][:] = 0x7FFFFFFF
-    _, _, printed = imported(importer, topics, {})
+    invalid = {"accelerometer_timestamp_relative": np.full(COUNT, 0x7FFFFFFF, np.int32)}
+    printed = px4(importer, TORQUES | {"sensor_combined": {**COMBINED, **invalid}}).printed
     assert "no valid accelerometer sample: ay and az are zero" in printed
 
 
 # --- the rest -----------------------------------------------------------------------------------
 
 
-def status(t_ns: np.ndarray, field: str, values: list[int]) -> dict:
-    return {"timestamp": stamps(t_ns), field: np.array(values, np.uint8)}
-
-
 def test_the_trim_is_that_of_the_flight_not_of_the_ground(importer: Importer) -> None:
     motors = np.full((len(COMMAND_NS), 4), np.nan)  # motors that are off
     motors[50:] = 0.1
     motors[70:90] = 0.6
-    landed = status(START + np.array([0, 1_400_000_000, 1_790_000_000]), "landed", [1, 0, 1])
-    armed = status(START + np.array([0, 1_000_000_000]), "arming_state", [1, 2])
-    topics = combined() | {
-        ("actuator_motors", 0): commands(COMMAND_NS, padded(motors, 12), "control"),
-        ("vehicle_land_detected", 0): landed,
-        ("vehicle_status", 0): armed,
+    landed = START + np.array([0, 1_400_000_000, 1_790_000_000])
+    topics = {
+        "actuator_motors": controls(motors),
+        "vehicle_land_detected": status(landed, "landed", [1, 0, 1]),
+        "vehicle_status": status(START + np.array([0, 10**9]), "arming_state", [1, 2]),
     }
-    _, values, printed = imported(importer, topics, QUAD_X)
+    _, values, printed = px4(importer, topics, QUAD_X)
     np.testing.assert_allclose(values["actuators.trim"], 0.6, rtol=1e-6)
     assert "in the air for 0.4 s in 1 stretch(es)" in printed
     assert "50 samples lack a value of a channel in use" in printed
 
     bag = importer(importer.log, "--flight-only").bag
     for t_ns in (bag.imu_t_ns, bag.actuator_t_ns):
-        assert t_ns[0] == START + 1_400_000_000
-        assert t_ns[-1] <= START + 1_790_000_000
+        assert t_ns[0] == landed[1]
+        assert t_ns[-1] <= landed[2]
     assert (bag.actuators == np.float32(0.6)).all()
     np.testing.assert_array_equal(bag.rates, RATES[280 : 280 + len(bag.rates)].astype(np.float32))
 
 
 @pytest.mark.parametrize("name", ["airspeed_validated", "airspeed"])
 def test_airspeed(importer: Importer, name: str) -> None:
-    speed = {
-        "timestamp": stamps(COMMAND_NS),
-        "true_airspeed_m_s": np.linspace(14.0, 16.0, len(COMMAND_NS)).astype(np.float32),
-    }
-    topics = combined() | TORQUES | {(name, 0): speed}
-    bag, values, printed = imported(importer, topics, {})
+    speed = measured(COMMAND_NS, "true_airspeed_m_s", np.linspace(14.0, 16.0, len(COMMAND_NS)))
+    bag, values, printed = px4(importer, TORQUES | {name: speed})
     np.testing.assert_array_equal(bag.airspeed, speed["true_airspeed_m_s"])
     assert values["airspeed.type"] == "geometry_msgs/msg/TwistStamped"
     assert values["airspeed.reference"] == pytest.approx(15.0)
@@ -309,37 +308,25 @@ def test_airspeed(importer: Importer, name: str) -> None:
 def test_an_airspeed_of_a_log_with_a_gap(importer: Importer) -> None:
     """Where nothing was logged no airspeed can be."""
     imu_ns = IMU_NS + 100_000_000_000 * (np.arange(COUNT) >= COUNT // 2)
-    speed = {
-        "timestamp": stamps(imu_ns[::4]),
-        "true_airspeed_m_s": np.full(len(COMMAND_NS), 15.0, np.float32),
-    }
     topics = {
-        ("sensor_combined", 0): sensor_combined(imu_ns, RATES, FORCE),
-        ("vehicle_torque_setpoint", 0): commands(imu_ns[::4], noise(3), "xyz"),
-        ("airspeed", 0): speed,
+        "sensor_combined": sensor_combined(imu_ns, RATES, FORCE),
+        "vehicle_torque_setpoint": commands(imu_ns[::4], noise(3), "xyz"),
+        "airspeed": measured(imu_ns[::4], "true_airspeed_m_s", 15.0),
     }
-    _, values, printed = imported(importer, topics, {})
+    values = px4(importer, topics).values
     assert values["airspeed.type"] == "geometry_msgs/msg/TwistStamped"
     assert values["airspeed.reference"] == 15.0
-    assert "the airspeed is used; in flight its median is 15 m/s" in printed
 
 
-@pytest.mark.parametrize("part", [slice(0, 30), slice(None)])
-def test_an_airspeed_that_is_no_use_is_left_out(importer: Importer, part: slice) -> None:
+@pytest.mark.parametrize("slow", [False, True])
+def test_an_airspeed_that_is_no_use_is_left_out(importer: Importer, slow: bool) -> None:
     """Measured for a part of the flight, or that of a hover; the ground speed stands in."""
-    slow = part == slice(None)
-    t_ns = COMMAND_NS[part] + (0 if slow else 10**10)
-    speed = np.full(len(t_ns), 1.0 if slow else 15.0, dtype=np.float32)
-    ground = np.full(len(COMMAND_NS), 0.5 if slow else 12.5, dtype=np.float32)
-    topics = (
-        combined()
-        | TORQUES
-        | {
-            ("airspeed", 0): {"timestamp": stamps(t_ns), "true_airspeed_m_s": speed},
-            ("vehicle_gps_position", 0): {"timestamp": stamps(COMMAND_NS), "vel_m_s": ground},
-        }
-    )
-    _, values, printed = imported(importer, topics, {})
+    t_ns = COMMAND_NS if slow else COMMAND_NS[:30] + 10**10
+    topics = TORQUES | {
+        "airspeed": measured(t_ns, "true_airspeed_m_s", 1.0 if slow else 15.0),
+        "vehicle_gps_position": measured(COMMAND_NS, "vel_m_s", 0.5 if slow else 12.5),
+    }
+    _, values, printed = px4(importer, topics)
     assert "airspeed.type" not in values
     assert ("airspeed.reference" not in values) if slow else values["airspeed.reference"] == 12.5
     assert "the airspeed is not used" in printed
@@ -350,9 +337,7 @@ def test_an_airspeed_that_is_no_use_is_left_out(importer: Importer, part: slice)
 
 def test_the_tables_of_ulog2csv(importer: Importer) -> None:
     """By pyulog's own converter: what comes in is what the log itself gives."""
-    motors = commands(COMMAND_NS, padded(0.5 + 0.1 * noise(4), 12), "control", delay_us=30)
-    topics = combined() | {("actuator_motors", 0): motors}
-    whole, values, _ = imported(importer, topics, QUAD_X)
+    whole, values, _ = px4(importer, MOTORS, QUAD_X)
     folder = importer.folder / "tables"
     folder.mkdir()
     convert_ulog2csv(str(importer.log), None, str(folder), ",", None, None)
@@ -372,28 +357,22 @@ def test_the_tables_of_ulog2csv(importer: Importer) -> None:
 
 
 def test_attitude_arming_mode_and_setpoints_come_along(importer: Importer) -> None:
-    yaw = np.linspace(3.0, 3.4, 21)  # through 180 deg, where the quaternion changes its sign
-    q = quaternions(
-        np.full(21, 0.3), np.full(21, -0.2), np.remainder(yaw + np.pi, 2 * np.pi) - np.pi
-    )
-    logged = np.column_stack([q[:, 3], q[:, :3]])
-    attitude = commands(IMU_NS[::20][:21] + 30_000, logged[: len(IMU_NS[::20])], "q", delay_us=30)
+    seldom = IMU_NS[::20]
+    yaw = np.linspace(3.0, 3.4, 20)  # through 180 deg, where the quaternion changes its sign
+    ones = np.ones_like(yaw)
+    q = quaternions(0.3 * ones, -0.2 * ones, np.remainder(yaw + np.pi, 2 * np.pi) - np.pi)
     armed_ns = int(IMU_NS[100])
     requested = np.float32(RATES[::20] + 0.5)
-    topics = (
-        combined()
-        | TORQUES
-        | {
-            ("vehicle_attitude", 0): attitude,
-            ("vehicle_status", 0): status(IMU_NS[[0, 100, 120]], "arming_state", [1, 2, 2])
-            | {"nav_state": np.array([0, 15, 15], np.uint8)},
-            ("vehicle_rates_setpoint", 0): {
-                "timestamp": stamps(IMU_NS[::20]),
-                **dict(zip(("roll", "pitch", "yaw"), requested.T, strict=True)),
-            },
-        }
-    )
-    it = imported(importer, topics, {"MC_ROLLRATE_P": 0.15})
+    topics = TORQUES | {
+        "vehicle_attitude": commands(seldom + 30_000, q[:, [3, 0, 1, 2]], "q", delay_us=30),
+        "vehicle_status": status(IMU_NS[[0, 100, 120]], "arming_state", [1, 2, 2])
+        | {"nav_state": np.array([0, 15, 15], np.uint8)},
+        "vehicle_rates_setpoint": {
+            "timestamp": stamps(seldom),
+            **dict(zip(("roll", "pitch", "yaw"), requested.T, strict=True)),
+        },
+    }
+    it = px4(importer, topics, {"MC_ROLLRATE_P": 0.15})
     assert it.values["armed.type"] == "std_msgs/msg/Bool"
     assert "MC_ROLLRATE_P 0.15" in (it.folder / "identifier.yaml").read_text()
     read = decoded(it.folder)
@@ -413,16 +392,15 @@ def test_attitude_arming_mode_and_setpoints_come_along(importer: Importer) -> No
 
 def test_the_lever_arm_and_learnt_trim(importer: Importer) -> None:
     values = {"EKF2_IMU_POS_X": 0.05, "EKF2_IMU_POS_Z": -0.02}
-    _, found, _ = imported(importer, combined() | TORQUES, values, "--trim", "learn")
+    found = px4(importer, TORQUES, values, "--trim", "learn").values
     np.testing.assert_allclose(found["imu.lever_arm"], [0.05, 0.0, -0.02], rtol=1e-6)
     assert found["actuators.learn_trim_time"] == 2.0
 
 
 def test_gaps_and_dropouts_are_listed(importer: Importer) -> None:
     kept = np.r_[0:101, 131:COUNT]
-    topics = TORQUES | {
-        ("sensor_combined", 0): sensor_combined(IMU_NS[kept], RATES[kept], FORCE[kept])
-    }
+    topics = {("sensor_combined", 0): sensor_combined(IMU_NS[kept], RATES[kept], FORCE[kept])}
+    topics |= {(name, 0): columns for name, columns in TORQUES.items()}
     dropouts = ((100_500_000, 150), (100_600_000, 20))
     printed = importer(write_ulog(importer.folder / "gaps.ulg", topics, {}, dropouts)).printed
     assert "the logger lost messages 2 times, together 0.17 s, at most 0.15 s" in printed
@@ -441,10 +419,13 @@ def test_a_recorded_log(tmp_path: Path, importer: Importer) -> None:
     np.testing.assert_array_equal(bag.specific_force[:, 2], gyro["accelerometer_m_s2[2]"])
     np.testing.assert_array_equal(bag.actuator_t_ns // 1000, controls["timestamp"])
     np.testing.assert_array_equal(bag.column("pitch"), controls["control[1]"])
-    assert "17070 samples over 68.9 s at 250 Hz" in printed
-    assert "never armed" in printed
-    assert "SENS_BOARD_ROT 0, none, fine offsets -1.50 1.19 0.00 deg" in printed
-    assert "the logger lost messages 4 times" in printed
+    for said in (
+        "17070 samples over 68.9 s at 250 Hz",
+        "never armed",
+        "SENS_BOARD_ROT 0, none, fine offsets -1.50 1.19 0.00 deg",
+        "the logger lost messages 4 times",
+    ):
+        assert said in printed
     options = ("--actuators-topic", "actuator_outputs", "--trim", "neutral")
     bag, values, printed = importer(SAMPLE, *options)
     assert "a quadrotor in X" in printed
@@ -452,8 +433,7 @@ def test_a_recorded_log(tmp_path: Path, importer: Importer) -> None:
     np.testing.assert_allclose(values["actuators.scale"], 1.0 / (1950.0 - 1075.0))
     assert values["actuators.trim"] == [1075.0] * 4
     assert (bag.actuators[:, :4] == 900.0).all()
-    line = importer.refused(SAMPLE, "--flight-only")
-    assert "it never flew: leave --flight-only out" in line
+    assert "it never flew: leave --flight-only out" in importer.refused(SAMPLE, "--flight-only")
     # motors that stand still turn nothing, though it moves: every control derivative must admit it
     recorded, output = importer.folder / "bag_1", tmp_path / "replayed"
     parameters, text = recorded / "unarmed.yaml", (recorded / "identifier.yaml").read_text()
