@@ -21,7 +21,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import bench
 import numpy as np
@@ -29,10 +29,9 @@ import numpy as np
 sys.path[:0] = [str(bench.ROOT / "test"), str(bench.ROOT / "test" / "import_logs")]
 
 from blackbox_writing import blackbox  # noqa: E402
-from dataflash_writing import DataflashWriter  # noqa: E402
+from good_logs import COLUMNS, TABLE, plane_log, ulog  # noqa: E402
 from mcap.writer import CompressionType  # noqa: E402
 from mcap_writing import rewritten  # noqa: E402
-from ulog_writing import commands, sensor_combined, write_ulog  # noqa: E402
 
 from uav_ident_ros.bags.reading import Bag, BagError  # noqa: E402
 from uav_ident_ros.identification.settings import SettingsError  # noqa: E402
@@ -53,14 +52,6 @@ HUNG = 300
 SECONDS = 3.0
 NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1)
 
-COLUMNS = """\
-time: {column: t}
-axes: frd
-rates: {columns: [p, q, r], unit: rad/s}
-channels:
-  elevator: {column: de, de: 1.0}
-"""
-
 
 class Outcome(NamedTuple):
     """What became of one file: a word, the time it took (s), peak memory (MiB), words on it."""
@@ -76,13 +67,10 @@ class Outcome(NamedTuple):
 
 def write_whole(folder: Path) -> dict[str, Path]:
     """Write one good file of each kind, of a few seconds."""
-    t_ns = 5_000_000 * np.arange(1, round(SECONDS * 200))
-    values = np.random.default_rng(1).normal(size=(len(t_ns), 3))
-    files = {"ulg": _ulog(folder, t_ns, values), "bin": _dataflash(folder, t_ns, values)}
-    rows = zip(t_ns * 1e-9, values, values[:, 0], strict=True)
-    text = "t,p,q,r,de\n" + "".join(f"{t:.3f},{p},{q},{r},{de}\n" for t, (p, q, r), de in rows)
+    share = SECONDS / 10.0  # of the tests' flights
+    files = {"ulg": ulog(folder, share), "bin": plane_log(folder, share=share)}
     files["csv"] = folder / "whole.csv"
-    files["csv"].write_text(text)
+    files["csv"].write_text(TABLE)
     files["bbl"] = folder / "whole.bbl"
     files["bbl"].write_bytes(blackbox())
     for compression in CompressionType:
@@ -90,30 +78,6 @@ def write_whole(folder: Path) -> dict[str, Path]:
         path = folder / f"{name}.mcap"
         files[name] = rewritten(path, compression=compression, seconds=SECONDS, chunk=50_000)
     return files
-
-
-def _ulog(folder: Path, t_ns: np.ndarray, values: np.ndarray) -> Path:
-    topics: dict[tuple[str, int], Any] = {
-        ("sensor_combined", 0): sensor_combined(t_ns, values, values),
-        ("vehicle_torque_setpoint", 0): commands(t_ns[::4], values[::4], "xyz"),
-        ("vehicle_status", 0): {
-            "timestamp": (t_ns[:3] // 1000).astype(np.uint64),
-            "arming_state": np.full(3, 2, np.uint8),
-        },
-    }
-    return write_ulog(folder / "whole.ulg", topics, {"SENS_BOARD_ROT": 0, "CA_AIRFRAME": 0})
-
-
-def _dataflash(folder: Path, t_ns: np.ndarray, values: np.ndarray) -> Path:
-    writer = DataflashWriter()
-    writer.add_parameters({"SERVO1_FUNCTION": 4, "SERVO2_FUNCTION": 19, "SERVO1_MIN": 1100})
-    rows: list[tuple[int, str, tuple[float, ...]]] = [
-        (int(t) // 1000, "IMU", (0, *v, *v)) for t, v in zip(t_ns, values, strict=True)
-    ]
-    rows += [(int(t) // 1000, "RCOU", (1500, 1500 + i % 9)) for i, t in enumerate(t_ns[::4])]
-    rows += [(int(t_ns[0]) // 1000, "ARM", (1,)), (int(t_ns[9]) // 1000, "ARSP", (0, 16.0))]
-    writer.add_rows(rows)
-    return writer.write(folder / "whole.bin")
 
 
 # --- mutations ------------------------------------------------------------------------------------

@@ -14,10 +14,22 @@ import numpy as np
 import pytest
 from blackbox_writing import blackbox
 from dataflash_writing import DataflashWriter
+from good_logs import (
+    ARMED,
+    COLUMNS,
+    GOOD,
+    IMU_NS,
+    RATES,
+    TABLE,
+    VALUES,
+    plane_log,
+    table,
+    ulog,
+)  # fmt: skip
 from imported import Importer
 from programs import python
 from pyulog import ULog
-from ulog_writing import commands, keyed, message, sensor_combined, stamps, write_ulog
+from ulog_writing import commands, keyed, message, stamps, write_ulog
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.import_logs.cli import DAMAGED
@@ -25,28 +37,8 @@ from uav_ident_ros.import_logs.dataflash import HEADER, read_dataflash
 from uav_ident_ros.import_logs.flight_log import Findings
 from uav_ident_ros.import_logs.px4_log import MAGIC, SYNC, read_ulog
 
-IMU_NS = 5_000_000 * np.arange(1, 2001)
-VALUES = np.random.default_rng(1).normal(size=(len(IMU_NS), 3))
-COMMANDS = commands(IMU_NS[::4], VALUES[::4], "xyz")
-RATES = sensor_combined(IMU_NS, VALUES, VALUES)
-GOOD = {("sensor_combined", 0): RATES, ("vehicle_torque_setpoint", 0): COMMANDS}
-
-
 Make = Callable[[Path], list[str]]
 """Writes a log into a folder, and gives the arguments that import it."""
-
-
-def plane_log(tmp_path: Path, *left_out: str, servos: tuple[int, ...] = (4, 19)) -> Path:
-    writer = DataflashWriter()
-    writer.add_parameters({f"SERVO{i}_FUNCTION": function for i, function in enumerate(servos, 1)})
-    rows = [(int(t) // 1000, "IMU", (0, *v, *v)) for t, v in zip(IMU_NS, VALUES, strict=True)]
-    rows += [(int(t) // 1000, "RCOU", (1500, 1500 + i % 9)) for i, t in enumerate(IMU_NS[::4])]
-    writer.add_rows([row for row in rows if row[1] not in left_out])
-    return writer.write(tmp_path / "plane.bin")
-
-
-def ulog(tmp_path: Path) -> Path:
-    return write_ulog(tmp_path / "good.ulg", GOOD, {})
 
 
 KINDS = pytest.mark.parametrize("write", [ulog, plane_log])
@@ -201,8 +193,7 @@ def test_a_last_stamp_that_lies_days_ahead(importer: Importer) -> None:
     """It may be a straggler; what is written for every second is not written for those days."""
     rates = deepcopy(RATES)
     rates["timestamp"][-1] += 5 * 86_400_000_000
-    armed = {"timestamp": stamps(IMU_NS[:2]), "arming_state": np.full(2, 2, np.uint8)}
-    topics = GOOD | {("sensor_combined", 0): rates, ("vehicle_status", 0): armed}
+    topics = GOOD | ARMED | {("sensor_combined", 0): rates}
     it = importer(write_ulog(importer.folder / "flight.ulg", topics, {}))
     assert "armed for 43" in it.printed
     with Bag(it.folder) as bag:
@@ -242,21 +233,6 @@ def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
 
 
 # --- tables -------------------------------------------------------------------------------------
-
-COLUMNS = """\
-time: {column: t}
-axes: frd
-rates: {columns: [p, q, r], unit: rad/s}
-channels:
-  elevator: {column: de, de: 1.0}
-"""
-TABLE = "t,p,q,r,de\n" + "".join(f"{0.01 * i:.2f},0.1,0.2,0.3,{0.01 * i}\n" for i in range(300))
-
-
-def table(tmp_path: Path, text: str = TABLE, columns: str = COLUMNS) -> list[str]:
-    (tmp_path / "flight.csv").write_text(text, encoding="utf-8")
-    (tmp_path / "columns.yaml").write_text(columns, encoding="utf-8")
-    return [str(tmp_path / "flight.csv"), "--columns", str(tmp_path / "columns.yaml")]
 
 
 def test_counts_of_a_raw_sensor(importer: Importer) -> None:
