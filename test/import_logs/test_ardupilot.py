@@ -2,6 +2,7 @@
 """What ArduPilot logs of different vehicles mean."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,15 +20,19 @@ FORCE = np.tile(np.array([0.25, -0.5, -9.75]), (COUNT, 1))
 PULSES = np.random.default_rng(2).integers(1200, 1800, (len(COMMAND_US), 4))
 
 
+def at(t_us: np.ndarray, name: str, values: Any) -> list:
+    """Messages of a type, one at each time."""
+    rows = np.broadcast_to(values, (len(t_us), np.shape(values)[-1]))
+    return [(int(t), name, tuple(row.tolist())) for t, row in zip(t_us, rows, strict=True)]
+
+
 def imu(instance: int = 0, factor: float = 1.0) -> list:
-    return [
-        (int(t), "IMU", (instance, *pqr, *force))
-        for t, pqr, force in zip(IMU_US, factor * RATES, FORCE, strict=True)
-    ]
+    which = np.full((COUNT, 1), instance)
+    return at(IMU_US, "IMU", np.hstack([which, factor * RATES, FORCE]))
 
 
-def rcou(t_us: np.ndarray = COMMAND_US, pulses: np.ndarray = PULSES) -> list:
-    return [(int(t), "RCOU", tuple(map(int, p))) for t, p in zip(t_us, pulses, strict=True)]
+def rcou(every: int = 1, pulses: np.ndarray = PULSES) -> list:
+    return at(COMMAND_US[::every], "RCOU", pulses[::every])
 
 
 def servos(*functions: int, **others: float) -> dict[str, float]:
@@ -41,15 +46,21 @@ def servos(*functions: int, **others: float) -> dict[str, float]:
 PLANE = servos(4, 19, 70, 21, AHRS_ORIENTATION=8)
 
 
-def write(folder: Path, rows: list, values: dict[str, float]) -> Path:
+TITLE = [(START, "MSG", (b"ArduCopter V4.5.7 (0358a9c2)",))]
+QUAD = servos(33, 34, 35, 36) | {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
+
+
+def imported(
+    importer: Importer,
+    rows: list,  # Messages beside those of the IMU and the pins
+    values: dict,
+    *options: str,
+    pulses: list | None = None,  # RCOU, if not the usual
+) -> Imported:
     writer = DataflashWriter()
     writer.add_parameters(values)
-    writer.add_rows(rows)
-    return writer.write(folder / "flight.bin")
-
-
-def imported(importer: Importer, rows: list, values: dict, *options: str) -> Imported:
-    return importer(write(importer.folder, rows, values), *options)
+    writer.add_rows(rows + imu() + (rcou() if pulses is None else pulses))
+    return importer(writer.write(importer.folder / "flight.bin"), *options)
 
 
 # --- outputs ------------------------------------------------------------------------------------
@@ -57,7 +68,7 @@ def imported(importer: Importer, rows: list, values: dict, *options: str) -> Imp
 
 def test_a_plane_with_reversed_servos(importer: Importer) -> None:
     values = PLANE | {"SERVO2_REVERSED": 1, "SERVO2_TRIM": 1480, "SERVO4_MIN": 1000}
-    bag, found, printed = imported(importer, imu() + rcou(), values, "--trim", "neutral")
+    bag, found, printed = imported(importer, [], values, "--trim", "neutral")
     assert bag.names[:4] == ["aileron", "elevator", "throttle", "rudder"]
     np.testing.assert_array_equal(bag.actuators, PULSES)
     np.testing.assert_allclose(
@@ -85,14 +96,14 @@ MIXERS = {
     "elevons": ((77, 78, 70), {}, [[*ELEVON, 0], [0] * 3, [-0.5, 0.5, 0], [0, 0, 1]]),
     "V-tail": ((79, 80), {}, [ELEVON, TAIL, [0, 0], [0, 0]]),
     "two of one function": ((4, 4, 19), {}, [[0, 0, -1], [0] * 3, [0.5, 0.5, 0], [0] * 3]),
-    "quadrotor": ((33, 34, 35, 36), {"FRAME_CLASS": 1, "FRAME_TYPE": 1}, QUADROTOR.mixing),
+    "quadrotor": ((33, 34, 35, 36), QUAD, QUADROTOR.mixing),
 }
 
 
 @pytest.mark.parametrize("name", MIXERS)
 def test_pairs_and_motors_are_mixed_as_ardupilot_does(importer: Importer, name: str) -> None:
     functions, more, rows = MIXERS[name]
-    bag, values, printed = imported(importer, imu() + rcou(), servos(*functions) | more)
+    bag, values, printed = imported(importer, [], servos(*functions) | more)
     np.testing.assert_allclose(mixing(values), rows, atol=1e-12)
     if name == "quadrotor":
         np.testing.assert_allclose(values["actuators.trim"], np.median(PULSES, axis=0))
@@ -106,7 +117,7 @@ def test_frames_are_balanced(importer: Importer, frame, count: int) -> None:
     """Collective turns nothing, and the three moments are independent of each other."""
     pulses = np.random.default_rng(3).integers(1200, 1800, (len(COMMAND_US), count))
     values = servos(*range(33, 33 + count)) | {"FRAME_CLASS": frame[0], "FRAME_TYPE": frame[1]}
-    _, found, _ = imported(importer, imu() + rcou(pulses=pulses), values)
+    found = imported(importer, [], values, pulses=rcou(pulses=pulses)).values
     rows = mixing(found)
     gram = rows @ rows.T
     np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=1e-12)
@@ -114,19 +125,19 @@ def test_frames_are_balanced(importer: Importer, frame, count: int) -> None:
 
 
 def test_an_unknown_frame_is_refused_with_a_way_out(importer: Importer) -> None:
-    log = write(importer.folder, imu() + rcou(), servos(33, 34, 35) | {"FRAME_CLASS": 7})
-    printed = importer.refused(log)
+    log = DataflashWriter()
+    log.add_parameters(servos(33, 34, 35) | {"FRAME_CLASS": 7})
+    log.add_rows(imu() + rcou())
+    printed = importer.refused(log.write(importer.folder / "flight.bin"))
     assert "FRAME_CLASS 7" in printed
     assert "--actuators-topic RATE" in printed
 
 
 def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importer) -> None:
-    slow = rcou(COMMAND_US[::10], PULSES[::10])
     requested = np.array([0.1, -0.2, 0.3, 0.4])
     out = (0, 0, 0.1, 0, 0, -0.2, 0, 0, 0.3, 0, 0, 0.4)
-    rates = [(int(t), "RATE", out) for t in COMMAND_US]
-    known = servos(33, 34, 35, 36) | {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
-    bag, values, printed = imported(importer, imu() + slow + rates, known)
+    rates = at(COMMAND_US, "RATE", out)
+    bag, values, printed = imported(importer, rates, QUAD, pulses=rcou(10))
     assert (
         "RCOU is logged at 5 Hz only (LOG_BITMASK); RATE is at 50 Hz, from before the mixer, and "
         "knows nothing of saturation"
@@ -140,16 +151,14 @@ def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importe
 def test_slow_actuators_name_the_bit_of_log_bitmask(
     importer: Importer, mask: int, advice: str
 ) -> None:
-    title = [(START, "MSG", (b"ArduCopter V4.5.7 (0358a9c2)",))]
-    frame = {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "LOG_BITMASK": mask}
-    rows = title + imu() + rcou(COMMAND_US[::10], PULSES[::10])
-    printed = imported(importer, rows, servos(33, 34, 35, 36) | frame).printed
+    values = QUAD | {"LOG_BITMASK": mask}
+    printed = imported(importer, TITLE, values, pulses=rcou(10)).printed
     assert f"20 Hz are needed (LOG_BITMASK {mask}{advice} 'fast attitude')" in printed
 
 
 def test_aetr_on_request(importer: Importer) -> None:
-    rows = [(int(t), "AETR", (450.0, -900.0, 60.0, 225.0)) for t in COMMAND_US]
-    bag, values, _ = imported(importer, imu() + rcou() + rows, PLANE, "--actuators-topic", "AETR")
+    rows = at(COMMAND_US, "AETR", (450.0, -900.0, 60.0, 225.0))
+    bag, values, _ = imported(importer, rows, PLANE, "--actuators-topic", "AETR")
     u = mixing(values) @ (np.array(values["actuators.scale"]) * bag.actuators[0])
     np.testing.assert_allclose(u, [0.2, -0.05, 0.1, 0.6])
 
@@ -158,11 +167,10 @@ def test_aetr_on_request(importer: Importer) -> None:
 
 
 def test_raw_rates_are_preferred_and_stamped_when_sampled(importer: Importer) -> None:
-    raw = [
-        (int(t) + 900, "GYR", (0, int(t), *pqr)) for t, pqr in zip(IMU_US, 2.0 * RATES, strict=True)
-    ]
-    raw += [(int(t) + 900, "ACC", (0, int(t), *f)) for t, f in zip(IMU_US, FORCE, strict=True)]
-    bag, _, printed = imported(importer, imu() + raw + rcou(), PLANE)
+    sampled = np.column_stack([np.zeros(COUNT), IMU_US])
+    raw = at(IMU_US + 900, "GYR", np.hstack([sampled, 2.0 * RATES]))
+    raw += at(IMU_US + 900, "ACC", np.hstack([sampled, FORCE]))
+    bag, _, printed = imported(importer, raw, PLANE)
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
     np.testing.assert_array_equal(bag.rates, 2.0 * RATES)
     np.testing.assert_array_equal(bag.specific_force, FORCE)
@@ -171,8 +179,7 @@ def test_raw_rates_are_preferred_and_stamped_when_sampled(importer: Importer) ->
 
 
 def test_the_unit_can_be_chosen(importer: Importer) -> None:
-    rows = imu(0) + imu(1, 3.0) + rcou()
-    bag, _, printed = imported(importer, rows, PLANE, "--rates-instance", "1")
+    bag, _, printed = imported(importer, imu(1, 3.0), PLANE, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, 3.0 * RATES, rtol=1e-6)
     assert "instances [0, 1] of IMU" in printed
     assert "instance 2); it has" in importer.refused(importer.log, "--rates-instance", "2")
@@ -191,12 +198,10 @@ def test_trim_airspeed_lever_arm_and_lost_messages(importer: Importer) -> None:
         (armed_us, "ARM", (1,)),
         (armed_us, "CTUN", (0, 0, 0, 0, 0, 0, 0, 0, 0, 1.25)),
         (int(IMU_US[-1]), "DSF", (7,)),
-        *((int(t), "ARSP", (0, 16.0)) for t in COMMAND_US[30:]),
+        *at(COMMAND_US[30:], "ARSP", (0, 16.0)),
     ]
     values = PLANE | {"INS_POS1_X": 0.1, "INS_POS1_Z": -0.05}
-    bag, found, printed = imported(
-        importer, imu() + rcou(pulses=pulses) + rows, values, "--airspeed"
-    )
+    bag, found, printed = imported(importer, rows, values, "--airspeed", pulses=rcou(pulses=pulses))
     np.testing.assert_allclose(found["actuators.trim"], np.median(pulses[30:], axis=0))
     np.testing.assert_allclose(bag.airspeed, 20.0)
     assert found["airspeed.reference"] == 20.0
@@ -210,10 +215,10 @@ def test_mode_and_setpoints_come_along(importer: Importer, scale: float) -> None
     """Old logs, whose controls are no shares, ask for hundredths of a degree a second."""
     unit = 1.0 if scale == 1.0 else 100.0
     requested = (30.0 * unit, 0, 0.1 * scale, -20.0 * unit, 0, 0, 10.0 * unit, 0, 0, 0, 0, 0.4)
-    rows = [(int(t), "RATE", requested) for t in COMMAND_US]
-    rows += [(START, "MODE", (5, 5, 1)), (int(COMMAND_US[9]), "MODE", (99, 99, 1))]
-    title = [(START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",))]
-    it = imported(importer, title + imu() + rcou() + rows, PLANE)
+    rows = at(COMMAND_US, "RATE", requested)
+    rows += at(COMMAND_US[[0, 9]], "MODE", [(5, 5, 1), (99, 99, 1)])
+    rows.append((START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",)))
+    it = imported(importer, rows, PLANE)
     read = decoded(it.folder)
     modes = [(t, m.data) for t, m in read["/mode"]]
     assert modes == [(START * 1000, "fbwa"), (int(COMMAND_US[9]) * 1000, "Mode 99")]
@@ -224,8 +229,8 @@ def test_mode_and_setpoints_come_along(importer: Importer, scale: float) -> None
 def test_a_log_that_begins_in_flight(importer: Importer) -> None:
     """Its only event is the end of the flight: it was armed before."""
     end_us = int(IMU_US[200])
-    rows = [(end_us, "ARM", (0,)), *((int(t), "ATT", (0, 3000, 0, -1000, 0, 9000)) for t in IMU_US)]
-    bag, values, printed = imported(importer, imu() + rcou() + rows, PLANE, "--flight-only")
+    rows = [(end_us, "ARM", (0,)), *at(IMU_US, "ATT", (0, 3000, 0, -1000, 0, 9000))]
+    bag, values, printed = imported(importer, rows, PLANE, "--flight-only")
     assert bag.imu_t_ns[-1] == end_us * 1000
     assert "armed for 0.8 s in 1 stretch(es) (ARM)" in printed
     assert values["armed.type"] == "std_msgs/msg/Bool"
@@ -253,7 +258,7 @@ def test_nothing_is_learned_on_the_ground_while_armed(
     events = [(int(IMU_US[at]), kind, (state, 0, 0, 0)[:size])
               for at, kind, state in rows
               for size in [{"ARM": 4, "STAT": 1, "EV": 1}[kind]]]  # fmt: skip
-    it = imported(importer, imu() + rcou() + events, PLANE)
+    it = imported(importer, events, PLANE)
     assert said in " ".join(it.printed.split())
     assert ("armed.type" in it.values) == (flown is not None)
     read = decoded(it.folder)
@@ -268,7 +273,7 @@ def test_nothing_is_learned_on_the_ground_while_armed(
 
 def test_a_parameter_that_changes_is_noted(importer: Importer) -> None:
     later = [(25_000_000, "PARM", (b"SERVO1_TRIM", 1520.0, float("nan")))]
-    printed = imported(importer, imu() + rcou() + later, PLANE).printed
+    printed = imported(importer, later, PLANE).printed
     assert "SERVO1_TRIM became 1520 at 25.0 s: the first value is used" in printed
 
 
@@ -276,29 +281,29 @@ def test_a_parameter_that_changes_is_noted(importer: Importer) -> None:
 
 
 def old_log(
-    folder: Path, firmware: str, values: dict[str, float], texts: tuple = (), scale: float = 4500
+    folder: Path, firmware: str, values: dict[str, float], text: str = "", scale: float = 4500
 ) -> Path:
     """Milliseconds, no functions of pins, demands in thousands."""
     writer = DataflashWriter(OLD_FORMATS)
     writer.add_parameters(values)
-    for text in (firmware, *texts):
-        writer.add("MSG", text.encode())
-    rows = [
-        (int(t) // 1000, name, (*(factor * pqr), *f))
-        for t, pqr, f in zip(IMU_US, RATES, FORCE, strict=True)
-        for name, factor in (("IMU", 1.0), ("IMU2", 3.0))
-    ]
-    for t, p in zip(COMMAND_US, PULSES, strict=True):
-        rows.append((int(t) // 1000, "RCOU", (*map(int, p), 0, 0, 0, 0)))
-        requested = (0, 0, 0.1 * scale, 0, 0, -0.2 * scale, 0, 0, 0.3 * scale, 0, 0, 400.0)
-        rows.append((int(t) // 1000, "RATE", requested))
-    writer.add_rows(rows)
+    for said in filter(None, (firmware, text)):
+        writer.add("MSG", said.encode())
+    imu_ms, command_ms = IMU_US // 1000, COMMAND_US // 1000
+    requested = (0, 0, 0.1 * scale, 0, 0, -0.2 * scale, 0, 0, 0.3 * scale, 0, 0, 400.0)
+    writer.add_rows(
+        at(imu_ms, "IMU", np.hstack([RATES, FORCE]))
+        + at(imu_ms, "IMU2", np.hstack([3.0 * RATES, FORCE]))
+        + at(command_ms, "RCOU", np.hstack([PULSES, 0 * PULSES]))
+        + at(command_ms, "RATE", requested)
+    )
     return writer.write(folder / "old.bin")
 
 
+COPTER = {"RC3_MIN": 1100, "RC3_MAX": 1900}
+
+
 def test_a_copter_of_2014(importer: Importer) -> None:
-    frame = {"FRAME": 1, "RC3_MIN": 1100, "RC3_MAX": 1900}
-    log = old_log(importer.folder, "ArduCopter V3.2 (c8e0f3e1)", frame)
+    log = old_log(importer.folder, "ArduCopter V3.2 (c8e0f3e1)", COPTER | {"FRAME": 1})
     bag, values, printed = importer(log, "--rates-instance", "1")
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
     np.testing.assert_allclose(bag.rates, 3.0 * RATES, rtol=1e-6)
@@ -311,8 +316,8 @@ def test_a_copter_of_2014(importer: Importer) -> None:
 
 
 def test_the_front_motors_of_a_v_yaw_less(importer: Importer) -> None:
-    frame = {"FRAME": 2, "RC3_MIN": 1100, "RC3_MAX": 1900}
-    log = old_log(importer.folder, "ArduCopter V3.2.1 (36b405fb)", frame, ("Frame: QUAD",))
+    frame = COPTER | {"FRAME": 2}
+    log = old_log(importer.folder, "ArduCopter V3.2.1 (36b405fb)", frame, "Frame: QUAD")
     _, values, printed = importer(log)
     assert "quad v with ArduPilot's motor order" in printed
     de, dr, da, dth = mixing(values)
@@ -321,7 +326,7 @@ def test_the_front_motors_of_a_v_yaw_less(importer: Importer) -> None:
 
 
 def test_a_copter_of_an_unknown_frame_gives_its_demands(importer: Importer) -> None:
-    log = old_log(importer.folder, "APM:Copter V3.3.3 (acf98493)", {"FRAME": 10}, ("Frame: Y6",))
+    log = old_log(importer.folder, "APM:Copter V3.3.3 (acf98493)", {"FRAME": 10}, "Frame: Y6")
     bag, values, printed = importer(log)
     u = mixing(values) @ (np.array(values["actuators.scale"]) * bag.actuators[0])
     np.testing.assert_allclose(u, [0.2, -0.3, 0.1, 0.4], rtol=1e-6)
