@@ -111,10 +111,11 @@ class Import:
     def find(
         self,
         what: str,  # ``rates`` or ``actuators``
-        names: Collection[str],  # The kinds that can be read
+        # The kinds that can be read, the preferred first, and the fields that they must have
+        fields: Mapping[str, Collection[str]],
         find: Find,
     ) -> Usable:
-        """Find the messages asked for, or all kinds that would do, in the order of `names`.
+        """Find the messages asked for, or all kinds that would do.
 
         Raises
         ------
@@ -123,12 +124,13 @@ class Import:
         """
         wanted: str | None = getattr(self.choice, f"{what}_topic")
         instance: int = getattr(self.choice, f"{what}_instance")
-        if wanted is not None and wanted not in names:
+        if wanted is not None and wanted not in fields:
             raise self.log.refusal(
-                f": '{wanted}' are no messages of {what}: there are {', '.join(names)}"
+                f": '{wanted}' are no messages of {what}: there are {', '.join(fields)}"
             )
-        looked_for = [wanted] if wanted else names
-        found = {name: m for name in looked_for if (m := find(name, instance)) is not None}
+        looked_for = [wanted] if wanted else list(fields)
+        there = {name: find(name, instance) for name in looked_for}
+        found = {name: m for name, m in there.items() if m is not None and m.has(*fields[name])}
         if not found:
             which = f", instance {instance}" if instance else ""
             raise self.log.refusal(
@@ -245,18 +247,11 @@ class Import:
 
     def _rates(self, readers: Mapping[str, RatesReader]) -> Stream:
         """Read the rates asked for, or the first that are fast enough, or the fastest."""
-        fields, forces = self.table["rates"], self.table["force"]
-
-        def find(name: str, instance: int) -> Messages | None:
-            messages = self.log.messages(name, instance)
-            return messages if messages and messages.has(*fields[name]) else None
-
-        usable = self.find("rates", fields, find)
+        fields = self.table["rates"]
+        usable = self.find("rates", fields, self.log.messages)
         name = self.choose(usable)
-        messages, own = usable[name], forces.get(name)
-        has_own = own is not None and messages.has(*own)
-        force = messages.values(*own) if has_own else self._force_at(messages)
-        rates = messages.values(*fields[name])
+        messages = usable[name]
+        rates, force = messages.values(*fields[name]), self._force(name, messages)
         if name in readers:
             rates, force = readers[name](self, messages, (rates, force))
         sensor = self.table["gyros"].get(name, name)
@@ -271,7 +266,7 @@ class Import:
         find: Find,
     ) -> Actuators:
         """Read the commands asked for, or the best of those that say what they move."""
-        usable = self.find("actuators", readers, find)
+        usable = self.find("actuators", dict.fromkeys(readers, ()), find)
         name = self.choose(explained(self, usable))
         commands, channels = readers[name](self, usable[name])
         self.findings.note(f"actuators: {commands.source}{self.table['stamped']}")
@@ -306,9 +301,12 @@ class Import:
         """Return by how much the board is turned beyond that: roll, pitch, yaw, deg."""
         return [self.log.parameter(name) for name in self.table["orientation"]["fine"]]
 
-    def _force_at(self, rates: Messages) -> FloatArray | None:
-        """Specific force at the stamps of the rates, from other messages that are fast enough."""
-        for name, fields in self.table["force"].items():
+    def _force(self, kind: str, rates: Messages) -> FloatArray | None:
+        """Specific force with the rates: theirs, or of other messages that are fast enough."""
+        forces = self.table["force"]
+        if kind in forces and rates.has(*forces[kind]):
+            return rates.values(*forces[kind])
+        for name, fields in forces.items():
             there = self.choice.rates_instance in self.log.instances(name)
             messages = self.log.messages(name, self.choice.rates_instance if there else 0)
             if messages is not None and messages.has(*fields) and messages.rate >= ENOUGH_RATE:

@@ -216,9 +216,6 @@ def _title(facts: Mapping[str, Any]) -> str:
 
 # --- tables of ulog2csv --------------------------------------------------------------------------
 
-TABLE = re.compile(r"(?P<log>.+?)_(?P<topic>{topics})_(?P<instance>\d+)\.csv")
-"""How ulog2csv names its files."""
-
 PARAMETERS = re.compile(r".*param(s|eters)?\.(csv|txt)")
 """What ulog_params writes: lines of a name and a value."""
 
@@ -231,7 +228,9 @@ def read_folder(path: Path, topics: Collection[str]) -> Log:
     ImportLogError
         If there is none of them, there are those of several logs, or one cannot be read.
     """
-    pattern = re.compile(TABLE.pattern.replace("{topics}", "|".join(map(re.escape, topics))))
+    pattern = re.compile(
+        rf"(?P<log>.+?)_(?P<topic>{'|'.join(map(re.escape, topics))})_(?P<instance>\d+)\.csv"
+    )
     found = {file: match for file in sorted(path.iterdir())
              if (match := pattern.fullmatch(file.name))}  # fmt: skip
     logs = sorted({match["log"] for match in found.values()})
