@@ -21,15 +21,17 @@ class BinaryLog:
 
     def __init__(self, data: bytes) -> None:
         self.data, self.size = data, len(data)
-        self.lengths: set[int] = set()  # Lengths that messages with samples can have, bytes
 
     def length(self, at: int) -> int:
         """Return the length of the message that begins here, bytes; 0 if none does."""
         raise NotImplementedError
 
-    def resembles(self, at: int) -> bool:
-        """Return whether what stands here is the begin of a message but for a byte or so."""
-        raise NotImplementedError
+    def is_misread(self, last: int, at: int, following: int) -> bool:
+        """Whether the type of the last message is what is damaged, and not what begins behind it.
+
+        It may have led to no message (at), although it ends before the following one.
+        """
+        return False
 
     def learn(self, at: int, length: int) -> None:
         """Take what the message that begins here says of those that follow."""
@@ -43,7 +45,8 @@ class BinaryLog:
         """Return where messages begin, and the gaps between them.
 
         A message is taken if it begins where the one before it ends, or, behind a gap, where one
-        begins for certain.
+        begins for certain. What has led to no message was none itself, if it reaches into the one
+        that follows.
         """
         places, gaps = array("q"), list[Gap]()
         at = last = start
@@ -55,11 +58,7 @@ class BinaryLog:
                 continue
             taken = last < at
             following = self._next_certain(last + 1 if taken else at + 1)
-            # What has led to no message was none itself, if it reaches into the one that follows,
-            # or if with it the gap is as long as a message, and no damaged one begins behind it:
-            # then its type is what is damaged.
-            misread = following - last in self.lengths and not self.resembles(at)
-            if taken and (following < at or misread):
+            if taken and (following < at or self.is_misread(last, at, following)):
                 at = places.pop()
             gaps.append((at, following))
             at = last = following

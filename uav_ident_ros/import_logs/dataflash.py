@@ -114,13 +114,14 @@ class _Dataflash(BinaryLog):
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
         self.kinds: dict[int, Kind] = {}
+        self._lengths: set[int] = set()
         self._declare(FMT, _kind(b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"))
 
     def _declare(self, number: int, kind: Kind) -> None:
         """Take a type; the first declaration counts, a later one may be damaged."""
         if number not in self.kinds:
             self.kinds[number] = kind
-            self.lengths.add(kind.dtype.itemsize)
+            self._lengths.add(kind.dtype.itemsize)
             known = re.escape(bytes(self.kinds))
             self.begins = re.compile(re.escape(HEADER) + b"[" + known + b"]", re.DOTALL)
 
@@ -129,9 +130,11 @@ class _Dataflash(BinaryLog):
         kind = self.kinds.get(header[2]) if header[:2] == HEADER and len(header) == 3 else None
         return kind.dtype.itemsize if kind and at + kind.dtype.itemsize <= self.size else 0
 
-    def resembles(self, at: int) -> bool:
+    def is_misread(self, last: int, at: int, following: int) -> bool:
+        # With it the gap is as long as a message, and what begins behind it is not but for a byte.
         first, second, number = self.data[at : at + 3].ljust(3, b"\0")
-        return (first == HEADER[0]) + (second == HEADER[1]) + (number in self.kinds) >= 2
+        alike = (first == HEADER[0]) + (second == HEADER[1]) + (number in self.kinds)
+        return following - last in self._lengths and alike < 2
 
     def learn(self, at: int, length: int) -> None:
         if self.data[at + 2] != FMT:

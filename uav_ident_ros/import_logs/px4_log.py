@@ -116,7 +116,7 @@ class _Ulog(BinaryLog):
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
         self.topics: dict[int, str] = {}  # Name by the number that samples have
-        self.stamped: set[str] = set()  # Names of formats that begin with a stamp
+        self.stamped: set[str] = set()  # Names of formats with a stamp
         self._formats: dict[str, str] = {}  # What formats hold, by name
         self._sizes: dict[int, int] = {}  # Length of the samples' messages, by number
 
@@ -132,13 +132,9 @@ class _Ulog(BinaryLog):
         begin, end = at + MESSAGE_HEADER, at + length
         return length if end <= self.size and self._is_known(kind, begin, end) else 0
 
-    def resembles(self, at: int) -> bool:
-        length, kind = self.header(at)
-        return self._is_type(kind) or length in self.lengths
-
     def rest(self, at: int) -> str | None:
         length, kind = self.header(at)
-        part = self._is_type(kind) and at + length > self.size
+        part = kind in {*FORMS, *KEYS, *"FAD"} and at + length > self.size
         return CUT_OFF if part or at + MESSAGE_HEADER > self.size else None
 
     def learn(self, at: int, length: int) -> None:
@@ -146,17 +142,12 @@ class _Ulog(BinaryLog):
         if kind == ord("F"):
             name, _, fields = self.data[begin:end].decode().partition(":")
             self._formats[name] = fields
-            if fields.startswith("uint64_t timestamp;"):
+            if "uint64_t timestamp" in fields.split(";"):
                 self.stamped.add(name)
         elif kind == ord("A"):
             number, name = self._topic(begin, end)
             self.topics[number] = name
             self._sizes[number] = MESSAGE_HEADER + 2 + self._size(name, outer=True)
-            self.lengths.add(self._sizes[number])
-
-    @staticmethod
-    def _is_type(kind: str) -> bool:
-        return kind in {*FORMS, *KEYS, *"FAD"}
 
     def _is_known(self, kind: str, begin: int, end: int) -> bool:
         """Whether a message holds what those of its type do, and contradicts none before it."""
@@ -195,7 +186,7 @@ class _Ulog(BinaryLog):
         size = 0
         for kind, count, _ in fields:
             each = SIZES.get(kind) or (self._size(kind, depth=depth + 1) if depth < DEEPEST else 0)
-            size += int(count or 1) * (each or LARGEST + 1)
+            size += max(int(count or 1), 1) * (each or LARGEST + 1)
             if size > LARGEST:
                 break
         return size
