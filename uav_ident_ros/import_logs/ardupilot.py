@@ -50,6 +50,9 @@ FRAMES = {
 }
 """Name and arms by FRAME_CLASS and FRAME_TYPE."""
 
+NAMES = {number: surface["name"] for number, surface in SURFACES.items()} | THROTTLES | MOTORS
+"""Name of what moves the aircraft, by SERVOn_FUNCTION."""
+
 OFF_CENTRE = 0.02
 """A trim further from the middle than this part of the range is worth a word."""
 
@@ -126,7 +129,7 @@ def _explained(it: Import, usable: Usable) -> Usable:
     }
     motors = bool(functions & set(MOTORS)) and _frame(it.log) in FRAMES
     others = {name: m for name, m in usable.items() if name != "RCOU"}
-    if len(usable) == len(others) or motors or functions & {*SURFACES, *THROTTLES} or not others:
+    if not others or "RCOU" not in usable or motors or functions & {*SURFACES, *THROTTLES}:
         return usable
     it.findings.doubt(f"RCOU is passed over: {it.table['unexplained']}")
     return others
@@ -164,37 +167,38 @@ def _pins(it: Import, first: Messages) -> Actuators:
 
 
 def _channel(
-    log: Log, pin: int, function: int, every: list[int], rotors: dict[int, Effect]
+    log: Log,
+    pin: int,
+    function: int,
+    every: list[int],  # Functions of all pins
+    rotors: dict[int, Effect],  # Effects of the motors by their functions
 ) -> Channel:
     """Return what a pin is, by its function and those of every pin."""
-    prefix, trim = f"SERVO{pin}_", None
+    prefix, meaning = f"SERVO{pin}_", f"SERVO{pin}_FUNCTION {function}"
+    if function not in NAMES:
+        return Channel(f"output_{pin}", NO_EFFECT, meaning, unit="us")
     low, high = log.parameter(f"{prefix}MIN", PWM_MIN), log.parameter(f"{prefix}MAX", PWM_MAX)
-    name, effect = f"output_{pin}", NO_EFFECT
+    name, trim, effect = NAMES[function], None, rotors.get(function, NO_EFFECT)
     if function in SURFACES:
         # Two servos of one function: their mean.
         effect = effect_of(SURFACES[function], 1.0 / every.count(function))
-        name, trim = SURFACES[function]["name"], log.parameter(f"{prefix}TRIM", PWM_TRIM)
+        trim = log.parameter(f"{prefix}TRIM", PWM_TRIM)
+        if abs(trim - (low + high) / 2.0) > OFF_CENTRE * (high - low):
+            log.findings.assume(
+                f"{name}: one unit is half of {low:g} to {high:g} us to either side, although its "
+                f"trim, {trim:g} us, is off the middle"
+            )
     elif function in THROTTLES:
-        name = THROTTLES[function]
         effect = effect_of({"thrust": 1.0 / sum(other in THROTTLES for other in every)})
-    elif function in MOTORS:
-        name, effect = f"motor_{MOTORS[function]}", rotors.get(MOTORS[function], NO_EFFECT)
-        if log.parameter("MOT_PWM_MAX") > 0.0:
-            low, high = log.parameter("MOT_PWM_MIN", low), log.parameter("MOT_PWM_MAX")
-    channel = Channel(name, effect, f"{prefix}FUNCTION {function}", unit="us")
-    if function not in {*SURFACES, *THROTTLES, *MOTORS}:
-        return channel
-    if trim is not None and abs(trim - (low + high) / 2.0) > OFF_CENTRE * (high - low):
-        log.findings.assume(
-            f"{name}: one unit is half of {low:g} to {high:g} us to either side, although its "
-            f"trim, {trim:g} us, is off the middle"
-        )
+    elif log.parameter("MOT_PWM_MAX") > 0.0:
+        low, high = log.parameter("MOT_PWM_MIN", low), log.parameter("MOT_PWM_MAX")
     turned = log.parameter(f"{prefix}REVERSED") != 0.0
+    channel = Channel(name, effect, meaning, unit="us")
     return over_range(channel, low, high, centre=trim, turned=turned)
 
 
 def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
-    """Effects of each motor by its number, from the frame."""
+    """Effects of the motors by their functions, from the frame."""
     if not any(function in MOTORS for function in functions):
         return {}
     if any(function in SURFACES for function in functions):
@@ -217,7 +221,7 @@ def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
     log.findings.assume(
         "thrust is taken as proportional to the pulse width about its trim (MOT_THST_EXPO bends it)"
     )
-    return dict(enumerate(effects_of_arms(arms), 1))
+    return dict(zip(MOTORS, effects_of_arms(arms), strict=False))
 
 
 READERS: dict[str, ActuatorsReader] = {"RCOU": _pins, "RATE": demands, "AETR": demands}
@@ -267,9 +271,8 @@ def _old_copter(log: Log) -> None:
     log.parameters.setdefault("FRAME_CLASS", float(frame_class or 0))
     log.parameters.setdefault("FRAME_TYPE", log.parameters["FRAME"])
     _, arms = FRAMES.get(_frame(log), ("", []))
-    functions = {number: function for function, number in MOTORS.items()}
-    for number in range(1, len(arms) + 1):
-        _name_pin(log, number, functions[number], KNOWN["throttle_stick"])
+    for pin, (function, _) in enumerate(zip(MOTORS, arms, strict=False), 1):
+        _name_pin(log, pin, function, KNOWN["throttle_stick"])
     if arms:
         log.findings.assume(
             "a log without SERVOn_FUNCTION: the motors are on the pins of their numbers, their "
