@@ -34,7 +34,7 @@ def test_a_quadrotor_of_betaflight(importer: Importer) -> None:
     np.testing.assert_allclose(values["actuators.mixing.de"], [0.5, -0.5, 0.5, -0.5])
     np.testing.assert_allclose(values["actuators.mixing.dr"], [0.5, -0.5, -0.5, 0.5])
     assert "log 2 of 2 in this file, the longest" in printed
-    assert "gyroADC is behind the filters (low-pass at 150 Hz)" in printed
+    assert "gyroADC is low-passed at 150 Hz (gyro_lowpass_hz) by the autopilot" in printed
     assert "Betaflight 4.4.2" in printed
 
 
@@ -99,7 +99,7 @@ def test_blackboxes_that_cannot_be_used(importer: Importer) -> None:
     none = blackbox(fields=[name for name in FIELDS if not name.startswith("gyro")])
     for content, words in (
         (six, "has 3 motors: only quadrotors are known"),
-        (none, "has no rates (gyroADC); it has time"),
+        (none, "has no rates (gyroUnfilt, gyroADC); it has accSmooth, motor"),
         (blackbox(0), "has no frames that can be read"),
     ):
         assert words in importer.refused(written(importer, content))

@@ -84,7 +84,10 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
         log.findings.doubt(f"the logger lost {lost:.0f} messages (DSF.Dp)")
     rates = dict.fromkeys(KNOWN["rates"], _turned)
     return it.flight_log(
-        rates, READERS, _explained, lambda c: firmware == "Copter" or c.source == "RATE"
+        rates,
+        READERS,
+        hovers=lambda commands: firmware == "Copter" or commands.source == "RATE",
+        explained=_explained,
     )
 
 

@@ -224,7 +224,7 @@ class Import:
                     "it did fly, empty 'armed.type'"
                 )
         if self.flown is None:
-            self.findings.assume("the log does not say when it flew: all of it counts as flight")
+            self.findings.assume(self.table["always_flies"])
 
     def _stretches(self, sources: Mapping[str, Any]) -> tuple[str, Stretches] | None:
         """Return what tells a state, and when it holds; None if nothing does."""
@@ -323,8 +323,10 @@ class Import:
         self,
         rates: Mapping[str, RatesReader],  # By kind, where more is to be done than to read them
         actuators: Mapping[str, ActuatorsReader],  # By kind, the preferred first
-        explained: Callable[["Import", Usable], Usable],  # Gives those that say what they move
+        *,
         hovers: Callable[[Stream], bool],  # Whether such commands are a multirotor's
+        # Gives the commands that say what they move, where not all do
+        explained: Callable[["Import", Usable], Usable] = lambda _, usable: usable,
         find: Find | None = None,  # Finds commands, where not by name and instance
     ) -> FlightLog:
         """Read all that the table tells to read.
@@ -352,6 +354,7 @@ class Import:
             streams,
             tuple(channels),
             self.findings,
+            convention=self.table["convention"],
             lever_arm=self._lever_arm(),
             flown=self.flown,
             hovers=hovers(commands),
@@ -421,7 +424,8 @@ class Import:
         if any((x, y, z)):
             self.findings.note(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
         else:
-            self.findings.assume(f"the accelerometer is at the centre of gravity ({prefix}* 0)")
+            said_by = f" ({prefix}* 0)" if prefix else ""
+            self.findings.assume(f"the accelerometer is at the centre of gravity{said_by}")
         return x, y, z
 
     def _ground_speed(self) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import table
+from uav_ident_ros.import_logs.autopilot import Actuators, Import, table
 from uav_ident_ros.import_logs.channels import effects_of_arms, over_range
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
@@ -18,24 +18,20 @@ from uav_ident_ros.import_logs.flight_log import (
     FlightLog,
     ImportLogError,
     Stream,
-    rates_stream,
 )
-from uav_ident_ros.import_logs.log import IN_NS, Log, Messages
+from uav_ident_ros.import_logs.log import IN_NS, Column, Log, Messages
 from uav_ident_ros.messages.types import NS_PER_US
 
 MAGIC = b"H Product:Blackbox flight data recorder"
 """First bytes of every blackbox log."""
 
-GYROS = ("gyroUnfilt", "gyroADC")
-"""Fields of the rates, the preferred first: as sampled, and behind the filters."""
+KNOWN = table("betaflight")
 
-SIGNALS = ("gyro", "acc", "motor")
-"""First letters of the fields that are measured or commanded."""
+SIGNALS = (*KNOWN["rates"], *KNOWN["force"], "motor")
+"""Fields that are measured or commanded."""
 
 WRAP = 2.0**32
 """Range of the numbers that Betaflight computes with."""
-
-FRAMES = "the frames"
 
 
 def read_blackbox(path: Path, choice: Choice) -> FlightLog:
@@ -50,47 +46,39 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
         raise ImportLogError(f"log '{path}': a blackbox has one set of rates and one of motors")
     log = Log(path)
     headers, frames = _read(log)
-    name = next((gyro for gyro in GYROS if frames.has(f"{gyro}[2]")), None)
-    if name is None:
-        fields = ", ".join([*frames.columns][1:])
-        raise log.refusal(f" has no rates (gyroADC); it has {fields}")
+    log.title = str(headers.get("Firmware revision", headers.get("Firmware type", "blackbox")))
+    cutoff = headers.get("gyro_lowpass_hz", headers.get("gyro_lpf1_static_hz", 0))
+    log.parameters["gyro_lowpass_hz"] = float(cutoff)
+    t_ns = frames["time"].astype(np.int64) * NS_PER_US
+    for name, scale in _scales(log, headers, frames).items():
+        columns = {field: v * scale for field, v in frames.items() if field.startswith(f"{name}[")}
+        if columns:
+            log.add(name, 0, {IN_NS: t_ns, **columns})
+    if not log.kinds:
+        raise log.refusal(" has no frame with a stamp that a clock gave")
+    readers = {"motor": lambda it, messages: _motors(it.log, headers, messages)}
+    return Import(log, KNOWN, choice).flight_log({}, readers, hovers=lambda _: True)
+
+
+def _scales(log: Log, headers: dict[str, Any], frames: dict[str, Column]) -> dict[str, float]:
+    """Return the SI units of the signals that mean something, by the first letters of theirs."""
     bits = headers.get("gyro_scale", "0x3f800000")  # a float's, in hexadecimal digits
     number = int(bits, 16) if isinstance(bits, str) else int(bits)
-    scale = float(np.uint32(number).view(np.float32)) * math.pi / 180.0
-    force = _specific_force(log, headers, frames)
-    log.findings.note(f"rates: {name}, in body axes forward-left-up")
-    if name == GYROS[1]:
-        cutoff = headers.get("gyro_lowpass_hz", headers.get("gyro_lpf1_static_hz"))
-        log.findings.doubt(
-            "gyroADC is behind the filters"
-            + (f" (low-pass at {cutoff} Hz)" if cutoff else "")
-            + ": it comes late, which counts as a further delay of the inputs. Betaflight 4.5 logs "
-            "gyroUnfilt, too"
-        )
-    commands = frames.array("motor") if frames.has("motor[0]") else np.zeros((0, 0))
-    channels = _motors(log, headers, commands.shape[1])
-    log.findings.assume("all of the log counts as flight: a blackbox begins when it is armed")
-    streams = {
-        "rates": rates_stream(name, frames.stamp_ns, frames.array(name) * scale, force),
-        "actuators": Stream("motor", frames.stamp_ns, commands),
-    }
-    title = str(headers.get("Firmware revision", headers.get("Firmware type", "blackbox")))
-    return FlightLog(path, title, streams, channels, log.findings, convention="flu", hovers=True)
-
-
-def _specific_force(log: Log, headers: dict[str, Any], frames: Messages) -> FloatArray | None:
-    """Return what the accelerometer measured, m/s^2; None where it was off or is not logged."""
+    gyro = float(np.uint32(number).view(np.float32)) * math.pi / 180.0
+    scales = dict.fromkeys(KNOWN["rates"], gyro) | {"motor": 1.0}
     one_g = float(headers.get("acc_1G", 0))
-    if frames.has("accSmooth[2]") and one_g > 0.0:
-        counts = frames.array("accSmooth")
-        if np.any(counts):
-            return counts * GRAVITY / one_g
-    reason = "is off (acc_1G 0, or zero throughout)" if frames.has("accSmooth[2]") else "is missing"
-    log.findings.doubt(f"the accelerometer (accSmooth) {reason}: the model has no forces")
-    return None
+    measured = [v for name, v in frames.items() if name.startswith("accSmooth")]
+    if one_g > 0.0 and np.any(measured):
+        scales["accSmooth"] = GRAVITY / one_g
+    elif measured:
+        log.findings.doubt(
+            "the accelerometer (accSmooth) is off (acc_1G 0, or zero throughout): the model has no "
+            "forces"
+        )
+    return scales
 
 
-def _read(log: Log) -> tuple[dict[str, Any], Messages]:
+def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
     """Return the headers and the frames of the longest log of a file."""
     try:
         from orangebox import Parser
@@ -116,23 +104,17 @@ def _read(log: Log) -> tuple[dict[str, Any], Messages]:
                 f"the file is damaged: orangebox stopped at byte {reader.tell()} of {len(reader)} "
                 f"({' '.join(str(error).split())}); what stands before was read"
             )
-    names = parser.field_names
     used = ("time", "loopIteration", *SIGNALS)
     columns = {
         name: np.array([frame[i] for frame in frames], dtype=float)
-        for i, name in enumerate(names)
+        for i, name in enumerate(parser.field_names)
         if name.startswith(used)
     }
-    for name in columns:
-        if name.startswith(SIGNALS):
-            columns[name] = _unwrapped(columns[name])
+    columns |= {n: _unwrapped(v) for n, v in columns.items() if n.startswith(SIGNALS)}
     if not frames or "time" not in columns:
         raise log.refusal(" has no frames that can be read")
     _note_missing(columns.pop("loopIteration", np.zeros(0)), log)
-    log.add(FRAMES, 0, {IN_NS: columns["time"].astype(np.int64) * NS_PER_US, **columns})
-    if (found := log.messages(FRAMES)) is None:
-        raise log.refusal(" has no frame with a stamp that a clock gave")
-    return parser.headers, found
+    return parser.headers, columns
 
 
 def _unwrapped(values: FloatArray) -> FloatArray:
@@ -159,9 +141,10 @@ def _note_missing(iterations: Any, log: Log) -> None:
         )
 
 
-def _motors(log: Log, headers: dict[str, Any], count: int) -> tuple[Channel, ...]:
+def _motors(log: Log, headers: dict[str, Any], messages: Messages) -> Actuators:
     """Motors of a quadrotor in X, in Betaflight's order."""
-    arms = table("betaflight")["quad_x"]
+    commands = Stream(messages.name, messages.stamp_ns, messages.array("motor"))
+    count, arms = commands.values.shape[1], KNOWN["quad_x"]
     if count != len(arms):
         raise log.refusal(f" has {count} motors: only quadrotors are known, whose mixer is quad x")
     turned = ", reversed (yaw_motors_reversed)" if headers.get("yaw_motors_reversed") else ""
@@ -180,4 +163,4 @@ def _motors(log: Log, headers: dict[str, Any], count: int) -> tuple[Channel, ...
         Channel(f"motor_{i}", effect, "motor of quad x", unit="counts")
         for i, effect in enumerate(effects_of_arms(arms), 1)
     ]
-    return tuple(over_range(motor, float(low), float(high)) for motor in motors)
+    return commands, [over_range(motor, float(low), float(high)) for motor in motors]

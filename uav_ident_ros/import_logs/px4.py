@@ -83,7 +83,9 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
         wanted = choice.actuators_topic or f"{CONTROLS}{instance}"
         return log.messages(name) if name == wanted else None
 
-    return it.flight_log(rates, READERS, _explained, lambda _: _hovers(it), find)
+    return it.flight_log(
+        rates, READERS, hovers=lambda _: _hovers(it), explained=_explained, find=find
+    )
 
 
 def _valid_force(it: Import, topic: Messages, found: Rates) -> Rates:

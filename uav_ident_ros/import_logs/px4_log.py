@@ -87,8 +87,9 @@ def read_ulog(path: Path, topics: Collection[str]) -> Log:
             )
     places, gaps = found.walk(start)
     begins, ends = [start, *(end for _, end in gaps)], [*(begin for begin, _ in gaps), len(data)]
-    pieces = [data[begin:end] for begin, end in zip(begins, ends, strict=True)]
-    whole = io.BytesIO(b"".join([data[:FILE_HEADER], *pieces]))
+    view = memoryview(data)
+    pieces = [view[begin:end] for begin, end in zip(begins, ends, strict=True)]
+    whole = io.BytesIO(b"".join([view[:FILE_HEADER], *pieces]))
     numbers = {data[at + 3 : at + 5] for at in places if data[at + 2] == ord("D")}
     log.kinds = {found.topics[int.from_bytes(number, "little")] for number in numbers}
     with contextlib.redirect_stdout(io.StringIO()):  # it is wordy
