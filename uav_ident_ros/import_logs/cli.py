@@ -35,8 +35,6 @@ READERS = {
 }
 """Readers by the first bytes of a log."""
 
-PARAMETER_FILE = "identifier.yaml"
-
 WIDTH = 100
 
 FIRST_BYTES = 400
@@ -97,10 +95,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         from uav_ident_ros.bags.writing import BagWriteError
         from uav_ident_ros.import_logs.writing import (
+            PARAMETER_FILE,
             fitting,
             in_words,
             write_import,
-            write_parameters,
         )
     except ImportError as error:
         print(f"import_log: {error.name} is not installed: pip install rosbags", file=sys.stderr)
@@ -111,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise ImportLogError(f"'{folder}' exists already: choose another --output")
         log = read_log(options)
         values = fitting(log, options.trim, options.airspeed)
-        write_import(log, folder, lambda bag: write_parameters(bag / PARAMETER_FILE, log, values))
+        write_import(log, values, folder)
     except (ImportLogError, BagWriteError) as error:
         print(f"import_log: {printable(str(error))}", file=sys.stderr)
         return USAGE_ERROR

@@ -31,6 +31,8 @@ from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError, Stre
 from uav_ident_ros.import_logs.stamps import Stretches, coverage, inside, turned_at
 from uav_ident_ros.messages.types import FRAME_IDS
 
+PARAMETER_FILE = "identifier.yaml"
+
 ARMED_STEP_NS = 1_000_000_000
 """Time between two messages that say the same of whether it is armed, ns: the type has no stamp."""
 
@@ -75,13 +77,15 @@ TOPICS = {
 """Topic of each stream; at equal times they are written in this order."""
 
 
-def write_import(log: FlightLog, folder: Path, finish: Callable[[Path], None]) -> None:
-    """Write the bag, and let `finish` write what is to stand beside it into its folder.
+def write_import(log: FlightLog, values: Mapping[str, Any], folder: Path) -> None:
+    """Write the bag, and into its folder the parameters that fit it.
 
     Raises
     ------
     BagWriteError
         If it cannot be written; nothing half-written stays behind.
+    ImportLogError
+        If a parameter that follows from the log is none that the identifier takes.
     """
     streams = dict(log.streams)
     rates = streams["rates"]
@@ -99,7 +103,7 @@ def write_import(log: FlightLog, folder: Path, finish: Callable[[Path], None]) -
                     bag.topic(topic.name, topic.msgtype, profile)
                     entries.append(_messages(log, streams[name], topic))
             bag.merge(entries)
-        finish(working)
+        _write_parameters(working / PARAMETER_FILE, log, values)
 
 
 def _messages(log: FlightLog, stream: Stream, topic: Topic) -> Iterator[tuple[int, str, Any]]:
@@ -210,14 +214,8 @@ def in_words(log: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str]]:
     return {title: sentences for title, sentences in titled.items() if sentences}
 
 
-def write_parameters(path: Path, log: FlightLog, values: Mapping[str, Any]) -> None:
-    """Write the parameter file, with everything that was found out as comments.
-
-    Raises
-    ------
-    ImportLogError
-        If a value that follows from the log is none that the identifier takes.
-    """
+def _write_parameters(path: Path, log: FlightLog, values: Mapping[str, Any]) -> None:
+    """Write the parameter file, with everything that was found out as comments."""
     titled = in_words(log, values)
     heading = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
     if log.parameters:
