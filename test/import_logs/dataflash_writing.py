@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """ArduPilot logs for the tests, as its documentation describes them; pymavlink reads them, too."""
 
+import itertools
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 FMT, HEADER = 0x80, b"\xa3\x95"
 
@@ -43,49 +45,41 @@ STRUCTURE = {"n": "4s", "N": "16s", "Z": "64s", "M": "B", "c": "h", "C": "H", "e
 """How a format character is packed, where not as `struct` has it; c, C, e, E are hundredths."""
 
 
-class DataflashWriter:
-    """Collects messages and writes them as one file."""
+Rows = list[tuple[int, str, tuple[Any, ...]]]
+"""Time (in the format's unit), type and values of messages; what is left out at the end is zero."""
 
-    def __init__(
-        self,
-        # Type, format characters and columns of every message
-        formats: Mapping[str, tuple[str, str]] = FORMATS,
-    ) -> None:
-        self._formats = {"FMT": (FMT, "BBnNZ")}
-        self._content = bytearray()
-        self.add("FMT", FMT, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
-        for number, (name, (kinds, columns)) in enumerate(formats.items(), 1):
-            self._formats[name] = number, kinds
-            size = len(self._packed(name, ()))
-            self.add("FMT", number, size, name.encode(), kinds.encode(), columns.encode())
 
-    def _packed(self, name: str, values: tuple[float | bytes, ...]) -> bytes:
-        number, kinds = self._formats[name]
-        packed = HEADER + bytes([number])
-        for i, kind in enumerate(kinds):
-            empty = b"" if kind in "nNZ" else 0
-            value = values[i] if i < len(values) else empty
-            if isinstance(value, int | float) and kind not in "fd":
-                value = int(value)
-            packed += struct.pack(f"<{STRUCTURE.get(kind, kind)}", value)
-        return packed
+def write_dataflash(
+    path: Path,
+    rows: Rows,  # Written in the order of their times
+    parameters: Mapping[str, float],  # Written first
+    # Format characters and columns of every type
+    formats: Mapping[str, tuple[str, str]] = FORMATS,
+) -> Path:
+    """Write a log."""
+    known = {"FMT": (FMT, "BBnNZ", "Type,Length,Name,Format,Columns")}
+    known |= {name: (i, *declared) for i, (name, declared) in enumerate(formats.items(), 1)}
 
-    def add(self, name: str, *values: float | bytes) -> None:
-        """Add one message; what is left out at its end is zero."""
-        self._content += self._packed(name, values)
+    def packed(name: str, *values: Any) -> bytes:
+        number, kinds, _ = known[name]
+        result = HEADER + bytes([number])
+        for kind, value in itertools.zip_longest(kinds, values):
+            if kind in "nNZ":
+                value = value or b""
+            else:
+                value = float(value or 0) if kind in "fd" else int(value or 0)
+            result += struct.pack(f"<{STRUCTURE.get(kind, kind)}", value)
+        return result
 
-    def add_parameters(self, parameters: Mapping[str, float]) -> None:
-        """Add the parameters, as at the start of a log."""
-        stamp = (0,) if self._formats["PARM"][1].startswith("Q") else ()
-        for name, value in parameters.items():
-            self.add("PARM", *stamp, name.encode(), float(value))
-
-    def add_rows(self, rows: Iterable[tuple[int, str, tuple[float, ...]]]) -> None:
-        """Add messages in the order of their times (us)."""
-        for t_us, name, values in sorted(rows, key=lambda row: row[0]):
-            self.add(name, t_us, *values)
-
-    def write(self, path: Path) -> Path:
-        """Write the file."""
-        path.write_bytes(self._content)
-        return path
+    content = [
+        packed(
+            "FMT", number, len(packed(name)), *(text.encode() for text in (name, kinds, columns))
+        )
+        for name, (number, kinds, columns) in known.items()
+    ]
+    first: Rows = [(0, "PARM", (name.encode(), value)) for name, value in parameters.items()]
+    for t, name, values in first + sorted(rows, key=lambda row: row[0]):
+        stamp = (t,) if known[name][2].startswith("Time") else ()
+        content.append(packed(name, *stamp, *values))
+    path.write_bytes(b"".join(content))
+    return path

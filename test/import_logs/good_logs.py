@@ -4,7 +4,7 @@
 from pathlib import Path
 
 import numpy as np
-from dataflash_writing import DataflashWriter
+from dataflash_writing import write_dataflash
 from ulog_writing import commands, sensor_combined, stamps, write_ulog
 
 IMU_NS = 5_000_000 * np.arange(1, 2001)
@@ -39,16 +39,15 @@ def plane_log(
     folder: Path, *left_out: str, servos: tuple[int, ...] = (4, 19), share: float = 1.0
 ) -> Path:
     """An ArduPilot log, or the first share of it."""
-    writer = DataflashWriter()
-    writer.add_parameters({f"SERVO{i}_FUNCTION": function for i, function in enumerate(servos, 1)})
+    functions = {f"SERVO{i}_FUNCTION": function for i, function in enumerate(servos, 1)}
     count = int(share * len(IMU_NS))
     rows = [
         (int(t) // 1000, "IMU", (0, *v, *v))
         for t, v in zip(IMU_NS[:count], VALUES[:count], strict=True)
     ]
     rows += [(int(t) // 1000, "RCOU", (1500, 1500 + i % 9)) for i, t in enumerate(IMU_NS[:count:4])]
-    writer.add_rows([row for row in rows if row[1] not in left_out])
-    return writer.write(folder / "plane.bin")
+    rows = [row for row in rows if row[1] not in left_out]
+    return write_dataflash(folder / "plane.bin", rows, functions)
 
 
 def table(folder: Path, text: str = TABLE, columns: str = COLUMNS) -> list[str]:

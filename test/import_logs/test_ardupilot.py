@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataflash_writing import OLD_FORMATS, DataflashWriter
+from dataflash_writing import OLD_FORMATS, Rows, write_dataflash
 from excerpts import decoded
 from imported import Imported, Importer, mixing
 
@@ -20,18 +20,18 @@ FORCE = np.tile(np.array([0.25, -0.5, -9.75]), (COUNT, 1))
 PULSES = np.random.default_rng(2).integers(1200, 1800, (len(COMMAND_US), 4))
 
 
-def at(t_us: np.ndarray, name: str, values: Any) -> list:
+def at(t_us: np.ndarray, name: str, values: Any) -> Rows:
     """Messages of a type, one at each time."""
     rows = np.broadcast_to(values, (len(t_us), np.shape(values)[-1]))
     return [(int(t), name, tuple(row.tolist())) for t, row in zip(t_us, rows, strict=True)]
 
 
-def imu(instance: int = 0, factor: float = 1.0) -> list:
+def imu(instance: int = 0, factor: float = 1.0) -> Rows:
     which = np.full((COUNT, 1), instance)
     return at(IMU_US, "IMU", np.hstack([which, factor * RATES, FORCE]))
 
 
-def rcou(every: int = 1, pulses: np.ndarray = PULSES) -> list:
+def rcou(every: int = 1, pulses: np.ndarray = PULSES) -> Rows:
     return at(COMMAND_US[::every], "RCOU", pulses[::every])
 
 
@@ -52,15 +52,13 @@ QUAD = servos(33, 34, 35, 36) | {"FRAME_CLASS": 1, "FRAME_TYPE": 1}
 
 def imported(
     importer: Importer,
-    rows: list,  # Messages beside those of the IMU and the pins
+    rows: Rows,  # Messages beside those of the IMU and the pins
     values: dict,
     *options: str,
-    pulses: list | None = None,  # RCOU, if not the usual
+    pulses: Rows | None = None,  # RCOU, if not the usual
 ) -> Imported:
-    writer = DataflashWriter()
-    writer.add_parameters(values)
-    writer.add_rows(rows + imu() + (rcou() if pulses is None else pulses))
-    return importer(writer.write(importer.folder / "flight.bin"), *options)
+    every = rows + imu() + (rcou() if pulses is None else pulses)
+    return importer(write_dataflash(importer.folder / "flight.bin", every, values), *options)
 
 
 # --- outputs ------------------------------------------------------------------------------------
@@ -125,10 +123,9 @@ def test_frames_are_balanced(importer: Importer, frame, count: int) -> None:
 
 
 def test_an_unknown_frame_is_refused_with_a_way_out(importer: Importer) -> None:
-    log = DataflashWriter()
-    log.add_parameters(servos(33, 34, 35) | {"FRAME_CLASS": 7})
-    log.add_rows(imu() + rcou())
-    printed = importer.refused(log.write(importer.folder / "flight.bin"))
+    values = servos(33, 34, 35) | {"FRAME_CLASS": 7}
+    log = write_dataflash(importer.folder / "flight.bin", imu() + rcou(), values)
+    printed = importer.refused(log)
     assert "FRAME_CLASS 7" in printed
     assert "--actuators-topic RATE" in printed
 
@@ -252,7 +249,7 @@ def test_a_log_that_begins_in_flight(importer: Importer) -> None:
     ],
 )  # fmt: skip
 def test_nothing_is_learned_on_the_ground_while_armed(
-    importer: Importer, rows: list, flown: tuple[int, int] | None, said: str
+    importer: Importer, rows: Rows, flown: tuple[int, int] | None, said: str
 ) -> None:
     """A plane taxies, a copter waits for the throttle."""
     events = [(int(IMU_US[at]), kind, (state, 0, 0, 0)[:size])
@@ -284,19 +281,14 @@ def old_log(
     folder: Path, firmware: str, values: dict[str, float], text: str = "", scale: float = 4500
 ) -> Path:
     """Milliseconds, no functions of pins, demands in thousands."""
-    writer = DataflashWriter(OLD_FORMATS)
-    writer.add_parameters(values)
-    for said in filter(None, (firmware, text)):
-        writer.add("MSG", said.encode())
     imu_ms, command_ms = IMU_US // 1000, COMMAND_US // 1000
     requested = (0, 0, 0.1 * scale, 0, 0, -0.2 * scale, 0, 0, 0.3 * scale, 0, 0, 400.0)
-    writer.add_rows(
-        at(imu_ms, "IMU", np.hstack([RATES, FORCE]))
-        + at(imu_ms, "IMU2", np.hstack([3.0 * RATES, FORCE]))
-        + at(command_ms, "RCOU", np.hstack([PULSES, 0 * PULSES]))
-        + at(command_ms, "RATE", requested)
-    )
-    return writer.write(folder / "old.bin")
+    rows: Rows = [(0, "MSG", (said.encode(),)) for said in (firmware, text) if said]
+    rows += at(imu_ms, "IMU", np.hstack([RATES, FORCE]))
+    rows += at(imu_ms, "IMU2", np.hstack([3.0 * RATES, FORCE]))
+    rows += at(command_ms, "RCOU", np.hstack([PULSES, 0 * PULSES]))
+    rows += at(command_ms, "RATE", requested)
+    return write_dataflash(folder / "old.bin", rows, values, OLD_FORMATS)
 
 
 COPTER = {"RC3_MIN": 1100, "RC3_MAX": 1900}

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from blackbox_writing import blackbox
-from dataflash_writing import DataflashWriter
+from dataflash_writing import Rows, write_dataflash
 from good_logs import (
     ARMED,
     COLUMNS,
@@ -207,14 +207,15 @@ def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
     """An undamaged one, that is: its reader is the reference for fields and units."""
     from pymavlink.DFReader import DFReader_binary
 
-    writer = DataflashWriter()
-    writer.add_parameters({"SERVO1_FUNCTION": 4, "INS_POS1_X": 0.1})
     numbers = np.random.default_rng(3)
+    rows: Rows = []
     for t in range(50):
-        writer.add("IMU", 1000 * t, t % 2, *numbers.normal(size=6))
-        writer.add("ARSP", 1000 * t, 0, *numbers.normal(size=2), 1234)
-        writer.add("CTUN", 1000 * t, *numbers.integers(-9000, 9000, 4), *numbers.normal(size=6))
-    path = writer.write(tmp_path / "flight.bin")
+        rows.append((1000 * t, "IMU", (t % 2, *numbers.normal(size=6))))
+        rows.append((1000 * t, "ARSP", (0, *numbers.normal(size=2), 1234)))
+        angles = numbers.integers(-9000, 9000, 4)
+        rows.append((1000 * t, "CTUN", (*angles, *numbers.normal(size=6))))
+    values = {"SERVO1_FUNCTION": 4, "INS_POS1_X": 0.1}
+    path = write_dataflash(tmp_path / "flight.bin", rows, values)
     log = read_dataflash(path, ("IMU", "ARSP", "CTUN"))
     theirs: dict[str, list] = {}
     reader = DFReader_binary(str(path), zero_time_base=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataflash_writing import DataflashWriter
+from dataflash_writing import Rows, write_dataflash
 from excerpts import BAGS, replay, summary
 from imported import Contents, Imported, Importer, contents, flight, mixing
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
@@ -137,18 +137,16 @@ def test_px4_setpoints_stand_in_for_thinned_out_actuators(
 
 def test_ardupilot_log(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
     """Rates are single floats, commands whole microseconds: of 1000 for the whole range."""
-    writer = DataflashWriter()
-    writer.add("MSG", 0, b"ArduPlane V4.5.0 (test)".ljust(64, b"\0"))
-    writer.add_parameters(PLANE)
     signs = PLAIN_SIGNS * [1.0, -1.0, 1.0, 1.0]  # the rudder is reversed
     pulses = np.rint([1500, 1500, 1500, 1000] + [500, 500, 500, 1000] * measured.actuators * signs)
-    writer.add_rows(
-        [(int(t), "IMU", (0, *pqr, *force)) for t, pqr, force in
-         zip(stamps(measured.imu_t_ns), measured.rates, measured.specific_force, strict=True)]
-        + [(int(t), "RCOU", tuple(int(v) for v in row)) for t, row in
-           zip(stamps(measured.actuator_t_ns), pulses, strict=True)]
-    )  # fmt: skip
-    it = importer(writer.write(tmp_path / "plane.bin"))
+    moved = np.hstack([measured.rates, measured.specific_force]).tolist()
+    rows: Rows = [(0, "MSG", (b"ArduPlane V4.5.0 (test)",))]
+    rows += [
+        (int(t), "IMU", (0, *v)) for t, v in zip(stamps(measured.imu_t_ns), moved, strict=True)
+    ]
+    written_us = stamps(measured.actuator_t_ns)
+    rows += [(int(t), "RCOU", tuple(v)) for t, v in zip(written_us, pulses, strict=True)]
+    it = importer(write_dataflash(tmp_path / "plane.bin", rows, PLANE))
     assert_same(measured, it, np.float32, 2.0 / 1000.0)
     assert "ArduPlane V4.5.0" in it.printed
     assert "low-passed at 20 Hz (INS_GYRO_FILTER)" in it.printed
