@@ -187,9 +187,9 @@ class Import:
             return f" ({parameter} {value}, although it has '{option['name']}')"
         return f" ({parameter} {value}: make it {value | 1 << option['bit']}, '{option['name']}')"
 
-    def _note(self, kind: str, name: str) -> Mapping[str, str]:
+    def _note(self, kind: str, name: str) -> Mapping[str, Any]:
         """Say what the table has to say of messages that are read; return all that it has."""
-        notes: Mapping[str, str] = self.table["notes"].get(kind, {})
+        notes: Mapping[str, Any] = self.table["notes"].get(kind, {})
         self.findings.read += [notes["read"].format(name=name)] if "read" in notes else []
         return notes
 
@@ -197,10 +197,10 @@ class Import:
         notes = self._note(kind, name)
         self.findings.assumed += [notes["assumed"]] if "assumed" in notes else []
         if "low_pass" in notes:
-            cutoff = self.log.parameter(notes["low_pass"])
-            at = f" at {cutoff:g} Hz ({notes['low_pass']})" if cutoff else ""
+            cutoffs = {name: self.log.parameter(name) for name in notes["low_pass"]}
+            known = next((f" at {hz:g} Hz ({name})" for name, hz in cutoffs.items() if hz), "")
             self.findings.doubt(
-                f"{kind} is low-passed{at} by the autopilot: it comes late, which counts as a "
+                f"{kind} is low-passed{known} by the autopilot: it comes late, which counts as a "
                 f"further delay of the inputs{notes['more']}"
             )
 

@@ -12,13 +12,7 @@ from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.autopilot import Actuators, Import, table
 from uav_ident_ros.import_logs.channels import effects_of_arms, over_range
-from uav_ident_ros.import_logs.flight_log import (
-    Channel,
-    Choice,
-    FlightLog,
-    ImportLogError,
-    Stream,
-)
+from uav_ident_ros.import_logs.flight_log import Channel, Choice, FlightLog, ImportLogError, Stream
 from uav_ident_ros.import_logs.log import IN_NS, Column, Log, Messages
 from uav_ident_ros.messages.types import NS_PER_US
 
@@ -47,8 +41,7 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
     log = Log(path)
     headers, frames = _read(log)
     log.title = str(headers.get("Firmware revision", headers.get("Firmware type", "blackbox")))
-    cutoff = headers.get("gyro_lowpass_hz", headers.get("gyro_lpf1_static_hz", 0))
-    log.parameters["gyro_lowpass_hz"] = float(cutoff)
+    log.parameters |= {k: float(v) for k, v in headers.items() if isinstance(v, int | float)}
     t_ns = frames["time"].astype(np.int64) * NS_PER_US
     for name, scale in _scales(log, headers, frames).items():
         columns = {field: v * scale for field, v in frames.items() if field.startswith(f"{name}[")}
