@@ -166,9 +166,8 @@ def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
     assert ours.findings == Findings(
         lost=["the logger lost messages 1 times, together 0.01 s, at most 0.01 s (dropouts)"]
     )
-    (topic,) = theirs.data_list
-    for name, values in topic.data.items():
-        columns = ours.messages("nested", 2).columns
+    columns = ours.messages("nested", 2).columns
+    for name, values in theirs.data_list[0].data.items():
         np.testing.assert_array_equal(columns[name], values, err_msg=name)
     assert ours.messages("nested", 2).array("arms[1].yz").shape == (9, 2)
     assert ours.parameters == theirs.initial_parameters

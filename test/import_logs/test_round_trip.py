@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from dataflash_writing import Rows, write_dataflash
 from excerpts import BAGS, replay, summary
+from good_logs import table
 from imported import Contents, Imported, Importer, contents, flight, mixing
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
@@ -154,21 +155,18 @@ def test_ardupilot_log(tmp_path: Path, measured: Measurements, importer: Importe
     np.testing.assert_array_equal(it.bag.actuators, pulses)
 
 
-def csv_of(measured: Measurements, path: Path) -> Path:
+def csv_of(measured: Measurements) -> str:
     """Both streams in one table, with empty cells where a stream has no sample."""
-    rows: dict[int, list[str]] = {}
-    for t, pqr, force in zip(
-        measured.imu_t_ns, measured.rates, measured.specific_force, strict=True
-    ):
-        rows[int(t)] = [*(repr(float(v)) for v in (*pqr, *force)), *[""] * 4]
-    for t, values in zip(measured.actuator_t_ns, measured.actuators, strict=True):
-        row = rows.setdefault(int(t), [""] * 10)
-        row[6:] = [repr(float(v)) for v in values]
+    cells: dict[int, list[str]] = {}
+    moved = np.hstack([measured.rates, measured.specific_force])
+    for t_ns, values, first in (
+        (measured.imu_t_ns, moved, 0), (measured.actuator_t_ns, measured.actuators, 6)
+    ):  # fmt: skip
+        for t, row in zip(t_ns.tolist(), values.tolist(), strict=True):
+            cells.setdefault(t, [""] * 10)[first : first + len(row)] = map(repr, row)
     lines = ["t,p,q,r,ax,ay,az,elevator,rudder,aileron,throttle"]
-    for t, cells in sorted(rows.items()):
-        lines.append(",".join([f"{t // 10**9}.{t % 10**9:09d}", *cells]))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
+    lines += [",".join([f"{t // 10**9}.{t % 10**9:09d}", *row]) for t, row in sorted(cells.items())]
+    return "\n".join(lines) + "\n"
 
 
 COLUMNS = """\
@@ -186,42 +184,37 @@ channels:
 
 def test_table(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
     """Decimals hold everything: the same to the bit, nanoseconds since 1970 included."""
-    table = csv_of(measured, tmp_path / "flight.csv")
-    (tmp_path / "columns.yaml").write_text(COLUMNS, encoding="utf-8")
-    it = importer(table, "--columns", str(tmp_path / "columns.yaml"))
+    it = importer(*table(tmp_path, csv_of(measured), COLUMNS))
     assert_same(measured, it, np.float64, 0.0)
     np.testing.assert_array_equal(it.bag.actuators, measured.actuators)
 
 
+OTHER_UNITS = """\
+delimiter: ';'
+time: {column: ms, unit: ms}
+axes: flu
+rates: {columns: [P, Q, R], unit: deg/s}
+specific_force: {columns: [X, Y, Z], unit: g}
+airspeed: {column: kn, unit: kn}
+lever_arm: [0.1, 0.0, -0.05]
+channels:
+  tail: {column: s1, scale: 0.002, neutral: 1500.0, de: 1.0}
+"""
+
+
 def test_tables_of_other_units(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
     """Degrees, g, knots, milliseconds: the same flight to rounding."""
-    lines = ["ms;P;Q;R;X;Y;Z;kn;s1"]
-    for t, pqr, force in zip(
-        measured.imu_t_ns, measured.rates, measured.specific_force, strict=True
-    ):
-        cells = [*np.degrees(pqr), *(force / 9.80665), 20.0 / (1852.0 / 3600.0), 1500.0]
-        lines.append(
-            ";".join([str((t - measured.imu_t_ns[0]) // 1_000_000), *map(repr, map(float, cells))])
-        )
-    (tmp_path / "flight.csv").write_text("\n".join(lines), encoding="utf-8")
-    (tmp_path / "columns.yaml").write_text(
-        "delimiter: ';'\n"
-        "time: {column: ms, unit: ms}\n"
-        "axes: flu\n"
-        "rates: {columns: [P, Q, R], unit: deg/s}\n"
-        "specific_force: {columns: [X, Y, Z], unit: g}\n"
-        "airspeed: {column: kn, unit: kn}\n"
-        "lever_arm: [0.1, 0.0, -0.05]\n"
-        "channels:\n  tail: {column: s1, scale: 0.002, neutral: 1500.0, de: 1.0}\n",
-        encoding="utf-8",
-    )
-    options = ("--columns", str(tmp_path / "columns.yaml"), "--airspeed")
-    it = importer(tmp_path / "flight.csv", *options)
+    since_start = measured.imu_t_ns - measured.imu_t_ns[0]
+    moved = [np.degrees(measured.rates), measured.specific_force / 9.80665]
+    others = np.tile([20.0 / (1852.0 / 3600.0), 1500.0], (len(since_start), 1))
+    rows = zip(since_start // 1_000_000, np.hstack([*moved, others]).tolist(), strict=True)
+    text = "ms;P;Q;R;X;Y;Z;kn;s1\n"
+    text += "\n".join(";".join([str(t), *map(repr, row)]) for t, row in rows)
+    it = importer(*table(tmp_path, text, OTHER_UNITS), "--airspeed")
     imported, values, _ = it
     np.testing.assert_allclose(imported.rates, measured.rates, rtol=1e-12)
     np.testing.assert_allclose(imported.specific_force, measured.specific_force, rtol=1e-12)
     np.testing.assert_allclose(imported.airspeed, 20.0, rtol=1e-12)
-    since_start = measured.imu_t_ns - measured.imu_t_ns[0]
     np.testing.assert_array_equal(imported.imu_t_ns, np.maximum(since_start, FIRST_NS))
     replay(it.folder, tmp_path / "out", by=it.folder / "identifier.yaml")
     inputs = summary(tmp_path / "out")["inputs"]
