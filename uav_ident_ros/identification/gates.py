@@ -47,10 +47,6 @@ SIGNALS = ("p", "q", "r", "ax", "ay", "az")
 AXES = 3
 """Signals of each sensor of an Imu."""
 
-COUNTED_TICKS = 5
-"""Ticks whose repeats are counted at once, where nothing asks for them sooner; no result depends on
-it."""
-
 
 class Look(NamedTuple):
     """What the gates see of a tick."""
@@ -303,9 +299,9 @@ class Repeats:
         self.strange: BoolArray = np.ones(len(first), dtype=bool)  # before it first moved
 
     def add(self, samples: FloatArray) -> None:
-        """Add new samples, (k, 6); they are counted together with those after them."""
+        """Add new samples, (k, 6); those of some ticks are counted together."""
         self._waiting.append(samples)
-        if len(self._waiting) >= COUNTED_TICKS:
+        if len(self._waiting) >= IN_A_ROW:
             self._count()
 
     @property
