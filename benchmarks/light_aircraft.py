@@ -8,8 +8,8 @@ feeds back: what an identified model has to find out on a real flight.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -69,6 +69,8 @@ class LightFlight(Plan):
     roll_gust: float = 0.15
     # From a time on, an input (``de`` and so on) has its effect multiplied
     changes: tuple[CoefficientChange, ...] = ()
+    speed: float = SPEED  # True airspeed in trim, m/s
+    derivatives: Mapping[str, float] = field(default_factory=lambda: TRUTH)  # In trim, as `TRUTH`
 
     def fly(self, name: str = "light_aircraft") -> Flight:
         """Fly it; see `Plan.fly`."""
@@ -88,7 +90,7 @@ class LightFlight(Plan):
             trim=np.array(DEFAULT_TRIM),
             time_constant=self.time_constant,
             changes=self.changes,
-            local_truth=dict(TRUTH),
+            local_truth=dict(self.derivatives),
             airspeed=speed,
             extra={
                 "alpha": np.arctan2(rows[:, 5], rows[:, 3]),
@@ -118,7 +120,7 @@ class _LiveLight(Live):
     def __init__(self, spec: LightFlight) -> None:
         super().__init__(Sensors(rate=spec.actuator_rate), spec.delay, spec.seed, spec.rate)
         self.spec = spec
-        self.state: State = (0.0, 0.0, 0.0, SPEED, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self.state: State = (0.0, 0.0, 0.0, spec.speed, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._acting = self._surface = np.zeros(len(INPUTS))
         self._wind = iter(_wind(spec, spec.samples))
         lag = spec.time_constant
@@ -131,10 +133,10 @@ class _LiveLight(Live):
         self._surface = surface
         effect = _effect_of(spec.changes, self.time) if spec.changes else 1.0
         u = (surface * effect).tolist()
-        slope, acceleration, force = _slope(self.state, u, gust)
+        slope, acceleration, force = _slope(spec, self.state, u, gust)
         row = (*self.state, *acceleration, *force, *surface)
         middle = tuple(x + 0.5 * h * dx for x, dx in zip(self.state, slope, strict=True))
-        slope, _, _ = _slope(middle, u, gust)  # type: ignore[arg-type]
+        slope, _, _ = _slope(spec, middle, u, gust)  # type: ignore[arg-type]
         self.state = tuple(x + h * dx for x, dx in zip(self.state, slope, strict=True))  # type: ignore[assignment]
         return row
 
@@ -161,22 +163,22 @@ def _autopilot(spec: LightFlight, state: State, t: float) -> FloatArray:
     return np.array(
         [
             0.3 * (pitch - wanted) + 0.03 * q,
-            spec.yaw_damper * (r - GRAVITY / SPEED * math.sin(roll) * math.cos(pitch)),
+            spec.yaw_damper * (r - GRAVITY / spec.speed * math.sin(roll) * math.cos(pitch)),
             spec.roll_gain * (bank - roll - 0.1 * p),
-            max(-0.5, min(0.5, 0.1 * (SPEED - u))),
+            max(-0.5, min(0.5, 0.1 * (spec.speed - u))),
         ]
     )
 
 
 def _slope(
-    state: State, surfaces: Sequence[float], gust: Sequence[float]
+    spec: LightFlight, state: State, surfaces: Sequence[float], gust: Sequence[float]
 ) -> tuple[State, tuple[float, float, float], tuple[float, float, float]]:
     """Return the slope of the state, angular acceleration, rad/s^2, and specific force, m/s^2."""
-    c = TRUTH
+    c = spec.derivatives
     p, q, r, u, v, w, roll, pitch, _ = state
     de, dr, da, dth = surfaces
     beta, alpha = math.atan2(v + gust[0], u), math.atan2(w + gust[1], u)
-    ratio = math.sqrt(u * u + v * v + w * w) / SPEED
+    ratio = math.sqrt(u * u + v * v + w * w) / spec.speed
     pressure = ratio * ratio
     p_air = p + gust[2]
     pdot = ratio * (c["pdot/p"] * p_air + c["pdot/r"] * r)

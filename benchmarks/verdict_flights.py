@@ -12,6 +12,7 @@ from unittest.mock import patch
 
 import cases
 import numpy as np
+import random_flights
 from light_aircraft import LightFlight
 
 from uav_ident_ros.identification.estimate import CoefficientSet
@@ -37,6 +38,9 @@ LONG, SHORT = 1.0, 0.8
 
 PEAKS = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
 """Peak excitation of the light aircraft, rad and throttle; the others' stand in their files."""
+
+RANDOM_FLIGHTS = 40
+"""Flights of aircraft drawn at random, in each seed."""
 
 AIRFRAMES = Path(__file__).parent / "airframes"
 """Folder of aircraft that serve here alone."""
@@ -335,6 +339,14 @@ def _unseen(seed: int, length: float) -> Iterator[Trial]:
         yield _trial("unseen", seed, str(file), "not excited", fields, **flight)
 
 
+def _random(seed: int, length: float) -> Iterator[Trial]:
+    """Aircraft, sensors, settings, pilots and failures drawn at random."""
+    for k in range(seed * RANDOM_FLIGHTS, (seed + 1) * RANDOM_FLIGHTS):
+        drawn = random_flights.draw(k)
+        fly = partial(random_flights.fly, k)
+        yield Trial("random", drawn.words, k, fly, drawn.settings, feedback=not drawn.excited)
+
+
 def _glitch(seed: int, length: float) -> Iterator[Trial]:
     """One gyro sample of 2000 deg/s in an excited flight."""
     flights = (("light_aircraft", 20.0, 0.3), ("c172p", 0.0, 0))
@@ -442,6 +454,7 @@ CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
     "clean": _clean,
     "in_turn": _in_turn,
     "unseen": _unseen,
+    "random": _random,
     "closed_loop": _closed_loop,
     "mistakes": _mistakes,
     "recorded": _recorded,
