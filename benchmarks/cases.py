@@ -21,11 +21,9 @@ from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.prediction import (
     Flown,
-    FlowStates,
     InputSignal,
     Published,
     WindowErrors,
-    flow_states,
     score_windows,
     window_errors,
 )
@@ -206,7 +204,7 @@ class Track:
     learning: NDArray[np.bool_]  # (K, 3) Rows that learned
     delay: FloatArray  # (K,) Delay in use, s
     changes: list[tuple[float, int, int]]  # Releases of changed coefficients
-    flow: FlowStates | None = None  # Flow angles and attitude; None for a structure without them
+    flow: FloatArray | None = None  # As `Published` has it
 
     def published(self) -> Published:
         """Return what the track published."""
@@ -261,7 +259,7 @@ def identify(
         learning=np.array(learning),
         delay=np.array(delays),
         changes=changes,
-        flow=flow_states(estimates),
+        flow=Published.of(estimates, identifier.structure).flow,
     )
 
 

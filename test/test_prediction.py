@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -17,11 +17,12 @@ from uav_ident_ros.identification.prediction import (
     HORIZONS,
     SELECTIONS,
     Flown,
-    FlowStates,
     InputSignal,
+    PredictionFit,
     Published,
+    fit,
     predict_ahead,
-    score,
+    score_windows,
     window_errors,
 )
 from uav_ident_ros.identification.structure import STRUCTURES, Structure
@@ -34,7 +35,6 @@ STEP = 5e-3
 BASELINE, AUGMENTED = STRUCTURES["baseline"], STRUCTURES["augmented"]
 FLIGHT = STRUCTURES["flight_dynamics"]
 AIRSPEED = 18.0
-EVERYTHING = {"all": lambda t, first, last: np.ones(len(t), dtype=bool)}
 
 
 @dataclass
@@ -48,9 +48,8 @@ class Record:
     ticks_ns: NDArray[np.int64]
     coefficients: Array
     structure: Structure
-    lever_arm: Array | None = None
-
-    flow: FlowStates | None = None
+    lever_arm: Array = field(default_factory=lambda: np.zeros(3))
+    flow: Array | None = None
 
     @property
     def flown(self) -> Flown:
@@ -62,7 +61,7 @@ class Record:
 
     def at_ticks(self, which) -> Record:
         """What was published at some of the ticks alone."""
-        flow = None if self.flow is None else self.flow.chosen(which)
+        flow = None if self.flow is None else self.flow[which]
         ticks_ns, coefficients = self.ticks_ns[which], self.coefficients[which]
         return replace(self, ticks_ns=ticks_ns, coefficients=coefficients, flow=flow)
 
@@ -71,8 +70,10 @@ class Record:
         measured = (self.t_ns[which], self.rates[which], self.force[which])
         return replace(self, **dict(zip(("t_ns", "rates", "force"), measured, strict=True)))
 
-    def everything(self):
-        return score(self.flown, self.published, EVERYTHING)["all"]
+    def everything(self) -> PredictionFit:
+        """The fit over all windows."""
+        errors = window_errors(self.flown, self.published)
+        return fit(errors, np.ones(len(errors.t_ns), dtype=bool))
 
 
 def force_of(t: Array) -> Array:
@@ -115,7 +116,6 @@ def fly(
     rate: float = 100.0,
     delay: float = 0.0,
     time_constant: float = 0.0,
-    interpolation: str = "linear",
     lever_arm: Array | None = None,
     jitter: float = 0.0,
     seed: int = 0,
@@ -131,8 +131,6 @@ def fly(
     tu_ns = START_NS + np.rint(tu * 1e9).astype(np.int64)
 
     def commanded(at: float) -> Array:
-        if interpolation == "hold":
-            return u[np.searchsorted(tu, at - delay + 1e-12, side="right") - 1]
         return line(tu, u, at - delay)
 
     start = np.array([0.1, -0.05, 0.02])
@@ -155,8 +153,7 @@ def fly(
     states = [state]
     for begin, end in pairwise(corners):
         # piecewise, so that no corner of the input lies within a step
-        inner = (begin + 1e-9, end - 1e-9) if interpolation == "hold" else (begin, end)
-        state = integrated(derivative, *inner, state)
+        state = integrated(derivative, begin, end, state)
         states.append(state)
     at_samples = np.array(states)[np.isin(corners, t)]
     x, flow, servo = at_samples[:, :3], at_samples[:, 3:width], at_samples[:, width:]
@@ -170,29 +167,29 @@ def fly(
     first_tick = -(-int(t_ns[0]) // 50_000_000)
     ticks_ns = 50_000_000 * np.arange(first_tick, int(t_ns[-1]) // 50_000_000 + 1)
     known = slice(int((duration + 0.2) / 0.05))
-    signal = InputSignal(tu_ns[known], u[known], delay, time_constant, interpolation)
+    signal = InputSignal(tu_ns[known], u[known], delay, time_constant)
     coefficients = np.broadcast_to(a, (len(ticks_ns), *a.shape))
     return Record(
-        t_ns, x, signal, force, ticks_ns, coefficients, structure, lever_arm,
+        t_ns, x, signal, force, ticks_ns, coefficients, structure,
+        np.zeros(3) if lever_arm is None else lever_arm,
         flow_states_at(ticks_ns, t_ns, flow) if structure is FLIGHT else None,
     )  # fmt: skip
 
 
-def flow_states_at(ticks_ns: NDArray[np.int64], t_ns: NDArray[np.int64], flow: Array) -> FlowStates:
+def flow_states_at(ticks_ns: NDArray[np.int64], t_ns: NDArray[np.int64], flow: Array) -> Array:
     """Flow angles and attitude at the ticks, from beta, alpha, roll and pitch at the samples."""
     beta, alpha, roll, pitch = (
         np.interp(ticks_ns - START_NS, t_ns - START_NS, part) for part in flow.T
     )
     down = (-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch))
     speed = np.full(len(ticks_ns), AIRSPEED)
-    return FlowStates(np.stack([beta, alpha], axis=1), np.stack(down, axis=1), speed)
+    return np.stack([beta, alpha, *down, speed], axis=1)
 
 
 CASES = {
     "irregular stamps": {"jitter": 0.4},
     "slow gyro": {"rate": 37.0},
     "delay and lag": {"delay": 0.033, "time_constant": 0.06},
-    "held and lagged inputs": {"interpolation": "hold", "delay": 0.021, "time_constant": 0.05},
     "flight dynamics, delay and lag": {
         "structure": FLIGHT, "rate": 200.0, "delay": 0.033, "time_constant": 0.06,
     },
@@ -222,7 +219,7 @@ def test_lever_arm_is_accounted_for(structure: Structure) -> None:
     arm = np.array([0.3, -0.05, 0.1])
     record = fly(structure, duration=4.0, rate=200.0, lever_arm=arm)
     assert (record.everything().measured_force > 99.8).all()
-    assert (replace(record, lever_arm=None).everything().measured_force < 95.0).any()
+    assert (replace(record, lever_arm=np.zeros(3)).everything().measured_force < 95.0).any()
 
 
 def inside(record: Record, tick: int, horizon: float = 1.0) -> NDArray[np.bool_]:
@@ -260,9 +257,9 @@ def predicted(
 
     state = line(t, record.rates, t0)
     if free and record.flow is not None:
-        down = record.flow.down[tick]
+        beta, alpha, *down, _ = record.flow[tick]
         attitude = [np.arctan2(down[1], down[2]), -np.arcsin(down[0])]
-        state = np.concatenate([state, record.flow.angles[tick], attitude])
+        state = np.concatenate([state, [beta, alpha, *attitude]])
     last = t[window][-1]
     corners = np.unique(np.concatenate([[t0, last], t, tu]))
     at_samples = []
@@ -348,7 +345,9 @@ def test_windows_of_the_record_and_their_counts() -> None:
     ticks = START_NS + 50_000_000 * np.arange(1, 1201)
     inputs = InputSignal(t_ns, np.zeros((6001, 4)))
     coefficients = np.zeros((1200, 3, BASELINE.size))
-    result = score(Flown(t_ns, rates, inputs), Published(ticks, coefficients, BASELINE))
+    flown = Flown(t_ns, rates, inputs, np.zeros((6001, 2)), np.zeros(3))
+    errors = window_errors(flown, Published(ticks, coefficients, BASELINE))
+    result = score_windows(errors, int(t_ns[0]), int(t_ns[-1]))
     assert list(result) == list(SELECTIONS) == ["last_40_percent", "after_30_s"]
     # starts from 36 s, and from 30 s, to 59 s, both included
     assert result["last_40_percent"].windows == 23 * 20 + 1

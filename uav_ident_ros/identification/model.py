@@ -53,9 +53,6 @@ LARGEST_ANGLE = 0.5 * math.pi
 _ACROSS = np.repeat([0, 1, 2], 4), np.array([2, 3, 4, 6, 0, 1, 5, 7, 2, 3, 4, 6])
 """Coefficients that a body has none of that is symmetric about its xz plane."""
 
-DRIVE_COLUMNS = [*range(INPUT_COLUMNS.start, INPUT_COLUMNS.stop), CONSTANT_COLUMN]
-"""Columns of a structure with flow angles that are known before the state is."""
-
 Number = Any
 """A float, or an array of one value per trajectory."""
 

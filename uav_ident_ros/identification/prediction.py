@@ -24,8 +24,6 @@ import numpy as np
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.frames import centripetal, lever_arm_matrix
 from uav_ident_ros.identification.model import (
-    DRIVE_COLUMNS,
-    Step,
     bounded,
     flight_derivative,
     integrate,
@@ -37,6 +35,7 @@ from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.structure import (
     EXOGENOUS_COLUMNS,
     LAST_COLUMNS,
+    ROWS,
     BoolArray,
     FloatArray,
     Structure,
@@ -60,13 +59,13 @@ SETTLED_NS = 30_000_000_000
 LAST_PART = 0.4
 """Share of the flight at its end that the first figure is over."""
 
-BLOCK = 4096
-"""Windows integrated at a time: their arrays then stay in the processor's cache."""
+_FORCES = LAST_COLUMNS.start - EXOGENOUS_COLUMNS.start
+"""Row of ay among de, dr, da, dth, 1, ay, az."""
 
 
 @dataclass(frozen=True)
 class InputSignal:
-    """The inputs as a function of time: sampled, delayed and lagged.
+    """The inputs as a function of time: straight lines between samples, delayed and lagged.
 
     Parameters
     ----------
@@ -78,36 +77,28 @@ class InputSignal:
         Transport delay, s.
     time_constant : float
         First-order lag, s; it starts in equilibrium.
-    interpolation : str
-        ``linear`` between the samples (the score of record) or ``hold``.
     """
 
     t_ns: TimeArray
     u: FloatArray
     delay: float = 0.0
     time_constant: float = 0.0
-    interpolation: str = "linear"
 
     @property
     def delay_ns(self) -> int:
         """Transport delay, ns."""
         return round(self.delay * 1e9)
 
-    def at(self, t_ns: TimeArray, *, left: bool = False) -> FloatArray:
-        """Evaluate the inputs at the times `t_ns`, shape (len(t_ns), 4).
+    def at(self, t_ns: TimeArray) -> FloatArray:
+        """Evaluate the inputs at the times `t_ns`, ns, shape (len(t_ns), 4).
 
-        Parameters
-        ----------
-        t_ns : (k,) int array
-            Times, ns. Before the first sample the first is taken, after the last the last.
-        left : bool
-            At a jump take the value before it, not the one after.
+        Before the first sample the first is taken, after the last the last.
         """
         acting_ns = t_ns - self.delay_ns
-        last = np.searchsorted(self.t_ns, acting_ns, side="left" if left else "right") - 1
-        last = np.maximum(last, 0)
+        last = np.maximum(np.searchsorted(self.t_ns, acting_ns, side="right") - 1, 0)
         since = np.maximum(acting_ns - self.t_ns[last], 0)[:, None] * NS
-        slope = self._slopes()
+        slope = np.zeros_like(self.u)
+        slope[:-1] = np.diff(self.u, axis=0) / (np.diff(self.t_ns) * NS)[:, None]
         value = self.u[last] + slope[last] * since
         if self.time_constant == 0.0:
             return np.asarray(value)
@@ -115,12 +106,6 @@ class InputSignal:
         ahead = slope[last] * self.time_constant
         start = self._lagged(slope)[last] - self.u[last] + ahead
         return np.asarray(value - ahead + start * np.exp(-since / self.time_constant))
-
-    def _slopes(self) -> FloatArray:
-        slope = np.zeros_like(self.u)
-        if self.interpolation == "linear" and len(self.t_ns) > 1:
-            slope[:-1] = np.diff(self.u, axis=0) / (np.diff(self.t_ns) * NS)[:, None]
-        return slope
 
     def _lagged(self, slope: FloatArray) -> FloatArray:
         """Lagged input at the samples, shape (M, 4)."""
@@ -132,45 +117,6 @@ class InputSignal:
         for d, b in zip(decay[:, 0].tolist(), forced.tolist(), strict=True):
             lagged.append([d * y + v for y, v in zip(lagged[-1], b, strict=True)])
         return np.array(lagged)
-
-
-@dataclass(frozen=True)
-class FlowStates:
-    """What the state of a structure with flow angles has beside the rates, at each of K ticks.
-
-    Parameters
-    ----------
-    angles : (K, 2) array
-        Sideslip and angle of attack, rad.
-    down : (K, 3) array
-        Unit vector that points down, body axes FRD.
-    airspeed : (K,) array
-        True airspeed, m/s.
-    """
-
-    angles: FloatArray
-    down: FloatArray
-    airspeed: FloatArray
-
-    def chosen(self, which: BoolArray) -> FlowStates:
-        """Return those of the chosen ticks, shape (K,)."""
-        return FlowStates(self.angles[which], self.down[which], self.airspeed[which])
-
-
-def flow_states(estimates: Sequence[Estimate]) -> FlowStates | None:
-    """Return the flow states of estimates; None if their structure has none."""
-    flows = [estimate.flow for estimate in estimates if estimate.flow is not None]
-    if not flows:
-        return None
-    angles, attitude = (
-        np.array([[getattr(flow, name) for name in names] for flow in flows])
-        for names in (("beta", "alpha"), ("roll", "pitch"))
-    )
-    roll, pitch = attitude.T
-    down = np.stack(
-        [-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], axis=1
-    )
-    return FlowStates(angles, down, np.array([flow.airspeed for flow in flows]))
 
 
 @dataclass(frozen=True)
@@ -253,14 +199,12 @@ class PredictionFit:
         return np.asarray(self.free_hold[0])
 
 
-Selection = Callable[[TimeArray, int, int], BoolArray]
-"""Chooses windows: (starts, first stamp, last stamp of the flight, all ns) to flags."""
-
-SELECTIONS: Mapping[str, Selection] = {
+SELECTIONS: Mapping[str, Callable[[TimeArray, int, int], BoolArray]] = {
     "last_40_percent": lambda t, first, last: t >= last - round(LAST_PART * (last - first)),
     "after_30_s": lambda t, first, last: t >= first + SETTLED_NS,
 }
-"""The sets of windows of the score of record."""
+"""The sets of windows of the score of record: (starts, first stamp, last stamp of the flight, all
+ns) to flags."""
 
 
 @dataclass(frozen=True)
@@ -275,27 +219,21 @@ class Flown:
         Measured p, q, r, rad/s, FRD, unfiltered.
     inputs : InputSignal
         Measured inputs.
-    force : (N, 2) array or None
-        Measured ay, az, m/s^2, FRD, at the gyro samples; None counts as zero.
-    lever_arm : (3,) array or None
-        Position of the accelerometer from the centre of gravity, m, FRD; None is zero.
+    force : (N, 2) array
+        Measured ay, az, m/s^2, FRD, at the gyro samples.
+    lever_arm : (3,) array
+        Position of the accelerometer from the centre of gravity, m, FRD.
     """
 
     t_ns: TimeArray
     rates: FloatArray
     inputs: InputSignal
-    force: FloatArray | None = None
-    lever_arm: FloatArray | None = None
-
-    @property
-    def arm(self) -> FloatArray:
-        """Lever arm, m, shape (3,)."""
-        return np.zeros(3) if self.lever_arm is None else np.asarray(self.lever_arm, np.float64)
+    force: FloatArray
+    lever_arm: FloatArray
 
     def steady_force(self) -> FloatArray:
         """Return ay, az less their centripetal part, m/s^2, shape (N, 2)."""
-        force = np.zeros((len(self.rates), 2)) if self.force is None else self.force
-        return force - centripetal(self.rates, self.arm) if self.arm.any() else force
+        return self.force - centripetal(self.rates, self.lever_arm)
 
 
 @dataclass(frozen=True)
@@ -311,49 +249,38 @@ class Published:
         prediction a divergent one.
     structure : Structure
         Their structure.
-    flow : FlowStates or None
-        Flow angles and attitude; for a structure that has them.
+    flow : (K, 6) array or None
+        Of a structure with flow angles: sideslip and angle of attack, rad; the unit vector that
+        points down, body axes FRD; the true airspeed, m/s.
     """
 
     t_ns: TimeArray
     coefficients: FloatArray
     structure: Structure
-    flow: FlowStates | None = None
+    flow: FloatArray | None = None
 
     @classmethod
     def of(cls, estimates: Sequence[Estimate], structure: Structure) -> Published:
         """Return what estimates of a structure published."""
+        flows = [estimate.flow for estimate in estimates if estimate.flow is not None]
         return cls(
             np.array([estimate.t_ns for estimate in estimates], dtype=np.int64),
             np.array([estimate.coefficients for estimate in estimates]),
             structure,
-            flow_states(estimates),
+            np.array([(f.beta, f.alpha, *f.down, f.airspeed) for f in flows]) if flows else None,
         )
 
     def chosen(self, which: BoolArray) -> Published:
         """Return what was published at the chosen ticks, shape (K,)."""
-        flow = None if self.flow is None else self.flow.chosen(which)
+        flow = None if self.flow is None else self.flow[which]
         return Published(self.t_ns[which], self.coefficients[which], self.structure, flow)
 
 
-def score(
-    flown: Flown, published: Published, selections: Mapping[str, Selection] = SELECTIONS
-) -> dict[str, PredictionFit]:
-    """Score what was published on a flight: a `PredictionFit` for each selection of windows."""
-    errors = window_errors(flown, published)
-    return score_windows(errors, int(flown.t_ns[0]), int(flown.t_ns[-1]), selections)
-
-
-def score_windows(
-    errors: WindowErrors,
-    first_ns: int,
-    last_ns: int,
-    selections: Mapping[str, Selection] = SELECTIONS,
-) -> dict[str, PredictionFit]:
-    """Score windows of a flight that lasts from `first_ns` to `last_ns`."""
+def score_windows(errors: WindowErrors, first_ns: int, last_ns: int) -> dict[str, PredictionFit]:
+    """Score the windows of a flight that lasts from `first_ns` to `last_ns`, by `SELECTIONS`."""
     return {
         name: fit(errors, choose(errors.t_ns, first_ns, last_ns))
-        for name, choose in selections.items()
+        for name, choose in SELECTIONS.items()
     }
 
 
@@ -389,24 +316,25 @@ def window_errors(flown: Flown, published: Published) -> WindowErrors:
     if not covered.any():
         return WindowErrors.none()
     published = published.chosen(covered)
-    ticks = published.t_ns
-    grid = _Grid.build(flown, ticks)
-    x0 = _interpolated(ticks, flown.t_ns, flown.rates)
-    ends = [_window_end(flown, ticks, horizon) for horizon in HORIZONS]
-    nodes = np.stack([np.searchsorted(grid.t_ns, end, side="right") - 1 for end in ends], axis=1)
+    ticks, structure = published.t_ns, published.structure
+    # before its start where the flight does not cover a window
+    lengths = [
+        np.where(_covered(flown, ticks, horizon), round(horizon * 1e9), -1) for horizon in HORIZONS
+    ]
+    ends = ticks[:, None] + np.stack(lengths, axis=1)
     first = np.searchsorted(flown.t_ns, ticks, side="right")
-    last = np.stack([np.searchsorted(flown.t_ns, end, side="right") for end in ends], axis=1)
+    last = np.searchsorted(flown.t_ns, ends, side="right")
     count = np.maximum(last - first[:, None], 0)
     total, square = (_sums(part, first, last) for part in (flown.rates, flown.rates**2))
-    start = x0[:, None, :]
+    grid = _Grid.build(flown, ticks)
+    start = _interpolated(ticks, flown.t_ns, flown.rates)[:, None]
     measured_force = np.full((len(ticks), 3), np.nan)
-    if published.structure.has_forces or published.structure.has_flow:
-        forced = _squared_errors(published, flown, grid, x0, nodes[:, :1], free=False)
-        measured_force = forced[:, 0]
+    if structure.has_forces or structure.has_flow:
+        measured_force = _squared_errors(flown, grid, published, ends[:, :1], free=False)[:, 0]
     return WindowErrors(
         t_ns=ticks,
         count=count,
-        model=_squared_errors(published, flown, grid, x0, nodes, free=True),
+        model=_squared_errors(flown, grid, published, ends, free=True),
         hold=np.maximum(square - 2.0 * start * total + count[..., None] * start**2, 0.0),
         measured_force=measured_force,
         measured=total,
@@ -438,12 +366,10 @@ def predict_ahead(
         return ticks, np.empty((0, 3))
     ends = ticks + round(horizon * 1e9)
     grid = _Grid.build(flown, np.union1d(ticks, ends))
-    x0 = _interpolated(ticks, flown.t_ns, flown.rates)
-    last = np.searchsorted(grid.t_ns, ends)
-    predicted = np.empty_like(x0)
-    for block in _blocks(len(ticks)):
-        run = _BlockRun(published.chosen(block), flown, grid, free=True)
-        predicted[block] = run.last_rates(x0[block], last[block])
+    last, predicted = np.searchsorted(grid.t_ns, ends), np.empty((len(ticks), 3))
+    for node, rates in _predictions(flown, grid, published, last, free=True):
+        reached = node == last
+        predicted[reached] = rates[:, reached].T
     return ends, predicted
 
 
@@ -480,12 +406,6 @@ def _covered(flown: Flown, ticks_ns: TimeArray, horizon: float) -> BoolArray:
     return np.asarray(inside & known & ~gap & ~input_gap)
 
 
-def _window_end(flown: Flown, ticks: TimeArray, horizon: float) -> TimeArray:
-    """End of each window, ns; before its start where the flight does not cover it."""
-    covered = _covered(flown, ticks, horizon)
-    return np.asarray(ticks + np.where(covered, round(horizon * 1e9), -1))
-
-
 def _meets_gap(start: TimeArray, end: TimeArray, t_ns: TimeArray, longest_ns: int) -> BoolArray:
     """Whether [start, end] meets an interval between stamps longer than `longest_ns`."""
     gaps = np.flatnonzero(np.diff(t_ns) > longest_ns)
@@ -517,9 +437,7 @@ class _Grid:
     t_ns: TimeArray  # (G,) Nodes, ns
     compared: BoolArray  # (G,) Which of them are gyro samples
     rates: FloatArray  # (3, G) Measured rates
-    # (7, G) Regressors de, dr, da, dth, 1, ay, az just after and just before the nodes
-    after: FloatArray
-    before: FloatArray
+    signals: FloatArray  # (7, G) Regressors de, dr, da, dth, 1, ay, az
     middle: FloatArray  # (7, G) The same halfway to the next node
 
     @classmethod
@@ -531,20 +449,16 @@ class _Grid:
         nodes = np.concatenate([nodes, _fillers(nodes)])
         nodes.sort()
         middle = np.concatenate([(nodes[:-1] + nodes[1:]) // 2, nodes[-1:]])
-
-        def exogenous(t: TimeArray, *, left: bool = False) -> FloatArray:
-            u = inputs.at(t, left=left)
-            return np.vstack([u.T, np.ones(len(t)), _interpolated(t, t_ns, force).T])
-
-        after = exogenous(nodes)
-        jumps = inputs.interpolation == "hold" and inputs.time_constant == 0.0
+        signals, halfway = (
+            np.vstack([inputs.at(t).T, np.ones(len(t)), _interpolated(t, t_ns, force).T])
+            for t in (nodes, middle)
+        )
         return cls(
             t_ns=nodes,
             compared=np.isin(nodes, t_ns, assume_unique=True),
             rates=np.ascontiguousarray(_interpolated(nodes, t_ns, flown.rates).T),
-            after=after,
-            before=exogenous(nodes, left=True) if jumps else after,
-            middle=exogenous(middle),
+            signals=signals,
+            middle=halfway,
         )
 
 
@@ -557,126 +471,76 @@ def _fillers(nodes: TimeArray) -> TimeArray:
     return np.concatenate(cut) if cut else np.empty(0, dtype=np.int64)
 
 
-def _blocks(count: int) -> Iterator[BoolArray]:
-    """Yield flags that choose `count` windows, a block of them at a time."""
-    place = np.arange(count) // BLOCK
-    for k in range(-(-count // BLOCK)):
-        yield place == k
-
-
 def _squared_errors(
-    published: Published,
-    flown: Flown,
-    grid: _Grid,
-    x0: FloatArray,
-    ends: TimeArray,
-    *,
-    free: bool,
+    flown: Flown, grid: _Grid, published: Published, ends_ns: TimeArray, *, free: bool
 ) -> FloatArray:
-    """Sum the squared prediction errors of every window up to its ends (W, H), (W, H, 3)."""
-    errors = np.zeros((*ends.shape, 3))
-    for block in _blocks(len(ends)):
-        run = _BlockRun(published.chosen(block), flown, grid, free=free)
-        errors[block] = run.squared_errors(x0[block], ends[block])
-    return errors
+    """Sum the squared prediction errors of every window up to its ends (W, H), ns, (W, H, 3)."""
+    ends = np.searchsorted(grid.t_ns, ends_ns, side="right") - 1
+    furthest, before = ends.max(axis=1), np.searchsorted(grid.t_ns, published.t_ns)
+    running, sums = np.zeros((3, len(ends))), np.zeros((*ends.shape, 3))
+    for node, rates in _predictions(flown, grid, published, furthest, free=free):
+        # at the last node of all a window waits for the others
+        counts = grid.compared[node] & (node <= furthest) & (node > before)
+        before = node
+        running += np.where(counts, (rates - grid.rates[:, node]) ** 2, 0.0)
+        window, horizon = np.nonzero(node[:, None] == ends)
+        sums[window, horizon] = running[:, window].T
+    return sums
 
 
-class _BlockRun:
-    """The model in many windows side by side: the states are arrays of W values.
+def _predictions(
+    flown: Flown, grid: _Grid, published: Published, last: TimeArray, *, free: bool
+) -> Iterator[tuple[TimeArray, FloatArray]]:
+    """Run the model in W windows side by side, until all are at their `last` node, (W,).
 
     Parameters
     ----------
-    published : Published
-        Coefficients of each window; its ticks are the starts.
-    flown : Flown
-        What was measured.
-    grid : _Grid
-        The same on the nodes.
     free : bool
         Whether the forces are the model's own, or held; as measured if not.
+
+    Yields
+    ------
+    node : (W,) int array
+        Where on the grid each window is.
+    rates : (3, W) array
+        Predicted rates there.
     """
+    structure, a = published.structure, published.coefficients
+    node = start = np.searchsorted(grid.t_ns, published.t_ns)
+    state = list(_interpolated(published.t_ns, flown.t_ns, flown.rates).T)
+    flow = published.flow.T if free and published.flow is not None else None
+    if flow is None:
+        a = with_measured_force(a, structure)
+        if flown.lever_arm.any() and (structure.has_forces or structure.has_flow):
+            a = off_centre(a, lever_arm_matrix(flown.lever_arm))
+    a = np.ascontiguousarray(np.moveaxis(a, 0, 2))
+    known = a[:, EXOGENOUS_COLUMNS]
+    if flow is None:
+        rows, derivative, more = len(ROWS), rates_derivative(a), []
+    else:
+        rows, derivative, still = len(a), flight_derivative(a), np.zeros(len(node))
+        known, more = known[:, :_FORCES], [1.0 / flow[5], still, still, still]
+        state += list(flow[:5])
+    terms = np.argwhere(known[:rows].any(axis=2)).tolist()
+    held = free and structure.has_forces
 
-    def __init__(self, published: Published, flown: Flown, grid: _Grid, *, free: bool) -> None:
-        structure, a = published.structure, published.coefficients
-        self._grid = grid
-        self._start = np.searchsorted(grid.t_ns, published.t_ns)
-        self._flow = published.flow if free else None
-        self._holds_force = free and structure.has_forces
-        if self._flow is None:
-            a = with_measured_force(a, structure)
-            if flown.arm.any() and (structure.has_forces or structure.has_flow):
-                a = off_centre(a, lever_arm_matrix(flown.arm))
-            self._columns = list(range(*EXOGENOUS_COLUMNS.indices(structure.size)))
-        else:
-            self._columns = DRIVE_COLUMNS
-        self._a: FloatArray = np.ascontiguousarray(np.moveaxis(a, 0, 2))
-        self._rows = 3 if self._flow is None else len(structure.rows)
-        present = self._a[:, self._columns].any(axis=2)
-        self._terms = [(int(i), int(j)) for i, j in np.argwhere(present[: self._rows])]
-
-    def squared_errors(self, x: FloatArray, ends: TimeArray) -> FloatArray:
-        """Sum the squared errors up to the nodes `ends` (W, H), from the rates x (W, 3)."""
-        grid, furthest, before = self._grid, ends.max(axis=1), self._start
-        running = np.zeros((3, len(x)))
-        sums = np.zeros((ends.shape[1], 3, len(x)))
-        for node, state in self._states(x, furthest):
-            # at the last node of all a window waits for the others
-            counts = grid.compared[node] & (node <= furthest) & (node > before)
-            before = node
-            running += np.where(counts, (np.array(state[:3]) - grid.rates[:, node]) ** 2, 0.0)
-            for total, end in zip(sums, ends.T, strict=True):
-                reached = node == end
-                if reached.any():
-                    total[:, reached] = running[:, reached]
-        return np.asarray(sums.transpose(2, 0, 1))
-
-    def last_rates(self, x: FloatArray, end: TimeArray) -> FloatArray:
-        """Return the rates at the node `end` of each window, shape (W, 3), from x (W, 3)."""
-        last = x.copy()
-        for node, state in self._states(x, end):
-            reached = node == end
-            last[reached] = np.array(state[:3])[:, reached].T
-        return last
-
-    def _states(
-        self, x: FloatArray, end: TimeArray
-    ) -> Iterator[tuple[TimeArray, list[FloatArray]]]:
-        """Yield node after node (W,) with the state there, until all are at their end."""
-        state = list(x.T)
-        if self._flow is None:
-            derivative = rates_derivative(self._a)
-        else:
-            derivative = flight_derivative(self._a)
-            state += [*self._flow.angles.T, *self._flow.down.T]
-        node = self._start
-        for _ in range(int((end - node).max(initial=0))):
-            following = np.minimum(node + 1, len(self._grid.t_ns) - 1)
-            with np.errstate(over="ignore", invalid="ignore"):
-                (state,) = integrate(derivative, state, [self._step(node, following)])
-            # what is held at the bound has diverged; clipping turns an overflow into a number
-            state = [bounded(part) for part in state]
-            yield following, state
-            node = following
-
-    def _step(self, node: TimeArray, following: TimeArray) -> Step:
-        """Return what drives the models from `node` to `following`, and for how long."""
-        grid = self._grid
-        dt = (grid.t_ns[following] - grid.t_ns[node]) * NS
-        drives = [
-            self._drive(signals, at)
-            for signals, at in ((grid.after, node), (grid.middle, node), (grid.before, following))
-        ]
-        return drives[0], drives[1], drives[2], dt
-
-    def _drive(self, exogenous: FloatArray, node: TimeArray) -> list[FloatArray]:
+    def drive(signals: FloatArray, node: TimeArray) -> list[FloatArray]:
         """Evaluate the part of the model that does not depend on the state."""
-        drive: list[FloatArray] = list(np.zeros((self._rows, len(node))))
-        for i, j in self._terms:
-            column = self._columns[j]
-            held = self._holds_force and column >= LAST_COLUMNS.start
-            value = self._grid.after[j, self._start] if held else exogenous[j, node]
-            drive[i] += self._a[i, column] * value
-        if self._flow is not None:
-            still = np.zeros(len(node))
-            drive += [1.0 / self._flow.airspeed, still, still, still]
-        return drive
+        parts = list(np.zeros((rows, len(node))))
+        for i, j in terms:
+            value = grid.signals[j, start] if held and j >= _FORCES else signals[j, node]
+            parts[i] += known[i, j] * value
+        return parts + more
+
+    driven = drive(grid.signals, node)
+    for _ in range(int((last - node).max(initial=0))):
+        following = np.minimum(node + 1, len(grid.t_ns) - 1)
+        before, driven = driven, drive(grid.signals, following)
+        dt = (grid.t_ns[following] - grid.t_ns[node]) * NS
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = [(before, drive(grid.middle, node), driven, dt)]
+            (state,) = integrate(derivative, state, steps)
+        # what is held at the bound has diverged; clipping turns an overflow into a number
+        state = [bounded(part) for part in state]
+        node = following
+        yield node, np.array(state[:3])

@@ -52,7 +52,6 @@ PIECE = 4096
 class Stretch(Flown):
     """What was measured and published on one time base, with one delay of the inputs."""
 
-    force: FloatArray
     _: KW_ONLY
     era: int  # Restarts of the time base before it
     ticks: Ticks  # The estimates made with that delay
