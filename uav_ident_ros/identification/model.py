@@ -275,6 +275,8 @@ class IdentifiedModel:
         self._structure = structure
         self._lever = lever_arm_matrix(lever_arm)
         self._offset = bool(lever_arm.any()) and structure.has_forces
+        self._form = flight_derivative if structure.has_flow else rates_derivative
+        self._formed: tuple[bytes, float] | None = None  # What the right-hand side was made of
         self.state: FloatArray = np.zeros(8 if structure.has_flow else 3)
         self.resets = 0
 
@@ -337,11 +339,14 @@ class IdentifiedModel:
             drive[:, :3] += pull[:, :3]
             drive[:, 5:7] += pull[:, 3:5]
             drive[:, 8:] += pull[:, 5:]
-        form = flight_derivative if self._structure.has_flow else rates_derivative
+        # The coefficients stay for some ticks.
+        formed = a.tobytes(), leak
+        if formed != self._formed:
+            self._formed, self._derivative = formed, self._form(a, leak)
         cells, split = zip(drive.tolist(), plan.times, strict=True), plan.split
         steps = [(u, u, u, dt / split) for u, dt in cells for _ in range(split)]
         first = start.tolist()
-        states = [first, *integrate(form(a, leak), first, steps)]
+        states = [first, *integrate(self._derivative, first, steps)]
         coarse = np.array(states[::split])
         if diverged(states[-1]):
             # Diverged is diverged: what lies between infinite states would be no number.

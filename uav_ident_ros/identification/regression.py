@@ -451,6 +451,12 @@ class StateVariableFilter:
             y[:, 3:] -= jerk @ self._lever.T
 
 
+def diagonal(matrices: FloatArray) -> FloatArray:
+    """Return the diagonals of contiguous square matrices (..., k, k), to be changed, (..., k)."""
+    *stack, k, _ = matrices.shape
+    return matrices.reshape(*stack, k * k)[..., :: k + 1]
+
+
 def without_negligible(signals: FloatArray) -> FloatArray:
     """Return signals with zeros where they are negligible."""
     return np.where(np.abs(signals) < NEGLIGIBLE, 0.0, signals)

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.regression import Layout, Regression, RowSamples
+from uav_ident_ros.identification.regression import Layout, Regression, RowSamples, diagonal
 from uav_ident_ros.identification.scales import (
     GUST_TIME,
     INDEPENDENT_TIME,
@@ -120,9 +120,9 @@ class NoiseModel:
     def _fit(self) -> None:
         """Solve the Yule-Walker equations."""
         c = self._covariances
-        matrix = c[:, self._lags]
+        matrix = c.take(self._lags, axis=1)
         level = np.maximum(c[:, 0], np.finfo(float).tiny)
-        np.einsum("ijj->ij", matrix)[...] += (LOADING * level)[:, None]
+        diagonal(matrix)[...] += (LOADING * level)[:, None]
         self.weights = np.linalg.solve(matrix, c[:, 1:, None])[:, :, 0]
         self._matrices.clear()
         left = c[:, 0] - (self.weights * c[:, 1:]).sum(axis=1)
@@ -237,8 +237,8 @@ class Feedback:
         mean = self._products[n - 1] / time
         covariance = self._products / time - np.outer(mean, mean)
         matrix = covariance[: n - 1, : n - 1].copy()
-        diagonal = np.einsum("jj->j", matrix)
-        diagonal += ROUNDING * diagonal + np.finfo(float).tiny
+        power = diagonal(matrix)
+        power += ROUNDING * power + np.finfo(float).tiny
         across = covariance[: n - 1, n:]
         explained = np.einsum("ji,ji->i", across, np.linalg.solve(matrix, across))
         variance = np.diag(covariance)[n:]

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.prior import Start, physical_bounds
-from uav_ident_ros.identification.regression import Layout, RowSamples
+from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
 from uav_ident_ros.identification.scales import (
     INDEPENDENT_TIME,
     OUTLYING,
@@ -56,12 +56,6 @@ _FROM_KAPPA = np.array([[1.0], [0.0]])
 """Kappa from which what may answer by chance counts, and what answers for sure."""
 
 
-def diagonal(matrices: FloatArray) -> FloatArray:
-    """Return the diagonals of contiguous square matrices (..., k, k), to be changed, (..., k)."""
-    *stack, k, _ = matrices.shape
-    return matrices.reshape(*stack, k * k)[..., :: k + 1]
-
-
 class Sums:
     """What was accumulated; estimates beside one another are parts.
 
@@ -89,15 +83,13 @@ class Sums:
 
     def __init__(self, table: FloatArray, k: int) -> None:
         self.table, self.k = table, k
-        shape, ends = (
-            table.shape[:2],
-            np.cumsum((k * (1 + 2 * k), 3 * k * k, k * k, k * k)).tolist(),
-        )
-        self.products = table[..., : ends[0]].reshape(*shape, k, 1 + 2 * k)
-        self.answers = table[..., ends[0] : ends[1]].reshape(*shape, 3, k, k)
-        self.scores = table[..., ends[1] : ends[2]].reshape(*shape, k, k)
-        self.power = table[..., ends[2] : ends[3]].reshape(*shape, k, k)
-        self.blocks, self.answer_time = table[..., ends[3]], table[..., ends[3] + 1]
+        shape, square = table.shape[:2], k * k
+        first = k + 2 * square
+        self.products = table[..., :first].reshape(*shape, k, 1 + 2 * k)
+        squares = table[..., first:-2].reshape(*shape, 5, k, k)
+        self.answers = squares[:, :, :3]
+        self.scores, self.power = squares[:, :, 3], squares[:, :, 4]
+        self.blocks, self.answer_time = table[..., -2], table[..., -1]
         self.zy, self.zf = self.products[..., :1], self.products[..., 1 : 1 + k]
         self.zz = self.products[..., 1 + k :]
 
@@ -133,7 +125,10 @@ class Sums:
         products = weighted.swapaxes(-1, -2) @ samples.signals
         self.products += products[..., 1:]
         if answering is not None:
-            self.answers += products[..., None, :, 2 + k :] * answering
+            # pairs of instruments side by side: three times as quick as index by index
+            answers = self.answers.reshape(*self.blocks.shape, 3, k * k)
+            zz = products[..., 2 + k :].reshape(*self.blocks.shape, 1, k * k)
+            answers += zz * answering.reshape(-1, 3, k * k)
             self.answer_time += samples.time * weight
             f = samples.f
             self.power += (f * (samples.dt * weight)[:, None, None]).swapaxes(-1, -2) @ f
@@ -447,11 +442,11 @@ class Information:
         Returns
         -------
         covariance : (parts, rows, k, k) array
-            Covariance of the linear coefficients, row by row, without what answers.
+            Covariance of what is solved for, row by row, without what answers.
         sigma : (parts, R, n) array
             Standard deviations of the coefficients of the structure.
         """
-        sums, transform, prior = solution.sums, solution.transform, solution.prior
+        sums, prior = solution.sums, solution.prior
         try:
             inverse = np.linalg.inv(solution.matrix)
         except np.linalg.LinAlgError:
@@ -467,8 +462,7 @@ class Information:
             if part != 1:  # whitened: what is new in a gust comes before it is answered
                 variance[part] += self._answered(solution, part, gain[part])
         resolution = 1.0 - diagonal(inverse) * prior
-        sigma = self._sigma(variance, solution.linear, resolution)
-        return transform @ covariance @ transform.swapaxes(-1, -2), sigma
+        return covariance, self._sigma(variance, solution.linear, resolution)
 
     def _answered(self, solution: Solution, part: int, gain: FloatArray) -> FloatArray:
         """Return by how much what answers disturbances can be off at most, squared, (rows, k).
@@ -528,7 +522,7 @@ class Information:
         """Information of the moment rows, scaled to a unit diagonal, symmetric, (3, k, k)."""
         matrix = (self._pairs * self.sums.zf[0])[:3]
         matrix = 0.5 * (matrix + matrix.transpose(0, 2, 1))
-        power = np.einsum("ijj->ij", matrix)
+        power = diagonal(matrix)
         power += (self._precision * self.unit[0, :, None] + self._rest)[:3]
         scale = 1.0 / np.sqrt(np.abs(power))
         return np.asarray(matrix * scale[:, :, None] * scale[:, None, :])

@@ -23,8 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.estimators.information import diagonal
-from uav_ident_ros.identification.regression import Layout, RowSamples
+from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
 from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 

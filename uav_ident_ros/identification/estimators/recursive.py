@@ -10,7 +10,6 @@ while its coefficients are still poor).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,14 +31,6 @@ from uav_ident_ros.identification.structure import (
     STRUCTURES,
     FloatArray,
 )
-
-
-class Known(NamedTuple):
-    """What an estimate says."""
-
-    linear: FloatArray  # (rows, k) Coefficients of the regression problem
-    covariance: FloatArray  # (rows, k, k) Their covariance, row by row
-    sigma: FloatArray  # (R, n) Standard deviations of the coefficients of the structure
 
 
 class RecursiveRegression:
@@ -202,7 +193,7 @@ class RecursiveRegression:
             self.forget(0.0)
             return
         if due:
-            self._white = Known(solution.linear[1], covariance[1], sigmas[1])
+            self._known = solution, covariance
             self._since_sigma, self.sigma = 0.0, sigma
         self._linear = self._layout.matrix(solution.linear[0])
         self.inputs = self._linear[: len(ROWS), INPUT_COLUMNS]
@@ -243,7 +234,7 @@ class RecursiveRegression:
         """Release what has changed."""
         self.changes = []
         if self._detector.add(samples):
-            linear = self._layout.matrix(self._white.linear)
+            linear = self._layout.matrix(self._known[0].linear[1])
             sigma = self.sigma[: len(ROWS), INPUT_COLUMNS]
             for change in self._detector.look(linear, sigma):
                 self.changes.append((change.row, change.column))
@@ -261,7 +252,9 @@ class RecursiveRegression:
         sigma = self._start.sigma.copy()
         sigma[row, change.column] = weak[row, change.column]
         self.start = replace(self._start, sigma=sigma)
-        mean, covariance = (part[row].copy() for part in self._white[:2])
+        known, covariances = self._known  # whitened
+        mean, transform = known.linear[1, row].copy(), known.transform[row]
+        covariance = transform @ covariances[1, row] @ transform.T
         columns = self._layout.index[row]
         changed = columns == change.column
         mean[changed] += change.size
