@@ -37,10 +37,6 @@ from uav_ident_ros.identification.structure import (
 WINDOW_TIME = 5.0
 """Time over which residuals are looked at, s."""
 
-MIN_EXPLAINED = 0.5
-"""Share of a row's whitened residual that a change must explain: more than all else together. What
-an autopilot answers to a storm explains up to 0.4."""
-
 REVERSED = 2.0
 """Change of a control derivative whose surface is reversed, relative to its value."""
 
@@ -142,7 +138,8 @@ class ChangeDetector:
         owed = len(residual) * np.log(left / rivals) > OUTLYING
         explained = np.where(sure & ~owed, explained, 0.0)
         changes = []
-        for row in sorted({*self._row[explained >= MIN_EXPLAINED].tolist()}):
+        # More than all else together: what an autopilot answers to a storm explains up to 0.4.
+        for row in sorted({*self._row[explained >= 1.0 - explained].tolist()}):
             best = int(np.where(self._row == row, explained, 0.0).argmax())
             column, by, first = self._column[best], size[best], len(signals) // 2
             share, step, passed = self._step(residual[:, row], window.dt)
