@@ -8,7 +8,7 @@ import numpy as np
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.scales import MEMORY, ROUNDING
+from uav_ident_ros.identification.scales import MEMORY, ROUNDING, START_TIME, SURE
 from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings, SettingsError
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
@@ -19,8 +19,9 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
 )
 
-DEFAULT_GAIN = 0.15
-"""Diagonal of K relative to the regressors' variances, 1/s: settles in some tens of seconds."""
+DEFAULT_GAIN = SURE / START_TIME
+"""Diagonal of K relative to the regressors' variances, 1/s: of what is wrong at a cold start a
+twentieth is left, exp(-3), when it counts as over."""
 
 EULER_LIMIT = 2.0
 """``dt f^T K f`` beyond which an explicit Euler step of the law overshoots and grows."""
