@@ -35,7 +35,7 @@ and every tick is learned from at once."""
 MEMORY = 30.0
 """Memory of what describes the flight of late, s: noise, fit, usual slopes."""
 
-LONG_MEMORY = 60.0
+LONG_MEMORY = 2.0 * MEMORY
 """Memory of what is usual, s: a flight has its calm and its lively parts within a minute."""
 
 BLOCKS = round(LONG_MEMORY / INDEPENDENT_TIME)
