@@ -13,12 +13,13 @@ from collections import deque
 import numpy as np
 
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.scales import INDEPENDENT_TIME, LOOK_TIME
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME, LOOK_TIME, RESPONSE_TIME
 from uav_ident_ros.identification.settings import SupervisionSettings
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
 
-WINDOW_TIME = 3.0
-"""Time over which the variance of an input is taken, s: a slow multisine still moves in it."""
+WINDOW_TIME = RESPONSE_TIME + INDEPENDENT_TIME
+"""Time over which the variance of an input is taken, s: residuals of `INDEPENDENT_TIME` have the
+answers to what it did in this, and a slow multisine still moves in it."""
 
 
 class ExcitationGate:
