@@ -58,8 +58,8 @@ GIVEN = {
     "what a number or a stamp can hold": {"LATEST_STAMP", "NO_TICK", "NEGLIGIBLE", "POWERLESS"},
     "rounding": {"ROUNDING"},
     "mathematics": {
-        "DOUBLET_PEAK", "EULER_LIMIT", "EXTRA", "FEWEST_BLOCKS", "LARGEST_ANGLE",
-        "LARGEST_DEFLECTION", "PASSED", "REVERSED",
+        "DOUBLET_PEAK", "EULER_LIMIT", "EXTRA", "FAILED_PREDICTION", "FEWEST_BLOCKS",
+        "LARGEST_ANGLE", "LARGEST_DEFLECTION", "ORDER", "PASSED", "REVERSED",
     },
     "rigid bodies": {"PRODUCT_SIGMA"},
     "shapes by their names": {"AXES", "PULSES"},

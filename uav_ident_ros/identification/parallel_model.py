@@ -133,8 +133,9 @@ class Stretches:
 
 
 FAILED_PREDICTION = 4.0
-"""Squared error, relative to the signal's own variation, at which a prediction has failed: how
-much further it went astray tells nothing more. A fit of -100 percent."""
+"""Squared error, relative to the signal's own variation, at which a prediction has failed: that of
+the opposite of what was measured, a fit of -100 percent. How much further it went astray tells
+nothing more."""
 
 # The sums over samples: count, x, x^2, then squared errors.
 _SPREAD, _MODEL, _HOLD, _SAVED = slice(0, 3), 3, 4, 5

@@ -35,7 +35,7 @@ from uav_ident_ros.identification.structure import (
 )
 
 ORDER = 3
-"""Order of the autoregression, samples: gust, filter and one more."""
+"""Order of the autoregression, samples: gusts of first order behind a filter of second order."""
 
 LOADING = 0.01
 """White noise added to the autocovariances, relative to the variance: keeps what is left of a
