@@ -48,9 +48,6 @@ COLLINEAR_EIGENVALUE = 0.02
 """Eigenvalue of the scaled information below which its direction is unknown; 1 if all
 regressors are uncorrelated."""
 
-COLLINEAR_SHARE = 0.4
-"""Component of the eigenvector from which a regressor belongs to the group."""
-
 
 _FROM_KAPPA = np.array([[1.0], [0.0]])
 """Kappa from which what may answer by chance counts, and what answers for sure."""
@@ -542,13 +539,13 @@ class Information:
         """Return the names of coefficients that were not told apart, a group an entry.
 
         A small eigenvalue of the scaled information is a direction without information; the
-        columns with a large share in its eigenvector belong together.
+        columns with more than their share in its eigenvector belong together.
         """
         values, vectors = np.linalg.eigh(self._correlation())
         groups = []
         for i, row in enumerate(vectors):
             for value, vector in zip(values[i], row.T, strict=True):
-                shares = (np.abs(vector) > COLLINEAR_SHARE) & self.free[i]
+                shares = self.free[i] & (vector**2 > 1.0 / self._lost[i])
                 if value < COLLINEAR_EIGENVALUE and shares.sum() > 1:
                     names = self._regressors(i, shares)
                     groups.append(tuple(f"{ROWS[i]}/{name}" for name in names))
