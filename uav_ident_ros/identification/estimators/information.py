@@ -545,7 +545,7 @@ class Information:
         groups = []
         for i, row in enumerate(vectors):
             for value, vector in zip(values[i], row.T, strict=True):
-                shares = self.free[i] & (vector**2 > 1.0 / self._lost[i])
+                shares = self.free[i] & (self._lost[i] * vector**2 > 1.0)
                 if value < COLLINEAR_EIGENVALUE and shares.sum() > 1:
                     names = self._regressors(i, shares)
                     groups.append(tuple(f"{ROWS[i]}/{name}" for name in names))
