@@ -8,7 +8,7 @@ import itertools
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC
 from typing import Any
 
@@ -270,7 +270,7 @@ def check(estimate: Estimate, settings: Settings) -> None:
     assert not estimate.coefficients[~structure.mask].any()
     assert (estimate.flow is not None) == structure.has_flow
     if estimate.flow is not None:
-        assert np.isfinite(astuple(estimate.flow)).all()
+        assert np.isfinite(estimate.flow).all()
         assert abs(np.linalg.norm(estimate.flow.down) - 1.0) < 1e-9
         assert estimate.flow.airspeed > 0.0
 

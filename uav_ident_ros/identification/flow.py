@@ -9,8 +9,8 @@ pulled to the angle at which the force rows give the measured force.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import asin, atan2, cos, exp, inf, sin
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,8 +39,7 @@ Force = tuple[list[tuple[int, float]], float]
 """What makes a force: entries of a sample with their coefficients, and the slope by the angle."""
 
 
-@dataclass(frozen=True)
-class FlowState:
+class FlowState(NamedTuple):
     """Attitude, flow angles and airspeed at a tick: the rest of the model's state.
 
     Parameters

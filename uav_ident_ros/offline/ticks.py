@@ -7,7 +7,6 @@ An hour of them as objects would take a quarter of a GB.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, fields
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, overload
@@ -34,7 +33,7 @@ from uav_ident_ros.messages.published import coefficients_layout, dense_coeffici
 
 _VECTORS = ("predicted_rates", "prediction_error", "fit")
 _WORDS = ("adapting", "usable", "usable_rows", "state", "reason")
-_FLOW = len(fields(FlowState))
+_FLOW = len(FlowState._fields)
 
 
 class _Packed(NamedTuple):
@@ -58,7 +57,7 @@ class Ticks(Sequence[Estimate]):
     def append(self, estimate: Estimate) -> None:
         """Add the next one."""
         mask = self._structure.mask
-        flow = () if estimate.flow is None else astuple(estimate.flow)
+        flow = () if estimate.flow is None else estimate.flow
         vectors = (getattr(estimate, name) for name in _VECTORS)
         numbers = (estimate.coefficients[mask], estimate.sigma[mask], *vectors, flow)
         words = attrgetter(*_WORDS)(estimate)
