@@ -27,7 +27,7 @@ from uav_ident_ros.identification.filters import BlockFilter, low_pass
 from uav_ident_ros.identification.frames import lever_arm_matrix
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.sampling import Block
-from uav_ident_ros.identification.scales import SAMPLE_TIME
+from uav_ident_ros.identification.scales import SAMPLE_TIME, TINY
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
@@ -42,7 +42,7 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
-NEGLIGIBLE = float(np.finfo(float).tiny) ** 0.25
+NEGLIGIBLE = TINY**0.25
 """Magnitude below which a signal counts as zero: the square of its square must be a number still.
 """
 

@@ -24,6 +24,7 @@ from uav_ident_ros.identification.scales import (
     MEMORY,
     ROUNDING,
     SURE,
+    TINY,
 )
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
@@ -121,7 +122,7 @@ class NoiseModel:
         """Solve the Yule-Walker equations."""
         c = self._covariances
         matrix = c.take(self._lags, axis=1)
-        level = np.maximum(c[:, 0], np.finfo(float).tiny)
+        level = np.maximum(c[:, 0], TINY)
         diagonal(matrix)[...] += (LOADING * level)[:, None]
         self.weights = np.linalg.solve(matrix, c[:, 1:, None])[:, :, 0]
         self._matrices.clear()
@@ -238,11 +239,11 @@ class Feedback:
         covariance = self._products / time - np.outer(mean, mean)
         matrix = covariance[: n - 1, : n - 1].copy()
         power = diagonal(matrix)
-        power += ROUNDING * power + np.finfo(float).tiny
+        power += ROUNDING * power + TINY
         across = covariance[: n - 1, n:]
         explained = np.einsum("ji,ji->i", across, np.linalg.solve(matrix, across))
         variance = np.diag(covariance)[n:]
-        moved = variance > np.finfo(float).tiny
+        moved = variance > TINY
         share = np.divide(explained, variance, out=np.zeros(len(INPUTS)), where=moved)
         # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
         chance = (n - 1) * GUST_TIME / time

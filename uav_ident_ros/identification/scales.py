@@ -50,6 +50,9 @@ DOUBTLESS = 4.0
 OUTLYING = SURE**2
 """Square, relative to its variance or mean, from which samples count less."""
 
+TINY = float(np.finfo(float).tiny)
+"""Smallest number that is not nothing; added to what may be zero where it is divided by."""
+
 ROUNDING = float(np.finfo(float).eps) ** 0.5
 """Relative size of what is nothing: far above rounding, far below all that is measured."""
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.information import MODEL_ERROR
+from uav_ident_ros.identification.estimators.information import MODEL_ERROR, POWERLESS
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.scales import (
     GUST_TIME,
@@ -73,6 +73,7 @@ class ChangeDetector:
         surfaces = [label != "dth" for label in INPUTS]
         self._row, column = np.nonzero(free[:, INPUT_COLUMNS] & surfaces)
         self._column = INPUT_COLUMNS.start + column
+        self._rivals = self._row[:, None] == self._row  # of each control derivative, in its row
         self._has_constant = free[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1].any(axis=1)
         self._window: deque[Regression] = deque()
         self._time = self._since_look = 0.0
@@ -134,7 +135,7 @@ class ChangeDetector:
         sure &= np.abs(size) <= REVERSED * known + SURE * unsure
         # What the residual rather owes to another input, be its effect unknown, is no change.
         left = np.maximum(1.0 - explained, ROUNDING)
-        rivals = np.array([np.where(sure, 1.0, left)[self._row == row].min() for row in self._row])
+        rivals = np.minimum.reduce(np.where(self._rivals & ~sure, left, 1.0), axis=1)
         owed = len(residual) * np.log(left / rivals) > OUTLYING
         explained = np.where(sure & ~owed, explained, 0.0)
         changes = []
@@ -189,7 +190,7 @@ def _fitted(regressors: FloatArray, residual: FloatArray) -> tuple[FloatArray, .
     u = regressors - np.add.reduce(regressors) / len(regressors)
     e = residual - np.add.reduce(residual) / len(residual)
     power, product = np.add.reduce(u * u), np.add.reduce(u * e)
-    power[power < np.finfo(float).tiny ** 0.5] = 0.0  # a constant input has no slope
+    power[power < POWERLESS] = 0.0  # a constant input has no slope
     slope = _ratio(product, power)
     return slope, power, _ratio(slope * product, np.add.reduce(e * e))
 

@@ -13,7 +13,7 @@ from collections import deque
 import numpy as np
 
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.scales import INDEPENDENT_TIME, LOOK_TIME, RESPONSE_TIME
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME, LOOK_TIME, RESPONSE_TIME, TINY
 from uav_ident_ros.identification.settings import SupervisionSettings
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
 
@@ -102,9 +102,9 @@ class ExcitationGate:
         newest = sums[sums[:-1, 0].searchsorted(INDEPENDENT_TIME)]
         variance = np.maximum(means[5:9] - means[1:5] ** 2, 0.0)
         self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
-        residual = np.maximum(newest[9:] / newest[0], np.finfo(float).tiny)
+        residual = np.maximum(newest[9:] / newest[0], TINY)
         self.signal = (self._watched * effect**2) @ variance / residual
-        enough = max(self.settings.min_excitation, np.finfo(float).tiny)
+        enough = max(self.settings.min_excitation, TINY)
         liveliest = np.maximum.reduce(self._watched * self.share, axis=1) / enough
         liveliest[self._blind] = 1.0
         # The square: what the samples tell falls as the variance of the inputs, and what

@@ -26,6 +26,7 @@ from uav_ident_ros.identification.scales import (
     OUTLYING,
     ROUNDING,
     SHORT_MEMORY,
+    TINY,
 )
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray, FlowRows, Structure
 
@@ -41,7 +42,7 @@ MODEL_ERROR = 0.03
 aircraft over a range of speeds and angles. After excited flights of five aircraft in calm air the
 control derivatives are off by 2.4 % rms, all dominant ones by 3.4 (benchmarks/derivatives.py)."""
 
-POWERLESS = float(np.finfo(float).tiny) ** 0.5
+POWERLESS = TINY**0.5
 """Power below which an instrument has none: the product of two scales is a number still."""
 
 COLLINEAR_EIGENVALUE = 0.02
@@ -272,7 +273,7 @@ class Information:
         self._before = rows[:, None, None] / self._unit_time
         self._moves: FloatArray = self.free * 1.0
         self._pairs = self._moves[:, :, None] * self._moves[:, None, :]
-        self._rest = np.where(self.free, np.finfo(float).tiny, 1.0)
+        self._rest = np.where(self.free, TINY, 1.0)
         self._lost = self.free.sum(axis=1)
         bounds = physical_bounds(self._structure, start.free)[self._i, self._j]
         # One coefficient of a row at most is bounded: its rate's damping, its angle's slope.
