@@ -530,7 +530,7 @@ class OnlineIdentifier:
         dt = 1.0 / self.settings.update_rate
         regression: Regression | None = self._paper.step(t_ns, x, u, force, dt)
         if regression is None:
-            self._parallel.model.restart(x)
+            self._parallel.model.state = x
             return False
         self._parallel.model.euler(
             self.estimator.coefficients, x, u, force, dt, self.settings.model.leak_time

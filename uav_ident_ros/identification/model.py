@@ -376,10 +376,6 @@ class IdentifiedModel:
             state = np.array(x)
         self.state = state
 
-    def restart(self, x: FloatArray) -> None:
-        """Set the state to the rates `x`."""
-        self.state = np.array(x, dtype=np.float64)
-
     def _drive(self, a: FloatArray, block: Block, plan: Steps) -> FloatArray:
         """Part of the model that does not depend on the state, a row for each step."""
         u = plan.cell_means @ block.u

@@ -13,7 +13,7 @@ which is R^-1 r where the instruments are strong, and goes to the prior where th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -238,9 +238,8 @@ class Information:
         self._used = np.flatnonzero(layout.used)
         self._places = (structure.size * self._i + self._j).ravel()[self._used]
         defined = [
-            (at.row, column, entry, at.angle, at.rows.force)
+            (at.row, at.column, at.entry, at.angle, at.flow.force)
             for at in _flow_entries(structure, layout)
-            for entry, column in ((at.angle, at.rows.angle), *at.others)
         ]
         self._flow = np.array(defined, dtype=np.intp).reshape(-1, 5).T
         self._transform = Transform(structure, layout)
@@ -570,14 +569,27 @@ class Information:
         return tuple(self._structure.regressors[j] for j in self._j[row, entries])
 
 
-class FlowEntries(NamedTuple):
-    """Where a flow angle stands in a moment row of the regression problem."""
+class FlowEntry(NamedTuple):
+    """An entry of a moment row of the regression problem that is about a flow angle's force."""
 
     row: int
-    angle: int  # Entry of the angle
-    # Entry of each thing that adds to the angle's force, and its column in the structure
-    others: tuple[tuple[int, int], ...]
-    rows: FlowRows  # Where the angle stands in the structure
+    entry: int  # Of the angle, or of something else that makes its force
+    column: int  # The column of that in the structure
+    angle: int  # Entry of the angle in the row
+    flow: FlowRows  # Where the angle stands in the structure
+
+
+def _flow_entries(structure: Structure, layout: Layout) -> Iterator[FlowEntry]:
+    """Yield the entries of flow angles, and of what else makes their forces, in the moment rows."""
+    for flow in structure.flow:
+        for row in range(len(ROWS)):
+            columns = layout.index[row][layout.used[row]].tolist()
+            if flow.angle not in columns:
+                continue
+            angle = columns.index(flow.angle)
+            for column in (flow.angle, *flow.others):
+                if column in columns:
+                    yield FlowEntry(row, columns.index(column), column, angle, flow)
 
 
 class Transform:
@@ -599,21 +611,14 @@ class Transform:
         # Places in T, and what stands there: a sign times one coefficient over another, by their
         # places in the raveled coefficients, behind which there is a one.
         one, entries = structure.mask.size, []
-
-        def place(row: int, column: int) -> int:
-            return row * structure.size + column
-
-        for at in _flow_entries(structure, layout):
-            slope = place(at.rows.force, at.rows.angle)
-            entries.append((at.row, at.angle, at.angle, 1, one, slope))
-            entries += [
-                (at.row, entry, at.angle, -1, place(at.rows.force, column), slope)
-                for entry, column in at.others
-            ]
-        entries += [
-            (rows.force, entry, entry, 1, place(rows.force, rows.angle), one)
-            for rows, entry in _kinematic_entries(structure, layout)
-        ]
+        for row, entry, column, angle, flow in _flow_entries(structure, layout):
+            first = flow.force * structure.size
+            sign, over = (1, one) if entry == angle else (-1, first + column)
+            entries.append((row, entry, angle, sign, over, first + flow.angle))
+        for flow in structure.flow:
+            slope = flow.force * structure.size + flow.angle
+            for entry in np.flatnonzero(layout.place[flow.force, :, 0] == flow.kinematics):
+                entries.append((flow.force, entry, entry, 1, slope, one))
         columns = np.array(entries, dtype=np.intp).reshape(-1, 6).T
         self._at = np.ravel_multi_index(tuple(columns[:3]), self._one.shape)
         self._sign, self._over, self._under = columns[3:]
@@ -626,25 +631,3 @@ class Transform:
         ratios = self._sign * known.take(self._over) / known.take(self._under)
         matrices.ravel()[self._at] = ratios
         return matrices
-
-
-def _flow_entries(structure: Structure, layout: Layout) -> list[FlowEntries]:
-    """Return where flow angles stand in the moment rows."""
-    places = []
-    for rows in structure.flow:
-        for row in range(3):
-            columns = layout.index[row][layout.used[row]].tolist()
-            if rows.angle in columns:
-                others = [(columns.index(j), j) for j in rows.others if j in columns]
-                places.append(FlowEntries(row, columns.index(rows.angle), tuple(others), rows))
-    return places
-
-
-def _kinematic_entries(structure: Structure, layout: Layout) -> list[tuple[FlowRows, int]]:
-    """Entries of the force rows that are about what the kinematics miss."""
-    return [
-        (rows, entry)
-        for rows in structure.flow
-        for entry in np.flatnonzero(layout.used[rows.force]).tolist()
-        if layout.place[rows.force, entry, 0] == rows.kinematics
-    ]
