@@ -397,13 +397,14 @@ def test_only_an_instant_out_of_range_is_a_glitch() -> None:
         rates = quiet.copy()
         rates[low:high, 1] = -40.0
         which = GlitchFilter().find(rates, 34.9)
+        assert which is not None
         assert which.sum() == found and which[low : low + found].all()
     one = GlitchFilter()
     saturated = np.full((3, 3), 40.0)
-    assert one.find(saturated, 34.9).all()
-    assert one.find(saturated, 34.9).tolist() == [True, False, False]
-    assert not one.find(saturated, 34.9).any()
-    assert not GlitchFilter().find(saturated, 0.0).any()
+    for found_then in ([True, True, True], [True, False, False], [False, False, False]):
+        which = one.find(saturated, 34.9)
+        assert which is not None and which.tolist() == found_then
+    assert one.find(quiet, 34.9) is None and GlitchFilter().find(saturated, 0.0) is None
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ another question: `estimators.excitation`.
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -139,16 +139,16 @@ class Gates:
 
     def look(self, look: Look) -> str:
         """Return why to pause; empty if there is no reason. The first closed gate is charged."""
-        # Every gate sees every tick, whichever of them is closed.
-        reasons = [(gate, gate.check(look)) for gate in self.table]
-        closed = [(gate, reason) for gate, reason in reasons if reason]
         self._ticks += 1
-        self.closed = closed[0][1] if closed else ""
-        self.unreadable = any(gate.unreadable for gate, _ in closed)
-        if closed:
-            name = closed[0][0].name
-            self._closed[name] += 1
-            self._reasons[name] = self.closed
+        self.closed, self.unreadable = "", False
+        for gate in self.table:  # every gate sees every tick, whichever of them is closed
+            reason = gate.check(look)
+            if not reason:
+                continue
+            self.unreadable = self.unreadable or gate.unreadable
+            if not self.closed:
+                self.closed = self._reasons[gate.name] = reason
+                self._closed[gate.name] += 1
         return self.closed
 
     def charge(self, name: str, ticks: float) -> None:
@@ -166,9 +166,40 @@ class Gates:
         }
 
 
-def largest(values: FloatArray) -> float:
-    """Return the largest magnitude."""
-    return float(np.maximum.reduce(np.abs(values), axis=None))
+class TickMeans:
+    """Means over each tick of what an Imu measures, of the newest ticks.
+
+    Parameters
+    ----------
+    span : float
+        Time for which they are kept, s.
+    """
+
+    def __init__(self, span: float) -> None:
+        self._span = span
+        self._new: list[tuple[float, FloatArray]] = []
+        self._means: FloatArray = np.empty((0, 1 + len(SIGNALS)))
+
+    def add(self, t: float, samples: FloatArray) -> None:
+        """Put by the samples, (k, 6), of the tick at `t` s, if there are any."""
+        if len(samples):
+            self._new.append((t, samples))
+
+    def until(self, t: float) -> FloatArray:
+        """Return those within the span before `t`: time, s, and the means of the signals, (n, 7).
+
+        The means of all ticks since the last call are formed together.
+        """
+        if self._new:
+            times, samples = zip(*self._new, strict=True)
+            counts = np.array([len(own) for own in samples])
+            new = np.empty((len(times), self._means.shape[1]))
+            new[:, 0] = times
+            np.add.reduceat(np.concatenate(samples), counts.cumsum() - counts, out=new[:, 1:])
+            new[:, 1:] /= counts[:, None]
+            self._means, self._new = np.concatenate((self._means, new)), []
+        self._means = self._means[t - self._means[:, 0] <= self._span]
+        return self._means
 
 
 class GlitchFilter:
@@ -177,8 +208,8 @@ class GlitchFilter:
     def __init__(self) -> None:
         self._run = 0
 
-    def find(self, rates: FloatArray, max_rate: float) -> BoolArray:
-        """Return which samples are glitches, shape (k,).
+    def find(self, rates: FloatArray, max_rate: float) -> BoolArray | None:
+        """Return which samples are glitches, shape (k,); None if all are well within the range.
 
         Parameters
         ----------
@@ -187,12 +218,12 @@ class GlitchFilter:
         max_rate : float
             Range of the gyro, rad/s; 0 if it is not known, and nothing is a glitch.
         """
-        out = np.zeros(len(rates), dtype=bool)
-        if max_rate <= 0.0 or not len(rates) or largest(rates) < max_rate:
+        if max_rate <= 0.0 or not len(rates) or np.maximum.reduce(np.abs(rates), None) < max_rate:
             self._run = 0
-            return out
-        for k, sample in enumerate(rates):
-            self._run = self._run + 1 if largest(sample) >= max_rate else 0
+            return None
+        out = np.zeros(len(rates), dtype=bool)
+        for k, far in enumerate((np.abs(rates) >= max_rate).any(axis=1).tolist()):
+            self._run = self._run + 1 if far else 0
             out[k] = 0 < self._run < IN_A_ROW
         return out
 
@@ -206,7 +237,7 @@ class SensorGate:
 
     def __init__(self) -> None:
         self._repeats: Repeats | None = None
-        self._last: FloatArray = np.zeros(len(SIGNALS))
+        self._last: list[float] = []
         self._constant_since = [0.0] * len(SIGNALS)
         self._moved = [False] * len(SIGNALS)
         # Of the rates: the largest magnitude so far, and the range that it has shown to be
@@ -219,37 +250,41 @@ class SensorGate:
         t, samples, settings = look.t, look.samples, look.settings.supervision
         if len(samples):
             if self._repeats is None:
-                self._repeats, self._last = Repeats(samples[0]), samples[0]
+                self._repeats, self._last = Repeats(samples[0]), samples[0].tolist()
             self._repeats.add(samples)
-            size = np.maximum.reduce(np.abs(samples[:, :AXES])).tolist()
-            stuck = self._stuck(t, samples, settings.stuck_time, self._repeats)
+            high = np.maximum.reduce(samples).tolist()
+            low = np.minimum.reduce(samples).tolist()
+            size = [max(high[i], -low[i]) for i in range(AXES)]
+            stuck = self._stuck(t, high, low, settings.stuck_time, self._repeats)
+            self._last = samples[-1].tolist()
             problem = (
                 _at_range(size, [settings.max_rate or math.inf] * AXES)
                 or stuck
-                or self._clipped(samples[-1].tolist(), size, self._repeats)
+                or self._clipped(size, self._repeats)
             )
             if problem:
                 self._reason, self._bad_until = problem, t + INDEPENDENT_TIME
         return self._reason if t < self._bad_until else ""
 
-    def _clipped(self, newest: list[float], size: list[float], repeats: Repeats) -> str:
+    def _clipped(self, size: list[float], repeats: Repeats) -> str:
         """Find a range smaller than told: a rate stays at the largest value that it ever had."""
         for i, largest in enumerate(size):
             if largest > self._range[i]:
                 self._range[i] = math.inf
             self._largest[i] = max(self._largest[i], largest)
-            if self._moved[i] and abs(newest[i]) >= self._largest[i]:
+            if self._moved[i] and abs(self._last[i]) >= self._largest[i]:
                 stays = repeats.present[i] >= IN_A_ROW - 1
                 if stays and repeats.by_chance()[i] < CHANCE:
                     self._range[i] = self._largest[i]
         return _at_range(size, self._range)
 
-    def _stuck(self, t: float, samples: FloatArray, stuck_time: float, repeats: Repeats) -> str:
+    def _stuck(
+        self, t: float, high: list[float], low: list[float], stuck_time: float, repeats: Repeats
+    ) -> str:
         """Find a signal that has moved and stays for longer than it is used to."""
-        changed, still = np.logical_or.reduce(samples != self._last).tolist(), []
-        self._last = samples[-1]
-        for i, moves in enumerate(changed):
-            if moves:
+        still = []
+        for i, last in enumerate(self._last):
+            if not low[i] == last == high[i]:
                 self._moved[i], self._constant_since[i] = True, t
             elif self._moved[i] and t - self._constant_since[i] > stuck_time > 0.0:
                 still.append(i)
@@ -299,9 +334,9 @@ class Repeats:
         self.strange: BoolArray = np.ones(len(first), dtype=bool)  # before it first moved
 
     def add(self, samples: FloatArray) -> None:
-        """Add new samples, (k, 6); those of some ticks are counted together."""
+        """Add new samples, (k, 6); those of many ticks are counted together."""
         self._waiting.append(samples)
-        if len(self._waiting) >= IN_A_ROW:
+        if len(self._waiting) >= IN_A_ROW**2:
             self._count()
 
     @property
@@ -353,39 +388,39 @@ class RestGate:
     """
 
     def __init__(self) -> None:
-        self._ticks: deque[tuple[float, FloatArray]] = deque()
-        self._looked = -np.inf
+        self._means = TickMeans(RESPONSE_TIME)
+        self._looked = -math.inf
         self._reason = ""
         self._begun = False
 
     def check(self, look: Look) -> str:
         """Return why to pause; empty if there is no reason."""
         t, samples, settings = look.t, look.samples, look.settings.supervision
-        if len(samples):
-            if self._begun:  # the first tick may have one sample alone, which is noisier
-                self._ticks.append((t, np.add.reduce(samples) / len(samples)))
-            self._begun = True
-        while self._ticks and t - self._ticks[0][0] > RESPONSE_TIME:
-            self._ticks.popleft()
+        if self._begun:  # the first tick may have one sample alone, which is noisier
+            self._means.add(t, samples)
+        self._begun = self._begun or len(samples) > 0
         # It opens at once, and closes when it next looks.
-        if self._ticks and (self._reason or t - self._looked >= LOOK_TIME):
+        if not self._reason and t - self._looked < LOOK_TIME:
+            return ""
+        means = self._means.until(t)[:, 1:]
+        if len(means):
             self._looked = t
-            what = self._still(settings.min_motion, settings.min_force_motion)
+            what = _still(means, settings.min_motion, settings.min_force_motion)
             slow = look.settings.airspeed.reference / LARGEST_RATIO
             flies = look.airspeed is not None and look.airspeed > slow
             self._reason = what and f"{'too quiet' if flies else 'at rest'}: {what}"
         return self._reason
 
-    def _still(self, min_motion: float, min_force_motion: float) -> str:
-        """Return what does not move; empty if everything does."""
-        means = np.concatenate([mean for _, mean in self._ticks]).reshape(-1, 6)
-        swing = np.maximum.reduce(means) - np.minimum.reduce(means)
-        rate = float(swing[:3].max())
-        if rate < min_motion and rate < max(REST_SWAY, REST_NOISE * _noise(means[:, :3])):
-            return "no rate moves beyond the gyro's noise"
-        if swing[3:].max() < min_force_motion:
-            return f"no specific force has moved by {min_force_motion:g} m/s^2"
-        return ""
+
+def _still(means: FloatArray, min_motion: float, min_force_motion: float) -> str:
+    """Return what does not move, by the means of some ticks, (n, 6); empty if everything does."""
+    swing = np.maximum.reduce(means) - np.minimum.reduce(means)
+    rate = float(swing[:AXES].max())
+    if rate < min_motion and rate < max(REST_SWAY, REST_NOISE * _noise(means[:, :AXES])):
+        return "no rate moves beyond the gyro's noise"
+    if swing[AXES:].max() < min_force_motion:
+        return f"no specific force has moved by {min_force_motion:g} m/s^2"
+    return ""
 
 
 def _noise(rates: FloatArray) -> float:

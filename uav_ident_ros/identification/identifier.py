@@ -369,43 +369,37 @@ class OnlineIdentifier:
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
+        """Do all that there is to do at a tick."""
         self.idle += 1.0 / self.settings.update_rate
         self.intake.merge(t_ns)
         self._speed.update(t_ns)
-        if self._as_paper:
-            rates, inputs = self.sampler.rates, self.sampler.raw_inputs
-            self._look(t_ns, rates.v[:0], inputs.v[:0])  # it knows no gates
-            fed = self._paper_tick(t_ns)
-        else:
-            self._look(t_ns, self._new_rates(), self.sampler.raw_inputs.v)
-            fed = self._filtered_tick(t_ns)
+        self._look(t_ns)
+        fed = self._paper_tick(t_ns) if self._as_paper else self._filtered_tick(t_ns)
         return self._published(t_ns, fed)
 
-    def _new_rates(self) -> FloatArray:
-        """Rates and specific forces that came with this tick, without glitches, (k, 6)."""
-        rates = self.sampler.rates
-        new, limit = rates.after(self._looked_ns), self.settings.supervision.max_rate
-        if new < len(rates.t):
-            which = self._glitches.find(rates.v[new:, :3], limit)
-            if which.any():
+    def _look(self, t_ns: int) -> None:
+        """Show plausibility and gates what came with this tick, without glitches."""
+        rates, inputs, supervisor = self.sampler.rates, self.sampler.raw_inputs, self.supervisor
+        if len(self._armed.t):
+            supervisor.armed = bool(self._armed.v[-1, 0])
+            self._armed.trim(t_ns)
+        new, fresh = rates.after(self._looked_ns), inputs.after(self._looked_ns)
+        if self._as_paper:  # it knows no gates of the signals
+            new, fresh, channels = len(rates.t), len(inputs.t), inputs.v[:0]
+        else:
+            channels = inputs.v
+            which = self._glitches.find(rates.v[new:, :3], self.settings.supervision.max_rate)
+            if which is not None:
                 rates.leave_out(which)
                 self.intake.drops[RATES][Drop.GLITCH] += int(which.sum())
-        return rates.v[new:]
-
-    def _look(self, t_ns: int, samples: FloatArray, channels: FloatArray) -> None:
-        """Show the supervisor what came with this tick."""
-        if len(self._armed.t):
-            self.supervisor.armed = bool(self._armed.v[-1, 0])
-            self._armed.trim(t_ns)
-        if len(self.sampler.rates.t):
-            self._newest_rates = self.sampler.rates.v[-1, :3]
+        samples = rates.v[new:]
+        if len(rates.t):
+            self._newest_rates = rates.v[-1, :3]
         if self.settings.supervision.plausibility:
-            fresh = channels[self.sampler.raw_inputs.after(self._looked_ns) :]
-            self.plausibility.look(t_ns * NS, samples, fresh)
+            self.plausibility.look(t_ns * NS, samples, inputs.v[fresh:])
         self._looked_ns = t_ns
-        supervisor, airspeed = self.supervisor, self._speed.newest
         look = Look(
-            t_ns * NS, samples, channels, airspeed, supervisor.armed, supervisor.adapt,
+            t_ns * NS, samples, channels, self._speed.newest, supervisor.armed, supervisor.adapt,
             self.plausibility.signal_fault, self.settings,
         )  # fmt: skip
         supervisor.gates.look(look)
@@ -415,25 +409,21 @@ class OnlineIdentifier:
 
         A tick without a block is none of waiting where samples come more slowly than ticks.
         """
+        gates, speed = self.supervisor.gates, self._speed
         for block in self.sampler.blocks():
             self._fed_ns = t_ns
             if not self._has_accelerometer and self._parallel.flow is not None:
                 self._look_for_accelerometer(block)
-            length = STRETCH_TIME if self._learned_time >= START_TIME else 0.0
-            for stretch in self._stretches.add(self._follow(block), length):
+            length, leak = STRETCH_TIME, self.settings.model.leak_time
+            if self._learned_time < START_TIME:
+                length, leak = 0.0, min(leak, START_LEAK_TIME)
+            airspeed = speed.newest if speed.enabled else None
+            states, injected = self._parallel.follow(block, self._coefficients(), airspeed, leak)
+            learns = speed.known and not gates.closed
+            part = Stretch(block, states, learns, not gates.unreadable, injected)
+            for stretch in self._stretches.add(part, length):
                 self._learn(stretch)
         return t_ns - self._fed_ns <= self.settings.filter.max_gap / NS
-
-    def _follow(self, block: Block) -> Stretch:
-        """Run the model over a block."""
-        leak = self.settings.model.leak_time
-        if leak > 0.0 and self._learned_time < START_TIME:
-            leak = min(leak, START_LEAK_TIME)
-        airspeed = self._speed.newest if self._speed.enabled else None
-        states, injected = self._parallel.follow(block, self._coefficients(), airspeed, leak)
-        learns = self._speed.known and not self.supervisor.gates.closed
-        readable = not self.supervisor.gates.unreadable
-        return Stretch(block, states, learns, readable, injected)
 
     def _learn(self, stretch: Stretch) -> None:
         """Score the coefficients on a stretch, then learn from it: regress, gate, estimate."""
@@ -444,7 +434,20 @@ class OnlineIdentifier:
             self.running_fit.add(block, coefficients, saved)
         else:
             self.running_fit.restart()
-        regression = self._regress(stretch, coefficients)
+        if self._filter is None:
+            self._filter = StateVariableFilter(
+                self.structure,
+                self.settings.filter.cutoff,
+                block.h,
+                np.array(self.settings.imu.lever_arm),
+            )
+        regression = self._filter.apply(
+            block,
+            stretch.states,
+            self._speed.scale[0] if self._speed.enabled else None,
+            coefficients,
+            block.excitation if stretch.injected else None,
+        )
         if not stretch.learns:
             return
         self._estimate(regression.means(), int(block.t_ns[-1]) * NS, stretch.blocks)
@@ -453,20 +456,6 @@ class OnlineIdentifier:
         excited = bool(self.estimator.learning.any())
         if self.delays.add(block, self.sampler.delay, excited):
             self._adopt_delay()
-
-    def _regress(self, stretch: Stretch, coefficients: FloatArray) -> Regression:
-        """Return the regression problem of a stretch."""
-        if self._filter is None:
-            settings, h = self.settings, stretch.block.h
-            arm = np.array(settings.imu.lever_arm)
-            self._filter = StateVariableFilter(self.structure, settings.filter.cutoff, h, arm)
-        return self._filter.apply(
-            stretch.block,
-            stretch.states,
-            self._speed.scale[0] if self._speed.enabled else None,
-            coefficients,
-            stretch.block.excitation if stretch.injected else None,
-        )
 
     def _estimate(self, samples: Regression, t: float, ticks: int) -> None:
         """Update the coefficients with samples of some ticks that end at `t` s."""
@@ -556,7 +545,7 @@ class OnlineIdentifier:
         if self._news:
             self._judge(t_ns * NS, coefficients, sigma)
         self._news = False
-        state, reason = self._waiting(fed) or self.supervisor.state(self._verdict)
+        state, reason = self._state(fed)
         sound = state is not State.FAULT and not self.plausibility.doubted
         usable = self._verdict.rows if sound else (False, False, False)
         predicted, flow = self._frame.to_imu(self._parallel.model.state[:3]), self._parallel.flow
@@ -607,14 +596,16 @@ class OnlineIdentifier:
         if settings.plausibility:
             self.plausibility.judge(coefficients, sigma)
 
-    def _waiting(self, fed: bool) -> tuple[State, str] | None:
-        """Return state word and reason while something is wrong or missing; None if not."""
+    def _state(self, fed: bool) -> tuple[State, str]:
+        """Return state word and reason: first of what is wrong, then of what is missing."""
         fault = self.intake.fault or self.estimator.problem or self.plausibility.fault
         if fault:
             return State.FAULT, fault
         if not fed:
             return State.WAITING, f"waiting for {self.sampler.waiting_for or 'samples'}"
-        return None if self._speed.known else (State.WAITING, "waiting for airspeed")
+        if not self._speed.known:
+            return State.WAITING, "waiting for airspeed"
+        return self.supervisor.state(self._verdict)
 
 
 _NO_FORCE = (0.0, 0.0, 0.0)

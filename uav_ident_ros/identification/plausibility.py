@@ -11,7 +11,6 @@ what is wrong, what shows it and what to do.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -21,6 +20,7 @@ import numpy as np
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.flow import GRAVITY_BAND
 from uav_ident_ros.identification.frames import BodyFrame, rotation
+from uav_ident_ros.identification.gates import TickMeans
 from uav_ident_ros.identification.linearisation import damping
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.sampling import InputMap
@@ -136,8 +136,8 @@ class Plausibility:
 
     def restart(self) -> None:
         """Begin a new stretch of signals; what was found stays for its time."""
-        self._motion: deque[tuple[float, FloatArray]] = deque()
-        self._inputs: deque[tuple[float, FloatArray]] = deque()
+        self._motion = TickMeans(WINDOW)
+        self._inputs: list[tuple[float, FloatArray]] = []
         self._began: float | None = None
         self._now = -math.inf
         self._looked = -math.inf
@@ -204,16 +204,13 @@ class Plausibility:
         self._now = t
         if self._began is None:
             self._began = self._looked = t
-        if len(samples):
-            self._motion.append((t, np.add.reduce(samples) / len(samples)))
+        self._motion.add(t, samples)
         if len(raw):
             self._inputs.append((t, raw))
         if t - self._looked < INDEPENDENT_TIME:
             return
         span, self._looked = t - self._looked, t
-        for stream, window in ((self._motion, WINDOW), (self._inputs, ENOUGH)):
-            while stream and t - stream[0][0] > window:
-                stream.popleft()
+        self._inputs = [(time, values) for time, values in self._inputs if t - time <= ENOUGH]
         # Evidence comes and goes with motion.
         self._found = {n: f for n, f in self._found.items() if t - f[0] < MEMORY}
         found = [*self._look_at_motion(t, span), *self._look_at_inputs()]
@@ -223,20 +220,15 @@ class Plausibility:
     # -- gravity ---------------------------------------------------------------------------
 
     def _look_at_motion(self, t: float, span: float) -> list[Finding]:
-        times = np.array([time for time, _ in self._motion])
-        if len(times) < 2:
-            return []
-        signals = np.concatenate([signal for _, signal in self._motion]).reshape(-1, 6)
-        first = signals[0, 3:]
-        if (np.abs(signals[:, 3:] - first) <= 1e-9 * np.abs(first)).all():
+        motion = self._motion.until(t)
+        times, rates, force = motion[:, 0], motion[:, 1:4], motion[:, 4:]
+        if len(times) < 2 or (np.abs(force - force[0]) <= 1e-9 * np.abs(force[0])).all():
             return []  # an accelerometer that repeats itself is none
-        rates = self._frame.to_body(signals[:, :3])
-        force = self._frame.to_body(signals[:, 3:])
         recent = force[times > t - span]
         if len(recent):
-            self._follow(recent, span)
-        found = (self._size(), self._mounting(), self._gyro_units(times, rates, force))
-        return [finding for finding in found if finding is not None][:1]
+            self._follow(self._frame.to_body(recent), span)
+        found = self._size() or self._mounting() or self._gyro_units(times, rates, force)
+        return [found] if found else []
 
     def _follow(self, force: FloatArray, span: float) -> None:
         """Follow the mean specific force: what is wrong with it is wrong from the start."""
@@ -303,7 +295,7 @@ class Plausibility:
     def _gyro_units(
         self, times: FloatArray, rates: FloatArray, force: FloatArray
     ) -> Finding | None:
-        """Find a gyro that turns gravity as no aircraft does, and would not in deg/s."""
+        """Find a gyro that turns gravity as no aircraft does, and would not in deg/s; any axes."""
         speed = float(np.mean(np.linalg.norm(rates, axis=1)))
         if times[-1] - times[0] < WINDOW - INDEPENDENT_TIME or speed < SMALLEST_MEAN_RATE:
             return None
@@ -370,7 +362,11 @@ def _rotations(vectors: FloatArray) -> FloatArray:
 
 def _off_range(name: str, u: FloatArray, without_trim: FloatArray) -> Iterator[Finding]:
     """Yield what makes a surface's deflections none: counts, a trim or an angle in degrees."""
-    largest, middle = float(np.abs(u).max()), float(np.median(u))
+    size = np.abs(u)
+    largest = float(size.max())
+    if largest < LARGEST_TRIM:  # nearly always
+        return
+    middle = float(np.median(u))
     if largest >= COUNTS and abs(middle) >= COUNTS:
         yield Finding(
             "channel range",
@@ -378,7 +374,7 @@ def _off_range(name: str, u: FloatArray, without_trim: FloatArray) -> Iterator[F
             "actuators.trim to about 1500 and actuators.scale to 0.001 or to radians per "
             "microsecond",
         )
-    if np.abs(u).min() >= LARGEST_TRIM and np.abs(without_trim).max() <= LARGEST_TRIM:
+    if size.min() >= LARGEST_TRIM and np.abs(without_trim).max() <= LARGEST_TRIM:
         yield Finding(
             "trim",
             f"actuators.trim looks as if in degrees: {name} is {middle:+.2f} rad from its trim, "
@@ -396,10 +392,11 @@ def _off_range(name: str, u: FloatArray, without_trim: FloatArray) -> Iterator[F
 
 def _interleaved(name: str, u: FloatArray) -> Finding | None:
     """Find samples that the next one takes back: two streams in turn."""
-    step, over_two = np.abs(u[1:] - u[:-1]), np.abs(u[2:] - u[:-2])
+    step = np.abs(u[1:] - u[:-1])
     away = np.minimum(step[:-1], step[1:])
-    if np.mean(away > STEP) < RETURNING_SHARE:  # nearly always
+    if np.count_nonzero(away > STEP) < RETURNING_SHARE * len(away):  # nearly always
         return None
+    over_two = np.abs(u[2:] - u[:-2])
     returns = away > np.maximum(SURE * np.maximum(over_two, np.median(over_two)), STEP)
     share = float(np.mean(returns))
     if share < RETURNING_SHARE:

@@ -95,8 +95,8 @@ class SampleBuffer:
         duplicates = 0 if self._ordered else self._order()
         ready = bisect_right(self._waiting_t, t_ns)
         if ready:
-            self.t = np.concatenate((self.t, np.array(self._waiting_t[:ready], dtype=np.int64)))
-            self.v = np.concatenate((self.v, np.array(self._waiting_v[:ready], dtype=np.float64)))
+            self.t = np.concatenate((self.t, self._waiting_t[:ready]))
+            self.v = np.concatenate((self.v, self._waiting_v[:ready]))
             del self._waiting_t[:ready], self._waiting_v[:ready]
         return duplicates
 
