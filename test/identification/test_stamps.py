@@ -4,51 +4,57 @@
 import pytest
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import LATEST_STAMP, Drop, Stamp, StampGuard
+from uav_ident_ros.identification.samples import LATEST_STAMP, Drop, Intake
 from uav_ident_ros.identification.scales import IN_A_ROW
 from uav_ident_ros.identification.settings import Settings
 
 S = 1_000_000_000
 
 
-def guard_at(t_ns: int) -> StampGuard:
-    guard = StampGuard(S)
-    assert guard.check(t_ns) is Stamp.GOOD
-    return guard
+def intake_at(t_ns: int) -> Intake:
+    """Return one that takes what is at most a second from this stamp."""
+    intake = OnlineIdentifier(Settings()).intake
+    assert add(intake, t_ns) is None
+    return intake
+
+
+def add(intake: Intake, t_ns: int) -> Drop | None:
+    return intake.add_rates(t_ns, (0.1, 0.2, 0.3), (0.0, 0.0, -9.8))
 
 
 @pytest.mark.parametrize("jump", [-3600, -2, 2, 3600])
 def test_a_single_outlier_leaves_the_stream_alone_and_those_that_agree_are_a_new_base(
     jump: int,
 ) -> None:
-    guard = guard_at(10_000 * S)
+    intake = intake_at(10_000 * S)
     base = (10_000 + jump) * S
-    assert guard.check(base) is Stamp.OUTLYING
-    assert guard.check(10_000 * S + S // 200) is Stamp.GOOD
-    assert guard.newest == 10_000 * S + S // 200
-    verdicts = [guard.check(base + k * S // 200) for k in range(IN_A_ROW)]
-    assert verdicts == [Stamp.OUTLYING] * (IN_A_ROW - 1) + [Stamp.NEW_BASE]
-    assert guard.newest == base + (IN_A_ROW - 1) * S // 200
-    assert guard.check(base + S // 10) is Stamp.GOOD
+    assert add(intake, base) is Drop.OUTLYING_STAMP
+    assert add(intake, 10_000 * S + S // 200) is None
+    assert intake.newest_ns == 10_000 * S + S // 200
+    verdicts = [add(intake, base + k * S // 200) for k in range(IN_A_ROW)]
+    assert verdicts == [Drop.OUTLYING_STAMP] * (IN_A_ROW - 1) + [None]
+    assert intake.newest_ns == base + (IN_A_ROW - 1) * S // 200
+    assert intake.drops["rates"][Drop.OUTLYING_STAMP] == 1  # those that agree are not lost
+    assert add(intake, base + S // 10) is None
 
 
 def test_outliers_that_disagree_never_become_a_base() -> None:
-    guard = guard_at(10_000 * S)
+    intake = intake_at(10_000 * S)
     for k in range(50):
-        assert guard.check((20_000 + 7 * (k % 5)) * S) is Stamp.OUTLYING
+        assert add(intake, (20_000 + 7 * (k % 5)) * S) is Drop.OUTLYING_STAMP
 
 
 def test_a_good_sample_between_breaks_the_agreement() -> None:
-    guard = guard_at(10_000 * S)
+    intake = intake_at(10_000 * S)
     for k in range(20):
-        assert guard.check(20_000 * S + k * S // 200) is Stamp.OUTLYING
-        assert guard.check(10_000 * S + k * S // 200) is Stamp.GOOD
+        assert add(intake, 20_000 * S + k * S // 200) is Drop.OUTLYING_STAMP
+        assert add(intake, 10_000 * S + k * S // 200) is None
 
 
 def test_late_samples_are_good_stamps_and_do_not_turn_time_back() -> None:
-    guard = guard_at(10_000 * S)
-    assert guard.check(10_000 * S - S // 2) is Stamp.GOOD
-    assert guard.newest == 10_000 * S
+    intake = intake_at(10_000 * S)
+    assert add(intake, 10_000 * S - S // 2) is None
+    assert intake.newest_ns == 10_000 * S
 
 
 def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:

@@ -11,7 +11,7 @@ import math
 from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from enum import Enum, StrEnum
+from enum import StrEnum
 from fractions import Fraction
 from functools import partial
 from typing import NamedTuple
@@ -209,49 +209,6 @@ def value_problem(values: Sequence[float], count: int, largest: float) -> Drop |
     return None
 
 
-class Stamp(Enum):
-    """Verdict on one stamp."""
-
-    GOOD = "good"
-    OUTLYING = "outlying"
-    NEW_BASE = "new base"
-
-
-class StampGuard:
-    """Tells an outlying stamp from a new time base.
-
-    Parameters
-    ----------
-    jump_ns : int
-        Distance from the newest stamp beyond which a stamp is outlying, ns.
-    """
-
-    def __init__(self, jump_ns: int) -> None:
-        self._jump_ns = jump_ns
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the stream: the next stamp starts a new one."""
-        self.newest: int | None = None
-        self._candidate: int = 0
-        self._agreeing: int = 0
-
-    def check(self, t_ns: int) -> Stamp:
-        """Judge the stamp `t_ns`; on NEW_BASE the stream has moved to it."""
-        if self.newest is None or abs(t_ns - self.newest) <= self._jump_ns:
-            self.newest = t_ns if self.newest is None else max(self.newest, t_ns)
-            self._agreeing = 0
-            return Stamp.GOOD
-        agrees = self._agreeing and 0 < t_ns - self._candidate <= self._jump_ns
-        self._agreeing = self._agreeing + 1 if agrees else 1
-        self._candidate = t_ns
-        if self._agreeing < IN_A_ROW:
-            return Stamp.OUTLYING
-        self.newest = t_ns
-        self._agreeing = 0
-        return Stamp.NEW_BASE
-
-
 class Stream(NamedTuple):
     """A stream beside that of the rates."""
 
@@ -281,6 +238,8 @@ class Intake:
         For each stream, how many samples were dropped for which reason.
     fault : str
         What is wrong with the clocks, in a sentence; empty if nothing is.
+    newest_ns : int or None
+        Newest stamp of the rates, ns; None before any.
     last_tick_ns : int
         Time of the last tick that was due or run, ns.
     """
@@ -299,7 +258,6 @@ class Intake:
         self._jump_ns = round(settings.time_jump * SECOND_NS)
         self._lookback_ns = round((MAX_DELAY + settings.actuators.timeout) * SECOND_NS)
         self._lookback_ns += 2 * self._jump_ns
-        self._guard = StampGuard(self._jump_ns)
         self._buffers: Mapping[str, SampleBuffer] = {}
         self.drops: dict[str, Counter[Drop]] = {name: Counter() for name in (RATES, *self._streams)}
         self.fault = ""
@@ -311,18 +269,13 @@ class Intake:
 
     def restart(self) -> None:
         """Start on a new time base: what waits is forgotten."""
-        self._guard.reset()
+        self.newest_ns: int | None = None
         self._outlying: list[Sample] = []
         self._held: list[Callable[[], object]] | None = None
         self._mismatches = 0
         self._due: deque[int] = deque()
         self._next_tick: int | None = None
         self.last_tick_ns = NO_TICK
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Newest stamp of the rates, ns; None before any."""
-        return self._guard.newest
 
     @property
     def waiting(self) -> int:
@@ -342,26 +295,19 @@ class Intake:
             or time_problem(t_ns)
         )
         if problem is None:
-            stamp = self._guard.check(t_ns)
-            if stamp is Stamp.GOOD:
-                self._outlying.clear()
-                problem = self._take_rates(t_ns, pqr, force)
-            elif stamp is Stamp.NEW_BASE:
-                self._move_to_new_base((t_ns, pqr, force))
-            else:
-                self._outlying = self._outlying[1 - IN_A_ROW :]
-                self._outlying.append((t_ns, pqr, force))
-                problem = Drop.OUTLYING_STAMP
+            take = self._take_outlying if self._jumped(t_ns) else self._take_rates
+            problem = take(t_ns, pqr, force)
         if problem is not None:
             self.drops[RATES][problem] += 1
         return problem
 
     def _take_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
+        newest = t_ns if self.newest_ns is None else max(t_ns, self.newest_ns)
+        self.newest_ns = newest
+        self._outlying.clear()
         if t_ns <= self.last_tick_ns:
             return Drop.LATE
         self._buffers[RATES].append(t_ns, (*pqr, *force))
-        newest = self._guard.newest
-        assert newest is not None
         if self.last_tick_ns == NO_TICK:
             # The first samples may come in any order too.
             first = t_ns * self._rate.numerator // (SECOND_NS * self._rate.denominator)
@@ -374,13 +320,26 @@ class Intake:
             self._next_tick += 1
         return None
 
-    def _move_to_new_base(self, sample: Sample) -> None:
-        """Start anew with the samples that agreed on the new base, once no tick is due."""
-        agreed = self._outlying[1 - IN_A_ROW :]
-        self.drops[RATES][Drop.OUTLYING_STAMP] -= len(agreed)
-        self._held = [partial(self.add_rates, *held) for held in (*agreed, sample)]
+    def _jumped(self, t_ns: int) -> bool:
+        """Whether a stamp is far from those of the rates."""
+        return self.newest_ns is not None and abs(t_ns - self.newest_ns) > self._jump_ns
+
+    def _take_outlying(
+        self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
+    ) -> Drop | None:
+        """Put by an outlying sample; start anew with those that agree, once no tick is due."""
+        outlying = self._outlying
+        if outlying and not 0 < t_ns - outlying[-1][0] <= self._jump_ns:
+            outlying.clear()
+        outlying.append((t_ns, pqr, force))
+        if len(outlying) < IN_A_ROW:
+            return Drop.OUTLYING_STAMP
+        self.newest_ns = t_ns
+        self.drops[RATES][Drop.OUTLYING_STAMP] -= len(outlying) - 1
+        self._held = [partial(self.add_rates, *sample) for sample in outlying]
         if not self._due:
             self._take_held()
+        return None
 
     def _take_held(self) -> None:
         """Begin the new time base with what was held back for it."""
@@ -417,23 +376,22 @@ class Intake:
         problem = time_problem(t_ns)
         if problem is not None:
             return problem
-        newest = self._guard.newest
-        if newest is not None and abs(t_ns - newest) > self._jump_ns:
+        if self._jumped(t_ns):
             return Drop.CLOCK_MISMATCH
         return Drop.LATE if t_ns <= self.last_tick_ns else None
 
     def _follow_clock(self, t_ns: int, problem: Drop | None) -> None:
         """Find that the actuators run on another clock, or no longer do."""
-        newest = self._guard.newest
         if problem is None or problem is Drop.LATE:
             self._mismatches, self.fault = 0, ""
-        elif problem is Drop.CLOCK_MISMATCH and newest is not None:
+        elif problem is Drop.CLOCK_MISMATCH and self.newest_ns is not None:
             self._mismatches += 1
             if self._mismatches >= IN_A_ROW:
+                off = (t_ns - self.newest_ns) / SECOND_NS
                 self.fault = (
-                    f"the actuators are stamped {(t_ns - newest) / SECOND_NS:+.1f} s from the Imu: "
-                    "they run on different clocks. Play a bag with --clock and set use_sim_time, "
-                    "or synchronise the autopilot's time"
+                    f"the actuators are stamped {off:+.1f} s from the Imu: they run on different "
+                    "clocks. Play a bag with --clock and set use_sim_time, or synchronise the "
+                    "autopilot's time"
                 )
 
     # -- ticks -----------------------------------------------------------------------------
