@@ -11,8 +11,9 @@ import dataclasses
 import difflib
 import math
 import typing
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any
 
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
@@ -77,9 +78,11 @@ class Setting:
         """
         if isinstance(value, (list, tuple)) or hasattr(value, "tolist"):
             value = tuple(value)  # type: ignore[arg-type]
-        problem = _problem(self.type, value)
-        if problem:
-            raise SettingsError(f"'{self.name}' is {value!r}: {problem}")
+        fits, wanted = _KINDS[self.type]
+        if not fits(value):
+            if self.type == "float" and _is(int, value):
+                wanted = f"that is an integer: write {float(typing.cast(int, value))}"
+            raise SettingsError(f"'{self.name}' is {value!r}: {wanted}")
         for entry in value if isinstance(value, tuple) else (value,):
             self._check_entry(entry, value)
         return typing.cast(Value, value)
@@ -125,33 +128,19 @@ def _are_channels(value: object) -> bool:
     return bool(value) and (_are(str, value) or indices)
 
 
-def _problem(kind: str, value: object) -> str:
-    """Say what to write for a value that is not of a type; empty if it is."""
-    ok = {
-        "bool": _is(bool, value),
-        "int": _is(int, value),
-        "float": _is(float, value),
-        "str": _is(str, value),
-        "float[]": _are(float, value),
-        "str[]": _are(str, value),
-        "int[]|str[]": _are_channels(value),
-    }
-    if ok[kind]:
-        return ""
-    if kind == "float" and isinstance(value, int) and not isinstance(value, bool):
-        return f"that is an integer: write {float(value)}"
-    return _WANTED[kind]
-
-
-_WANTED = {
-    "bool": "write true or false",
-    "int": "write a whole number, without a decimal point",
-    "float": "write a finite number with a decimal point, like 0.5",
-    "str": "write a word, in quotes if it looks like a number",
-    "float[]": "write a list of finite numbers, each with a decimal point, like [1.0, 0.5]",
-    "str[]": "write a list of words",
-    "int[]|str[]": "write a list of indices from 0, or a list of names",
+_KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
+    "bool": (partial(_is, bool), "write true or false"),
+    "int": (partial(_is, int), "write a whole number, without a decimal point"),
+    "float": (partial(_is, float), "write a finite number with a decimal point, like 0.5"),
+    "str": (partial(_is, str), "write a word, in quotes if it looks like a number"),
+    "float[]": (
+        partial(_are, float),
+        "write a list of finite numbers, each with a decimal point, like [1.0, 0.5]",
+    ),
+    "str[]": (partial(_are, str), "write a list of words"),
+    "int[]|str[]": (_are_channels, "write a list of indices from 0, or a list of names"),
 }
+"""Of each type of a setting: whether a value is of it, and what to write if not."""
 
 _TYPES: dict[object, str] = {
     bool: "bool",
