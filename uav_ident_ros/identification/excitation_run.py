@@ -282,8 +282,11 @@ class ExcitationRun:
             The estimate of the tick.
         """
         t_ns = estimate.t_ns
-        if not self.active:
-            return self._zero(t_ns)
+        if not self.active:  # zero for a moment after a run, then nothing
+            if self._zeros_until_ns is None or not t_ns <= self._zeros_until_ns:
+                self._zeros_until_ns = None
+                return None
+            return Injection(t_ns, np.zeros(len(INPUTS)))
         assert self._input is not None and self.sufficiency is not None
         self._now_ns = t_ns
         problem = _problem(self._settings, flying, estimate)
@@ -298,13 +301,6 @@ class ExcitationRun:
         if t >= self._input.duration or self._share(t_ns) <= 0.0:
             self.abort(t_ns, self.why or self._outcome())
         return Injection(t_ns + self._lead_ns, values)
-
-    def _zero(self, t_ns: int) -> Injection | None:
-        """Return a zero for a moment after a run, then nothing."""
-        if self._zeros_until_ns is None or not t_ns <= self._zeros_until_ns:
-            self._zeros_until_ns = None
-            return None
-        return Injection(t_ns, np.zeros(len(INPUTS)))
 
     def _enough(self) -> bool:
         assert self.sufficiency is not None

@@ -383,20 +383,20 @@ class OnlineIdentifier:
         if len(self._armed.t):
             supervisor.armed = bool(self._armed.v[-1, 0])
             self._armed.trim(t_ns)
-        new, fresh = rates.after(self._looked_ns), inputs.after(self._looked_ns)
+        new = rates.after(self._looked_ns)
+        samples, channels = rates.v[new:], inputs.v
         if self._as_paper:  # it knows no gates of the signals
-            new, fresh, channels = len(rates.t), len(inputs.t), inputs.v[:0]
-        else:
-            channels = inputs.v
-            which = self._glitches.find(rates.v[new:, :3], self.settings.supervision.max_rate)
-            if which is not None:
-                rates.leave_out(which)
-                self.intake.drops[RATES][Drop.GLITCH] += int(which.sum())
-        samples = rates.v[new:]
+            samples, channels = samples[:0], channels[:0]
+        which = self._glitches.find(samples[:, :3], self.settings.supervision.max_rate)
+        if which is not None:
+            rates.leave_out(which)
+            samples = rates.v[new:]
+            self.intake.drops[RATES][Drop.GLITCH] += int(which.sum())
         if len(rates.t):
             self._newest_rates = rates.v[-1, :3]
         if self.settings.supervision.plausibility:
-            self.plausibility.look(t_ns * NS, samples, inputs.v[fresh:])
+            fresh = channels[inputs.after(self._looked_ns) :]
+            self.plausibility.look(t_ns * NS, samples, fresh)
         self._looked_ns = t_ns
         look = Look(
             t_ns * NS, samples, channels, self._speed.newest, supervisor.armed, supervisor.adapt,
@@ -435,12 +435,8 @@ class OnlineIdentifier:
         else:
             self.running_fit.restart()
         if self._filter is None:
-            self._filter = StateVariableFilter(
-                self.structure,
-                self.settings.filter.cutoff,
-                block.h,
-                np.array(self.settings.imu.lever_arm),
-            )
+            cutoff, arm = self.settings.filter.cutoff, np.array(self.settings.imu.lever_arm)
+            self._filter = StateVariableFilter(self.structure, cutoff, block.h, arm)
         regression = self._filter.apply(
             block,
             stretch.states,

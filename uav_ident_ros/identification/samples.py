@@ -66,9 +66,7 @@ class SampleBuffer:
 
     def call_off(self, t_ns: int) -> None:
         """Drop what waits and is stamped at or after `t_ns`."""
-        kept = [i for i, t in enumerate(self._waiting_t) if t < t_ns]
-        self._waiting_t = [self._waiting_t[i] for i in kept]
-        self._waiting_v = [self._waiting_v[i] for i in kept]
+        self._keep([i for i, t in enumerate(self._waiting_t) if t < t_ns])
 
     def forget_waiting(self, newest_ns: int, span_ns: int) -> None:
         """Keep only the last `span_ns` of what waits, where nothing asks for it yet.
@@ -76,9 +74,12 @@ class SampleBuffer:
         The span may be exceeded twofold, so that the work is not done at every sample.
         """
         if self._waiting_t and self._waiting_t[0] < newest_ns - 2 * span_ns:
-            kept = [i for i, t in enumerate(self._waiting_t) if t >= newest_ns - span_ns]
-            self._waiting_t = [self._waiting_t[i] for i in kept]
-            self._waiting_v = [self._waiting_v[i] for i in kept]
+            self._keep([i for i, t in enumerate(self._waiting_t) if t >= newest_ns - span_ns])
+
+    def _keep(self, kept: list[int]) -> None:
+        """Keep only these of what waits."""
+        self._waiting_t = [self._waiting_t[i] for i in kept]
+        self._waiting_v = [self._waiting_v[i] for i in kept]
 
     def merge(self, t_ns: int) -> int:
         """Bring the samples stamped at or before `t_ns` into use.

@@ -392,14 +392,10 @@ class Sampler:
 
     def _runs(self) -> Iterator[tuple[int, int]]:
         """Yield first and last stamp of the stretches of rates without a gap, in order."""
-        t = self.rates.t
-        if t[-1] - t[0] <= self._max_gap_ns:
-            yield int(t[0]), int(t[-1])
-            return
-        breaks = np.flatnonzero(t[1:] - t[:-1] > self._max_gap_ns)
-        starts = [0, *(int(i) + 1 for i in breaks)]
-        ends = [*(int(i) for i in breaks), len(t) - 1]
-        for start, end in zip(starts, ends, strict=True):
+        t, breaks = self.rates.t, []
+        if t[-1] - t[0] > self._max_gap_ns:
+            breaks = np.flatnonzero(t[1:] - t[:-1] > self._max_gap_ns).tolist()
+        for start, end in zip([0, *(i + 1 for i in breaks)], [*breaks, -1], strict=True):
             yield int(t[start]), int(t[end])
 
     def _cut(self, first_ns: int, last_ns: int) -> Iterator[Block]:
