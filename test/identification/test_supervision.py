@@ -149,4 +149,4 @@ def test_a_limit_of_travel_that_nobody_told_is_named(travel: float, misses: bool
 
 def test_no_more_is_missing_than_all() -> None:
     """A model of the wrong sign misses more than there is."""
-    assert supervision._incomplete(2, 3.47).startswith("rdot follows dr badly: 100 % of")
+    assert supervision._incomplete(2, 3.47, 4.0).startswith("rdot follows dr badly: 100 % of")

@@ -33,11 +33,6 @@ have shown by then: after 10 to 28 s on two aircraft (benchmarks/false_usable.py
 
 AXES = ("p", "q", "r")
 
-LARGEST_MODEL_ERROR = 0.25
-"""What may come late, early, or stop short, of what an input does. Servo lags, delays and limits of
-travel that halve a control derivative take 0.33 to 0.9, a delay of 25 ms up to 0.2, and what is
-right nothing; a lag of 0.1 s that is told and not there 0.4 and more."""
-
 
 class State(StrEnum):
     """What the identifier is doing, in a word."""
@@ -237,7 +232,7 @@ class Supervisor:
             or denied[i]
             or young
             or _poor_fit(settings, running, i)
-            or _incomplete(i, float(model_error[i]))
+            or _incomplete(i, float(model_error[i]), settings.min_t_ratio)
             or self._unknown_input(i, coefficients, sigma)
             or self.confirmed.doubt(i)
             for i in range(len(ROWS))
@@ -284,9 +279,15 @@ def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str
     return ""
 
 
-def _incomplete(row: int, share: float) -> str:
-    """Return how the model of a row misses what its input does; empty if it does not."""
-    if share <= LARGEST_MODEL_ERROR:
+def _incomplete(row: int, share: float, t_ratio: float) -> str:
+    """Return how the model of a row misses what its input does; empty if it does not.
+
+    A share of 1 in `t_ratio` may come late, early, or stop short, as much as chance and wrong
+    settings may falsify. At the default, 4, servo lags, delays and limits of travel that halve a
+    control derivative take 0.33 to 0.9, a delay of 25 ms up to 0.2, and what is right nothing; a
+    lag of 0.1 s that is told and not there 0.4 and more.
+    """
+    if share * t_ratio <= 1.0:
         return ""
     surface = MAIN_INPUTS[ROWS[row]]
     return (
