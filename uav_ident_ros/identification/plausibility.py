@@ -67,7 +67,7 @@ PULLING_SPEED = GRAVITY * ENOUGH
 by more than that did not turn so slowly as it would have, were its gyro in deg/s. (Quadrotors in
 aerobatics: 77 m/s and more; aircraft whose gyro is told in deg/s: at most 30.)"""
 
-SMALLEST_FORCE, LARGEST_FORCE = 4.0, 60.0
+SMALLEST_FORCE, LARGEST_FORCE = 0.4 * GRAVITY, 6.0 * GRAVITY
 """Mean size of the specific force, m/s^2: none is weightless, or pulls six g, on average."""
 
 LARGEST_TRIM = 0.6
