@@ -28,6 +28,7 @@ from uav_ident_ros.identification.scales import (
     INDEPENDENT_TIME,
     LONG_MEMORY,
     MEMORY,
+    RESPONSE_TIME,
     SAMPLE_TIME,
     SURE,
 )
@@ -42,7 +43,7 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
-ENOUGH = 4.0
+ENOUGH = 2.0 * RESPONSE_TIME
 """Time before anything is found, s: a launch is over by then, and the mistake named within ten.
 Channels are looked at over as long."""
 
