@@ -297,7 +297,7 @@ def test_a_knock_is_kept_from_good_coefficients(excited: Measurements) -> None:
     gated, ungated = (
         run(identifier(excited, supervision__max_residual=ratio), stream) for ratio in (6.0, 0.0)
     )
-    kept = since(gated, 33.15, 33.3)
+    kept = since(gated, 33.25, 33.4)
     assert {e.reason.split(";")[0] for e in kept} == {"residual far outside its usual size"}
     assert since(gated, 37.0, 38.0)[-1].adapting
 
