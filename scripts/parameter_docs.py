@@ -59,6 +59,8 @@ def write_value(value: Value | list[Any]) -> str:
 
 def allowed_values(setting: Setting) -> str:
     """Describe what a setting may be, in a few words; empty if anything goes."""
+    if setting.name in ("imu.type", "actuators.type"):
+        return "[these](#message-types)"
     if setting.choices:
         return ", ".join(f"`{write_value(choice)}`" for choice in setting.choices)
     return setting.allowed() if setting.bounded else setting.unit
