@@ -21,10 +21,9 @@ CONFIG = Path(__file__).resolve().parents[1] / "config" / "identifier.yaml"
 
 MAIN_PARAMETERS = (
     "structure",
-    "estimator",
-    "update_rate",
     "imu.type",
     "imu.convention",
+    "imu.rpy",
     "imu.lever_arm",
     "actuators.type",
     "actuators.channels",
@@ -36,10 +35,12 @@ MAIN_PARAMETERS = (
     "actuators.trim",
     "actuators.delay",
     "actuators.estimate_delay",
-    "filter.cutoff",
+    "actuators.time_constant",
+    "airspeed.type",
+    "airspeed.reference",
     "initial_coefficients_file",
 )
-"""What a new vehicle has to look at: the short table of the README."""
+"""What a new vehicle has to look at."""
 
 _BLOCK = re.compile(
     r"(?P<start><!-- generated: (?P<name>[\w-]+) -->\n).*?(?P<end><!-- end: (?P=name) -->)",
@@ -58,6 +59,8 @@ def write_value(value: Value | list[Any]) -> str:
 
 def allowed_values(setting: Setting) -> str:
     """Describe what a setting may be, in a few words; empty if anything goes."""
+    if setting.name in ("imu.type", "actuators.type"):
+        return "[these](#message-types)"
     if setting.choices:
         return ", ".join(f"`{write_value(choice)}`" for choice in setting.choices)
     return setting.allowed() if setting.bounded else setting.unit
@@ -86,14 +89,11 @@ def full_tables() -> str:
     return "\n".join(parts)
 
 
-def main_table() -> str:
-    """Return the short table of what a new vehicle has to look at."""
+def main_parameters() -> str:
+    """Name what a new vehicle has to look at, with the defaults."""
     known = {setting.name: setting for setting in declarations()}
-    rows = [
-        (f"`{name}`", f"`{write_value(known[name].default)}`", known[name].description)
-        for name in MAIN_PARAMETERS
-    ]
-    return markdown(("name", "default", "meaning"), rows)
+    rows = [(f"`{name}`", f"`{write_value(known[name].default)}`") for name in MAIN_PARAMETERS]
+    return markdown(("name", "default"), rows)
 
 
 def changeable() -> str:
@@ -133,7 +133,7 @@ def actuator_types() -> str:
 
 TABLES: dict[str, Callable[[], str]] = {
     "parameters": full_tables,
-    "main-parameters": main_table,
+    "main-parameters": main_parameters,
     "changeable": changeable,
     "rates-types": rates_types,
     "actuator-types": actuator_types,

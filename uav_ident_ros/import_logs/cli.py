@@ -43,9 +43,9 @@ FIRST_BYTES = 400
 _DESCRIPTION = """\
 Turn a PX4 log (.ulg), an ArduPilot dataflash log (.bin), a blackbox log of Betaflight (.bbl) or a
 table (.csv with a column map) into an MCAP bag with /imu/data, /actuators (named channels) and,
-if the log has them, /airspeed and /armed, and write identifier.yaml beside it, the parameters that
-fit. What was read from the log and what was assumed is said in words, on the screen and in that
-file."""
+if the log has them, /airspeed, /armed, /mode and /setpoint/rates. identifier.yaml beside it holds
+the parameters that fit. The facts read from the log and the assumptions stand on the screen and in
+that file."""
 
 _EPILOG = f"""\
 examples:

@@ -113,8 +113,8 @@ def parser() -> argparse.ArgumentParser:
         prog="monitor",
         description="Watch a running identifier: coefficients with sigma, t-ratio and trend, "
         "fit, state, verdict, inputs and delay. Ctrl-C ends it.",
-        epilog="--once exits with 0 if the coefficients may be used, 1 if not, 3 if no "
-        "identifier was found, 130 after Ctrl-C.",
+        epilog="--once exits with 0 if the coefficients may be used, 1 if not, 2 if the command "
+        "line is wrong or there are several nodes, 3 if no identifier was found, 130 after Ctrl-C.",
     )
     result.add_argument("--node", type=_full_name,
         help="full name of the node, like /drone1/identifier (the only one there is)")  # fmt: skip
