@@ -150,3 +150,10 @@ def test_a_limit_of_travel_that_nobody_told_is_named(travel: float, misses: bool
 def test_no_more_is_missing_than_all() -> None:
     """A model of the wrong sign misses more than there is."""
     assert supervision._incomplete(2, 3.47, 4.0).startswith("rdot follows dr badly: 100 % of")
+
+
+@pytest.mark.parametrize(
+    ("share", "t_ratio", "misses"), [(0.24, 4.0, False), (0.26, 4.0, True), (0.26, 3.0, False)]
+)
+def test_a_model_may_miss_one_in_the_t_ratio(share: float, t_ratio: float, misses: bool) -> None:
+    assert bool(supervision._incomplete(0, share, t_ratio)) == misses
