@@ -171,20 +171,16 @@ class FlowObserver:
 
     def _turn(self, dt: float, rates: list[float], m: Vector, gain: float) -> None:
         """Turn the direction of gravity with the aircraft, and towards `m`."""
-        g = self.down
-        e = _cross(m, g)
+        (p, q, r), (mx, my, mz), (gx, gy, gz), (bx, by, bz) = rates, m, self.down, self._bias
+        ex, ey, ez = my * gz - mz * gy, mz * gx - mx * gz, mx * gy - my * gx  # m x g
         integral = 0.25 * ATTITUDE_GAIN * gain * dt  # critically damped
-        b = self._bias
-        self._bias = b = (b[0] - integral * e[0], b[1] - integral * e[1], b[2] - integral * e[2])
-        turn = _cross(
-            (
-                rates[0] - b[0] + gain * e[0],
-                rates[1] - b[1] + gain * e[1],
-                rates[2] - b[2] + gain * e[2],
-            ),
-            g,
-        )
-        self.down = _unit((g[0] - dt * turn[0], g[1] - dt * turn[1], g[2] - dt * turn[2]))
+        bx, by, bz = self._bias = (bx - integral * ex, by - integral * ey, bz - integral * ez)
+        p, q, r = p - bx + gain * ex, q - by + gain * ey, r - bz + gain * ez
+        x = gx - dt * (q * gz - r * gy)
+        y = gy - dt * (r * gx - p * gz)
+        z = gz - dt * (p * gy - q * gx)
+        size = (x * x + y * y + z * z) ** 0.5
+        self.down = (x / size, y / size, z / size)
 
     def _follow_angles(
         self,
@@ -225,16 +221,3 @@ def _gravity(force: list[float], rates: list[float], v: float) -> tuple[Vector, 
         return (0.0, 0.0, 1.0), 0.0
     weight = max(0.0, 1.0 - abs(size - GRAVITY) / (GRAVITY_BAND * GRAVITY))
     return (m[0] / size, m[1] / size, m[2] / size), weight
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
-
-
-def _unit(a: Vector) -> Vector:
-    size = (a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) ** 0.5
-    return (a[0] / size, a[1] / size, a[2] / size)
