@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cost of a tick beside that of another commit: ``python benchmarks/tick_cost.py [FLIGHT ...]``.
+
+Processor time of a tick, back to back, with default parameters; the two commits take turns, each
+run in a process of its own. Without ``--beside`` it is the last commit before sideslip and angle of
+attack became states: the default structure there has measured forces. Ratios of one run compare,
+times of two machines or hours do not.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import bench
+import cases
+import numpy as np
+from bench import ROOT
+
+BESIDE = "f99fd36"
+"""The last commit before `flight_dynamics`."""
+
+TURNS = 3
+"""Runs of each, of which the quickest counts: what else runs on the machine only adds."""
+
+DRIVER = """
+import json, sys, time
+sys.path.insert(0, sys.argv[1])
+import numpy as np
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.settings import Settings
+given = np.load(sys.argv[2])
+identifier, times = OnlineIdentifier(Settings.from_values(json.loads(sys.argv[3]))), []
+asked = getattr(identifier, "due", None) or (lambda: identifier.intake.due)
+streams = given["kind"].tolist(), given["t"].tolist(), given["v"].tolist()
+for kind, t, v in zip(*streams):
+    if not kind:
+        identifier.add_actuators(t, v[: given["channels"]])
+        continue
+    identifier.add_rates(t, v[:3], v[3:])
+    while (due := asked()) is not None:
+        began = time.thread_time()
+        identifier.update(due)
+        times.append(time.thread_time() - began)
+print(json.dumps([1e3 * np.mean(times), *(1e3 * np.percentile(times, [50, 99]))]))
+"""
+"""What is run in the process of each commit: it knows no more of it than the public interface."""
+
+
+def messages(case: cases.Case, path: Path) -> None:
+    """Keep the messages of a flight, in the order of their arrival."""
+    listed = [
+        (topic == cases.RATES_TOPIC, t, np.resize(v, 6))
+        for _, topic, t, v in cases.messages(case)
+        if topic != cases.AIRSPEED_TOPIC
+    ]
+    kind, t, v = (np.array(column) for column in zip(*listed, strict=True))
+    np.savez(path, kind=kind, t=t, v=v, channels=case.actuators.shape[1])
+
+
+def run(root: Path, path: Path, parameters: str) -> list[float]:
+    """Return mean, median and 99th percentile of a tick, ms."""
+    command = [sys.executable, "-c", DRIVER, str(root), str(path), parameters]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=path.parent)
+    return [float(value) for value in json.loads(done.stdout)]
+
+
+def main() -> None:
+    """Print a line for each flight."""
+    parser = bench.parser(__doc__)
+    parser.add_argument("flights", nargs="*", metavar="FLIGHT", default=["thor75_auto"])
+    parser.add_argument("--beside", default=BESIDE, metavar="COMMIT", help="(%(default)s)")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        other, path = Path(folder) / "other", Path(folder) / "messages.npz"
+        git = ["git", "-C", str(ROOT), "worktree"]
+        subprocess.run([*git, "add", "--quiet", "--detach", other, options.beside], check=True)
+        try:
+            for name in options.flights:
+                case = cases.load(name)
+                messages(case, path)
+                parameters = json.dumps(case.parameters)
+                turns = [
+                    [run(root, path, parameters) for root in (ROOT, other)] for _ in range(TURNS)
+                ]
+                own, beside = np.min(turns, axis=0)
+                ratios = ", ".join(f"{ratio:.2f}" for ratio in own / beside)
+                print(
+                    f"{name}: mean, p50, p99 {own.round(3)} ms, {options.beside} "
+                    f"{beside.round(3)} ms, ratios {ratios}"
+                )
+        finally:
+            subprocess.run([*git, "remove", "--force", other], check=True)
+
+
+if __name__ == "__main__":
+    main()
