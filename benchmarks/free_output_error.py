@@ -65,9 +65,8 @@ def windows(case: cases.Case, track: cases.Track) -> Windows:
             if block.t_ns[0] <= track.t_ns[k] and i + m < len(block.t_ns):
                 x.append(block.x[i : i + m + 1])
                 u.append(block.u[i : i + m])
-                flow = track.flow
-                start.append(np.concatenate((block.x[i], flow.angles[k], flow.down[k])))
-                airspeed.append(flow.airspeed[k])
+                start.append(np.concatenate((block.x[i], track.flow[k, :-1])))
+                airspeed.append(track.flow[k, -1])
                 wanted = time + APART
     joined = (np.array(part).transpose(1, 2, 0) for part in (x, u))
     return Windows(blocks[0].h, *joined, np.array(start).T, np.array(airspeed))

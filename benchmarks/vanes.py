@@ -65,7 +65,7 @@ def compare(case: cases.Case, airspeed: str) -> None:
         both = np.stack((dynamic(forces[k]), dynamic(surfaces[INPUTS.index(label)])), 1)
         best = both @ np.linalg.lstsq(both, vane, rcond=None)[0]
         print(
-            f"{name}: correlation with the vane {agreement(dynamic(track.flow.angles[:, k])):.2f}; "
+            f"{name}: correlation with the vane {agreement(dynamic(track.flow[:, k])):.2f}; "
             f"of the force alone {agreement(both[:, 0]):.2f}; "
             f"less what {label} would best make of it {agreement(best):.2f}"
         )
