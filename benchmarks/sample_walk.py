@@ -4,9 +4,9 @@
     .venv/bin/python benchmarks/sample_walk.py [--list]
 
 An identifier flies the start of a committed bag. Then everything is counted that is called from the
-bytes of a rates message on until the estimate it belongs to is there: what the samples of two ticks
-call, as two are learned from at once. Functions count by their name in the source, comprehensions
-and lambdas as a part of the function they stand in.
+bytes of a rates message on until the coefficients have learned from it: what the samples of the
+ticks call that are learned from at once. Functions count by their name in the source,
+comprehensions and lambdas as a part of the function they stand in.
 """
 
 import sys
@@ -21,7 +21,7 @@ import bench
 import uav_ident_ros
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.identifier import STRETCH_TIME, OnlineIdentifier
 from uav_ident_ros.identification.samples import RATES
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.feed import Feed
@@ -64,7 +64,7 @@ def follow(identifier: OnlineIdentifier, feed: Feed, message: Message) -> None:
 
 
 def walk_of_a_sample() -> Walk:
-    """Fly the start of the bag; return the walk of the samples of two ticks."""
+    """Fly the start of the bag; return the walk of the samples that are learned from at once."""
     walk: Walk = {}
     settings = Settings.from_values(load_parameters(FLIGHT / "identifier.yaml", "identifier"))
     identifier = OnlineIdentifier(settings)
@@ -78,7 +78,7 @@ def walk_of_a_sample() -> Walk:
             feed, flown = feeds[message.topic], (message.log_ns - bag.start_ns) * 1e-9 - LEARNING
             if flown <= 0.0 or feed.stream.name != RATES:
                 follow(identifier, feed, message)
-            elif flown <= 2.0 / settings.update_rate:
+            elif flown <= STRETCH_TIME:
                 walked(partial(follow, identifier, feed, message), walk)
             else:
                 return walk
