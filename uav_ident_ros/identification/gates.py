@@ -336,7 +336,7 @@ class Repeats:
     def add(self, samples: FloatArray) -> None:
         """Add new samples, (k, 6); those of many ticks are counted together."""
         self._waiting.append(samples)
-        if len(self._waiting) >= IN_A_ROW**2:
+        if len(self._waiting) >= IN_A_ROW**2:  # only memory depends on how many
             self._count()
 
     @property

@@ -173,6 +173,7 @@ class ModelError:
             return  # as many coefficients leave no scatter to judge by
         found, size = self._found(slice(count), _BESIDE_LATENESS, self._sure, ratio, effect)
         self.height = float(size[len(ROWS) :, 0, 1].sum())
+        # saturation, lateness beside it, and attenuation
         taken = found[: len(ROWS)].reshape(len(ROWS), -1)[:, :3]
         self.share = np.maximum(taken, 0.0).max(axis=1)
         early = found[: len(ROWS), 0, 1]
