@@ -56,7 +56,7 @@ class EffectivenessMonitor(Node):
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
         effect, found = control_derivatives(model)[0], self.response
         if found.update(x, effect, self.acting[None], dt, model):
-            self.measured.update(found.answered, found.made[0], dt)
+            self.measured.update(found.answered[0], found.made[0], dt)
         for line in warnings(self.measured):
             self.get_logger().warning(line, throttle_duration_sec=PERIOD)
 

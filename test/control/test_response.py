@@ -7,10 +7,15 @@ from equations import AIRCRAFT, flight_equations, matrix, slope
 
 from uav_ident_ros.client import AttitudeModel
 from uav_ident_ros.control import Response
-from uav_ident_ros.control.response import FORGETTING, own_motion
-from uav_ident_ros.identification.flow import FlowState
+from uav_ident_ros.control.response import FORGETTING, PHI, own_motion
+from uav_ident_ros.identification.flow import ATTITUDE_GAIN, FlowState
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import (
+    INPUT_COLUMNS,
+    MAIN_DERIVATIVES,
+    STRUCTURES,
+    FloatArray,
+)
 
 STRUCTURE, AIRSPEED, DT, SUBSTEPS = STRUCTURES["flight_dynamics"], 25.0, 0.01, 5
 LEVEL = np.array([0.0, 0.0, 0.0, 0.0, -GRAVITY / AIRCRAFT["az/alpha"], 0.0, 0.0])
@@ -22,7 +27,7 @@ def gains(share: FloatArray | float, airspeed: float = AIRSPEED) -> tuple[FloatA
     flow = FlowState(0.0, 0.0, 0.0, 0.0, roll=0.0, pitch=0.0, airspeed=airspeed)
     model = AttitudeModel(STRUCTURE, believed, STRUCTURE.mask, flow)
     true, effect = believed.copy(), believed[:3, INPUT_COLUMNS]
-    true[:3, INPUT_COLUMNS] *= np.reshape(share, (-1, 1))
+    true[MAIN_DERIVATIVES] *= share
     true[:, STRUCTURE.index("qdot/1")[1]] = 0.0
     true[STRUCTURE.index("qdot/1")] = -AIRCRAFT["qdot/alpha"] * LEVEL[4]  # in trim
     response, state, found, before = Response(), LEVEL, [], np.zeros(4)
@@ -30,7 +35,7 @@ def gains(share: FloatArray | float, airspeed: float = AIRSPEED) -> tuple[FloatA
         u = 0.03 * np.sin(np.array([2.0, 3.0, 2.5, 0.0]) * DT * k)
         u[:3] *= np.array([1.0, 2.0, 0.5])
         if response.update(state[:3], effect, before[None], DT, model):
-            found.append((response.answered, response.made[0]))
+            found.append((response.answered[0], response.made[0]))
         for _ in range(SUBSTEPS):
             state = state + DT / SUBSTEPS * flight_equations(true, state, u, AIRSPEED)
         before = u
@@ -57,5 +62,48 @@ def test_the_own_motion_is_that_of_level_flight() -> None:
     flow = FlowState(0.0, 0.0, 0.0, 0.0, roll=0.0, pitch=0.0, airspeed=AIRSPEED)
     own = own_motion(AttitudeModel(STRUCTURE, true, STRUCTURE.mask, flow))
     slopes = slope(lambda x: flight_equations(true, x, np.zeros(4), AIRSPEED), LEVEL)[:6, :6]
-    slopes[range(3, 6), range(3, 6)] -= 1.0 / FORGETTING
+    slopes[range(3, 5), range(3, 5)] -= 1.0 / FORGETTING
+    slopes[PHI, PHI] -= ATTITUDE_GAIN
     np.testing.assert_allclose(own, slopes, atol=1e-6)
+
+
+def test_what_another_input_does_is_no_effect_of_the_axis() -> None:
+    """An aileron that yaws as much as the rudder that makes up for it."""
+    true, effect = (
+        np.zeros((3, 4)),
+        np.array([[0.0, 0.0, 30.0], [-26.0, 0.0, 0.0], [0.0, -8.0, -5.0]]),
+    )
+    true[:, :3] = effect * np.array([1.0, 0.5, 1.0])
+    model = AttitudeModel(STRUCTURE, matrix(STRUCTURE, {}), STRUCTURE.mask)
+    response, x, found = Response(), np.zeros(3), []
+    for k in range(600):
+        aileron = 0.1 * np.sin(3.0 * DT * k)
+        u = np.array([0.0, -5.0 / 4.0 * aileron, aileron, 0.0])
+        believed = np.column_stack([effect, np.zeros(3)])
+        if response.update(x, believed, u[None], DT, model, np.array([0.3, 0.0, 0.0])):
+            found.append((response.answered[0, 2], response.made[0, 2]))
+        x = x + DT * true @ u
+    answered, made = np.array(found)[200:].T
+    assert (answered * made).sum() / (made**2).sum() == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_tight_turn_is_no_effect_of_the_elevator() -> None:
+    """At 15 m/s, 35 degrees to both sides: a linear model has twice the lift of the turn."""
+    airspeed, true = 15.0, matrix(STRUCTURE, AIRCRAFT | {"qdot/pr": 0.0, "qdot/1": 0.0})
+    true[STRUCTURE.index("qdot/1")] = -AIRCRAFT["qdot/alpha"] * LEVEL[4]  # in trim
+    response, state, u, found = Response(), LEVEL, np.zeros(4), []
+    for k in range(3000):
+        roll, pitch = state[5:]
+        flow = FlowState(0.0, 0.0, 0.0, 0.0, roll, pitch, airspeed)
+        if k % 5 == 0:  # a message
+            model = AttitudeModel(STRUCTURE, true, STRUCTURE.mask, flow)
+        if response.update(state[:3], true[:3, INPUT_COLUMNS], u[None], DT, model):
+            found.append((response.answered[0, 1], response.made[0, 1]))
+        for _ in range(SUBSTEPS):
+            state = state + DT / SUBSTEPS * flight_equations(true, state, u, airspeed)
+        turn = GRAVITY / airspeed * np.tan(roll)
+        bank = np.clip(0.6 * np.sign(np.sin(DT * k)) - roll, -0.4, 0.4)
+        wanted = np.array([bank, turn * np.sin(roll) - pitch, turn * np.cos(roll)])
+        u[[2, 0, 1]] = np.array([0.1, -0.3, -1.0]) * (wanted - state[:3])
+    answered, made = np.array(found)[500:].T
+    assert (answered * made).sum() / (made**2).sum() == pytest.approx(1.0, abs=0.1)

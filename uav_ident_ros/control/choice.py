@@ -71,9 +71,10 @@ class AxisChoice:
         adaptive: bool = True,  # Whether to leave the nominal set at all
     ) -> None:
         self._source, self._limits, self._adaptive = source, limits, adaptive
-        self.nominal = control_derivatives(nominal)[0]  # (3, 4) To measure with
+        self.nominal = control_derivatives(nominal)[0]  # (3, 4)
         self._rows = self.nominal.copy()  # those adopted; their main derivatives as flown on:
         self._main = self._rows[AXES, MAINS]
+        self._sigma = np.zeros(len(ROWS))  # of those that are measured, over the nominal ones
         # (3,) Worth of each axis for `allocate`: its nominal authority, rad/s^2
         self.scale = authority(self.nominal, limits)
         # What the aircraft does by itself, for `Response`: every estimate of the rows in use,
@@ -103,6 +104,13 @@ class AxisChoice:
         sources = tuple(MEASURED if other else source for other, source in rescaled)
         share = _over(self._main, self.nominal[AXES, MAINS])
         return Effect(values, share, sources, (*self._reasons,))
+
+    @property
+    def measured_by(self) -> FloatArray:
+        """B to measure with, (3, 4): each axis's own input as nominal, the others as adopted."""
+        values = self._rows.copy()
+        values[AXES, MAINS] = self.nominal[AXES, MAINS]
+        return values
 
     def forget_measured(self) -> None:
         """Go back to the rows as adopted: what was measured was measured with a wrong delay."""
@@ -166,9 +174,9 @@ class AxisChoice:
         return ""
 
     def _turn(self, measured: Effectiveness, certain: BoolArray) -> None:
-        """Turn the sign of an axis that answers the wrong way."""
+        """Turn the sign of an input that acts the wrong way, on all that it moves."""
         for i in np.flatnonzero(measured.reversed & certain):
-            self._rows[i] = -self._rows[i]
+            self._rows[:, MAINS[i]] = -self._rows[:, MAINS[i]]
             self._main[i], self._sources[i] = self._rows[i, MAINS[i]], MEASURED
             measured.changed(int(i))
 

@@ -104,16 +104,17 @@ class RateController:
         inputs = np.array([self._acting(before_ns, delay) for delay in self.delay.delays])
         led = self._references.at(before_ns - round(self.delay.delay * 1e9))
         answer, choice = self._response, self._choice
-        if not answer.update(x, choice.nominal, inputs, dt, choice.model, led):
+        if not answer.update(x, choice.measured_by, inputs, dt, choice.model, led):
             return
         believed = self.effect.share
         if self.delay.update(answer.answered, answer.made * believed, answer.acceleration, dt):
             for axis in range(len(x)):
                 self.effectiveness.changed(axis)
             choice.forget_measured()
+        delay = self.delay.believed
         self.effectiveness.update(
-            answer.answered,
-            answer.made[self.delay.believed],
+            answer.answered[delay],
+            answer.made[delay],
             dt,
             answer.demanded,
             believed,

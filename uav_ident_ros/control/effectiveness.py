@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the inputs really do, measured in flight: a factor on the control derivatives, by axis.
+"""What the inputs really do, measured in flight: a factor on the main derivative of each axis.
 
-What the aircraft answers is compared with what the inputs should have made (`Response`):
+What the aircraft answers is compared with what its own input should have made (`Response`):
 
     answered = g made + rest
 
@@ -63,7 +63,7 @@ UNKNOWN = 1e3
 
 
 class Effectiveness:
-    """Measured factor on the control derivatives of each axis."""
+    """Measured factor on the main derivative of each axis."""
 
     def __init__(self) -> None:
         self.restart()

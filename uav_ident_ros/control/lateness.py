@@ -61,7 +61,7 @@ class DelayMeter:
         # sums over f f' and f answered of each delay and axis, f = (made, xdot); over answered^2
         self._cross = np.zeros((len(self.delays), 3, 2, 2))
         self._products = np.zeros((len(self.delays), 3, 2))
-        self._squares = np.zeros(3)
+        self._squares = np.zeros((len(self.delays), 3))
         self._weight = self._since = 0.0
         # Whether another delay explains the flight better: then what looks like another effect of
         # the inputs may be the delay's
@@ -69,8 +69,8 @@ class DelayMeter:
 
     def update(
         self,
-        answered: FloatArray,  # (3,) As in `Response`
-        made: FloatArray,  # (n, 3) The same, for the `delays`
+        answered: FloatArray,  # answered, made: (n, 3) As in `Response`, for the `delays`
+        made: FloatArray,
         acceleration: FloatArray,  # (3,) The same
         dt: float,  # Time since the last sample, s
     ) -> bool:
@@ -78,7 +78,7 @@ class DelayMeter:
         f = np.stack([made, np.broadcast_to(acceleration, made.shape)], axis=-1)
         keep = np.exp(-dt / MEMORY)
         self._cross = keep * self._cross + dt * f[..., :, None] * f[..., None, :]
-        self._products = keep * self._products + dt * f * answered[:, None]
+        self._products = keep * self._products + dt * f * answered[..., None]
         self._squares = keep * self._squares + dt * answered**2
         self._weight = keep * self._weight + dt
         self._since += dt
@@ -101,6 +101,7 @@ class DelayMeter:
         alone = np.maximum(mm - ma**2 / np.where(aa > 0.0, aa, 1.0), 0.0)
         aligned = np.maximum(my - ma * rest, 0.0)  # an effect of the other sign is no delay
         explained = aligned**2 / np.where(alone > 0.0, alone, 1.0) + rest * ay
-        share = 1.0 - explained / np.where(self._squares > 0.0, self._squares, 1.0)
+        squares = np.where(self._squares > 0.0, self._squares, 1.0)
+        left = np.maximum(squares - explained, NOTHING * squares)
         samples = self._weight * BANDWIDTH / 2.0
-        return np.asarray(-0.5 * samples * np.log(np.maximum(share, NOTHING)).sum(axis=-1))
+        return np.asarray(-0.5 * samples * np.log(left).sum(axis=-1))
