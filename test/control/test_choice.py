@@ -9,6 +9,7 @@ from plants import LIMITS, START, STRUCTURE, coefficients, controller, flown
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
 from uav_ident_ros.control import AxisChoice, Effectiveness, RateController
+from uav_ident_ros.control.effectiveness import SURE
 from uav_ident_ros.identification.structure import FloatArray
 
 LATER = START + 10**8
@@ -190,6 +191,26 @@ def test_an_identified_row_must_not_undo_what_is_measured() -> None:
     effect = chosen.update(later + 10**8, measured)
     assert effect.sources == ("identified",) * 3
     assert effect.values[0, 2] == pytest.approx(0.5 * 29.5)
+
+
+def test_what_is_measured_is_followed_as_it_becomes_surer() -> None:
+    """The first measurement says that the effect is another, a later one how much it is."""
+    chosen, measured = choice()[0], Effectiveness()
+    chosen.update(START, measured)
+    for k, (factor, sigma, share) in enumerate(
+        [(0.6, 0.13, 0.6), (0.55, 0.2, 0.6), (0.5, 0.1, 0.5), (0.52, 0.1, 0.52), (0.9, 1.0, 0.52)]
+    ):
+        measured.factor[0], measured.sigma[0] = factor, sigma
+        chosen.update(LATER + 2 * k * 10**9, measured)
+        assert chosen.update(LATER + (2 * k + 1) * 10**9, measured).share[0] == pytest.approx(share)
+
+
+def test_a_reversed_input_is_turned_on_all_that_it_moves() -> None:
+    source = CoefficientSource(Fallback.LAST_GOOD, coefficients())
+    chosen = AxisChoice(source, changed(coefficients(), "rdot/da", -2.0, 0.1), LIMITS)
+    measured = Effectiveness()
+    measured._doubt[0, 0] = SURE
+    assert chosen.update(LATER, measured).values[:, 2].tolist() == [-29.5, 0.0, 2.0]
 
 
 @pytest.mark.parametrize(

@@ -189,10 +189,14 @@ class AxisChoice:
         least = np.where(more, 2.0, 1.0) * SIGMAS * measured.sigma * np.abs(nominal)
         away = np.abs(found - self._main) > least
         self._agreed_ns = np.where(away & certain, self._agreed_ns, t_ns)
+        surely = t_ns - self._agreed_ns > CORRELATION * 1e9
+        # once it is another, the question is how much it is: the surest measurement says it
+        better = self._rescaled & certain & (measured.sigma <= self._sigma)
         # without flow angles in the model, what they do would be taken for the inputs'
-        surely = (t_ns - self._agreed_ns > CORRELATION * 1e9) & self.model.structure.has_flow
+        taken = (surely | better) & self.model.structure.has_flow
         ends = np.sort(np.outer(MEASURED_RANGE, self._rows[AXES, MAINS]), axis=0)
-        self._main = np.where(surely, np.clip(found, *ends), self._main)
+        self._main = np.where(taken, np.clip(found, *ends), self._main)
+        self._sigma = np.where(taken, measured.sigma, self._sigma)
 
 
 def _over(values: FloatArray, of: FloatArray) -> FloatArray:
