@@ -75,7 +75,7 @@ def test_a_repaired_surface_is_no_longer_dead() -> None:
         alive = np.array([1.0, 1.0, 0.0 if 300 <= k < 700 else 1.0, 1.0])
         x = x + 0.01 * (effect @ (alive * acting) - 3.0 * x)
         if response.update(x, effect, acting[None], 0.01, model):
-            measured.update(response.answered, response.made[0], 0.01)
+            measured.update(response.answered[0], response.made[0], 0.01)
         found.append(bool(measured.dead[0]))
     assert [found[k] for k in (299, 690, 1199)] == [False, True, False]
 
@@ -101,13 +101,21 @@ def test_rolling_by_sideslip_keeps_the_rudder_off_its_stops() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bank", "p", "rolls"), [(0.5, 0.05, False), (0.5, -0.3, False), (0.2, 0.3, True)]
+    ("bank", "p", "acceleration", "damping", "rolls"),
+    [
+        (0.5, 0.05, 0.0, -6.0, False),
+        (0.5, -0.3, 0.0, -6.0, False),
+        (0.2, 0.3, 0.0, -6.0, True),
+        (0.2, 0.3, -1.8, -6.0, False),  # which its damping stops
+        (0.0, 0.05, 1.8, -6.0, True),  # a jammed aileron has just begun
+        (0.2, 0.3, -1.8, 0.0, True),  # nobody knows a damping
+    ],
 )
 def test_only_an_aircraft_that_rolls_over_is_rolled_by_sideslip(
-    bank: float, p: float, rolls: bool
+    bank: float, p: float, acceleration: float, damping: float, rolls: bool
 ) -> None:
-    assert rolls_over(bank, p) is rolls
-    assert rolls_over(-bank, -p) is rolls
+    assert rolls_over(bank, p, acceleration, damping) is rolls
+    assert rolls_over(-bank, -p, -acceleration, damping) is rolls
 
 
 def test_after_a_gap_it_starts_afresh() -> None:

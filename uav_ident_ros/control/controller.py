@@ -96,7 +96,10 @@ class RateController:
         elif not self._rolled_over:
             newest = self._source.newest(t_ns)
             flow = None if newest is None else newest.flow
-            self._rolled_over = flow is None or rolls_over(flow.roll, float(x[0]))
+            model = self._choice.model
+            damping = float(model.values[model.structure.index("pdot/p")])
+            rolling = float(x[0]), float(self._response.acceleration[0]), damping
+            self._rolled_over = flow is None or rolls_over(flow.roll, *rolling)
         return self._rolled_over
 
     def _measure(self, before_ns: int, dt: float, x: FloatArray) -> None:

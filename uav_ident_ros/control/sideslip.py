@@ -33,9 +33,21 @@ FORESIGHT = 3.0
 With one or two seconds a small aircraft whose aileron jams loses its attitude first."""
 
 
-def rolls_over(bank: float, p: float) -> bool:
-    """Say whether a bank, rad, and a roll rate, rad/s, lead beyond what an aircraft is to bank."""
-    return abs(bank + FORESIGHT * p) > LARGEST_BANK
+def rolls_over(
+    bank: float,  # rad
+    p: float,  # Roll rate, rad/s
+    acceleration: float,  # Its derivative, rad/s^2
+    damping: float,  # L_p, 1/s
+) -> bool:
+    """Say whether an aircraft without ailerons comes to bank beyond what it is to bank.
+
+    Its roll is damped: it settles at ``p - p' / L_p``, with ``1 / -L_p`` as its time constant. What
+    it rolled when its aileron broke stops by itself; what a jammed one makes of it has just begun.
+    """
+    if damping >= 0.0:
+        return abs(bank + FORESIGHT * p) > LARGEST_BANK
+    settled = p - acceleration / damping
+    return abs(bank + (settled - p) / damping + FORESIGHT * settled) > LARGEST_BANK
 
 
 def yaw_for_roll(coefficients: Coefficients) -> float:
