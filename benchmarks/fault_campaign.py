@@ -56,8 +56,11 @@ from uav_ident_ros.control.choice import control_derivatives
 from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, RATE_COLUMNS, FloatArray
+from uav_ident_ros.simulation.aircraft import Aircraft, linearise, settle
 from uav_ident_ros.simulation.airframe import airframe_names
+from uav_ident_ros.simulation.faults import SURFACE_NAMES
 from uav_ident_ros.simulation.flight import EPOCH_NS
+from uav_ident_ros.simulation.live import SIMULATION_RATE
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared, prepare
 
@@ -172,11 +175,14 @@ class Oracle:
         values[case.axis] *= axis
         self._after = replace(self._before, values=values)
         self._when_ns = EPOCH_NS + round(when * 1e9)
+        self._last_ns, self._flow = EPOCH_NS, flow
 
     def update(self, t_ns: int, x: FloatArray, reference: FloatArray) -> FloatArray:
         """Return de, dr, da, dth, deviations from trim."""
         true = self._after if t_ns >= self._when_ns else self._before
-        self._source.add(replace(true, t_ns=t_ns))
+        roll = self._flow.roll + (t_ns - self._last_ns) * 1e-9 * float(x[0])
+        self._last_ns, self._flow = t_ns, self._flow._replace(roll=roll)
+        self._source.add(replace(true, t_ns=t_ns, flow=self._flow))
         return self._controller.update(t_ns, x, reference)
 
 
@@ -356,6 +362,41 @@ def key(flight: dict[str, Any]) -> tuple[str, Cell]:
     )  # fmt: skip
 
 
+# --- what nobody can do better -----------------------------------------------------------------
+
+
+def jam_limits(names: Sequence[str], jam: float) -> Iterator[str]:
+    """Table of what steady flight with an aileron jammed so far from trim, rad, costs at least.
+
+    Sideslip and rudder must balance its moments, by the true derivatives. So an aircraft that keeps
+    its bank turns at ``ay / V`` beyond the coordinated rate: no controller has less yaw error.
+    """
+    rows = []
+    for name in names:
+        aircraft = Aircraft(name, SIMULATION_RATE)
+        settle(aircraft, SENSORS.rate)
+        found = linearise(aircraft)
+        a = np.array(
+            [
+                [found.derivatives[f"{row}/{column}"] for column in ("beta", "r", "dr", "da")]
+                for row in ("pdot", "rdot", "ay")
+            ]
+        )
+        a[2] /= -found.airspeed  # r = ay / V
+        a[2, 1] += 1.0
+        beta, r, rudder = np.linalg.solve(a[:, :3], -jam * a[:, 3])
+        least, most = aircraft.limits[:, SURFACE_NAMES.index("rudder")]
+        rolls = -a[0, 3] * jam / found.derivatives["pdot/p"]
+        rows.append(
+            (
+                name, *(f"{abs(np.degrees(x)):.1f}" for x in (rolls, beta)),
+                f"{abs(rudder) / min(-least, most):.1f}", f"{abs(np.degrees(r)):.2f}",
+            )
+        )  # fmt: skip
+    head = ("aircraft", "rolls without help, deg/s", "sideslip, deg", "rudder, of its travel")
+    return bench.table((*head, "yaw error, deg/s"), rows)
+
+
 # --- tables ----------------------------------------------------------------------------------
 
 TITLES = (
@@ -426,7 +467,13 @@ def main() -> None:
     parser.add_argument("--fault", action="append", choices=list(FAULTS)[1:], help="default: all")
     parser.add_argument("--cells", type=int, help="how many of the design at most")
     parser.add_argument("--all", action="store_true", help="every controller flies every cell")
+    parser.add_argument(
+        "--jam", type=float, help="fly nothing: what an aileron jammed so far, rad, costs at least"
+    )
     options = parser.parse_args()
+    if options.jam is not None:
+        print(*jam_limits(options.aircraft, options.jam), sep="\n")
+        return
     cells = design(options.aircraft, options.fault or list(FAULTS)[1:])[: options.cells]
     options.result.parent.mkdir(exist_ok=True)
     flights: list[Any] = []
