@@ -205,6 +205,31 @@ def test_what_is_measured_is_followed_as_it_becomes_surer() -> None:
         assert chosen.update(LATER + (2 * k + 1) * 10**9, measured).share[0] == pytest.approx(share)
 
 
+@pytest.mark.parametrize(("moved", "share"), [(1.2, 1.0), (0.9, 0.5)])
+def test_a_loop_that_rings_on_too_little_effect_goes_back_to_the_row(
+    moved: float, share: float
+) -> None:
+    """A gust was taken for half of the effect; gyro noise may add four tenths to what is shown."""
+    chosen, measured = choice()[0], Effectiveness()
+    chosen.update(START, measured)
+    measured.factor[2], measured.sigma[2] = 0.5, 0.1
+    chosen.update(LATER, measured)
+    assert chosen.update(LATER + 10**9, measured).share[2] == pytest.approx(0.5)
+    measured.moved[2], measured.moved_sigma[2], measured.sigma[2] = moved, 0.1, 1.0
+    chosen.update(LATER + 2 * 10**9, measured)
+    assert chosen.update(LATER + 3 * 10**9, measured).share[2] == pytest.approx(share)
+
+
+def test_least_squares_sees_what_the_reference_does_not_ask_for() -> None:
+    """A loop rings: nothing was demanded, and the inputs do all of their effect."""
+    measured, rng = Effectiveness(), np.random.default_rng(0)
+    for k in range(300):
+        made = np.full(3, np.sin(0.1 * k))
+        measured.update(made + 0.1 * rng.standard_normal(3), made, 0.01, np.full(3, 1e-3))
+    assert measured.moved == pytest.approx([1.0, 1.0, 1.0], abs=0.1)
+    assert (measured.moved_sigma < 0.5 * measured.sigma).all()
+
+
 def test_a_reversed_input_is_turned_on_all_that_it_moves() -> None:
     source = CoefficientSource(Fallback.LAST_GOOD, coefficients())
     chosen = AxisChoice(source, changed(coefficients(), "rdot/da", -2.0, 0.1), LIMITS)

@@ -182,19 +182,24 @@ class AxisChoice:
 
     def _scale(self, t_ns: int, measured: Effectiveness, certain: BoolArray) -> None:
         """Fly on what is measured where it has surely been another for long enough."""
-        nominal = self.nominal[AXES, MAINS]
-        found = measured.factor * nominal
-        # what breaks does less: more than both believed needs twice the evidence
-        more = np.abs(found) > np.maximum(np.abs(self._main), np.abs(nominal))
-        least = np.where(more, 2.0, 1.0) * SIGMAS * measured.sigma * np.abs(nominal)
-        away = np.abs(found - self._main) > least
+        nominal, rows = self.nominal[AXES, MAINS], self._rows[AXES, MAINS]
+        size = np.abs(nominal)
+        # what breaks does less: more than believed needs twice the evidence
+        twice = 2.0 * SIGMAS
+        # a loop that rings on too little believed effect shows it by its own motion
+        shown = (measured.moved - twice * measured.moved_sigma) * size
+        rings = (self._flown < 1.0) & (np.abs(self._main) < shown)
+        found = np.where(rings, rows, measured.factor * nominal)
+        more = np.abs(found) > np.maximum(np.abs(self._main), size)
+        least = np.where(more, twice, SIGMAS) * measured.sigma * size
+        away = (np.abs(found - self._main) > least) | rings
         self._agreed_ns = np.where(away & certain, self._agreed_ns, t_ns)
         surely = t_ns - self._agreed_ns > CORRELATION * 1e9
         # once it is another, the question is how much it is: the surest measurement says it
         better = self._rescaled & certain & (measured.sigma <= self._sigma)
         # without flow angles in the model, what they do would be taken for the inputs'
         taken = (surely | better) & self.model.structure.has_flow
-        ends = np.sort(np.outer(MEASURED_RANGE, self._rows[AXES, MAINS]), axis=0)
+        ends = np.sort(np.outer(MEASURED_RANGE, rows), axis=0)
         self._main = np.where(taken, np.clip(found, *ends), self._main)
         self._sigma = np.where(taken, measured.sigma, self._sigma)
 

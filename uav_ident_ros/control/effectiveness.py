@@ -11,6 +11,9 @@ reference asks for, which no gust moves: g = sum(asked answered) / sum(asked mad
 deviation takes the rest as it comes, with the correlation of neighbouring samples: as it was while
 something was asked, or at any time, whichever is more. A single turn explains itself too well.
 
+Least squares has a use of its own: a loop that rings, as on an effect believed too small, moves its
+inputs so much that the rest does not matter, while the reference asks for nothing.
+
 A reversed or a lost effect leaves no second or two: an aileron turns an aircraft over in one and a
 half. For these the hypotheses g = 1 and -1, and g = 1/2 and 0, are compared sample by sample, by
 the cumulative sum of their log-likelihood ratio (Page's test), which keeps nothing of the time
@@ -70,16 +73,18 @@ class Effectiveness:
 
     def restart(self) -> None:
         """Forget everything."""
-        # z answered and z made of each axis, z what was asked for, or 1: over the last samples, and
-        # as sums over the memory; products of each sample with the last ones; asked^2
-        self._near, self._sums = np.zeros((2, 2, 3)), np.zeros((2, 2, 3))
-        self._products = np.zeros((2, 2, 2, 3))
+        # z answered and z made of each axis, z what was asked for, 1, or made: over the last
+        # samples, and as sums over the memory; products of each sample with the last ones; asked^2
+        self._near, self._sums = np.zeros((2, 3, 3)), np.zeros((2, 3, 3))
+        self._products = np.zeros((2, 2, 3, 3))
         self._demanded = np.zeros(3)
         self._weight = np.zeros(3)
         self._noise, self._doubt = np.zeros((2, 3)), np.zeros((2, 3))  # reversed, lost
         self._age = 0.0
         # g of roll, pitch, yaw, and its standard deviation, (3,)
         self.factor, self.sigma = np.ones(3), np.full(3, UNKNOWN)
+        # The same by least squares, whatever moved the inputs
+        self.moved, self.moved_sigma = np.ones(3), np.full(3, UNKNOWN)
         # Axes whose inputs surely did nothing when they last moved, (3,)
         self.dead: BoolArray = np.zeros(3, dtype=bool)
 
@@ -93,7 +98,9 @@ class Effectiveness:
         sums = self._near, self._sums, self._products, self._demanded, self._weight, self._doubt
         for one in sums:
             one[..., axis] = 0.0
-        self.factor[axis], self.sigma[axis], self.dead[axis] = 1.0, UNKNOWN, False
+        self.factor[axis] = self.moved[axis] = 1.0
+        self.sigma[axis] = self.moved_sigma[axis] = UNKNOWN
+        self.dead[axis] = False
 
     def update(
         self,
@@ -109,7 +116,7 @@ class Effectiveness:
     ) -> None:
         """Take one sample."""
         demanded = made if demanded is None else demanded
-        instruments = np.stack([demanded, np.ones_like(demanded)])
+        instruments = np.stack([demanded, np.ones_like(demanded), made])
         sample = np.stack([answered, made])[:, None] * instruments
         self._near = math.exp(-dt / CORRELATION) * self._near + sample
         products = sample[:, None] * (2.0 * self._near - sample)
@@ -122,7 +129,8 @@ class Effectiveness:
         self._compare(answered, made * believed, dt)
         self._solve()
         if doubtful:
-            self.sigma[:], self._doubt[0] = UNKNOWN, 0.0
+            self.sigma[:] = self.moved_sigma[:] = UNKNOWN
+            self._doubt[0] = 0.0
 
     def _compare(self, answered: FloatArray, made: FloatArray, dt: float) -> None:
         """Weigh 'reversed' against 'as believed', and 'lost' against half of it, by one sample."""
@@ -141,13 +149,18 @@ class Effectiveness:
         self.dead = np.where(self.dead, lost > 0.0, lost >= SURE)
 
     def _solve(self) -> None:
-        """Find g and its sigma."""
-        answered, made = self._sums[:, 0]
+        """Find g and its sigma, by the instrument and by least squares."""
+        (answered, made), (aa, am), (ma, mm) = self._sums[:, ::2], *self._products
         known = (self._weight > LEAST_TIME) & (made != 0.0)
         made = np.where(known, made, 1.0)
         g = answered / made
-        (aa, am), (ma, mm) = self._products
-        then, ever = np.maximum(aa - g * (am + ma) + g**2 * mm, 0.0)
-        variance = np.maximum(then, ever * self._demanded / np.maximum(self._weight, LEAST_TIME))
-        sigma = np.clip(np.sqrt(variance) / np.abs(made), LEAST_SIGMA, UNKNOWN)
-        self.factor, self.sigma = np.where(known, g, 1.0), np.where(known, sigma, UNKNOWN)
+
+        def variance(z: int, g: FloatArray) -> FloatArray:
+            return np.asarray(aa[z] - g * (am[z] + ma[z]) + g**2 * mm[z])
+
+        ever = variance(1, g[0]) * self._demanded / np.maximum(self._weight, LEAST_TIME)
+        spread = np.stack([np.maximum(variance(0, g[0]), ever), variance(2, g[1])])
+        sigma = np.sqrt(np.maximum(spread, 0.0)) / np.abs(made)
+        sigma = np.where(known, np.clip(sigma, LEAST_SIGMA, UNKNOWN), UNKNOWN)
+        self.factor, self.moved = np.where(known, g, 1.0)
+        self.sigma, self.moved_sigma = sigma
