@@ -8,6 +8,7 @@ it flies on, identified, last good or nominal, is decided axis by axis. With the
 ``mode: fixed`` the same law keeps to the nominal coefficients for ever.
 """
 
+import re
 import sys
 import time
 from typing import Any
@@ -182,11 +183,12 @@ class ControllerExample(Node):
         line += f": {why}" if why else ""
         t_ns = stamp_ns(header.stamp)
         last_ns, logged = self._reported
-        if line == logged and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
+        news = without_numbers(line) != without_numbers(logged)
+        if not news and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
             return
-        if line != logged and why:
+        if news and why:
             self.get_logger().warning(line)
-        elif line != logged:
+        elif news:
             self.get_logger().info(line)
         self._reported = (t_ns, line)
         values = [] if controller is None else measured(controller)
@@ -197,6 +199,11 @@ class ControllerExample(Node):
             values=values,
         )
         self._diagnostics.publish(DiagnosticArray(header=header, status=[status]))
+
+
+def without_numbers(line: str) -> str:
+    """Return a line without its numbers: where these alone change, as measured, it is no news."""
+    return re.sub(r"\d+(\.\d+)?", "", line)
 
 
 def summary(effect: Effect) -> tuple[str, str]:

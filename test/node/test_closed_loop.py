@@ -18,6 +18,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
 from uav_ident_ros.client.subscription import TOPIC
+from uav_ident_ros.controller_example import without_numbers
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.ros import latched
@@ -53,6 +54,14 @@ def land(running: ClosedLoop) -> None:
 
 def printed(running: ClosedLoop, name: str, words: str) -> bool:
     return wait_for(lambda: words in running.log(name), TIMEOUT)
+
+
+def test_a_measured_number_that_changes_is_no_news_to_the_log() -> None:
+    first, second, other = (
+        f"flying on measured coefficients (pitch): {row} is measured to have {share:.2f} times"
+        for row, share in (("qdot", 0.55), ("qdot", 0.6), ("rdot", 0.6))
+    )
+    assert without_numbers(first) == without_numbers(second) != without_numbers(other)
 
 
 def test_a_flight_is_the_same_however_fast_the_machine_is_until_it_is_excited(
