@@ -236,6 +236,13 @@ def test_a_reversed_input_is_turned_on_all_that_it_moves() -> None:
     measured = Effectiveness()
     measured._doubt[0, 0] = SURE
     assert chosen.update(LATER, measured).values[:, 2].tolist() == [-29.5, 0.0, 2.0]
+    source.add(changed(coefficients(), "rdot/da", -2.0, 0.1))  # has not noticed anything yet
+    assert chosen.update(LATER, measured).values[:, 2].tolist() == [-29.5, 0.0, 2.0]
+    turned = changed(coefficients(np.array([1.0, 1.0, -1.0, 1.0]), LATER), "rdot/da", 1.5, 0.1)
+    source.add(turned)
+    assert chosen.update(LATER, measured).values[0, 2] == -29.5
+    source.add(dataclasses.replace(turned, t_ns=LATER + 10**8))
+    assert chosen.update(LATER + 10**8, measured).values[:, 2].tolist() == [-29.5, 0.0, 1.5]
 
 
 @pytest.mark.parametrize(

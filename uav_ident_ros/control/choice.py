@@ -20,7 +20,13 @@ import numpy as np
 from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource
 from uav_ident_ros.control.allocation import AXES, MAINS, authority
 from uav_ident_ros.control.effectiveness import CORRELATION, Effectiveness
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, ROWS, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import (
+    INPUT_COLUMNS,
+    INPUTS,
+    ROWS,
+    BoolArray,
+    FloatArray,
+)
 
 FLYABLE = (0.02, 10.0)
 """Least and largest authority of an axis over the nominal one that is adopted. The least lies below
@@ -82,6 +88,8 @@ class AxisChoice:
         self.model = AttitudeModel(nominal.structure, nominal.values, nominal.structure.mask)
         self._agreed_ns = np.full(len(ROWS), np.iinfo(np.int64).max)
         self._sources = [NOMINAL] * len(ROWS)
+        # Inputs that were turned, until their own axes are learned anew: turned for the others, too
+        self._turned = np.zeros(len(INPUTS), dtype=bool)
         self._seen: Coefficients | None = None
         self._reasons = [""] * len(ROWS)
 
@@ -127,11 +135,12 @@ class AxisChoice:
                 if fresh is None:
                     continue
                 found, known = control_derivatives(fresh)
-                row = np.where(known[i], found[i], self._rows[i])
+                row = np.where(known[i] & ~self._turned, found[i], self._rows[i])
+                row[MAINS[i]] = found[i, MAINS[i]]
                 reason = self._against(i, row, bool(known[i, MAINS[i]]), measured)
                 if not reason:
                     self._rows[i], self._main[i] = row, row[MAINS[i]]
-                    self._sources[i] = IDENTIFIED
+                    self._sources[i], self._turned[MAINS[i]] = IDENTIFIED, False
                     adopted.append(i)
             if reason and self._sources[i] == IDENTIFIED:
                 self._sources[i] = LAST_GOOD
@@ -177,6 +186,7 @@ class AxisChoice:
         """Turn the sign of an input that acts the wrong way, on all that it moves."""
         for i in np.flatnonzero(measured.reversed & certain):
             self._rows[:, MAINS[i]] = -self._rows[:, MAINS[i]]
+            self._turned[MAINS[i]] = True
             self._main[i], self._sources[i] = self._rows[i, MAINS[i]], MEASURED
             measured.changed(int(i))
 
