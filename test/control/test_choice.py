@@ -230,6 +230,19 @@ def test_least_squares_sees_what_the_reference_does_not_ask_for() -> None:
     assert (measured.moved_sigma < 0.5 * measured.sigma).all()
 
 
+@pytest.mark.parametrize("explains", [False, True])
+def test_a_delay_excuses_only_what_it_explains(explains: bool) -> None:
+    """An input acts the other way, and half a turn later would be the same: or explains nothing."""
+    measured = Effectiveness()
+    for k in range(300):
+        made = np.full(3, np.sin(0.1 * k))
+        answered = made if k < 200 else -made
+        late = answered if explains else 0.3 * made
+        measured.update(answered, made, 0.01, rival=(answered, late))
+    assert measured.reversed.all() == (not explains)
+    assert (measured.sigma > 100.0).all()  # nothing else is concluded
+
+
 def test_a_reversed_input_is_turned_on_all_that_it_moves() -> None:
     source = CoefficientSource(Fallback.LAST_GOOD, coefficients())
     chosen = AxisChoice(source, changed(coefficients(), "rdot/da", -2.0, 0.1), LIMITS)

@@ -114,14 +114,14 @@ class RateController:
             for axis in range(len(x)):
                 self.effectiveness.changed(axis)
             choice.forget_measured()
-        delay = self.delay.believed
+        delay, rival = self.delay.believed, self.delay.rival
         self.effectiveness.update(
             answer.answered[delay],
             answer.made[delay],
             dt,
             answer.demanded,
             believed,
-            self.delay.in_doubt,
+            None if rival is None else (answer.answered[rival], answer.made[rival]),
         )
 
     def _acting(self, t_ns: int, delay: float) -> FloatArray:

@@ -111,8 +111,8 @@ class Effectiveness:
         demanded: FloatArray | None = None,
         # (3,) Factors that are flown on: which way the inputs should act
         believed: FloatArray | float = 1.0,
-        # Whether these may not be the inputs that act now: then nothing is known
-        doubtful: bool = False,
+        # What was answered to the inputs, and made by them, if others may act now: by another delay
+        rival: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         """Take one sample."""
         demanded = made if demanded is None else demanded
@@ -126,13 +126,20 @@ class Effectiveness:
         self._demanded = keep * self._demanded + dt * demanded**2
         self._weight = keep * self._weight + dt
         self._age += dt
-        self._compare(answered, made * believed, dt)
+        if rival is not None:
+            rival = rival[0], rival[1] * believed
+        self._compare(answered, made * believed, dt, rival)
         self._solve()
-        if doubtful:
+        if rival is not None:
             self.sigma[:] = self.moved_sigma[:] = UNKNOWN
-            self._doubt[0] = 0.0
 
-    def _compare(self, answered: FloatArray, made: FloatArray, dt: float) -> None:
+    def _compare(
+        self,
+        answered: FloatArray,
+        made: FloatArray,
+        dt: float,
+        rival: tuple[FloatArray, FloatArray] | None,
+    ) -> None:
         """Weigh 'reversed' against 'as believed', and 'lost' against half of it, by one sample."""
         believed, instead = HYPOTHESES
         rest = np.minimum((answered - made) ** 2, (answered - instead * made) ** 2)
@@ -141,7 +148,10 @@ class Effectiveness:
             return
         # what is larger than any says, as the jerk of a surface that breaks, tells nothing
         clipped = np.clip(answered, -2.0 * np.abs(made), 2.0 * np.abs(made))
-        ratio = (clipped - believed * made) ** 2 - (clipped - instead * made) ** 2
+        plain = (clipped - believed * made) ** 2
+        if rival is not None:  # nothing is wrong with the inputs that another delay explains
+            plain = np.minimum(plain, (rival[0] - rival[1]) ** 2)
+        ratio = plain - (clipped - instead * made) ** 2
         step = BANDWIDTH / 2.0 * ratio / (2.0 * np.maximum(self._noise, 1e-12))
         most = SURE / LEAST_DOUBT
         self._doubt = np.clip(self._doubt + dt * np.clip(step, -most, most), 0.0, SURE)

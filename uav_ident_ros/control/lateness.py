@@ -63,9 +63,9 @@ class DelayMeter:
         self._products = np.zeros((len(self.delays), 3, 2))
         self._squares = np.zeros((len(self.delays), 3))
         self._weight = self._since = 0.0
-        # Whether another delay explains the flight better: then what looks like another effect of
-        # the inputs may be the delay's
-        self.in_doubt = False
+        # Another delay that explains the flight better, counted, if not surely: then what looks
+        # like another effect of the inputs may be the delay's
+        self.rival: int | None = None
 
     def update(
         self,
@@ -88,7 +88,7 @@ class DelayMeter:
         likely = self.likelihood()
         best = int(np.argmax(likely))
         lead = likely[best] - likely[self.believed]
-        self.in_doubt = bool(DOUBT < lead <= SURE)
+        self.rival = best if DOUBT < lead <= SURE else None
         if lead > SURE:
             self.believed = best
         return bool(lead > SURE)
