@@ -243,6 +243,16 @@ def test_a_delay_excuses_only_what_it_explains(explains: bool) -> None:
     assert (measured.sigma > 100.0).all()  # nothing else is concluded
 
 
+def test_the_jerk_of_a_jam_does_not_hide_that_nothing_answers() -> None:
+    measured, rng = Effectiveness(), np.random.default_rng(0)
+    for k in range(400):
+        made = np.full(3, 10.0 * np.sin(0.05 * k))
+        jams = 300 <= k < 315  # and stands still from then on
+        answered = made if k < 300 else np.full(3, 40.0 * jams)
+        measured.update(answered + rng.standard_normal(3), made, 0.01)
+    assert measured.dead.all()
+
+
 def test_a_reversed_input_is_turned_on_all_that_it_moves() -> None:
     source = CoefficientSource(Fallback.LAST_GOOD, coefficients())
     chosen = AxisChoice(source, changed(coefficients(), "rdot/da", -2.0, 0.1), LIMITS)

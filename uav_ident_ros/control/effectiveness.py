@@ -42,6 +42,10 @@ gust, four and a half of its time constants."""
 NOISE_MEMORY = 3.0
 """Time over which the noise of the jerk is averaged, s: longer than a divergence lasts."""
 
+OUTLIER = 3.0
+"""Standard deviations of the noise beyond which a sample does not count as noise: the jerk of an
+aileron that jams would hide for seconds that nothing answers it."""
+
 LEAST_TIME = 0.7
 """Weight from which on there is an answer, s: five samples that count."""
 
@@ -143,6 +147,8 @@ class Effectiveness:
         """Weigh 'reversed' against 'as believed', and 'lost' against half of it, by one sample."""
         believed, instead = HYPOTHESES
         rest = np.minimum((answered - made) ** 2, (answered - instead * made) ** 2)
+        if self._age >= LEAST_TIME:
+            rest = np.minimum(rest, OUTLIER**2 * self._noise)
         self._noise = self._noise + min(1.0, dt / NOISE_MEMORY) * (rest - self._noise)
         if self._age < LEAST_TIME:
             return
