@@ -57,8 +57,10 @@ class Indi(Node):
             self.response.restart()
             dt = 0.0
         effect, found = self.choice.update(t_ns, self.measured), self.response
-        if dt and found.update(x, self.choice.nominal, acting[None], dt, self.choice.model, led):
-            self.measured.update(found.answered, found.made[0], dt, found.demanded, effect.share)
+        inputs, choice = acting[None], self.choice
+        if dt and found.update(x, choice.measured_by, inputs, dt, choice.model, led):
+            answered, made = found.answered[0], found.made[0]
+            self.measured.update(answered, made, dt, found.demanded, effect.share)
         u = self.law.update(dt, effect.values, x, self.reference, acting)
         self.sent.add(t_ns, (u, self.reference))
         names = ["elevator", "rudder", "aileron"]
