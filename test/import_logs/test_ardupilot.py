@@ -150,7 +150,17 @@ def test_slow_actuators_name_the_bit_of_log_bitmask(
 ) -> None:
     values = QUAD | {"LOG_BITMASK": mask}
     printed = imported(importer, TITLE, values, pulses=rcou(10)).printed
-    assert f"20 Hz are needed (LOG_BITMASK {mask}{advice} 'fast attitude')" in printed
+    needed = f"20 Hz are needed (LOG_BITMASK {mask}{advice} 'fast attitude')"
+    assert f"{needed}, which logs RATE in its place" in printed
+
+
+def test_all_bits_that_are_missing_are_asked_for_in_the_end(importer: Importer) -> None:
+    """Who sets the last value must not lose what the first was for."""
+    values = QUAD | {"LOG_BITMASK": 830}
+    messages = TITLE + imu()[::20] + rcou(10)
+    printed = importer(write_dataflash(importer.folder / "slow.bin", messages, values)).printed
+    assert "IMU has 12.5 Hz only: 20 Hz are needed (LOG_BITMASK 830: make it 262974" in printed
+    assert "(LOG_BITMASK 830: make it 262975, 'fast attitude')" in printed
 
 
 def test_aetr_on_request(importer: Importer) -> None:
