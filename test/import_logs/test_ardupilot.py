@@ -163,6 +163,23 @@ def test_all_bits_that_are_missing_are_asked_for_in_the_end(importer: Importer) 
     assert "(LOG_BITMASK 830: make it 262975, 'fast attitude')" in printed
 
 
+def test_a_quadplane_flies_by_its_surfaces_unless_its_hover_is_asked_for(
+    importer: Importer,
+) -> None:
+    """RATE is fast, and what is asked of the lift motors alone."""
+    values = servos(4, 19, 70, 21, 33, 34, 35, 36)
+    rows = [(START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",))]
+    rows += at(COMMAND_US, "RATE", (0, 0, 0.1) * 4)
+    rows += at(COMMAND_US[::10], "AETR", (450.0, -900.0, 60.0, 225.0))
+    bag, found, printed = imported(importer, rows, values, pulses=rcou(10))
+    assert bag.names[:4] == ["aileron", "elevator", "throttle", "rudder"]
+    assert "structure" not in found
+    assert "RATE, what is asked of its lift motors, is passed over" in printed
+    hover = importer(importer.log, "--actuators-topic", "RATE")
+    assert hover.bag.names == ["roll", "pitch", "yaw", "throttle"]
+    assert hover.values["structure"] == "augmented"
+
+
 def test_aetr_on_request(importer: Importer) -> None:
     rows = at(COMMAND_US, "AETR", (450.0, -900.0, 60.0, 225.0))
     bag, values, _ = imported(importer, rows, PLANE, "--actuators-topic", "AETR")

@@ -284,6 +284,9 @@ class Confirmation:
         self._odds = [0.0] * len(ROWS)
         self._now = 0.0  # Time since the start, s
         self._recent = [0.0] * len(ROWS)  # Evidence of the last `INDEPENDENT_TIME`
+        # Squared residuals of that time, times dt: as they are, and if the inputs did nothing
+        self._left: FloatArray = np.zeros((2, len(ROWS)))
+        self._left_time = 0.0
         self._moved = [-math.inf] * len(ROWS)  # When that was last enough by itself, s
         # When a turn of the surface began, and how long it had rested before, s
         self._turns: list[deque[tuple[float, float]]] = [deque() for _ in ROWS]
@@ -310,12 +313,18 @@ class Confirmation:
         max_age : float
             Time in which what was confirmed fades while the input does not move, s; 0 for never.
         """
-        # Squared residual if the input did nothing, less the squared residual as it is.
-        gain = np.add.reduce(effect * (2.0 * white.residual[: len(ROWS)] + effect), axis=1)
+        residual = white.residual[: len(ROWS)]
+        # squared residuals as they are, and if the input did nothing
+        left = np.add.reduce(np.square((residual, residual + effect)), axis=2)
         time = effect.shape[1] * white.dt
         self.fade(time, max_age)
         keep = math.exp(-time / INDEPENDENT_TIME)
-        for i, (more, spread) in enumerate(zip(gain.tolist(), variance.tolist(), strict=False)):
+        self._left = keep * self._left + left * white.dt
+        self._left_time = keep * self._left_time + time
+        # What the better of both leaves is noise, too, where it is more than usual.
+        noise = np.maximum(variance[: len(ROWS)], self._left.min(axis=0) / self._left_time)
+        gain = left[1] - left[0]
+        for i, (more, spread) in enumerate(zip(gain.tolist(), noise.tolist(), strict=True)):
             evidence = 0.5 * more / max(spread, NO_VARIANCE)
             self._odds[i] = _bounded(self._odds[i] + evidence)
             self._recent[i] = _bounded(keep * self._recent[i] + evidence)
