@@ -131,6 +131,9 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("unknown_delay", {"settings": FINDING, "delay": SURE},
      {"settings": FINDING, "delay": replace(UNSURE, delay=0.219, sigma=0.019), "delay_in_use": 0.0},
      r"seem to act 219 ms \(sigma 19 ms\) after their stamps, 0 ms are in use: .* 0\.219"),
+    ("unknown_delay", {"settings": FINDING, "delay": SURE},
+     {"settings": FINDING, "delay": replace(UNSURE, delay=-0.125, sigma=0.008)},
+     r"\(-125 ms, sigma 8 ms: they seem to follow the motion, as an autopilot's answers do, or"),
     ("wrong_lag", {"delay": replace(SPLIT, lag=2.0 * JUST_BELOW * SPLIT.lag_sigma)},
      {"delay": replace(SPLIT, lag=2.0 * JUST_ABOVE * SPLIT.lag_sigma)},
      r"a servo lag of 18 ms \(sigma 9 ms\), 0 ms are in use: set 'actuators.time_constant'"),
@@ -162,6 +165,8 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      {"actuator_rate": SLOW_ACTUATORS * JUST_BELOW},
      "the messages of the actuators come at 24 Hz: 25 Hz"),
     ("slow_streams", {"actuator_rate": 0.0}, {"actuator_rate": 1.0}, "at 1 Hz"),  # none: no rate
+    ("slow_streams", {}, {"imu_rate": 25.0, "actuator_rate": 10.0},  # the cure is said once
+     r"of the Imu come at 25 Hz: 50 Hz are needed, those of the actuators come at 10 Hz: 25 Hz"),
     ("many_drops",
      {"streams": {"rates": Refusals(10_000, {"late": round(10_000 * DROPPED_SHARE)})}},
      {"streams": {"rates": Refusals(10_000, {"late": 90, "not finite": 11})}},

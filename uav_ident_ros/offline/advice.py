@@ -169,6 +169,8 @@ def unknown_delay(e: Evidence) -> Iterator[str]:
             if math.isfinite(e.delay.sigma)
             else "no estimate"
         )
+        if e.delay.delay < -DELAY_SIGMAS * e.delay.sigma:
+            found += ": they seem to follow the motion, as an autopilot's answers do, or are late"
         yield (
             f"the flight does not show the delay of the inputs ({found}; {e.delay_in_use:.3f} s in "
             "use), and a wrong one falsifies every control derivative: step the surfaces without "
@@ -220,15 +222,16 @@ def noisy_gyro(e: Evidence) -> Iterator[str]:
 
 def slow_streams(e: Evidence) -> Iterator[str]:
     """Name the messages that come too seldom."""
-    for word, rate, needed in (
-        ("Imu", e.imu_rate, SLOW_IMU),
-        ("actuators", e.actuator_rate, SLOW_ACTUATORS),
-    ):
-        if 0.0 < rate < needed:
-            yield (
-                f"the messages of the {word} come at {rate:.0f} Hz: {needed + 1.0:.0f} Hz are "
-                f"needed ({FAST_LOGS})"
-            )
+    slow = [
+        f"of the {word} come at {rate:.0f} Hz: {needed + 1.0:.0f} Hz are needed"
+        for word, rate, needed in (
+            ("Imu", e.imu_rate, SLOW_IMU),
+            ("actuators", e.actuator_rate, SLOW_ACTUATORS),
+        )
+        if 0.0 < rate < needed
+    ]
+    if slow:
+        yield f"the messages {', those '.join(slow)} ({FAST_LOGS})"
 
 
 def many_drops(e: Evidence) -> Iterator[str]:
