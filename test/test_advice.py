@@ -124,6 +124,13 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      "the delay in use seems to be 20 ms too long"),
     ("wrong_delay", {"delay": UNSURE, "delay_in_use": 0.2}, {"delay": SURE, "delay_in_use": 0.2},
      "170 ms too long"),
+    ("wrong_delay", {"delay": replace(SURE, delay=-DELAY_OFF * JUST_BELOW), "delay_in_use": 0.0},
+     {"delay": replace(SURE, delay=-0.042), "delay_in_use": 0.0},  # no delay is below zero
+     r"act 42 ms before their stamps \(0\.000 s of delay in use\): correct the stamps, or lower "
+     r"'actuators\.time_constant'$"),
+    ("wrong_delay", {"delay": UNSURE, "actuator_rate": 10.0},
+     {"delay": replace(SURE, delay=-0.042), "delay_in_use": 0.0, "actuator_rate": 10.0},
+     "; at 10 Hz they are held 50 ms too long$"),
     ("unknown_delay", {"settings": FINDING, "delay": SURE}, {"settings": FINDING, "delay": UNSURE},
      r"does not show the delay of the inputs \(30 ms, sigma 3 ms; 0\.030 s in use\).* 3-2-1-1"),
     ("unknown_delay", {"delay": NO_ESTIMATE},  # it is configured

@@ -129,6 +129,17 @@ def wrong_delay(e: Evidence) -> Iterator[str]:
     off = e.delay.off(e.delay_in_use)
     if abs(off) <= DELAY_OFF or e.delay.lag_off(e.lag_in_use):
         return
+    if e.delay.delay < 0.0:
+        held = 0.5 / e.actuator_rate if 0.0 < e.actuator_rate < SLOW_ACTUATORS else 0.0
+        seldom = (
+            f"; at {e.actuator_rate:.0f} Hz each is held {1e3 * held:.0f} ms too long on average"
+        )
+        yield (
+            f"the inputs act {-1e3 * e.delay.delay:.0f} ms before their stamps "
+            f"({e.delay_in_use:.3f} s of delay in use): correct the stamps, or lower "
+            f"'actuators.time_constant'{seldom if held else ''}"
+        )
+        return
     if off > 0.0:
         found = f"the command seems to lead by {1e3 * off:.0f} ms"
     else:
