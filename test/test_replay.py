@@ -40,6 +40,7 @@ from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline import NOT_USABLE, main
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.run import Refusals
+from uav_ident_ros.offline.tables import write_table
 from uav_ident_ros.offline.ticks import write_estimates
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
@@ -183,6 +184,24 @@ def test_summary_coefficients_and_picture(replayed: Path) -> None:
     assert saved.values[index] == content["coefficients"]["pdot/da"]["value"]
     picture = (replayed / "replay.png").read_bytes()
     assert picture.startswith(b"\x89PNG") and len(picture) > 20_000
+
+
+def test_the_time_usable_is_told_where_the_end_of_the_flight_is_not(replayed: Path) -> None:
+    """As with surfaces in turn: at the last tick there is always one that has not moved of late."""
+    content = summary(replayed)
+    rows = {"pdot": [], "qdot": [], "rdot": []}
+    for _, message in published(replayed)["coefficients_named"]:
+        values = dict(zip(message.name, message.position, strict=True))
+        for row, flags in rows.items():
+            flags.append(values[f"verdict/usable/{row}"])
+    assert content["usable_share"] == {row: np.mean(flags) for row, flags in rows.items()}
+    assert 0.0 < content["usable_share"]["pdot"] < 1.0
+    assert "in the course" not in write_table(content)
+    told = "usable in the course of the flight: pdot 44 %, qdot 0 %, rdot 3 % of the ticks"
+    shares = {"pdot": 0.44, "qdot": 0.0, "rdot": 0.03}
+    assert told in write_table(content | {"doubt": "still", "usable_share": shares})
+    never = content | {"doubt": "still", "usable_share": dict.fromkeys(rows, 0.0)}
+    assert "in the course" not in write_table(never)
 
 
 def test_table(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -131,9 +131,7 @@ def wrong_delay(e: Evidence) -> Iterator[str]:
         return
     if e.delay.delay < 0.0:
         held = 0.5 / e.actuator_rate if 0.0 < e.actuator_rate < SLOW_ACTUATORS else 0.0
-        seldom = (
-            f"; at {e.actuator_rate:.0f} Hz each is held {1e3 * held:.0f} ms too long on average"
-        )
+        seldom = f"; at {e.actuator_rate:.0f} Hz they are held {1e3 * held:.0f} ms too long"
         yield (
             f"the inputs act {-1e3 * e.delay.delay:.0f} ms before their stamps "
             f"({e.delay_in_use:.3f} s of delay in use): correct the stamps, or lower "
