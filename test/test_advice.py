@@ -114,6 +114,11 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      r"nothing was learned in 33 % of the flight: channel … is at its limit \(see 'actuators.up"),
     ("weak_excitation", STILL_RUDDER, WEAK_RUDDER,
      r"not enough rudder excitation: rdot/dr is known to 4\.0 sigma only \(4 needed\)"),
+    ("weak_excitation", STILL_RUDDER | {"answers": np.full(4, 0.3)},  # known all the same
+     WEAK_RUDDER | {"answers": np.array([0.0, 0.3, 0.0, 0.0])},
+     r"\(4 needed\), since 30 % of its motion answers disturbances; move the rudder by itself,"),
+    ("weak_excitation", STILL_RUDDER, WEAK_RUDDER | {"answers": np.array([0.3, 0.0, 0.3, 0.3])},
+     r"\(4 needed\); move the rudder more, and by itself$"),
     ("weak_excitation", moves(0.1, 1e-6, 0.1, 0.1), moves(0.1, 0.0, 0.1, 0.1),
      "the rudder never moved"),
     ("wrong_delay", {"delay": SURE, "delay_in_use": SURE.delay - DELAY_OFF * JUST_BELOW},
@@ -166,6 +171,9 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("noisy_gyro", {"rate_spread": one_of_three(0.01 / NOISE_SHARE * JUST_ABOVE, 0.5)},
      {"rate_spread": one_of_three(0.01 / NOISE_SHARE * JUST_BELOW, 0.5)},
      r"gyro noise high for so gentle a flight: 0\.01 rad/s on q, which moved by 0\.033 rad/s"),
+    ("noisy_gyro", {"gyro_noise": one_of_three(0.2, 0.01), "imu_rate": SLOW_IMU * JUST_BELOW},
+     {"gyro_noise": one_of_three(0.2, 0.01), "imu_rate": SLOW_IMU * JUST_ABOVE},  # it may be motion
+     "gyro noise high: 0.2 rad/s on q"),
     ("slow_streams", {"imu_rate": SLOW_IMU * JUST_ABOVE}, {"imu_rate": SLOW_IMU * JUST_BELOW},
      r"of the Imu come at 49 Hz: 50 Hz are needed \(PX4: SDLOG_PROFILE bit 4, .*; A"),
     ("slow_streams", {"actuator_rate": SLOW_ACTUATORS * JUST_ABOVE},

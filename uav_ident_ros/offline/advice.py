@@ -118,9 +118,16 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
         if e.input_spread[INPUTS.index(name)] < STILL:
             yield f"the {word} never moved: its effect is unknown; move it"
         elif ratio is not None and ratio < needed:
+            answers = float(e.answers[INPUTS.index(name)])
+            cure = f"; move the {word} more, and by itself"
+            if answers > 0.0:
+                cure = (
+                    f", since {100.0 * answers:.0f} % of its motion answers disturbances; move the "
+                    f"{word} by itself, whatever the aircraft does: {EXCITING_MODES}"
+                )
             yield (
                 f"not enough {word} excitation: {derivative} is known to {ratio:.1f} sigma only "
-                f"({needed:g} needed); move the {word} more, and by itself"
+                f"({needed:g} needed){cure}"
             )
 
 
@@ -215,7 +222,12 @@ def leans_on_force(e: Evidence) -> Iterator[str]:
 
 
 def noisy_gyro(e: Evidence) -> Iterator[str]:
-    """Say where the gyro's noise is high by itself, or beside the rates that were flown."""
+    """Say where the gyro's noise is high by itself, or beside the rates that were flown.
+
+    Where the rates come seldom, what changes from sample to sample is motion.
+    """
+    if 0.0 < e.imu_rate < SLOW_IMU:
+        return
     for axis, noise, spread in zip(AXES, e.gyro_noise, e.rate_spread, strict=True):
         if noise > LARGEST_NOISE:
             yield (

@@ -64,6 +64,8 @@ class Evidence:
     lost: Mapping[str, float] = field(default_factory=dict)
     # Settings that go with those reasons
     gate_settings: Mapping[str, str] = field(default_factory=dict)
+    # (4,) Share of each input's motion that is surely an answer to disturbances
+    answers: FloatArray = field(default_factory=lambda: np.zeros(len(INPUTS)))
     # What became of the messages of each stream
     streams: Mapping[str, Refusals] = field(default_factory=dict)
 
@@ -105,6 +107,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
             _NUMBER.sub("…", cost.reason): cost.setting
             for cost in identifier.supervisor.gates.costs().values()
         },
+        answers=identifier.estimator.answers.copy(),
         streams={name: run.refusals(name) for name in identifier.intake.drops},
     )
 
