@@ -114,7 +114,7 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
     """Name the surfaces that moved too little to know what they do."""
     needed = e.settings.supervision.min_t_ratio
     for name, derivative in MAIN_DERIVATIVES.items():
-        word, ratio = INPUT_WORDS[name], e.t_ratio(derivative)
+        word, ratio = INPUT_WORDS[name], e.t_ratio(derivative, setup=False)
         if e.input_spread[INPUTS.index(name)] < STILL:
             yield f"the {word} never moved: its effect is unknown; move it"
         elif ratio is not None and ratio < needed:
@@ -129,6 +129,12 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
                 f"not enough {word} excitation: {derivative} is known to {ratio:.1f} sigma only "
                 f"({needed:g} needed){cure}"
             )
+
+
+def wrong_setup(e: Evidence) -> Iterator[str]:
+    """Name the settings that widen sigma, but for a delay, of which the next piece tells."""
+    told = e.delay.contradiction(e.delay_in_use)
+    yield from dict.fromkeys(reason for reason in e.setup if reason and reason != told)
 
 
 def wrong_delay(e: Evidence) -> Iterator[str]:
@@ -317,6 +323,7 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     slow_streams,
     gated,
     weak_excitation,
+    wrong_setup,
     wrong_delay,
     wrong_lag,
     unknown_delay,
