@@ -95,6 +95,7 @@ class RecursiveRegression:
         self.clear = self._gate.clear
         self.answers = self._feedback.share
         self.model_error, self.height = self._error.doubt, self._error.height
+        self._effect: FloatArray = np.zeros(len(ROWS))
         self._begin_changes()
         self._solve()
 
@@ -137,7 +138,7 @@ class RecursiveRegression:
             share = self._influence(samples)
             rows, white = rows.times(share), white.times(share)
         else:
-            self._feedback.add(samples, moments, weight)
+            self._feedback.add(samples, moments, weight, self._effect)
             self.answers = self._feedback.share
         # No disturbance is in what is injected.
         answers = (not samples.injected) * self._feedback.ratio[range(len(ROWS)), self._layout.main]
@@ -194,6 +195,7 @@ class RecursiveRegression:
             return
         if due:
             self._known = solution, covariance
+            self._effect = np.abs(solution.values[1][MAIN_DERIVATIVES])  # whitened
             self._since_sigma, self.sigma = 0.0, sigma
         self._linear = self._layout.matrix(solution.linear[0])
         self.inputs = self._linear[: len(ROWS), INPUT_COLUMNS]
