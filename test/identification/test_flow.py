@@ -21,7 +21,7 @@ from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
-from uav_ident_ros.simulation.flight import Flight
+from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
 
@@ -293,3 +293,19 @@ def test_an_accelerometer_that_comes_late_is_learned_from() -> None:
     for name in ("az/alpha", "qdot/alpha"):
         found = estimates[-1].coefficients[FLIGHT.index(name)]
         assert found == pytest.approx(TRUTH[name], rel=0.15)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_surface_that_fails_loses_its_force_with_its_moment(seed: int) -> None:
+    """What a rudder does to the yaw is whole only with the side force that it makes now."""
+    weak = dict.fromkeys(("de", "dr", "da"), 0.04)
+    spec = LightFlight(
+        (Segment("multisine", amplitudes=weak, seed=seed),), 55.0, gust=0.3, seed=seed,
+        changes=(CoefficientChange(40.0, {"dr": -1.0}),),
+    )  # fmt: skip
+    m = measure(spec.fly(), Sensors(gyro_noise=0.01, accelerometer_noise=0.3), seed)
+    last = run(OnlineIdentifier(settings(m)), messages(m))[-1]
+    for name in ("rdot/dr", "ay/dr"):
+        found = last.coefficients[FLIGHT.index(name)]
+        assert found == pytest.approx(-TRUTH[name], rel=0.2), name
+        assert abs(found + TRUTH[name]) < 2.0 * last.sigma[FLIGHT.index(name)], name
