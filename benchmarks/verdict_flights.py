@@ -230,6 +230,17 @@ def _old_knowledge(seed: int, length: float) -> Iterator[Trial]:
         yield _trial("old_knowledge", seed, aircraft, words, fields, **flight, changes=reversed_)
 
 
+def _changed(seed: int, length: float) -> Iterator[Trial]:
+    """Excited all the time; a surface fails, and is to be known again."""
+    for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 2), ("T37", 0),
+                           ("ultra_stick_25e", 1)):  # fmt: skip
+        for surface, factor in (("dr", -1.0), ("dr", 0.5), ("de", 0.5), ("da", 0.5)):
+            flight = {"wind": wind, "duration": length * 110.0, "scale": 0.5, **ALWAYS}
+            changes = (CoefficientChange(length * CHANGED, {surface: factor}),)
+            words = f"{surface} x {factor:g}"
+            yield _trial("changed", seed, aircraft, words, {}, changes=changes, **flight)
+
+
 def _thinned(measured: Measurements) -> Measurements:
     """Keep the commands of every tenth of a second."""
     step = round(0.1 / (np.median(np.diff(measured.actuator_t_ns)) * 1e-9))
@@ -447,6 +458,7 @@ def _recorded(seed: int, length: float) -> Iterator[Trial]:
 CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
     "feedback": _feedback,
     "old_knowledge": _old_knowledge,
+    "changed": _changed,
     "unmodelled": _unmodelled,
     "untold": _untold,
     "weak": _weak,

@@ -194,7 +194,10 @@ class RecursiveRegression:
             return
         if due:
             self._known = solution, covariance
-            self._since_sigma, self.sigma = 0.0, sigma
+            self._since_sigma, self._settled_sigma = 0.0, sigma
+            self.sigma = sigma.copy()
+            inputs = self.sigma[: len(ROWS), INPUT_COLUMNS]
+            inputs[:] = np.hypot(inputs, self._detector.seeming)
         self._linear = self._layout.matrix(solution.linear[0])
         self.inputs = self._linear[: len(ROWS), INPUT_COLUMNS]
         self.coefficients = values
@@ -235,7 +238,7 @@ class RecursiveRegression:
         self.changes = []
         if self._detector.add(samples):
             linear = self._layout.matrix(self._known[0].linear[1])
-            sigma = self.sigma[: len(ROWS), INPUT_COLUMNS]
+            sigma = self._settled_sigma[: len(ROWS), INPUT_COLUMNS]
             for change in self._detector.look(linear, sigma):
                 self.changes.append((change.row, change.column))
                 self._release(change)
