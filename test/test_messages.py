@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adapters of every supported message type, the CDR reader, and what the outputs hold."""
+"""Adapters of every supported message type, and the CDR reader."""
 
 import itertools
 import math
@@ -8,13 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimates import estimate_of
 from programs import python
 
 from uav_ident_ros.bags import writing
 from uav_ident_ros.bags.writing import NOT_MEASURED, UNKNOWN, jazzy_types
-from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.settings import (
     ACTUATOR_TYPES,
     AIRSPEED_TYPES,
@@ -22,15 +19,8 @@ from uav_ident_ros.identification.settings import (
     RATE_TYPES,
     Settings,
 )
-from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages import types
 from uav_ident_ros.messages.feed import decode_imu_cdr
-from uav_ident_ros.messages.published import (
-    coefficients_layout,
-    dense_coefficients,
-    entry_names,
-    named_entries,
-)
 from uav_ident_ros.messages.types import (
     ACTUATORS,
     AIRSPEEDS,
@@ -250,46 +240,3 @@ def test_messages_import_no_ros() -> None:
         " for m in sys.modules))"
     )
     assert python("-c", code).returncode == 0
-
-
-def test_the_dense_matrix_and_its_layout_leave_out_the_kinematics() -> None:
-    common = "pq,qr,pr,pp,rr,p,q,r,de,dr,da,dth,1"
-    for name, labels, regressors in (
-        ("augmented", "pdot,qdot,rdot", f"{common},ay,az"),
-        ("flight_dynamics", "pdot,qdot,rdot,ay,az", f"{common},beta,alpha"),
-    ):
-        structure, count = STRUCTURES[name], 15 * len(labels.split(","))
-        rows, columns = coefficients_layout(structure)
-        assert (rows, columns) == ((labels, count // 15, count), (regressors, 15, 15))
-        values = np.arange(float(structure.mask.size)).reshape(structure.mask.shape)
-        dense = dense_coefficients(paused(values), structure)
-        np.testing.assert_array_equal(np.ravel(dense), np.arange(float(count)))
-
-
-def paused(values: np.ndarray, flow: FlowState | None = None) -> Estimate:
-    return estimate_of(
-        values, values / 10.0, usable=False, usable_rows=(True, False, True), flow=flow,
-        fit=np.array([90.0, 80.0, -5.0]), adapting=False, state="paused",
-    )  # fmt: skip
-
-
-def test_named_entries_with_flow_angles() -> None:
-    structure = STRUCTURES["flight_dynamics"]
-    flow = FlowState(
-        beta=0.1, alpha=0.2, beta_sigma=0.01, alpha_sigma=0.02, roll=0.3, pitch=-0.4, airspeed=18.0
-    )
-    values = np.arange(105.0).reshape(7, 15)
-    names, positions, efforts = named_entries(paused(values, flow), structure)
-    assert names == entry_names(structure)
-    entries = dict(zip(names, zip(positions, efforts, strict=True), strict=True))
-    assert (entries["fit/r"], entries["verdict/usable"]) == ((-5.0, 0.0), (0.0, 0.0))
-    rows = [entries[f"verdict/usable/{row}"] for row in ("pdot", "qdot", "rdot")]
-    assert rows == [(1.0, 0.0), (0.0, 0.0), (1.0, 0.0)]
-    assert entries["ay/beta"] == (3 * 15 + 13, 5.8)
-    assert entries["alphadot/1"] == (6 * 15 + 12, 10.2)
-    assert entries["state/beta"] == (0.1, 0.01)
-    assert entries["state/alpha"] == (0.2, 0.02)
-    assert entries["state/roll"] == (0.3, 0.0)
-    assert entries["state/pitch"] == (-0.4, 0.0)
-    assert entries["state/airspeed"] == (18.0, 0.0)
-    assert len(names) == 35 + 5 + 7

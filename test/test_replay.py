@@ -39,7 +39,6 @@ from uav_ident_ros.messages.published import entry_names
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline import NOT_USABLE, main
 from uav_ident_ros.offline.inputs import choose_inputs
-from uav_ident_ros.offline.run import Refusals
 from uav_ident_ros.offline.ticks import write_estimates
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
@@ -59,13 +58,11 @@ def replayed(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def fed_by_hand(
-    name: str, bag: Path | None = None, **changes: Any
-) -> tuple[OnlineIdentifier, list[Estimate]]:
+def fed_by_hand(bag: Path, values: dict[str, Any]) -> tuple[OnlineIdentifier, list[Estimate]]:
     """The core over a bag, by the tick rule, with another bag reader; its estimates."""
-    identifier = OnlineIdentifier(Settings.from_values(parameters(name, **changes)))
+    identifier = OnlineIdentifier(Settings.from_values(values))
     estimates = []
-    with AnyReader([bag or BAGS / name]) as reader:
+    with AnyReader([bag]) as reader:
         for connection, log_ns, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
             stamp_ns = log_ns
@@ -77,7 +74,7 @@ def fed_by_hand(
                 identifier.add_rates(stamp_ns, (w.x, w.y, w.z), (a.x, a.y, a.z))
             elif hasattr(message, "twist"):
                 v = message.twist.linear
-                identifier.add_airspeed(stamp_ns, float(np.hypot(v.x, v.z)))
+                identifier.add_airspeed(stamp_ns, math.hypot(v.x, v.y, v.z))
             elif isinstance(getattr(message, "data", None), float):
                 identifier.add_airspeed(stamp_ns, message.data)
             elif hasattr(message, "position"):
@@ -94,19 +91,46 @@ def published(output: Path) -> dict[str, list[tuple[int, Any]]]:
     return {topic.removeprefix("/identifier/"): entries for topic, entries in found.items()}
 
 
+AIRSPEED = "/airspeed"
+NUMBER = "std_msgs/msg/Float64"
+
+
+def with_airspeed(msgtype: str, topic: str = AIRSPEED, every: int = 10) -> Any:
+    """A change of an excerpt: an airspeed beside some of the rates; every 50th is NaN."""
+    count = itertools.count()
+
+    def change(name: str, log_ns: int, message: Any) -> list[Entry]:
+        entries = [(name, log_ns, message)]
+        k = next(count) if name == IMU else -1
+        if k < 0 or k % every:
+            return entries
+        speed = math.nan if k // every % 50 == 0 else 20.0 + 5.0 * math.sin(0.002 * k)
+        word = plain(NUMBER, speed)
+        if msgtype == TWIST:  # stamped 12 ms before it is recorded; the airspeed is its length
+            word = twist_stamped(log_ns - 12_000_000, (0.6 * speed, 0.0, -0.8 * speed))
+        return [*entries, (topic, log_ns, word)]
+
+    return change
+
+
 @pytest.mark.parametrize(
-    ("name", "rows"),
+    ("name", "rows", "airspeed"),
     [
-        ("multisine", "pdot,qdot,rdot"),
-        ("pulses", "pdot,qdot,rdot"),  # actuators without a stamp: they count from their log time
-        ("c172p", "pdot,qdot,rdot,ay,az"),
+        ("pulses", "pdot,qdot,rdot", ""),  # actuators without a stamp count from their log time
+        ("c172p", "pdot,qdot,rdot,ay,az", ""),
+        ("multisine", "pdot,qdot,rdot", NUMBER),
+        ("multisine", "pdot,qdot,rdot", TWIST),
     ],
 )
-def test_estimates_are_those_of_the_core_to_the_bit(name: str, rows: str, tmp_path: Path) -> None:
+def test_estimates_are_those_of_the_core_to_the_bit(
+    name: str, rows: str, airspeed: str, tmp_path: Path, capsys: Capture
+) -> None:
     """With the default structure angle of attack, sideslip and attitude, too, and two more rows."""
-    bag, output = excerpt(tmp_path / "bag", 6.0, name), tmp_path / "out"
-    replay(bag, output, by=name)
-    identifier, estimates = fed_by_hand(name, bag)
+    change = with_airspeed(airspeed) if airspeed else None
+    bag, output = excerpt(tmp_path / "bag", 6.0, name, change), tmp_path / "out"
+    values = parameters(name, airspeed__type=airspeed, airspeed__reference=20.0)
+    replay(bag, output, by=parameter_file(tmp_path / "p.yaml", **values))
+    identifier, estimates = fed_by_hand(bag, values)
     structure, found = identifier.structure, published(output)
     assert {topic: entries[0][1].__msgtype__ for topic, entries in found.items()} == {
         "coefficients": "std_msgs/msg/Float64MultiArray",
@@ -132,6 +156,7 @@ def test_estimates_are_those_of_the_core_to_the_bit(name: str, rows: str, tmp_pa
         values = dict(zip(named.name, named.position.tolist(), strict=True))
         verdicts = [v for entry, v in values.items() if entry.startswith("verdict/")]
         assert verdicts == [float(flag) for flag in (estimate.usable, *estimate.usable_rows)]
+        assert [values[f"fit/{axis}"] for axis in "pqr"] == estimate.fit.tolist()
         for state in ("alpha", "beta", "roll", "pitch", "airspeed") if estimate.flow else ():
             assert values[f"state/{state}"] == getattr(estimate.flow, state)
             if state in ("alpha", "beta"):
@@ -144,6 +169,18 @@ def test_estimates_are_those_of_the_core_to_the_bit(name: str, rows: str, tmp_pa
     assert labels == [rows, ",".join(structure.regressors)]
     assert at["predicted_rates"].header.frame_id == summary(output)["frame_id"]
     assert (estimate.flow is not None) == (name == "c172p")
+    saved = load_coefficients(output / "coefficients.yaml")
+    wanted = identifier.coefficient_set(estimates[-1].t_ns)
+    assert saved.values.tobytes() == wanted.values.tobytes()
+    assert saved.sigma.tobytes() == wanted.sigma.tobytes()
+    if airspeed:
+        assert np.abs(saved.values - estimates[-1].coefficients).max() > 1.0  # at another speed
+        assert summary(output)["inputs"]["airspeed"] == {
+            "topic": AIRSPEED, "type": airspeed, "received": 121, "dropped": {"not finite": 3}
+        }  # fmt: skip
+        printed = capsys.readouterr().out
+        assert f"airspeed: /airspeed ({airspeed}), 121 messages, 3 not finite" in printed
+        assert "coefficients at the reference airspeed, 20 m/s" in printed
 
 
 def test_mcap_reader_finds_schemas_stamps_and_qos(replayed: Path) -> None:
@@ -405,80 +442,6 @@ def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
     assert (fit.model > 80.0).all()
     first_ns, last_ns = run.estimates[0].t_ns, run.estimates[-1].t_ns
     assert fit.windows == pytest.approx(20 * (0.4e-9 * (last_ns - first_ns) - 1.0), abs=2)
-
-
-@pytest.mark.parametrize("boot_s", [0, 1_600_000_000])
-def test_nothing_is_learned_while_disarmed(tmp_path: Path, boot_s: int) -> None:
-    """What carries no time is taken, also if the others' stamps count from a boot."""
-    armed = "std_msgs/msg/Bool"
-    shown_text: list[float] = []
-
-    def arming(topic: str, log_ns: int, message: Any) -> list[Entry]:
-        out = [(topic, log_ns, message)]
-        message.header.stamp.sec -= boot_s
-        if not shown_text or (len(shown_text) == 1 and log_ns > shown_text[0] + 5 * SECOND_NS):
-            out.append(("/armed", log_ns, plain(armed, bool(shown_text))))
-            shown_text.append(log_ns)
-        return out
-
-    bag = excerpt(tmp_path / "bag", 10.0, "multisine", arming)
-    with Bag(bag) as opened:
-        assert "armed" not in choose_inputs(opened, parameters()).streams
-    run = replayed_run(bag, parameters(armed__type=armed))
-    assert run.inputs.streams["armed"] == "/armed"
-    assert run.refusals("armed") == Refusals(2, {})
-    start_ns = run.estimates[0].t_ns
-    learned = [(e.t_ns - start_ns) / SECOND_NS for e in run.estimates if e.adapting]
-    assert 4.8 < min(learned) < 5.5
-
-
-# --- with an airspeed --------------------------------------------------------------------------
-
-AIRSPEED = "/airspeed"
-NUMBER = "std_msgs/msg/Float64"
-
-
-def with_airspeed(msgtype: str, topic: str = AIRSPEED, every: int = 10) -> Any:
-    """A change of an excerpt: an airspeed beside some of the rates; every 50th is NaN."""
-    count = itertools.count()
-
-    def change(name: str, log_ns: int, message: Any) -> list[Entry]:
-        entries = [(name, log_ns, message)]
-        k = next(count) if name == IMU else -1
-        if k < 0 or k % every:
-            return entries
-        speed = math.nan if k // every % 50 == 0 else 20.0 + 5.0 * math.sin(0.002 * k)
-        word = plain(NUMBER, speed)
-        if msgtype == TWIST:  # stamped 12 ms before it is recorded; the airspeed is its length
-            word = twist_stamped(log_ns - 12_000_000, (0.6 * speed, 0.0, -0.8 * speed))
-        return [*entries, (topic, log_ns, word)]
-
-    return change
-
-
-@pytest.mark.parametrize("msgtype", [NUMBER, TWIST])
-def test_airspeed_is_taken_as_by_the_core(msgtype: str, tmp_path: Path, capsys: Capture) -> None:
-    bag = excerpt(tmp_path / "bag", 10.0, "multisine", with_airspeed(msgtype))
-    changes = {"airspeed__type": msgtype, "airspeed__reference": 20.0}
-    identifier, estimates = fed_by_hand("multisine", bag, **changes)
-    path = parameter_file(tmp_path / "p.yaml", **parameters(**changes))
-    output = tmp_path / "out"
-    replay(bag, output, by=path)
-
-    dense = published(output)["coefficients"]
-    for (_, found), estimate in zip(dense, estimates, strict=True):
-        np.testing.assert_allclose(found.data, estimate.coefficients.ravel(), rtol=1e-9, atol=1e-12)
-    saved = load_coefficients(output / "coefficients.yaml")
-    wanted = identifier.coefficient_set(estimates[-1].t_ns)
-    np.testing.assert_allclose(saved.values, wanted.values, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(saved.sigma, wanted.sigma, rtol=1e-9, atol=1e-12)
-    assert np.abs(saved.values - estimates[-1].coefficients).max() > 1.0  # at another speed
-    assert summary(output)["inputs"]["airspeed"] == {
-        "topic": AIRSPEED, "type": msgtype, "received": 201, "dropped": {"not finite": 5}
-    }  # fmt: skip
-    printed = capsys.readouterr().out
-    assert f"airspeed: /airspeed ({msgtype}), 201 messages, 5 not finite" in printed
-    assert "coefficients at the reference airspeed, 20 m/s" in printed
 
 
 def test_airspeed_topic_is_found_by_type_and_by_option(tmp_path: Path) -> None:
