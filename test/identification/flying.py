@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.live import Plan
-from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.recording import parameters
 
@@ -52,6 +52,11 @@ def plant_flight(duration: float, **changes: Any) -> Flight:
         "seed": 1,
     }
     return flight_of(PlantFlight(**{**values, **changes}))
+
+
+def measured(duration: float, noise: float = 0.02, **changes: Any) -> Measurements:
+    """That flight as a noisy gyro measures it."""
+    return measure(plant_flight(duration, **changes), Sensors(gyro_noise=noise), seed=2)
 
 
 def settings(measurements: Measurements, **changes: Any) -> Settings:
@@ -101,10 +106,18 @@ def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimat
     return estimates
 
 
-def identify(measurements: Measurements, **changes: Any) -> tuple[OnlineIdentifier, FloatArray]:
-    """Identifier after the flight, and its last coefficients."""
-    identifier = OnlineIdentifier(settings(measurements, **changes))
-    return identifier, run(identifier, messages(measurements))[-1].coefficients
+def identified(
+    measurements: Measurements, initial: CoefficientSet | None = None, **changes: Any
+) -> tuple[OnlineIdentifier, list[Estimate]]:
+    """Identifier after the flight, and its estimates."""
+    identifier = OnlineIdentifier(settings(measurements, **changes), initial)
+    return identifier, run(identifier, messages(measurements))
+
+
+def since(estimates: list[Estimate], begin: float, end: float) -> list[Estimate]:
+    """Estimates from `begin` to `end` s after the first one."""
+    first = estimates[0].t_ns
+    return [e for e in estimates if begin <= (e.t_ns - first) * 1e-9 < end]
 
 
 def errors(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
+from flying import AMPLITUDES, Message, measured, messages, plant_flight, run, settings, since
 
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.gates import (
@@ -31,19 +31,15 @@ STRUCTURE = "throttle_coupled"
 Alter = Callable[[float, Message], Message]
 
 
-def measured(duration: float = 45.0, **changes: Any) -> Measurements:
-    return measure(plant_flight(duration, **changes), Sensors(gyro_noise=0.02), seed=2)
-
-
 @pytest.fixture(scope="module")
 def excited() -> Measurements:
-    return measured()
+    return measured(45.0)
 
 
 @cache
 def healthy() -> Estimate:
     """The end of that flight with nothing wrong."""
-    flight = measured()
+    flight = measured(45.0)
     return run(identifier(flight), messages(flight))[-1]
 
 
@@ -68,12 +64,6 @@ def identifier(measurements: Measurements, **changes: Any) -> OnlineIdentifier:
     return OnlineIdentifier(settings(measurements, **{"structure": STRUCTURE, **changes}))
 
 
-def since(estimates: list[Estimate], begin: float, end: float) -> list[Estimate]:
-    """Estimates from `begin` to `end` s after the first one."""
-    first = estimates[0].t_ns
-    return [e for e in estimates if begin <= (e.t_ns - first) * 1e-9 < end]
-
-
 def test_a_control_check_on_the_ground_teaches_nothing_and_its_cost_is_told(
     excited: Measurements,
 ) -> None:
@@ -87,7 +77,7 @@ def test_a_control_check_on_the_ground_teaches_nothing_and_its_cost_is_told(
     stream, flown = altered(excited, stand), identifier(excited)
     estimates = run(flown, stream)
     standing = since(estimates, 1.0, 8.9)
-    assert {e.reason for e in standing} == {"at rest: no rate moves beyond the gyro's noise"}
+    assert {e.reason for e in standing} == {AT_REST}
     assert {e.state for e in standing} == {"paused"}
     assert not any(e.coefficients.any() for e in standing)
     assert all(e.adapting for e in since(estimates, 10.5, 45.0))
@@ -102,18 +92,6 @@ def test_a_control_check_on_the_ground_teaches_nothing_and_its_cost_is_told(
     assert flown.supervisor.gates.costs()["adaptation"].reason == "adaptation is switched off"
     ungated = run(identifier(excited, supervision__min_motion=0.0), stream[: len(stream) // 3])
     assert since(ungated, 1.0, 9.0)[-1].coefficients.any()
-
-
-@pytest.mark.parametrize(
-    ("airspeed", "said"), [(None, "at rest: "), (6.0, "at rest: "), (7.0, "too quiet: ")]
-)
-def test_what_flies_by_its_airspeed_is_not_at_rest(airspeed: float | None, said: str) -> None:
-    """A third of the reference, 20 m/s, is flight."""
-    gate, nothing = RestGate(), np.zeros((2, 6))
-    for t in np.arange(0.0, 3.0, 0.05):
-        look = Look(t, nothing, np.empty((0, 4)), airspeed, None, True, "", Settings())
-        reason = gate.check(look)
-    assert reason == f"{said}no rate moves beyond the gyro's noise"
 
 
 def test_a_force_that_never_moves_is_the_ground_too(excited: Measurements) -> None:
@@ -407,23 +385,38 @@ def test_only_an_instant_out_of_range_is_a_glitch() -> None:
     assert one.find(quiet, 34.9) is None and GlitchFilter().find(saturated, 0.0) is None
 
 
+AT_REST = "at rest: no rate moves beyond the gyro's noise"
+TOO_QUIET = "too quiet: no rate moves beyond the gyro's noise"
+
+
 @pytest.mark.parametrize(
-    ("swing", "noise", "resting"),
-    [(0.02, 0.003, False), (0.0, 0.003, True), (0.004, 0.0005, True), (0.02, 0.015, True)],
-    ids=["a large aircraft", "on the ground", "rocked by the wind", "lost in the noise"],
-)
-def test_rest_is_told_by_the_gyros_own_noise(swing: float, noise: float, resting: bool) -> None:
-    given = Settings.from_values({})
+    ("swing", "noise", "airspeed", "said"),
+    [
+        (0.02, 0.003, None, ""),
+        (0.0, 0.003, None, AT_REST),
+        (0.004, 0.0005, None, AT_REST),
+        (0.02, 0.015, None, AT_REST),
+        (0.0, 0.0, None, AT_REST),
+        (0.0, 0.0, 6.0, AT_REST),
+        (0.0, 0.0, 7.0, TOO_QUIET),  # a third of the reference, 20 m/s, is flight
+    ],
+    ids=["a large aircraft", "on the ground", "rocked by the wind", "lost in the noise",
+         "no noise", "taxiing", "flying"],
+)  # fmt: skip
+def test_rest_is_told_by_the_gyros_own_noise_and_by_the_airspeed(
+    swing: float, noise: float, airspeed: float | None, said: str
+) -> None:
     gate, rng = RestGate(), np.random.default_rng(1)
     reasons = set()
     for k in range(200):
         t = 0.05 * k
         samples = noise * rng.standard_normal((10, 6))
         samples[:, 1] += 0.5 * swing * np.sin(2.0 * np.pi * 0.3 * t)
-        reason = gate.check(Look(t, samples, np.zeros((0, 4)), None, None, True, "", given))
+        look = Look(t, samples, np.zeros((0, 4)), airspeed, None, True, "", Settings())
+        reason = gate.check(look)
         if t > 4.0:
             reasons.add(reason)
-    assert reasons == {"at rest: no rate moves beyond the gyro's noise" if resting else ""}
+    assert reasons == {said}
 
 
 def test_every_gate_names_settings_that_exist() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
+from flying import AMPLITUDES, Message, identified, measured, messages, plant_flight, run, settings
 from light_aircraft import LightFlight
 
 from uav_ident_ros.identification import supervision
@@ -18,25 +18,12 @@ from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT
 
 
-def measured(duration: float, **changes: Any) -> Measurements:
-    return measure(plant_flight(duration, **changes), Sensors(gyro_noise=0.02), seed=2)
-
-
 def flown(measurements: Measurements, **changes: Any) -> tuple[OnlineIdentifier, list[Estimate]]:
-    values = {"structure": "throttle_coupled", **changes}
-    identifier = OnlineIdentifier(settings(measurements, **values))
-    return identifier, run(identifier, messages(measurements))
+    return identified(measurements, **{"structure": "throttle_coupled", **changes})
 
 
-@pytest.fixture(scope="module")
-def excited() -> Measurements:
-    return measured(35.0)
-
-
-def test_a_good_identification_is_usable_but_not_before_it_could_be_judged(
-    excited: Measurements,
-) -> None:
-    _, estimates = flown(excited)
+def test_a_good_identification_is_usable_but_not_before_it_could_be_judged() -> None:
+    _, estimates = flown(measured(35.0))
     last = estimates[-1]
     assert (last.usable, last.state, last.reason) == (True, "converged", "")
     assert (last.fit > 80.0).all()

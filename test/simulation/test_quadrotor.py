@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flying import identify
+from flying import identified
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Settings
@@ -41,9 +41,9 @@ def flight() -> Flight:
 
 def test_it_is_identified_from_hover(flight: Flight) -> None:
     sensors = Sensors(rate=200.0, gyro_noise=0.01, accelerometer_noise=0.1, channels="quadrotor")
-    identifier, coefficients = identify(measure(flight, sensors, 0))
+    identifier, (*_, last) = identified(measure(flight, sensors, 0))
     for name, truth in flight.local_truth.items():
-        found = coefficients[identifier.structure.index(name)]
+        found = last.coefficients[identifier.structure.index(name)]
         assert found == pytest.approx(truth, rel=0.05), name
     assert np.degrees(np.abs(flight.extra["angles"][:, :2]).max()) < 10.0
 
