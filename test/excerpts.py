@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from repository import ROOT
 
 from uav_ident_ros.bags.reading import Bag, Message
-from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.bags.writing import BagWriter, jazzy_types
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.offline import main
 from uav_ident_ros.offline.run import OfflineRun, run_over
@@ -94,3 +96,35 @@ def replayed_run(
 
 def summary(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+TYPES = {IMU: "sensor_msgs/msg/Imu", ACTUATORS: "sensor_msgs/msg/JointState"}
+
+CHUNK = 100_000
+"""Size of the chunks, bytes: about a second of the flight."""
+
+
+def rewritten(
+    target: Path,
+    *,
+    compression: CompressionType = CompressionType.NONE,
+    use_chunking: bool = True,
+    seconds: float,
+    chunk: int = CHUNK,
+) -> Path:
+    """Write the start of a flight as a recorder does: small chunks, with checksums."""
+    with Bag(BAGS / "multisine") as bag, target.open("wb") as file:
+        writer = McapWriter(
+            file, chunk_size=chunk, compression=compression, use_chunking=use_chunking
+        )
+        writer.start(profile="ros2", library="test")
+        channels = {}
+        for topic, name in TYPES.items():
+            definition = jazzy_types().generate_msgdef(name)[0].encode()
+            schema = writer.register_schema(name, "ros2msg", definition)
+            channels[topic] = writer.register_channel(topic, "cdr", schema)
+        for topic, log_ns, data in bag.messages(TYPES):
+            if log_ns <= bag.start_ns + seconds * 1e9:
+                writer.add_message(channels[topic], log_ns, data, log_ns)
+        writer.finish()
+    return target

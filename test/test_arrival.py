@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import AIRSPEED, ARMED, Drop
+from uav_ident_ros.identification.samples import ARMED
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.feed import Feed
 from uav_ident_ros.messages.streams import STREAMS
@@ -78,11 +78,3 @@ def test_a_message_from_before_the_imu_counts(imu_ns: int) -> None:
     flight.elapsed_ns += STEP_NS
     flight.say(ARMED, False)
     assert "not armed" in flight.fly(0.5)
-
-
-def test_bad_values_are_counted_once() -> None:
-    flight = Flight(BOOT_NS, AIRSPEED)
-    flight.say(AIRSPEED, math.nan)
-    flight.fly(0.5)
-    flight.say(AIRSPEED, 20.0)
-    assert +flight.identifier.intake.drops[AIRSPEED] == {Drop.NOT_FINITE: 1}

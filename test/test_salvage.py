@@ -12,16 +12,17 @@ from excerpts import (
     BAGS,
     IMU,
     SECOND_NS,
+    TYPES,
     Entry,
     excerpt,
     parameter_file,
     parameters,
     replay,
+    rewritten,
 )
 from excerpts import summary as summary_of
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
-from mcap_writing import TYPES, rewritten
 from programs import Capture
 
 from uav_ident_ros.bags.reading import Bag, BagError

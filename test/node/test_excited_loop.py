@@ -4,7 +4,7 @@
 import time
 
 import numpy as np
-from node_process import StartNode
+from programs import StartNode
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool

@@ -6,7 +6,6 @@ import pytest
 from programs import Capture
 
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 
@@ -24,11 +23,6 @@ def spec_of(name: str, duration: float = 15.0, **changes: object) -> AircraftFli
     peaks = {key: SMALL * peak for key, peak in airframe(name).excitation.items()}
     segment = Segment("multisine", start=2.0, amplitudes=peaks)
     return AircraftFlight((segment,), duration, aircraft=name, **changes)
-
-
-def command_index(flight: Flight) -> np.ndarray:
-    late = flight.t_ns - round(flight.delay * 1e9)
-    return np.searchsorted(flight.actuator_t_ns, late, side="right") - 1
 
 
 @pytest.fixture(scope="module")
@@ -89,19 +83,6 @@ def test_specific_force_is_that_of_the_centre_of_gravity(cessna: Flight) -> None
     # a metre ahead it would have been another
     away = cessna.force_at((1.0, 0.0, 0.0)) - cessna.specific_force
     assert np.sqrt(np.mean(away[:, 1:] ** 2)) > 0.15
-
-
-def test_surfaces_follow_the_commands_after_the_delay_and_a_halved_one_does_half() -> None:
-    halved = [parse_fault("5: aileron effect 0.5")]
-    flight = spec_of("c172p", 8.0, delay=0.06, faults=halved).fly()
-    index = command_index(flight)
-    known = index >= 0
-    command = flight.inputs[index[known]]
-    applied = (flight.extra["surfaces"] - flight.trim)[known]
-    before = flight.time[known] < 4.9995
-    np.testing.assert_allclose(applied[before], command[before], atol=1e-9)
-    np.testing.assert_allclose(applied[~before, 2], 0.5 * command[~before, 2], atol=1e-9)
-    np.testing.assert_allclose(applied[~before, 0], command[~before, 0], atol=1e-9)
 
 
 def test_banked_flight_turns_to_both_sides() -> None:

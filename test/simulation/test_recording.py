@@ -8,7 +8,7 @@ import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
 
-from uav_ident_ros.bags.writing import TWIST, VECTOR, BagWriteError, BagWriter, qos, vector_stamped
+from uav_ident_ros.bags.writing import TWIST, BagWriteError, BagWriter
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.simulation import recording
@@ -92,17 +92,6 @@ def test_the_parameters_beside_the_bag_are_the_identifiers(
     raw = measured.actuators - np.array(settings.actuators.trim)
     np.testing.assert_allclose(raw @ mixing.T, measured.flight.inputs, atol=1e-6)
     assert content.keys() == parameters(measured).keys()
-
-
-def test_a_message_is_written_with_the_log_time_and_the_stamp_given(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as bag:
-        bag.topic("/a", VECTOR, qos(10, transient_local=True))
-        bag.write("/a", 7, vector_stamped(1_500_000_000, (1.0, 2.0, 3.0), "base_link"))
-    with AnyReader([tmp_path / "bag"]) as reader:
-        ((connection, t, raw),) = reader.messages()
-        message = reader.deserialize(raw, connection.msgtype)
-    assert (t, header_ns(message)) == (7, 1_500_000_000)
-    assert message.vector.z == 3.0
 
 
 def test_nothing_half_written_stays_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
