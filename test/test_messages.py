@@ -25,18 +25,6 @@ from uav_ident_ros.identification.settings import (
 from uav_ident_ros.messages import types
 from uav_ident_ros.messages.feed import Feed, decode_imu_cdr
 from uav_ident_ros.messages.streams import STREAMS
-from uav_ident_ros.messages.types import (
-    ACTUATORS,
-    AIRSPEEDS,
-    ARMINGS,
-    RATES,
-    ActuatorReader,
-    ChannelError,
-    MessageTypeError,
-    RatesReading,
-    frame_fault,
-    import_type,
-)
 
 STAMP_NS = 1_700_000_001_250_000_003
 PX4_US = 1_700_000_001_250_007
@@ -100,43 +88,46 @@ OPTIONAL = [
 ]  # fmt: skip
 
 
-def reader(**actuators: Any) -> ActuatorReader:
+def reader(**actuators: Any) -> types.ActuatorReader:
     values = {f"actuators.{name}": value for name, value in actuators.items()}
     n = len(values.get("actuators.channels", CHANNELS))
     values |= {f"actuators.mixing.{row}": [1.0] * n for row in ("de", "dr", "da", "dth")}
-    return ActuatorReader(Settings.from_values(values).actuators)
+    return types.ActuatorReader(Settings.from_values(values).actuators)
 
 
 def test_every_declared_type_is_read() -> None:
-    assert tuple(RATES) == RATE_TYPES
-    assert tuple(ACTUATORS) == ACTUATOR_TYPES == tuple(ACTUATOR_MESSAGES)
-    assert (*AIRSPEEDS, *ARMINGS) == (*AIRSPEED_TYPES, *ARMED_TYPES)
-    assert {name for name, _, _ in OPTIONAL} == {*AIRSPEEDS, *ARMINGS}
+    assert tuple(types.RATES) == RATE_TYPES
+    assert tuple(types.ACTUATORS) == ACTUATOR_TYPES == tuple(ACTUATOR_MESSAGES)
+    assert (*types.AIRSPEEDS, *types.ARMINGS) == (*AIRSPEED_TYPES, *ARMED_TYPES)
+    assert {name for name, _, _ in OPTIONAL} == {*types.AIRSPEEDS, *types.ARMINGS}
     for name, message, (stamp_ns, value) in OPTIONAL:
-        assert {**AIRSPEEDS, **ARMINGS}[name](message) == (stamp_ns, pytest.approx(value)), name
+        assert {**types.AIRSPEEDS, **types.ARMINGS}[name](message) == (
+            stamp_ns,
+            pytest.approx(value),
+        ), name
     for name, (message, stamp_ns) in ACTUATOR_MESSAGES.items():
         assert reader(type=name, channels=[3, 0])(message) == (stamp_ns, (0.75, 1.5)), name
-        assert ACTUATORS[name].stamped is (stamp_ns is not None)
+        assert types.ACTUATORS[name].stamped is (stamp_ns is not None)
 
 
 def test_rates_of_px4() -> None:
     message = M(timestamp=12, timestamp_sample=0, xyz=[1.0, 2.0, 3.0])  # has no time of the sample
-    read = RATES["px4_msgs/msg/VehicleAngularVelocity"]
-    assert read(message) == RatesReading(12_000, (1.0, 2.0, 3.0), None, "")
+    read = types.RATES["px4_msgs/msg/VehicleAngularVelocity"]
+    assert read(message) == types.RatesReading(12_000, (1.0, 2.0, 3.0), None, "")
     message = M(
         timestamp=PX4_US,
         gyro_rad=np.array([1.0, 2.0, 3.0]),
         accelerometer_timestamp_relative=0,
         accelerometer_m_s2=np.array([4.0, 5.0, 6.0]),
     )
-    read = RATES["px4_msgs/msg/SensorCombined"]
+    read = types.RATES["px4_msgs/msg/SensorCombined"]
     assert read(message) == (PX4_US * 1000, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0), "")
     message.accelerometer_timestamp_relative = types.PX4_RELATIVE_TIMESTAMP_INVALID
     assert read(message).specific_force is None
 
 
 def test_imu() -> None:
-    read = RATES["sensor_msgs/msg/Imu"]
+    read = types.RATES["sensor_msgs/msg/Imu"]
     expected = (STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), "base_link")
     assert read(imu()) == expected
     assert read(imu(rates=False)).rates is None
@@ -147,7 +138,7 @@ def joints(name: list[str], position: list[float], **more: Any) -> SimpleNamespa
     return M(header=header(), name=name, position=position, **more)
 
 
-def by_name(*channels: str | int, **more: Any) -> ActuatorReader:
+def by_name(*channels: str | int, **more: Any) -> types.ActuatorReader:
     return reader(type="sensor_msgs/msg/JointState", channels=list(channels), **more)
 
 
@@ -157,11 +148,11 @@ def test_channels_by_name_follow_the_names_of_each_message() -> None:
     assert read(message)[1] == (2.0, 1.0)
     assert by_name("elevator", field="effort")(message)[1] == (3.0,)
     for _ in range(2):
-        with pytest.raises(ChannelError, match="no channel 'rudder': the message names none"):
+        with pytest.raises(types.ChannelError, match="no channel 'rudder': the message names none"):
             read(unnamed)
     message.name = ["rudder", "elevator"]
     assert read(message)[1] == (1.0, 2.0)
-    with pytest.raises(ChannelError, match="no channel 'rudder': the message names none"):
+    with pytest.raises(types.ChannelError, match="no channel 'rudder': the message names none"):
         read(unnamed)
     assert by_name(1, 0)(unnamed)[1] == (2.0, 1.0)
 
@@ -175,7 +166,7 @@ def test_channels_that_are_not_there_are_named() -> None:
         (reader(channels=[0, 4]), four, "'data' has 4 values, too few for channels 0, 4"),
         (by_name("b"), joints(["a", "b"], [1.0]), "'position' has 1 values"),
     ):
-        with pytest.raises(ChannelError, match=words) as error:
+        with pytest.raises(types.ChannelError, match=words) as error:
             read(message)
         assert len(str(error.value)) < 500
 
@@ -184,32 +175,32 @@ def test_only_channels_in_use_must_be_finite() -> None:
     for bad in (math.nan, math.inf, -math.inf):
         message = M(data=[1.0, bad, 2.0])
         assert reader(channels=[0, 2])(message)[1] == (1.0, 2.0)
-        with pytest.raises(ChannelError, match="not all finite") as caught:
+        with pytest.raises(types.ChannelError, match="not all finite") as caught:
             reader(channels=[0, 1])(message)
         assert caught.value.reason == "not finite"
 
 
 def test_wrong_field_and_names_without_names() -> None:
-    with pytest.raises(MessageTypeError, match="has position, velocity, normalized"):
+    with pytest.raises(types.MessageTypeError, match="has position, velocity, normalized"):
         reader(type="actuator_msgs/msg/Actuators", field="data")
-    with pytest.raises(MessageTypeError, match="names no channels"):
+    with pytest.raises(types.MessageTypeError, match="names no channels"):
         reader(type="mavros_msgs/msg/RCOut", channels=["elevator"])
 
 
 def test_frames_that_contradict_the_convention_and_those_that_agree() -> None:
     for frame_id in ("base_link_frd", "map_ned"):
-        assert frame_id in frame_fault("flu", frame_id, "sensor_msgs/msg/Imu")
-        assert not frame_fault("frd", frame_id, "sensor_msgs/msg/Imu")
-    assert not frame_fault("flu", "base_link", "sensor_msgs/msg/Imu")
-    assert not frame_fault("frd", "", "px4_msgs/msg/SensorCombined")
-    assert "'frd'" in frame_fault("flu", "", "px4_msgs/msg/SensorCombined")
+        assert frame_id in types.frame_fault("flu", frame_id, "sensor_msgs/msg/Imu")
+        assert not types.frame_fault("frd", frame_id, "sensor_msgs/msg/Imu")
+    assert not types.frame_fault("flu", "base_link", "sensor_msgs/msg/Imu")
+    assert not types.frame_fault("frd", "", "px4_msgs/msg/SensorCombined")
+    assert "'frd'" in types.frame_fault("flu", "", "px4_msgs/msg/SensorCombined")
 
 
 def test_cdr_reader_agrees_with_the_decoder() -> None:
     for length, little_endian in itertools.product(range(18), (True, False)):
         message = imu("x" * length)
         data = serialized(message, little_endian=little_endian)
-        expected = RATES["sensor_msgs/msg/Imu"](message)
+        expected = types.RATES["sensor_msgs/msg/Imu"](message)
         assert decode_imu_cdr(data) == decode_imu_cdr(memoryview(data)) == expected
         for cut in (0, 1, 4, 12, 16, 40, len(data) - 1):
             assert decode_imu_cdr(data[:cut]) is None
@@ -227,14 +218,14 @@ def test_cdr_reader_leaves_other_encodings_alone() -> None:
 
 def test_import_type() -> None:
     sensor_msgs = pytest.importorskip("sensor_msgs.msg")
-    assert import_type("sensor_msgs/msg/Imu") is sensor_msgs.Imu
+    assert types.import_type("sensor_msgs/msg/Imu") is sensor_msgs.Imu
     for name, words in (
         ("nothing_here/msg/Imu", "'nothing_here/msg/Imu' is not installed"),
         ("Imu", "package/msg/Type"),
         ("uav_ident_ros/messages/Nothing", "has no type"),
     ):
-        with pytest.raises(MessageTypeError, match=words):
-            import_type(name)
+        with pytest.raises(types.MessageTypeError, match=words):
+            types.import_type(name)
 
 
 def test_messages_import_no_ros() -> None:

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from light_aircraft import LightFlight
 
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -59,6 +60,22 @@ def measured(duration: float, noise: float = 0.02, **changes: Any) -> Measuremen
     return measure(plant_flight(duration, **changes), Sensors(gyro_noise=noise), seed=2)
 
 
+PEAKS = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
+
+
+def light_measured(
+    seconds: float,
+    peaks: Mapping[str, float] = PEAKS,
+    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    **aircraft: Any,
+) -> Measurements:
+    """Multisines on an aircraft with flow angles, in light gusts, as its Imu measures them."""
+    segments = [Segment("multisine", 2.0, seconds, peaks, seed=1)]
+    flight = flight_of(LightFlight(segments, seconds, **{"gust": 0.3, "seed": 1, **aircraft}))
+    noise = {"gyro_noise": 0.01, "accelerometer_noise": 0.15}
+    return measure(flight, Sensors(rate=100.0, lever_arm=lever_arm, **noise))
+
+
 def settings(measurements: Measurements, **changes: Any) -> Settings:
     """Settings that fit the flight; keywords with ``__`` for the dots."""
     values = dict(parameters(measurements))
@@ -107,11 +124,14 @@ def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimat
 
 
 def identified(
-    measurements: Measurements, initial: CoefficientSet | None = None, **changes: Any
+    measurements: Measurements,
+    initial: CoefficientSet | None = None,
+    stream: Iterable[Message] | None = None,  # What arrives, if not what was measured
+    **changes: Any,
 ) -> tuple[OnlineIdentifier, list[Estimate]]:
     """Identifier after the flight, and its estimates."""
     identifier = OnlineIdentifier(settings(measurements, **changes), initial)
-    return identifier, run(identifier, messages(measurements))
+    return identifier, run(identifier, messages(measurements) if stream is None else stream)
 
 
 def since(estimates: list[Estimate], begin: float, end: float) -> list[Estimate]:

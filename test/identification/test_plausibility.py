@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from equations import matrix
-from flying import Message, flight_of, messages, run, settings
+from flying import Message, flight_of, identified, light_measured, run
 from light_aircraft import LightFlight
 
 from uav_ident_ros.identification.delay import DelayEstimate
@@ -24,7 +24,6 @@ from uav_ident_ros.identification.plausibility import (
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.noise import Sensors, measure
 
 TICK = 0.05
 TRIM = (0.0, 0.0, 0.0, 0.5)
@@ -432,14 +431,9 @@ AILERON = 45.0
 @cache
 def with_an_imu_at(height: float, told: float) -> tuple[OnlineIdentifier, Estimate]:
     """Return an identifier after an excited flight with the Imu above the centre of gravity, m."""
-    peaks = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
-    segments = [Segment("multisine", 2.0, 40.0, peaks, seed=1)]
-    sensors = Sensors(
-        rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15, lever_arm=(0.0, 0.0, -height)
-    )
-    m = measure(flight_of(LightFlight(segments, 40.0, gust=0.3, seed=1)), sensors)
-    identifier = OnlineIdentifier(settings(m, imu__lever_arm=[0.0, 0.0, -told]))
-    return identifier, run(identifier, messages(m))[-1]
+    m = light_measured(40.0, lever_arm=(0.0, 0.0, -height))
+    identifier, (*_, last) = identified(m, imu__lever_arm=[0.0, 0.0, -told])
+    return identifier, last
 
 
 @pytest.mark.parametrize("height", [0.1, -0.1])

@@ -5,21 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import recordings
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from recordings import (
-    ACTUATORS_TOPIC,
-    NODE,
-    RATES_TOPIC,
-    Fly,
-    Recording,
-    call,
-    part,
-    published,
-    recording,
-    shown,
-    wait_for_status,
-    wait_for_words,
-)
 from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros.files.coefficients_file import load_coefficients
@@ -27,40 +14,40 @@ from uav_ident_ros.player import Player
 
 
 @pytest.fixture(scope="module")
-def flight() -> Recording:
-    return recording("multisine", 5.0)
+def flight() -> recordings.Recording:
+    return recordings.recording("multisine", 5.0)
 
 
 @pytest.fixture(scope="module")
-def shared(flight: Recording, shared_fly: Fly) -> Player:
+def shared(flight: recordings.Recording, shared_fly: recordings.Fly) -> Player:
     return shared_fly(flight)[1]
 
 
 @pytest.fixture
 def player(shared: Player) -> Player:
     """A player for a node that starts cold."""
-    assert call(shared, Trigger, "reset").success
+    assert recordings.call(shared, Trigger, "reset").success
     shared.outputs.clear()
     return shared
 
 
-def test_reset_starts_cold(flight: Recording, player: Player) -> None:
+def test_reset_starts_cold(flight: recordings.Recording, player: Player) -> None:
     player.play_in_step(flight.messages)
-    first = published(player.outputs)
-    assert call(player, Trigger, "reset").success
+    first = recordings.published(player.outputs)
+    assert recordings.call(player, Trigger, "reset").success
     player.play_in_step(flight.messages)
     assert len(first) > 80
-    assert published(player.outputs) == first
+    assert recordings.published(player.outputs) == first
 
 
 def test_save_writes_what_is_published_and_diagnostics_compare_with_it(
-    flight: Recording, player: Player
+    flight: recordings.Recording, player: Player
 ) -> None:
-    nothing = call(player, Trigger, "save")
+    nothing = recordings.call(player, Trigger, "save")
     assert not nothing.success
     assert "no estimate" in nothing.message
     player.play_in_step(flight.messages)
-    answer = call(player, Trigger, "save")
+    answer = recordings.call(player, Trigger, "save")
     assert answer.success, answer.message
     path = Path(answer.message.split("'")[1])
     assert path.parts[-2:] == ("uav_ident_ros", "identifier.yaml")
@@ -70,37 +57,40 @@ def test_save_writes_what_is_published_and_diagnostics_compare_with_it(
     assert np.array_equal(saved.values, dense)
     assert saved.t_ns == player.outputs.newest_ns
 
-    wait_for_status(player)  # with it the node takes note of what was written
+    recordings.wait_for_status(player)  # with it the node takes note of what was written
     player.play_in_step(flight.messages)
-    values, newest = shown(player), player.outputs.named[-1]
+    values, newest = recordings.shown(player), player.outputs.named[-1]
     assert float(values["saved fit p [%]"]) != 0.0
     fit = newest.position[list(newest.name).index("fit/q")]
     assert float(values["fit q [%]"]) == pytest.approx(fit, abs=0.06)
     assert 0.0 < float(values["excitation qdot [0..1]"]) <= 1.0
     assert values["changed in flight"] == "nothing"
     assert 0.0 < float(values["ticks: update time p99 [ms]"]) < 1000.0
-    for stream, topic in (("rates", RATES_TOPIC), ("actuators", ACTUATORS_TOPIC)):
+    for stream, topic in (
+        ("rates", recordings.RATES_TOPIC),
+        ("actuators", recordings.ACTUATORS_TOPIC),
+    ):
         assert values[f"{stream}: topic"] == topic
         assert int(values[f"{stream}: messages"]) >= 2 * sum(
             m.topic == topic for m in flight.messages
         )
 
 
-def test_adapt_switches_learning_off_and_on(flight: Recording, player: Player) -> None:
-    player.play_in_step(part(flight, 0.0, 1.5))
+def test_adapt_switches_learning_off_and_on(flight: recordings.Recording, player: Player) -> None:
+    player.play_in_step(recordings.part(flight, 0.0, 1.5))
     learned = player.outputs.coefficients[-1].data
-    assert call(player, SetBool, "adapt", data=False).success
-    player.play_in_step(part(flight, 1.5, 3.0))
+    assert recordings.call(player, SetBool, "adapt", data=False).success
+    player.play_in_step(recordings.part(flight, 1.5, 3.0))
     assert {tuple(m.data) for m in player.outputs.coefficients} == {tuple(learned)}
-    wait_for_words(player, "switched off")
-    assert call(player, SetBool, "adapt", data=True).success
-    player.play_in_step(part(flight, 3.0, 4.5))
+    recordings.wait_for_words(player, "switched off")
+    assert recordings.call(player, SetBool, "adapt", data=True).success
+    player.play_in_step(recordings.part(flight, 3.0, 4.5))
     assert player.outputs.coefficients[-1].data != learned
 
 
-def test_quality_of_service_is_the_contracts(flight: Recording, player: Player) -> None:
+def test_quality_of_service_is_the_contracts(flight: recordings.Recording, player: Player) -> None:
     def profile(topic: str) -> QoSProfile:
-        (end,) = player.node.get_publishers_info_by_topic(f"{NODE}/{topic}")
+        (end,) = player.node.get_publishers_info_by_topic(f"{recordings.NODE}/{topic}")
         return end.qos_profile
 
     for name in ("coefficients_named", "coefficients"):
