@@ -28,8 +28,8 @@ from excerpts import (
 from programs import Capture, python, refusal
 from rosbags.highlevel import AnyReader
 
+from uav_ident_ros.bags import writing
 from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.bags.writing import TWIST, BagWriter, joint_state, plain, twist_stamped
 from uav_ident_ros.files.coefficients_file import load_coefficients, save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -42,6 +42,8 @@ from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.ticks import write_estimates
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
+IMU_TYPE, NUMBER, FLAG = "sensor_msgs/msg/Imu", "std_msgs/msg/Float64", "std_msgs/msg/Bool"
+ARRAY, JOINTS, TWIST = writing.ARRAY, writing.JOINT_STATE, writing.TWIST
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +94,6 @@ def published(output: Path) -> dict[str, list[tuple[int, Any]]]:
 
 
 AIRSPEED = "/airspeed"
-NUMBER = "std_msgs/msg/Float64"
 
 
 def with_airspeed(msgtype: str, topic: str = AIRSPEED, every: int = 10) -> Any:
@@ -105,9 +106,9 @@ def with_airspeed(msgtype: str, topic: str = AIRSPEED, every: int = 10) -> Any:
         if k < 0 or k % every:
             return entries
         speed = math.nan if k // every % 50 == 0 else 20.0 + 5.0 * math.sin(0.002 * k)
-        word = plain(NUMBER, speed)
+        word = writing.plain(NUMBER, speed)
         if msgtype == TWIST:  # stamped 12 ms before it is recorded; the airspeed is its length
-            word = twist_stamped(log_ns - 12_000_000, (0.6 * speed, 0.0, -0.8 * speed))
+            word = writing.twist_stamped(log_ns - 12_000_000, (0.6 * speed, 0.0, -0.8 * speed))
         return [*entries, (topic, log_ns, word)]
 
     return change
@@ -251,18 +252,56 @@ def test_a_delay_that_the_flight_does_not_show_is_no_estimate(
     assert summary(tmp_path / "out")["delay_confidence"] != "sure"
 
 
-def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
-    def renamed(topic: str, log_ns: int, message: Any) -> list[Entry]:
-        return [("/plane/servos" if topic == ACTUATORS else "/plane/imu", log_ns, message)]
+OWN = {IMU: IMU_TYPE, ACTUATORS: ARRAY}
+USUAL = {"rates": IMU, "actuators": ACTUATORS}
+ASKED = "/identifier/excitation"
+CHOICES: list[tuple[dict[str, str], dict[str, str], dict[str, str], dict[str, str]]] = [
+    # topics and types of a bag, parameters, topics asked for, topics read
+    ({"/plane/imu": IMU_TYPE, "/plane/servos": ARRAY}, {}, {},
+     {"rates": "/plane/imu", "actuators": "/plane/servos"}),
+    ({"/imu_a": IMU_TYPE, "/imu_b": IMU_TYPE, ACTUATORS: ARRAY}, {}, {"rates": "/imu_b"},
+     USUAL | {"rates": "/imu_b"}),
+    (OWN | {"/pitot": NUMBER}, {"airspeed.type": ""}, {}, USUAL),
+    (OWN | {"/pitot": NUMBER}, {"airspeed.type": NUMBER}, {}, USUAL | {"airspeed": "/pitot"}),
+    # the option alone is enough: the type is the topic's
+    (OWN | {"/pitot": NUMBER}, {"airspeed.type": ""}, {"airspeed": "/pitot"},
+     USUAL | {"airspeed": "/pitot"}),
+    (OWN | {"/pitot_a": NUMBER, "/silent": NUMBER}, {"airspeed.type": NUMBER}, {},
+     USUAL | {"airspeed": "/pitot_a"}),
+    (OWN | {"/armed": FLAG}, {}, {}, USUAL),
+    (OWN | {"/armed": FLAG}, {"armed.type": FLAG}, {}, USUAL | {"armed": "/armed"}),
+    (OWN | {ASKED: JOINTS}, {}, {}, USUAL | {"excitation": ASKED}),
+    (OWN | {ASKED: JOINTS, "/excitation": JOINTS}, {}, {}, USUAL | {"excitation": "/excitation"}),
+    (OWN | {"/a/excitation": JOINTS, "/b/excitation": JOINTS}, {}, {}, USUAL),
+]  # fmt: skip
 
+
+def bag_of(path: Path, topics: dict[str, str]) -> Path:
+    """A bag of these topics, each but a silent one with a message."""
+    with writing.BagWriter(path) as writer:
+        for topic, msgtype in topics.items():
+            writer.topic(topic, msgtype)
+            if topic != "/silent":
+                writer.write(topic, SECOND_NS, b"")
+    return path
+
+
+@pytest.mark.parametrize(("topics", "values", "asked", "read"), CHOICES)
+def test_topics_are_found_by_name_by_type_and_by_option(
+    tmp_path: Path, topics: Any, values: Any, asked: Any, read: Any
+) -> None:
+    with Bag(bag_of(tmp_path / "bag", topics)) as bag:
+        inputs = choose_inputs(bag, values, asked)
+        assert inputs.streams == read
+        assert inputs.settings.actuators.type == ARRAY
+        assert (inputs.settings.airspeed.type == NUMBER) == ("airspeed" in read)
+
+
+def test_topics_that_could_all_be_it_are_listed_and_types_must_agree(tmp_path: Path) -> None:
     def doubled(topic: str, log_ns: int, message: Any) -> list[Entry] | None:
         both = [("/imu_a", log_ns, message), ("/imu_b", log_ns, message)]
         return both if topic == IMU else None
 
-    with Bag(excerpt(tmp_path / "renamed", 1.0, "pulses", renamed)) as bag:
-        inputs = choose_inputs(bag, {})
-        assert inputs.streams == {"rates": "/plane/imu", "actuators": "/plane/servos"}
-        assert inputs.settings.actuators.type == "std_msgs/msg/Float64MultiArray"
     with Bag(excerpt(tmp_path / "doubled", 1.0, "pulses", doubled)) as bag:
         with pytest.raises(BagError) as caught:
             choose_inputs(bag, {})
@@ -272,7 +311,12 @@ def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
             f"  {topic} (sensor_msgs/msg/Imu), 201 messages, 201 Hz"
             for topic in ("/imu_a", "/imu_b")
         ]
-        assert choose_inputs(bag, {}, {"rates": "/imu_b"}).streams["rates"] == "/imu_b"
+    words = "'/pitot' is of type std_msgs/msg/Float64, but 'airspeed.type' is 'geometry_msgs"
+    with (
+        Bag(bag_of(tmp_path / "bag", OWN | {"/pitot": NUMBER})) as bag,
+        pytest.raises(BagError, match=words),
+    ):
+        choose_inputs(bag, {"airspeed.type": TWIST}, {"airspeed": "/pitot"})
 
 
 @pytest.mark.parametrize("frame_id", ["imu_frd", "map_ned"])
@@ -444,72 +488,14 @@ def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
     assert fit.windows == pytest.approx(20 * (0.4e-9 * (last_ns - first_ns) - 1.0), abs=2)
 
 
-def test_airspeed_topic_is_found_by_type_and_by_option(tmp_path: Path) -> None:
-    change = with_airspeed(NUMBER, "/pitot")
-    with Bag(excerpt(tmp_path / "named", 0.5, "multisine", change)) as bag:
-        assert choose_inputs(bag, {}).topics == (IMU, ACTUATORS)
-        assert "airspeed" not in choose_inputs(bag, {"airspeed.type": ""}).streams
-        assert choose_inputs(bag, {"airspeed.type": NUMBER}).streams["airspeed"] == "/pitot"
-        # the option alone is enough: the type is the topic's
-        inputs = choose_inputs(bag, {"airspeed.type": ""}, {"airspeed": "/pitot"})
-        assert inputs.settings.airspeed.type == NUMBER
-        assert inputs.topics == (IMU, ACTUATORS, "/pitot")
-        words = "'/pitot' is of type std_msgs/msg/Float64, but 'airspeed.type' is 'geometry_msgs"
-        with pytest.raises(BagError, match=words):
-            choose_inputs(bag, {"airspeed.type": TWIST}, {"airspeed": "/pitot"})
-    with BagWriter(tmp_path / "two") as writer:
-        for topic, msgtype in (
-            (IMU, "sensor_msgs/msg/Imu"),
-            (ACTUATORS, "std_msgs/msg/Float64MultiArray"),
-            ("/pitot_a", NUMBER),
-            ("/pitot_b", NUMBER),
-        ):
-            writer.topic(topic, msgtype)
-        writer.write("/pitot_a", SECOND_NS, plain(NUMBER, 20.0))
-    with Bag(tmp_path / "two") as bag:  # one of them is silent
-        assert choose_inputs(bag, {"airspeed.type": NUMBER}).streams["airspeed"] == "/pitot_a"
-
-
-# --- with what was injected --------------------------------------------------------------------
-
-
-def injected(names: list[str], topics: tuple[str, ...], values: list[float]) -> Any:
-    """A change of an excerpt: beside each actuator message, what was injected."""
-
-    def change(topic: str, log_ns: int, message: Any) -> list[Entry]:
-        if topic == IMU:
-            return [(topic, log_ns, message)]
-        word = joint_state(header_ns(message), names, values)
-        return [(topic, log_ns, message), *((name, log_ns, word) for name in topics)]
-
-    return change
-
-
-@pytest.mark.parametrize(
-    ("topics", "chosen"),
-    [
-        (("/identifier/excitation",), "/identifier/excitation"),
-        (("/identifier/excitation", "/excitation"), "/excitation"),
-        (("/a/excitation", "/b/excitation"), ""),
-    ],
-)
-def test_the_topic_of_the_excitation_is_found_by_its_name(
-    tmp_path: Path, topics: tuple[str, ...], chosen: str
-) -> None:
-    bag = excerpt(tmp_path / "bag", 3.0, "multisine", injected(["da", "de"], topics, [0.1, 0.2]))
-    run = replayed_run(bag, {})
-    assert run.inputs.streams["actuators"] == ACTUATORS
-    assert run.inputs.streams.get("excitation", "") == chosen
-    received = {name: run.refusals(name).received for name in ("actuators", "excitation")}
-    assert received["excitation"] == (received["actuators"] if chosen else 0)
-    values = run.identifier.sampler.injected.v.tolist()
-    assert values == [[0.2, 0.0, 0.1, 0.0]] * len(values) and bool(values) == bool(chosen)
-
-
 def test_a_message_of_unknown_names_is_no_excitation(tmp_path: Path) -> None:
-    change = injected(["flap"], ("/excitation",), [0.1])
-    run = replayed_run(excerpt(tmp_path / "bag", 1.0, "multisine", change), {})
-    refusals = run.refusals("excitation")
+    def change(topic: str, log_ns: int, message: Any) -> list[Entry]:
+        word = writing.joint_state(header_ns(message), ["flap"], [0.1])
+        return [(topic, log_ns, message), ("/excitation", log_ns, word)]
+
+    refusals = replayed_run(excerpt(tmp_path / "bag", 0.5, change=change), {}).refusals(
+        "excitation"
+    )
     assert refusals.dropped == {"wrong channels": refusals.received} and refusals.received > 50
 
 
