@@ -20,6 +20,9 @@ from uav_ident_ros.offline.run import OfflineRun, run_over
 BAGS = ROOT / "bags"
 IMU, ACTUATORS = "/imu/data", "/actuators"
 SECOND_NS = 1_000_000_000
+START_NS = 1_700_000_000 * SECOND_NS
+"""When the flight of every committed bag begins."""
+
 PARAMETERS = BAGS / "multisine" / "identifier.yaml"
 
 Entry = tuple[str, int, Any]
@@ -37,7 +40,7 @@ def excerpt(
     with Bag(BAGS / source) as bag, BagWriter(target) as writer:
         decoders = {topic: bag.decoder(topic) for topic in (IMU, ACTUATORS)}
         announced: set[str] = set()
-        first_ns = bag.start_ns + round(begin * SECOND_NS)
+        first_ns = START_NS + round(begin * SECOND_NS)
         for topic, log_ns, data in bag.messages([IMU, ACTUATORS]):
             if log_ns < first_ns:
                 continue
@@ -124,7 +127,7 @@ def rewritten(
             schema = writer.register_schema(name, "ros2msg", definition)
             channels[topic] = writer.register_channel(topic, "cdr", schema)
         for topic, log_ns, data in bag.messages(TYPES):
-            if log_ns <= bag.start_ns + seconds * 1e9:
+            if log_ns <= START_NS + seconds * 1e9:
                 writer.add_message(channels[topic], log_ns, data, log_ns)
         writer.finish()
     return target

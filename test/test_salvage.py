@@ -238,11 +238,8 @@ def test_damage_is_printed_where_it_leaves_no_result(
 
 
 def test_actuators_that_start_late_and_stop_early(tmp_path: Path) -> None:
-    with Bag(excerpts.BAGS / "multisine") as bag:
-        start_ns = bag.start_ns
-
     def some(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
-        there = 5.0 <= (at - start_ns) * 1e-9 <= 39.0
+        there = 5.0 <= (at - excerpts.START_NS) * 1e-9 <= 39.0
         return [(topic, at, message)] if topic == excerpts.IMU or there else []
 
     status, summary = replayed(
@@ -260,8 +257,7 @@ ARMED = "std_msgs/msg/Bool"
 
 
 def test_the_verdict_of_a_flight_outlasts_its_landing(tmp_path: Path, capsys: Capture) -> None:
-    with Bag(excerpts.BAGS / "multisine") as bag:
-        landing_ns = bag.start_ns + 36 * excerpts.SECOND_NS
+    landing_ns = excerpts.START_NS + 36 * excerpts.SECOND_NS
 
     def landed(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
         return [(topic, at, message), ("/armed", at, plain(ARMED, at < landing_ns))]
@@ -278,8 +274,7 @@ def test_the_verdict_of_a_flight_outlasts_its_landing(tmp_path: Path, capsys: Ca
 
 
 def test_a_fault_at_the_end_is_what_counts(tmp_path: Path) -> None:
-    with Bag(excerpts.BAGS / "multisine") as bag:
-        end_ns = bag.start_ns + 36 * excerpts.SECOND_NS
+    end_ns = excerpts.START_NS + 36 * excerpts.SECOND_NS
 
     def in_degrees(topic: str, at: int, message: Any) -> None:
         if topic == excerpts.IMU and at > end_ns:
@@ -315,8 +310,6 @@ def test_two_imus_one_of_them_by_its_name(tmp_path: Path) -> None:
     assert summary["notes"] == [
         "/imu/data was read; the bag also has /imu_2: --topic imu/data:=/imu_2 reads that instead"
     ]
-    _, summary = replayed(bag, tmp_path / "other", "--topic", "imu/data:=/imu_2")
-    assert summary["inputs"]["rates"]["topic"] == "/imu_2"
 
 
 def test_two_imus_on_one_topic(tmp_path: Path) -> None:
