@@ -48,6 +48,11 @@ AIRFRAMES = Path(__file__).parent / "airframes"
 DELAY = 0.02
 """Delay of the actuators, told, s."""
 
+UNTOLD = {
+    "actuators.delay": 0.0, "actuators.time_constant": 0.0, "actuators.estimate_delay": True,
+}  # fmt: skip
+"""Settings of who knows neither delay nor lag: the flight is to show them."""
+
 SENSORS = Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15, stamped=True)
 WEAK = Sensors(rate=25.0, gyro_noise=0.03, accelerometer_noise=0.6, stamped=True)
 
@@ -278,16 +283,13 @@ def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
 
 def _untold(seed: int, length: float) -> Iterator[Trial]:
     """Excited, told neither delay nor lag: the flight is to show them."""
-    settings = {
-        "actuators.delay": 0.0, "actuators.time_constant": 0.0, "actuators.estimate_delay": True,
-    }  # fmt: skip
     late = ((0.0, 0.0), (0.05, 0.0), (0.0, 0.06), (0.05, 0.12))
     for aircraft, wind in (("light_aircraft", 0.5), ("c172p", 2), ("T37", 2), ("A4", 2),
                            ("ultra_stick_25e", 2)):  # fmt: skip
         for (delay, lag), rough in product(late, (False, True)):
             words = f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms, {'wind' if rough else 'calm'}"
             flight = {"bank": 20.0, "wind": rough * wind, "delay": delay, "time_constant": lag}
-            fields, duration = {"settings": settings}, length * 110.0
+            fields, duration = {"settings": UNTOLD}, length * 110.0
             yield _trial(
                 "untold", seed, aircraft, words, fields, duration=duration, **flight, **ALWAYS
             )
