@@ -99,6 +99,14 @@ def integrated(
     return state
 
 
+def path(derivative: Callable[[float, Array], Array], corners: Array, state: Array) -> Array:
+    """The states at the corners of the signals, none of which lies within a step."""
+    states = [state]
+    for begin, end in pairwise(corners):
+        states.append(integrated(derivative, begin, end, states[-1]))
+    return np.array(states)
+
+
 def fly(
     structure: Structure = BASELINE,
     duration: float = 8.0,
@@ -138,13 +146,8 @@ def fly(
 
     corners = np.unique(np.concatenate([t, tu + delay]))
     corners = corners[(corners >= tu[0] + delay) & (corners <= t[-1])]
-    state = np.concatenate([start, u[0]])
-    states = [state]
-    for begin, end in pairwise(corners):
-        # piecewise, so that no corner of the input lies within a step
-        state = integrated(derivative, begin, end, state)
-        states.append(state)
-    at_samples = np.array(states)[np.isin(corners, t)]
+    states = path(derivative, corners, np.concatenate([start, u[0]]))
+    at_samples = states[np.isin(corners, t)]
     x, flow, servo = at_samples[:, :3], at_samples[:, 3:width], at_samples[:, width:]
     actual = servo if time_constant else np.array([commanded(v) for v in t])
     regressors = structure.regressor(x, actual, flow[:, :2] if structure is FLIGHT else force_of(t))
@@ -251,12 +254,9 @@ def predicted(
         state = np.concatenate([state, [beta, alpha, *attitude]])
     last = t[window][-1]
     corners = np.unique(np.concatenate([[t0, last], t, tu]))
-    at_samples = []
-    for begin, end in pairwise(corners[(corners >= t0) & (corners <= last)]):
-        state = integrated(derivative, begin, end, state)
-        if end in t:
-            at_samples.append(state[:3])
-    return np.array(at_samples), record.rates[window]
+    corners = corners[(corners >= t0) & (corners <= last)]
+    states = path(derivative, corners, state)
+    return states[1:][np.isin(corners[1:], t), :3], record.rates[window]
 
 
 def percent(model: list[Array], measured: list[Array]) -> Array:

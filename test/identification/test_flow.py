@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from equations import AIRCRAFT, flight_equations, matrix
+from equations import AIRCRAFT, flown, matrix
 from flying import Message, identified, light_measured, messages, plant_flight
 from light_aircraft import TRUTH
-from scipy.integrate import solve_ivp
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowObserver, FlowState
@@ -164,10 +163,7 @@ def slipping(h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         p, q, r, beta, alpha = states[-1][:5]
         f = np.array([p * q, q * r, p * r, p * p, r * r, p, q, r, *held, 1.0, beta, alpha])
         forces.append([0.0, *(a[3:5] @ f)])
-        solved = solve_ivp(
-            lambda _, s, held=held: flight_equations(a, s, held, SPEED), (0.0, h), states[-1]
-        )
-        states.append(solved.y[:, -1])
+        states.append(flown(a, states[-1], held, SPEED, h))
     return np.array(states[:-1]), np.array(forces), u
 
 
