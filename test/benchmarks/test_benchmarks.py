@@ -12,6 +12,7 @@ import output_error
 import pytest
 import sample_walk
 from excerpts import excerpt
+from flying import plant_flight
 from light_aircraft import TRUTH, LightFlight
 from programs import Capture
 
@@ -21,7 +22,6 @@ from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.recording import parameters
 
 STRUCTURE = STRUCTURES["throttle_coupled"]
@@ -32,9 +32,7 @@ AMPLITUDES = {"de": 0.25, "dr": 0.35, "da": 0.25, "dth": 0.3}
 
 @pytest.fixture(scope="module")
 def flight() -> Flight:
-    segments = (Segment("multisine", amplitudes=AMPLITUDES, seed=1),)
-    plan = PlantFlight(segments, 40.0, 200.0, vehicle=vehicle("small_uav"), max_step=2.5e-3)
-    return plan.fly()
+    return plant_flight(40.0, segments=(Segment("multisine", amplitudes=AMPLITUDES, seed=1),))
 
 
 def case_of(flight: Flight, **sensors: Any) -> cases.Case:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples are used in the order of their stamps, and one outlying stamp is no new time base."""
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -37,24 +36,6 @@ def test_whatever_the_order_of_arrival_samples_wait_for_a_tick_at_or_after_their
         buffer.merge(tick)
         used = list(range(min(tick, 11) + 1))
         assert buffer.t.tolist() == buffer.v[:, 0].tolist() == used
-
-
-def test_trim_keeps_the_sample_that_still_applies() -> None:
-    buffer = filled(10, 20, 30)
-    buffer.merge(30)
-    buffer.trim(25)
-    assert buffer.t.tolist() == [20, 30]
-    buffer.trim(20)
-    assert buffer.t.tolist() == [20, 30]
-    buffer.trim(5)
-    assert buffer.t.tolist() == [20, 30]
-
-
-def test_interpolation_is_exact_at_the_samples_and_straight_between() -> None:
-    buffer = filled(10, 20, 40)
-    buffer.merge(40)
-    requested = np.array([10, 15, 20, 35, 40])
-    assert buffer.interpolate(requested)[:, 0].tolist() == [10.0, 15.0, 20.0, 35.0, 40.0]
 
 
 def test_waiting_samples_are_dropped_once_they_are_old() -> None:
