@@ -159,11 +159,12 @@ def test_estimates_are_those_of_the_core_to_the_bit(
         verdicts = [v for entry, v in values.items() if entry.startswith("verdict/")]
         assert verdicts == [float(flag) for flag in (estimate.usable, *estimate.usable_rows)]
         assert [values[f"fit/{axis}"] for axis in "pqr"] == estimate.fit.tolist()
+        efforts = dict(zip(named.name[count:], named.effort.tolist()[count:], strict=True))
         for state in ("alpha", "beta", "roll", "pitch", "airspeed") if estimate.flow else ():
             assert values[f"state/{state}"] == getattr(estimate.flow, state)
-            if state in ("alpha", "beta"):
-                sigma = named.effort[named.name.index(f"state/{state}")]
-                assert sigma == getattr(estimate.flow, f"{state}_sigma")
+            sigma = getattr(estimate.flow, f"{state}_sigma", 0.0)
+            assert efforts.pop(f"state/{state}") == sigma
+        assert set(efforts.values()) == {0.0}
         for topic in ("predicted_rates", "prediction_error"):
             vector = at[topic].vector
             assert [vector.x, vector.y, vector.z] == getattr(estimate, topic).tolist()
