@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from equations import AIRCRAFT, flown, matrix
 from flying import Message, identified, light_measured, messages, plant_flight
-from light_aircraft import TRUTH
+from light_aircraft import TRUTH, LightFlight
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowObserver, FlowState
@@ -297,7 +297,7 @@ def test_a_surface_that_fails_loses_its_force_with_its_moment(seed: int) -> None
         changes=(CoefficientChange(40.0, {"dr": -1.0}),),
     )  # fmt: skip
     m = measure(spec.fly(), Sensors(gyro_noise=0.01, accelerometer_noise=0.3), seed)
-    last = run(OnlineIdentifier(settings(m)), messages(m))[-1]
+    last = identified(m)[1][-1]
     for name in ("rdot/dr", "ay/dr"):
         found = last.coefficients[FLIGHT.index(name)]
         assert found == pytest.approx(-TRUTH[name], rel=0.2), name
