@@ -184,8 +184,6 @@ def test_a_turn_long_ago_says_nothing_of_the_next() -> None:
 
 
 def test_a_row_that_is_learned_anew_is_forgotten_alone() -> None:
-    flight = Flown()
-    """Its turns, too."""
     flight = in_turns()
     flight.confirmed.forget(PITCH)
     doubts = flight.doubts()

@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying import messages, run, settings
+from flying import identified
 from light_aircraft import TRUTH, LightFlight
 
 from uav_ident_ros.identification.estimators.information import Information
-from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.prior import first_values, start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
@@ -216,7 +215,7 @@ def test_an_autopilot_in_gusts_leaves_little_known_wrongly(seed: int) -> None:
     air = {"bank": 30.0, "gust": 1.0, "roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
     flight = LightFlight((), 45.0, seed=seed, **air).fly()
     m = measure(flight, Sensors(gyro_noise=0.02, accelerometer_noise=0.1), seed)
-    estimates = run(OnlineIdentifier(settings(m)), messages(m))[400:]
+    estimates = identified(m)[1][400:]
     error = np.array([e.coefficients[PDOT_DA] for e in estimates]) - TRUTH["pdot/da"]
     sigma = np.array([e.sigma[PDOT_DA] for e in estimates])
     assert np.mean(np.abs(error) < 2.0 * sigma) > 0.6
@@ -227,7 +226,7 @@ def test_an_excitation_after_an_autopilot_is_learned_from() -> None:
     segment = Segment("multisine", 30.0, 25.0, {"de": 0.06, "da": 0.06, "dr": 0.06}, seed=1)
     flight = LightFlight((segment,), 55.0, seed=1, bank=20.0, gust=0.3).fly()
     m = measure(flight, Sensors(gyro_noise=0.02, accelerometer_noise=0.1), 1)
-    last = run(OnlineIdentifier(settings(m)), messages(m))[-1]
+    _, (*_, last) = identified(m)
     place = STRUCTURE.index("qdot/de")
     assert last.coefficients[place] == pytest.approx(TRUTH["qdot/de"], rel=0.1)
     assert last.sigma[place] < 0.25 * abs(TRUTH["qdot/de"])

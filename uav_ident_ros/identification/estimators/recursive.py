@@ -196,7 +196,10 @@ class RecursiveRegression:
         if due:
             self._known = solution, covariance
             self._effect = np.abs(solution.values[1][MAIN_DERIVATIVES])  # whitened
-            self._since_sigma, self.sigma = 0.0, sigma
+            self._since_sigma, self._settled_sigma = 0.0, sigma
+            self.sigma = sigma.copy()
+            inputs = self.sigma[: len(ROWS), INPUT_COLUMNS]
+            inputs[:] = np.hypot(inputs, self._detector.seeming)
         self._linear = self._layout.matrix(solution.linear[0])
         self.inputs = self._linear[: len(ROWS), INPUT_COLUMNS]
         self.coefficients = values
@@ -237,7 +240,7 @@ class RecursiveRegression:
         self.changes = []
         if self._detector.add(samples):
             linear = self._layout.matrix(self._known[0].linear[1])
-            sigma = self.sigma[: len(ROWS), INPUT_COLUMNS]
+            sigma = self._settled_sigma[: len(ROWS), INPUT_COLUMNS]
             for change in self._detector.look(linear, sigma):
                 self.changes.append((change.row, change.column))
                 self._release(change)
@@ -245,29 +248,46 @@ class RecursiveRegression:
     def _release(self, change: Change) -> None:
         """Forget what a regressor did in one row, and learn it anew from after the change.
 
-        A covariance reset: of all that was known before, the covariance of this coefficient and of
-        the constant, which takes up part of any change about a trim, are set to what a change
-        by so much allows.
+        What a surface loses of its moment it loses of its force, too: a moment is whole only with
+        the force of the same surface.
         """
-        row, information, weak = change.row, self.information, weak_sigma(self._structure)
+        row, column = change.row, change.column
+        before = self._known[0].linear[1]
+        effect = before[row, self._layout.index[row] == column]
+        self._reset(row, column, change.size, change.after)
+        for flow in self._structure.flow:
+            if column in flow.others:
+                at = self._layout.place[flow.force, :, 1] == column
+                size = (before[flow.force, at] / effect * change.size).item()
+                self._reset(flow.force, column, size, change.after)
+        self._error.forget(row)
+        self._since_sigma = np.inf
+
+    def _reset(self, row: int, column: int, size: float, samples: Regression) -> None:
+        """Reset the covariance of a coefficient that moved by `size`, and learn `samples` again.
+
+        Of all that was known before, the covariance of this coefficient and of the row's
+        constant, which takes up part of any change about a trim, are set to what a change by so
+        much allows.
+        """
+        information, weak = self.information, weak_sigma(self._structure)
         # Nothing from before the flight holds the coefficient where it was.
         sigma = self._start.sigma.copy()
-        sigma[row, change.column] = weak[row, change.column]
+        sigma[row, column] = weak[row, column]
         self.start = replace(self._start, sigma=sigma)
         known, covariances = self._known  # whitened
         mean, transform = known.linear[1, row].copy(), known.transform[row]
         covariance = transform @ covariances[1, row] @ transform.T
-        columns = self._layout.index[row]
-        changed = columns == change.column
-        mean[changed] += change.size
-        constant = np.where(columns == CONSTANT_COLUMN, sigma[row, columns], 0.0)
-        covariance += np.diag(constant**2 + changed * change.size**2)
+        rows, columns = np.moveaxis(self._layout.place[row], -1, 0)
+        changed = (columns == column) & information.free[row]
+        mean[changed] += size
+        own = (rows == row) & (columns == CONSTANT_COLUMN)
+        constant = np.where(own, sigma[row, columns], 0.0)
+        covariance += np.diag(constant**2 + changed * size**2)
         sums = information.sums_of().copy()
         sums.set_known(row, mean, covariance, information.free[row], information.unit[:, row])
-        after = RowSamples.of(change.after, self.residual(change.after), self._layout)
+        after = RowSamples.of(samples, self.residual(samples), self._layout)
         # The other parts follow by themselves.
         alone = 1.0 * (np.arange(self._layout.rows) == row)
         sums[:1].add(information.instrumented(after), alone)
         information.set_row(row, sums)
-        self._error.forget(row)
-        self._since_sigma = np.inf
