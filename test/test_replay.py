@@ -40,7 +40,6 @@ from uav_ident_ros.messages.published import entry_names
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline import NOT_USABLE, main
 from uav_ident_ros.offline.inputs import choose_inputs
-from uav_ident_ros.offline.run import Refusals
 from uav_ident_ros.offline.tables import write_table
 from uav_ident_ros.offline.ticks import write_estimates
 
